@@ -1,0 +1,1 @@
+"""Target-driven visual navigation by deep imitation reinforcement learning."""
