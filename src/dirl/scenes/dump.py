@@ -1,0 +1,212 @@
+"""Scene dumps: one HDF5 file a scene, in the layout of the published target-driven navigation code and ours.
+
+| dataset | shape | meaning |
+|---|---|---|
+| ``graph`` | integer ``[N, 4]`` | next state for ahead, right, left, back; -1 = blocked |
+| ``location`` | number ``[N, 2]`` | x, z in metres |
+| ``rotation`` | number ``[N]`` | heading in degrees |
+| ``resnet_feature`` | float16 or float32 ``[N, D]`` or ``[N, k, D]`` | features; of ``k`` crops the first is used |
+| ``shortest_path_distance`` | number ``[N, N]`` | only compared: distances are always recomputed |
+| ``observation`` | uint8 ``[N, H, W, 3]`` | raw views (published files) |
+| ``observation_webp`` | N byte strings | encoded views (our files) |
+
+``graph``, ``location`` and ``rotation`` are required. File attributes, all optional: ``name``, ``source``, ``goals``
+and ``actions`` (the order of the columns of ``graph``, if not the one above). Attributes of ``resnet_feature``:
+``extractor``, ``preprocessing``, ``weights``.
+"""
+
+import os
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.scenes.graph import ACTIONS, shortest_distances
+from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.views import Views
+
+MAX_STATES = 1_000_000
+MAX_FEATURE_WIDTH = 65_536
+UNREACHABLE_FROM = 1000
+"""Stored distances at or above this mean "unreachable" (some copies of the published files hold 1000)."""
+
+EXTRACTOR_ATTRIBUTES = ("extractor", "preprocessing", "weights")
+
+
+class SceneWarning(UserWarning):
+    """A dump that can be used but holds something a user should know of."""
+
+
+def read_dump(path: str | Path, *, name: str | None = None, source: str | None = None) -> Scene:
+    """Read and check one scene.
+
+    Nothing large is read before its shape has been checked, and links to other files are refused.
+
+    Args:
+        path: the HDF5 file.
+        name: what to call the scene; the file's attribute ``name`` or its stem if left out.
+        source: where it comes from; the file's attribute ``source`` or "unlabelled" if left out.
+
+    Raises:
+        SceneError: the file is missing, truncated, or its content cannot be walked in. The message names the file,
+            the dataset, and the first offending state.
+
+    Warns:
+        SceneWarning: the stored distances disagree with the graph.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SceneError(f"{path}: there is no such file")
+    try:
+        with h5py.File(path) as file:
+            return _read(file, path, name, source)
+    except OSError as error:
+        raise SceneError(f"{path}: not a readable HDF5 file, perhaps a broken download ({error})") from None
+
+
+def _read(file: h5py.File, path: Path, name: str | None, source: str | None) -> Scene:
+    missing = [key for key in ("graph", "location", "rotation") if key not in file]
+    if missing:
+        raise SceneError(f"{path}: the dataset '{missing[0]}' is missing; the file holds {sorted(file)}")
+    graph = _dataset(file, path, "graph", kinds="iu", shape=(None, 4))
+    states = len(graph)
+    if states > MAX_STATES:
+        raise SceneError(f"{path}: graph: {states} states are more than the {MAX_STATES} this package can hold")
+    location = _dataset(file, path, "location", kinds="iuf", shape=(states, 2))
+    rotation = _dataset(file, path, "rotation", kinds="iuf", shape=(states,))
+    extractor, features = _features(file, path, states)
+    scene = Scene(
+        name=name or _text(file.attrs.get("name")) or path.stem,
+        graph=_in_our_order(graph[:], file.attrs.get("actions"), path),
+        positions=location[:],
+        headings=rotation[:],
+        features=features,
+        views=_views(file, path, states),
+        goals=tuple(int(goal) for goal in np.atleast_1d(file.attrs.get("goals", ()))),
+        source=source or _text(file.attrs.get("source")) or "unlabelled",
+        extractor=extractor,
+        origin=str(path),
+    )
+    if "shortest_path_distance" in file:
+        stored = _dataset(file, path, "shortest_path_distance", kinds="iuf", shape=(states, states))
+        _compare_distances(scene, stored[:], path)
+    return scene
+
+
+def _dataset(file: h5py.File, path: Path, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
+    """A dataset whose place, type and shape are as expected; nothing of it has been read."""
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise SceneError(f"{path}: {name}: is a link to elsewhere; a dump must hold its own data")
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset):
+        raise SceneError(f"{path}: {name}: is a group; expected a dataset")
+    if dataset.is_virtual or dataset.external:
+        raise SceneError(f"{path}: {name}: its data lies in other files; a dump must hold its own data")
+    if dataset.dtype.kind not in kinds:
+        names = {"i": "integer", "u": "unsigned integer", "f": "float", "O": "byte string"}
+        wanted = " or ".join(names[kind] for kind in kinds)
+        raise SceneError(f"{path}: {name}: expected {wanted} values, found {dataset.dtype}")
+    found = dataset.shape or ()
+    if len(found) != len(shape) or any(w not in (None, f) for w, f in zip(shape, found, strict=True)):
+        wanted = ", ".join("any" if size is None else str(size) for size in shape)
+        raise SceneError(f"{path}: {name}: expected shape ({wanted}), found {found}")
+    return dataset
+
+
+def _features(file: h5py.File, path: Path, states: int) -> tuple[str, NDArray[Any] | None]:
+    """The extractor's description and the features ``[N, D]`` of the first crop."""
+    if "resnet_feature" not in file:
+        return "none", None
+    crops = len(getattr(file["resnet_feature"], "shape", None) or ()) == 3
+    shape = (states, None, None) if crops else (states, None)
+    dataset = _dataset(file, path, "resnet_feature", kinds="f", shape=shape)
+    if 0 in dataset.shape or dataset.shape[-1] > MAX_FEATURE_WIDTH:
+        raise SceneError(f"{path}: resnet_feature: unusable shape {dataset.shape}")
+    described = [_text(dataset.attrs.get(key)) for key in EXTRACTOR_ATTRIBUTES]
+    extractor = "; ".join(text for text in described if text) or "unknown"
+    return extractor, dataset[:, 0] if crops else dataset[:]
+
+
+def _views(file: h5py.File, path: Path, states: int) -> Views | None:
+    if "observation_webp" in file:
+        _dataset(file, path, "observation_webp", kinds="O", shape=(states,))
+        return Views(path.resolve(), "observation_webp", states)
+    if "observation" in file:
+        dataset = _dataset(file, path, "observation", kinds="u", shape=(states, None, None, 3))
+        if dataset.dtype != np.uint8:
+            raise SceneError(f"{path}: observation: expected uint8 pixels, found {dataset.dtype}")
+        return Views(path.resolve(), "observation", states)
+    return None
+
+
+def _in_our_order(graph: NDArray[Any], declared: Any, path: Path) -> NDArray[Any]:
+    if declared is None:
+        return graph
+    actions = [_text(action) for action in np.atleast_1d(declared)]
+    if sorted(actions) != sorted(ACTIONS):
+        raise SceneError(
+            f"{path}: attribute 'actions': expected {list(ACTIONS)} in the order of graph's columns, found {actions}"
+        )
+    return graph[:, [actions.index(action) for action in ACTIONS]]
+
+
+def _compare_distances(scene: Scene, stored: NDArray[Any], path: Path) -> None:
+    unreachable = ~np.isfinite(stored) | (stored < 0) | (stored >= UNREACHABLE_FROM)
+    stored = np.where(unreachable, -1, stored)
+    wrong = np.argwhere(stored != scene.distances)
+    if len(wrong):
+        state, goal = wrong[0]
+        warnings.warn(
+            f"{path}: shortest_path_distance: {len(wrong)} entries disagree with the graph, first from state {state} "
+            f"to {goal}: stored {stored[state, goal]:g}, by search {scene.distances[state, goal]} "
+            "(-1 = unreachable); the searched distances are used",
+            SceneWarning,
+            stacklevel=4,
+        )
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else value.decode() if isinstance(value, bytes) else str(value)
+
+
+def write_dump(
+    path: str | Path,
+    scene: Scene,
+    views: Iterable[bytes] | None = None,
+    *,
+    attributes: dict[str, Any] | None = None,
+    feature_attributes: dict[str, str] | None = None,
+) -> None:
+    """Write one scene; the file appears whole or not at all.
+
+    Args:
+        path: the file to write; an existing one is replaced.
+        scene: what to write; its ``views`` are not copied.
+        views: N encoded images (WebP, PNG or JPEG bytes), in the order of the states.
+        attributes: further file attributes, beside the scene's own.
+        feature_attributes: how the features were made: ``extractor``, ``preprocessing``, ``weights``.
+    """
+    path = Path(path)
+    unfinished = path.with_name(path.name + ".tmp")
+    with h5py.File(unfinished, "w") as file:
+        file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
+        file.attrs.update(attributes or {})
+        if scene.goals:
+            file.attrs["goals"] = np.array(scene.goals)
+        file.create_dataset("graph", data=scene.graph.astype(np.int32), compression="gzip")
+        file["location"] = scene.positions.astype(np.float32)
+        file["rotation"] = scene.headings.astype(np.float32)
+        distances = shortest_distances(scene.graph).astype(np.int16)
+        file.create_dataset("shortest_path_distance", data=distances, compression="gzip", shuffle=True)
+        if scene.features is not None:
+            file["resnet_feature"] = scene.features[:, None]
+            file["resnet_feature"].attrs.update(feature_attributes or {})
+        if views is not None:
+            stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
+            for state, view in enumerate(views):
+                stored[state] = np.frombuffer(view, np.uint8)
+    os.replace(unfinished, path)

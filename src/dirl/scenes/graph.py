@@ -1,0 +1,140 @@
+"""What follows from a scene's graph alone: distances, headings, the four views around a state.
+
+A graph is an integer array ``[N, 4]``: ``graph[state, action]`` is the next state, -1 where the move is blocked.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+ACTIONS = ("ahead", "right", "left", "back")
+"""The action order of every graph in memory; right and left are turns on the spot (as in the published dumps)."""
+
+AHEAD, RIGHT, LEFT, BACK = range(4)
+
+IntArray = NDArray[np.int64]
+
+
+class GraphError(ValueError):
+    """A graph that no agent could walk in; the message names the first offending state."""
+
+
+def check_graph(graph: IntArray) -> None:
+    """Check that next states exist and that turns form rings of equal length.
+
+    Args:
+        graph: next states, int64 ``[N, 4]``, -1 = blocked.
+
+    Raises:
+        GraphError: a next state is out of range, a right turn is not undone by the left turn, or the states that
+            a full turn passes are not a multiple of four, the same everywhere. States without any move ("dead"
+            states, as an isolated block of a published scene may have) need no turns.
+    """
+    states = len(graph)
+    if states == 0:
+        raise GraphError("there are no states")
+    bad = np.argwhere((graph < -1) | (graph >= states))
+    if len(bad):
+        state, action = bad[0]
+        raise GraphError(
+            f"state {state}: {ACTIONS[action]} leads to state {graph[state, action]}, "
+            f"but states are 0..{states - 1} (and -1 for a blocked move)"
+        )
+    alive = np.flatnonzero((graph >= 0).any(1))
+    if len(alive) == 0:
+        raise GraphError("state 0: no state has any move")
+    for turn, back, name in ((RIGHT, LEFT, "right"), (LEFT, RIGHT, "left")):
+        turned = graph[alive, turn]
+        bad = alive[turned < 0]
+        if len(bad):
+            raise GraphError(f"state {bad[0]}: turning {name} is blocked; a turn on the spot never is")
+        bad = alive[graph[turned, back] != alive]
+        if len(bad):
+            raise GraphError(
+                f"state {bad[0]}: turning {name} and back does not return to it; are the columns in the order "
+                f"{list(ACTIONS)}? (another order is declared by the file attribute 'actions')"
+            )
+    rings = _ring_lengths(graph, alive)
+    odd = alive[(rings % 4 != 0) | (rings != rings[0])]
+    if len(odd):
+        raise GraphError(
+            f"state {odd[0]}: a full turn to the right passes {rings[alive.tolist().index(odd[0])]} states; "
+            f"expected the same multiple of four everywhere ({rings[0]} at state {alive[0]})"
+        )
+
+
+def _ring_lengths(graph: IntArray, alive: IntArray) -> IntArray:
+    """How many right turns bring each of the states ``alive`` back to itself, int64 ``[len(alive)]``."""
+    lengths = np.zeros(len(alive), np.int64)
+    at = alive
+    for turns in range(1, len(graph) + 1):
+        at = graph[at, RIGHT]
+        lengths[(at == alive) & (lengths == 0)] = turns
+        if lengths.all():
+            break
+    return lengths
+
+
+def turns_per_circle(graph: IntArray) -> int:
+    """How many right turns make a full circle: 4 where a turn is 90 degrees, 12 where it is 30."""
+    alive = np.flatnonzero((graph >= 0).any(1))
+    return int(_ring_lengths(graph, alive[:1])[0])
+
+
+def surrounding_states(graph: IntArray) -> IntArray:
+    """The states seen ahead, to the right, behind and to the left, relative to the heading.
+
+    They are found by repeated turns along the graph's own links, never from the numbering of the states
+    (paper section 3.5). A state without moves sees itself four times.
+
+    Args:
+        graph: a checked graph, int64 ``[N, 4]``.
+
+    Returns:
+        int64 ``[N, 4]``, column 0 is the state itself.
+    """
+    right = np.where(graph[:, RIGHT] >= 0, graph[:, RIGHT], np.arange(len(graph)))
+    quarter = np.arange(len(graph))
+    for _ in range(turns_per_circle(graph) // 4):
+        quarter = right[quarter]
+    views = [np.arange(len(graph))]
+    for _ in range(3):
+        views.append(quarter[views[-1]])
+    return np.stack(views, 1)
+
+
+def places(graph: IntArray) -> IntArray:
+    """Which place each state is at: states that turns lead between share one, int64 ``[N]``.
+
+    Places are numbered 0, 1, ... in the order of their first states.
+    """
+    first = np.arange(len(graph))
+    right = np.where(graph[:, RIGHT] >= 0, graph[:, RIGHT], first)
+    for _ in range(turns_per_circle(graph)):
+        first = np.minimum(first, first[right])
+    return np.unique(first, return_inverse=True)[1]
+
+
+def shortest_distances(graph: IntArray, goals: IntArray | None = None) -> NDArray[np.int32]:
+    """The fewest actions from every state to each goal, by breadth-first search backwards from the goals.
+
+    Args:
+        graph: a checked graph, int64 ``[N, 4]``.
+        goals: goal states, int64 ``[G]``; all states if left out.
+
+    Returns:
+        int32 ``[N, G]``, -1 where the goal cannot be reached.
+    """
+    states = len(graph)
+    goals = np.arange(states) if goals is None else np.asarray(goals)
+    next_states = np.where(graph >= 0, graph, np.arange(states)[:, None])
+    distances = np.full((states, len(goals)), -1, np.int32)
+    distances[goals, np.arange(len(goals))] = 0
+    reached = distances == 0
+    for steps in range(1, states + 1):
+        nearer = np.logical_or.reduce([reached[next_states[:, action]] for action in range(len(ACTIONS))])
+        new = nearer & ~reached
+        if not new.any():
+            break
+        distances[new] = steps
+        reached |= nearer
+    return distances

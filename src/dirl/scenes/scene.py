@@ -1,0 +1,121 @@
+"""A scene: one room as a graph of states, each a location and a heading with one camera view."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.scenes.graph import GraphError, IntArray, check_graph, shortest_distances, surrounding_states
+from dirl.scenes.views import Views
+
+
+class SceneError(ValueError):
+    """A scene that cannot be used; the message says what is wrong, where, and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One room. Immutable (its arrays are read-only) and checked when made.
+
+    Args:
+        name: what the user calls it, e.g. ``bathroom_02``.
+        graph: next states, integers ``[N, 4]`` in the order of `ACTIONS`, -1 = blocked.
+        positions: metres, ``[N, 2]``: x, z of each state's location.
+        headings: degrees clockwise, ``[N]``.
+        features: the frozen backbone's output for each state's view, float16 or float32 ``[N, D]``; None if the
+            views have not been encoded yet.
+        views: the camera images, or None.
+        goals: the goal states that come with the scene; may be empty.
+        source: where the scene comes from: ``rooms`` (built in), ``synthetic`` (generated) or ``thor``.
+        extractor: what made the features; scenes with different extractors cannot share a `World`.
+        origin: the file or function that made it, named in errors.
+
+    Raises:
+        SceneError: an array has the wrong shape or type, or the first offending state of it is named.
+    """
+
+    name: str
+    graph: IntArray
+    positions: NDArray[np.floating]
+    headings: NDArray[np.floating]
+    features: NDArray[np.floating] | None = None
+    views: Views | None = None
+    goals: tuple[int, ...] = ()
+    source: str = "synthetic"
+    extractor: str = "unknown"
+    origin: str = "a scene made in memory"
+
+    def __post_init__(self) -> None:
+        graph = self._array("graph", self.graph, np.integer, (None, 4)).astype(np.int64)
+        states = len(graph)
+        try:
+            check_graph(graph)
+        except GraphError as error:
+            raise SceneError(f"{self.origin}: graph: {error}") from None
+        positions = self._array("location", self.positions, np.number, (states, 2)).astype(np.float64)
+        headings = self._array("rotation", self.headings, np.number, (states,)).astype(np.float64)
+        arrays: dict[str, NDArray[Any]] = {"graph": graph, "positions": positions, "headings": headings}
+        if self.features is not None:
+            features = self._array("resnet_feature", self.features, np.floating, (states, None))
+            arrays["features"] = features if features.dtype == np.float16 else features.astype(np.float32)
+        self._check_turns(positions, surrounding_states(graph))
+        if self.views is not None and len(self.views) != states:
+            raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")
+        for name, array in arrays.items():
+            object.__setattr__(self, name, _read_only(array.copy() if array is getattr(self, name) else array))
+        for goal in self.goals:
+            self.check_goal(goal)
+
+    def __len__(self) -> int:
+        """The number of states."""
+        return len(self.graph)
+
+    @cached_property
+    def distances(self) -> NDArray[np.int32]:
+        """Fewest actions from each state (row) to each state (column), int32 ``[N, N]``, -1 = unreachable."""
+        return _read_only(shortest_distances(self.graph))
+
+    @cached_property
+    def surrounding(self) -> IntArray:
+        """The states ahead, right, back and left of each state, int64 ``[N, 4]``."""
+        return _read_only(surrounding_states(self.graph))
+
+    def check_goal(self, goal: int) -> None:
+        """Raise `SceneError` unless ``goal`` is a state that some other state can reach."""
+        if not 0 <= goal < len(self):
+            raise SceneError(f"{self.origin}: goal {goal} is not a state; states are 0..{len(self) - 1}")
+        if not (shortest_distances(self.graph, np.array([goal])) > 0).any():
+            raise SceneError(f"{self.origin}: goal {goal} cannot be reached from any other state")
+
+    def _array(self, name: str, value: Any, kind: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
+        array = np.asarray(value)
+        if not np.issubdtype(array.dtype, kind):
+            raise SceneError(f"{self.origin}: {name}: expected {kind.__name__} values, found {array.dtype}")
+        fits = array.ndim == len(shape) and all(
+            want is None or have == want for have, want in zip(array.shape, shape, strict=True)
+        )
+        if not fits:
+            wanted = tuple("any" if size is None else size for size in shape)
+            raise SceneError(f"{self.origin}: {name}: expected shape {wanted}, found {array.shape}")
+        if np.issubdtype(array.dtype, np.inexact):
+            rows = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(1))
+            if len(rows):
+                raise SceneError(f"{self.origin}: {name}: state {rows[0]} holds a value that is not finite")
+        return array
+
+    def _check_turns(self, positions: NDArray[np.floating], surrounding: IntArray) -> None:
+        moved = np.flatnonzero((np.abs(positions[surrounding[:, 1]] - positions) > 1e-3).any(1))
+        if len(moved):
+            state = moved[0]
+            raise SceneError(
+                f"{self.origin}: location: state {state} is at {positions[state].tolist()} but the state seen to "
+                f"its right, {surrounding[state, 1]}, is at {positions[surrounding[state, 1]].tolist()}; "
+                "a turn must not move the agent"
+            )
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array.setflags(write=False)
+    return array

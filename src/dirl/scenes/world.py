@@ -1,0 +1,138 @@
+"""A world: several scenes as one state space, in tensors, with the goals to be reached in it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dirl.scenes.graph import shortest_distances
+from dirl.scenes.scene import Scene, SceneError
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Scenes laid one behind the other: a state of the world is its number in the scene plus the scene's offset.
+
+    Made by `make_world`. N states, S scenes, G goals, D feature width; all tensors on one device.
+    """
+
+    scenes: tuple[Scene, ...]
+    offsets: tuple[int, ...]
+    """The first state of each scene."""
+    graph: Tensor
+    """Next state, int64 ``[N, 4]``; a blocked move leads back to the state itself."""
+    surrounding: Tensor
+    """The states ahead, right, back and left of each state, int64 ``[N, 4]``."""
+    features: Tensor
+    """The frozen backbone's output, float32 ``[N, D]``."""
+    scene_of: Tensor
+    """The scene of each state, int64 ``[N]``."""
+    goals: Tensor
+    """The goal states, int64 ``[G]``."""
+    distances: Tensor
+    """Fewest actions to each goal, int64 ``[G, N]``; -1 where it cannot be reached."""
+
+    def __len__(self) -> int:
+        """The number of states."""
+        return len(self.graph)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The scenes' names."""
+        return tuple(scene.name for scene in self.scenes)
+
+    @property
+    def source(self) -> str:
+        """Where the scenes come from: ``rooms``, ``synthetic``, ``thor``, or several of them."""
+        return "+".join(sorted({scene.source for scene in self.scenes}))
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors are."""
+        return self.graph.device
+
+    def to(self, device: torch.device | str) -> "World":
+        """The same world with its tensors on a device."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        moved = {name: value.to(device) for name, value in values.items() if isinstance(value, Tensor)}
+        return World(**{**values, **moved})
+
+    def local(self, state: int) -> tuple[Scene, int]:
+        """The scene of a state of the world, and the state's number in it."""
+        index = int(self.scene_of[state])
+        return self.scenes[index], state - self.offsets[index]
+
+
+def make_world(scenes: Sequence[Scene], goals: Sequence[int] | Mapping[str, Sequence[int]] | None = None) -> World:
+    """Join scenes.
+
+    Args:
+        scenes: at least one; distinct names, features of one extractor and width.
+        goals: the goals of one scene, or of several by name, as states of the scene; the scenes' own if left out.
+
+    Raises:
+        SceneError: scenes that do not go together, a scene without features or goals, or an impossible goal.
+    """
+    if not scenes:
+        raise SceneError("a world needs at least one scene")
+    names = [scene.name for scene in scenes]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise SceneError(f"the scene '{twice[0]}' is named twice")
+    first = scenes[0]
+    for scene in scenes:
+        if scene.features is None:
+            raise SceneError(f"{scene.origin}: has no features (dataset resnet_feature); encode its views first")
+        assert first.features is not None
+        if scene.extractor != first.extractor or scene.features.shape[1] != first.features.shape[1]:
+            raise SceneError(
+                f"{scene.name} and {first.name} have features of different extractors, which cannot be mixed: "
+                f"'{scene.extractor}' ({scene.features.shape[1]} wide) and "
+                f"'{first.extractor}' ({first.features.shape[1]} wide)"
+            )
+    chosen = _goals(scenes, goals)
+    sizes = [len(scene) for scene in scenes]
+    offsets = tuple(int(offset) for offset in np.cumsum([0, *sizes[:-1]]))
+    distances = torch.full((sum(map(len, chosen)), sum(sizes)), -1)
+    row = 0
+    for scene, offset, states in zip(scenes, offsets, chosen, strict=True):
+        found = shortest_distances(scene.graph, np.array(states))
+        distances[row : row + len(states), offset : offset + len(scene)] = torch.from_numpy(found.T).long()
+        row += len(states)
+    parts = list(zip(scenes, offsets, strict=True))
+    graphs = [np.where(s.graph < 0, np.arange(len(s))[:, None], s.graph) + offset for s, offset in parts]
+    return World(
+        scenes=tuple(scenes),
+        offsets=offsets,
+        graph=torch.from_numpy(np.concatenate(graphs)),
+        surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
+        features=torch.from_numpy(np.concatenate([s.features for s in scenes]).astype(np.float32)),
+        scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
+        goals=torch.tensor([g + offset for goal, offset in zip(chosen, offsets, strict=True) for g in goal]),
+        distances=distances,
+    )
+
+
+def _goals(scenes: Sequence[Scene], goals: Sequence[int] | Mapping[str, Sequence[int]] | None) -> list[tuple[int, ...]]:
+    """The goals of each scene, checked."""
+    names = [scene.name for scene in scenes]
+    if goals is not None and not isinstance(goals, Mapping):
+        if len(scenes) > 1:
+            raise SceneError(f"goals of several scenes are given by name, e.g. {{{names[0]}: {list(goals)}}}")
+        goals = {names[0]: goals}
+    unknown = sorted(set(goals or {}) - set(names))
+    if unknown:
+        raise SceneError(f"goals are given for '{unknown[0]}', which is not among the scenes {names}")
+    chosen = []
+    for scene in scenes:
+        states = tuple((goals or {}).get(scene.name, scene.goals))
+        if not states:
+            raise SceneError(f"{scene.origin}: names no goals; choose some, e.g. goals=[0,{len(scene) // 2}]")
+        for goal in states:
+            scene.check_goal(goal)
+        if len(set(states)) < len(states):
+            raise SceneError(f"{scene.name}: a goal is named twice in {list(states)}")
+        chosen.append(states)
+    return chosen
