@@ -1,0 +1,126 @@
+"""The navigation task as one batched TorchRL environment over integers."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from dirl.scenes import ACTIONS, World
+
+
+@dataclass(frozen=True)
+class Reward:
+    """What a step earns (paper section 4.2)."""
+
+    goal: float = 10.0
+    """The agent stopped at the goal."""
+    step: float = -0.01
+    """Any other step."""
+    collision: float = -0.1
+    """A blocked move, instead of ``step``."""
+
+
+class NavigationEnv(EnvBase):
+    """Agents that walk to goals, many at once; a transition is one look-up in the world's graph.
+
+    A reset draws a goal uniformly among the world's and a start uniformly among the other states that reach it. An
+    episode ends (``terminated``) where ``stop`` says so, by default exactly at the goal. It has no step limit of its
+    own: add TorchRL's ``StepCounter``, which truncates. With B agents, an observation holds
+
+    - ``state``, ``goal``: states of the world, int64 ``[B]``;
+    - ``scene``: the scene they are in, int64 ``[B]``.
+
+    The action is 0 ahead, 1 turn right, 2 turn left, 3 back, int64 ``[B]``; reward and done flags are ``[B, 1]``.
+
+    Args:
+        world: the scenes and goals; the environment runs on its device.
+        num_agents: B.
+        reward: what a step earns.
+        stop: where an agent stops on its way to each goal, bool ``[G, N]`` (see `dirl.models.TemplateStop`). A stop
+            anywhere but at the goal ends the episode with the reward of an ordinary step.
+        seed: of the generator that draws goals and starts; actions are drawn by the policy.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        num_agents: int = 1,
+        *,
+        reward: Reward | None = None,
+        stop: Tensor | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(device=world.device, batch_size=[num_agents])
+        self.world = world
+        self.reward = reward or Reward()
+        states, agents = len(world), self.batch_size
+        goals = torch.arange(len(world.goals), device=self.device)
+        if stop is None:
+            stop = torch.zeros_like(world.distances, dtype=torch.bool)
+            stop[goals, world.goals] = True
+        self.stop = stop.to(self.device)
+        self.goal_index = torch.full((states,), -1, device=self.device)
+        self.goal_index[world.goals] = goals
+        # The starts of a goal are the first `start_count` entries of its row.
+        reaches = world.distances > 0
+        self.starts = torch.argsort(~reaches, dim=1, stable=True)
+        self.start_count = reaches.sum(1)
+        self.generator = torch.Generator(self.device)
+        self.observation_spec = Composite(
+            state=Categorical(states, shape=agents),
+            goal=Categorical(states, shape=agents),
+            scene=Categorical(len(world.scenes), shape=agents),
+            shape=agents,
+            device=self.device,
+        )
+        self.action_spec = Categorical(len(ACTIONS), shape=agents, device=self.device)
+        self.reward_spec = Unbounded(shape=(*agents, 1), device=self.device)
+        flags = {key: Categorical(2, shape=(*agents, 1), dtype=torch.bool) for key in ("done", "terminated")}
+        self.full_done_spec = Composite(flags, shape=agents, device=self.device)
+        self.set_seed(seed)
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self.generator.manual_seed(seed)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        draw = torch.rand((2, *self.batch_size), generator=self.generator, device=self.device)
+        goal = (draw[0] * len(self.world.goals)).long()
+        start = (draw[1] * self.start_count[goal]).long()
+        state = self.starts[goal, start]
+        done = torch.zeros((*self.batch_size, 1), dtype=torch.bool, device=self.device)
+        return TensorDict(
+            {
+                "state": state,
+                "goal": self.world.goals[goal],
+                "scene": self.world.scene_of[state],
+                "done": done,
+                "terminated": done.clone(),
+            },
+            batch_size=self.batch_size,
+            device=self.device,
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        state, goal = tensordict["state"], tensordict["goal"]
+        next_state = self.world.graph[state, tensordict["action"]]
+        stopped = self.stop[self.goal_index[goal], next_state]
+        reward = torch.where(next_state == state, self.reward.collision, self.reward.step)
+        reward = torch.where(stopped & (next_state == goal), self.reward.goal, reward)
+        done = stopped.unsqueeze(-1)
+        return TensorDict(
+            {
+                "state": next_state,
+                "goal": goal,
+                "scene": tensordict["scene"],
+                "reward": reward.unsqueeze(-1),
+                "done": done,
+                "terminated": done.clone(),
+            },
+            batch_size=self.batch_size,
+            device=self.device,
+        )
