@@ -1,0 +1,57 @@
+"""Behaviour cloning as a TorchRL loss (paper section 3.3)."""
+
+from dataclasses import dataclass
+
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
+from torchrl.objectives import LossModule
+
+
+class ImitationLoss(LossModule):
+    """Cross-entropy between the expert's action and the actor's distribution (paper equation 12).
+
+    TorchRL 0.14's own ``BCLoss`` fails for actors over discrete actions.
+
+    Args:
+        actor: anything with ``get_dist``, as ``ProbabilisticActor`` has.
+        coeff: multiplies the loss; can be changed later by assigning to it.
+        reduction: ``mean``, ``sum`` or ``none``.
+
+    Returns of ``forward``: ``loss_imitation`` (scalar) and ``accuracy``, the share of rows in which the most probable
+    action is the expert's. In keys are the actor's and ``expert_action``, int64 ``[B]``.
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        expert_action: NestedKey = "expert_action"
+
+    default_keys = _AcceptedKeys
+    tensor_keys: _AcceptedKeys
+    out_keys = ("loss_imitation", "accuracy")
+    _schedulable_buffers = frozenset({"coeff"})
+    functional = False
+
+    def __init__(
+        self, actor: ProbabilisticTensorDictSequential, *, coeff: float = 1.0, reduction: str = "mean"
+    ) -> None:
+        super().__init__()
+        self.actor_network = actor
+        self.reduction = reduction
+        self.register_coeff_buffer("coeff", coeff, device=None)
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """What the loss reads."""
+        return [self.tensor_keys.expert_action, *self.actor_network.in_keys]
+
+    def _forward_value_estimator_keys(self, **_: object) -> None:
+        """There is no value estimator."""
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The loss of a batch of demonstrations, see the class."""
+        dist = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys))
+        expert = tensordict.get(self.tensor_keys.expert_action)
+        loss = self._reduce_loss(-dist.log_prob(expert), tensordict)
+        accuracy = (dist.mode == expert).float().mean()
+        return TensorDict({"loss_imitation": self.coeff * loss, "accuracy": accuracy})
