@@ -56,6 +56,14 @@ def sampled_starts(world: World, per_goal: int, seed: int) -> tuple[Tensor, Tens
     return goal_index.to(world.device), draws.flatten().to(world.device)
 
 
+def shortest_episodes(world: World, starts: tuple[Tensor, Tensor]) -> Episodes:
+    """The expert's episodes from given starts, without walking them: it never fails and never errs."""
+    goal_index, start = starts
+    shortest = world.distances[goal_index, start]
+    never = torch.zeros_like(start, dtype=torch.bool)
+    return Episodes(goal_index, start, shortest, shortest, ~never, never, never)
+
+
 def random_policy(views: Tensor, goal_views: Tensor, scene: Tensor) -> Tensor:
     """Each of the four actions with the same probability, the paper's random baseline."""
     return torch.zeros((len(views), len(ACTIONS)), device=views.device)
@@ -72,6 +80,7 @@ def run_episodes(
     max_steps: int = 200,
     greedy: bool = True,
     seed: int = 0,
+    watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> Episodes:
     """One episode from each start.
 
@@ -87,6 +96,7 @@ def run_episodes(
         max_steps: an episode that has not reached its goal by then has failed.
         greedy: take the most probable action (of equal ones the first), else draw one.
         seed: of the draws.
+        watch: called after each step with the episodes still going on and their states, int64 ``[W]`` each.
     """
     goal_index, start = starts
     generator = torch.Generator(world.device).manual_seed(seed)
@@ -103,6 +113,8 @@ def run_episodes(
         else:
             action = torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
         state = world.graph[state, action]
+        if watch is not None:
+            watch(walking, state)
         at_goal = state == world.goals[wanted]
         stopped = at_goal if stop is None else stop[wanted, state]
         success[walking] = stopped & at_goal
@@ -147,6 +159,19 @@ def evaluate(network: Network, world: World, starts: tuple[Tensor, Tensor], **op
     """`run_episodes` with a network as the policy; its encoder embeds each view once for all episodes."""
     with network.encoder.projecting():
         return run_episodes(lambda *seen: network(*seen)[0], world, starts, **options)
+
+
+def trajectories(
+    network: Network, world: World, starts: tuple[Tensor, Tensor], **options: Any
+) -> tuple[Episodes, list[list[int]]]:
+    """`evaluate`, and the states that each episode passed, from its start to its last state."""
+    paths = [[state] for state in starts[1].tolist()]
+
+    def watch(walking: Tensor, state: Tensor) -> None:
+        for episode, passed in zip(walking.tolist(), state.tolist(), strict=True):
+            paths[episode].append(passed)
+
+    return evaluate(network, world, starts, watch=watch, **options), paths
 
 
 def metrics(episodes: Episodes) -> dict[str, float]:

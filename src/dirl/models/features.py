@@ -21,11 +21,18 @@ class FeatureTable(nn.Module):
         width = features.shape[1]
         self.register_buffer("mean", torch.zeros(width) if mean is None else mean)
         self.register_buffer("std", torch.ones(width) if std is None else std)
+        self.register_buffer("features", features, persistent=False)
         self.register_buffer("table", self.standardise(features), persistent=False)
+        self.register_load_state_dict_post_hook(lambda table, _: table.refresh())
 
     mean: Tensor
     std: Tensor
+    features: Tensor
     table: Tensor
+
+    def refresh(self) -> None:
+        """Standardise the features anew, with the mean and deviation as they are now."""
+        self.table = self.standardise(self.features)
 
     def __len__(self) -> int:
         """The number of states, N."""

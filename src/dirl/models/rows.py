@@ -74,6 +74,6 @@ class KnownLinear(torch.autograd.Function):
         return output.clone()
 
     @staticmethod
-    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[None, Tensor, Tensor, None]:  # type: ignore[override]  # noqa: D102
-        (x,) = ctx.saved_tensors
+    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[None, Tensor, Tensor, None]:  # noqa: D102
+        (x,) = ctx.saved_tensors  # type: ignore[attr-defined]
         return None, gradient.T @ x, gradient.sum(0), None

@@ -30,6 +30,7 @@ class SiameseEncoder(nn.Module):
         self.embedding = nn.Linear(VIEWS * table.width, width)
         self.fusion = nn.Linear(2 * width, width)
         self._memory: Memory | None = None
+        self._memory_version = -1
         self._projected: Tensor | None = None
 
     def embed(self, features: Tensor) -> Tensor:
@@ -52,7 +53,7 @@ class SiameseEncoder(nn.Module):
 
     @contextmanager
     def remembering(self) -> Iterator[None]:
-        """Within this context no observation is embedded twice, not even for a loss. The weights must not change.
+        """Within this context no observation is embedded twice between two changes of the weights.
 
         What a rollout embedded without gradients is used by the loss that follows, with gradients.
         """
@@ -84,6 +85,9 @@ class SiameseEncoder(nn.Module):
             return self._projected[views, slots].sum(1) + self.embedding.bias
         if self._memory is None:
             return self._embed_rows(keys)
+        version = self.embedding.weight._version  # every in-place change, such as an optimiser's step, counts it up
+        if version != self._memory_version:
+            self._memory, self._memory_version = Memory(), version
         if not torch.is_grad_enabled():
             return self._memory.look_up(keys, self._embed_rows)
         unique, inverse = torch.unique(keys, return_inverse=True)

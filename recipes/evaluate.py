@@ -1,0 +1,66 @@
+"""Evaluate trained weights, beside shortest path and random.
+
+    python recipes/evaluate.py checkpoint=runs/dirl_bathroom_02/2026-01-31_12-00-00
+    python recipes/evaluate.py checkpoint=... starts=sampled episodes_per_goal=500 max_steps=500
+    python recipes/evaluate.py checkpoint=... goals=[51] stop=goal
+
+All options with their values: conf/evaluate.yaml.
+"""
+
+import sys
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig
+
+from dirl.assemble import assess, build_parts, describe
+from dirl.commandline import check_overrides, one_line_errors, register
+from dirl.config import EvaluateConfig, parse_config, typed
+from dirl.reporting import summary_table
+from dirl.runs import RunError, load_checkpoint, write_json
+
+
+@hydra.main(version_base="1.3", config_path="../conf", config_name="evaluate")
+def main(composed: DictConfig) -> None:
+    """Read the checkpoint, run the episodes, print the tables."""
+    with one_line_errors():
+        options: EvaluateConfig = typed(composed)
+        if options.checkpoint is None:
+            raise RunError("name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>")
+        if options.out is not None and Path(options.out).exists():
+            raise RunError(f"out={options.out}: there is such a file already; it is not overwritten")
+        saved = load_checkpoint(options.checkpoint)
+        config = parse_config(saved["config"], origin=options.checkpoint)
+        config.goals = options.goals if options.goals is not None else config.goals
+        config.source.root = options.root or config.source.root
+        config.stop.evaluation, config.stop.threshold, config.stop.match = (
+            options.stop,
+            options.threshold,
+            options.match,
+        )
+        config.evaluation.starts, config.evaluation.max_steps = options.starts, options.max_steps
+        config.evaluation.episodes_per_goal = options.episodes_per_goal
+        parts = build_parts(config)
+        extractor = parts.world.scenes[0].extractor
+        if extractor != saved["extractor"]:
+            raise RunError(
+                f"the scenes' features are of another extractor than those {options.checkpoint} was trained on: "
+                f"'{extractor}', not '{saved['extractor']}'"
+            )
+        parts.network.load_state_dict(saved["network"])
+    result = {
+        "checkpoint": options.checkpoint,
+        "frames": saved["frames"],
+        **describe(parts),
+        **assess(parts),
+    }
+    print(summary_table(result))
+    if options.out is not None:
+        write_json(Path(options.out), result)
+
+
+if __name__ == "__main__":
+    register()
+    with one_line_errors():
+        check_overrides(EvaluateConfig, sys.argv[1:])
+    main()

@@ -1,0 +1,147 @@
+"""From a configuration to the parts of a run: the one place where they are put together, for every recipe."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torch.optim import Optimizer
+from torchrl.envs import Compose, EnvBase, RewardScaling, StepCounter, TransformedEnv
+
+from dirl.config import Optimiser, Starts, Stop, TrainConfig
+from dirl.envs import OBSERVATIONS, NavigationEnv, Reward, SurroundingViews
+from dirl.evaluation import (
+    Episodes,
+    evaluate,
+    every_start,
+    random_policy,
+    report,
+    run_episodes,
+    sampled_starts,
+    shortest_episodes,
+    trajectories,
+)
+from dirl.experts import demonstrations
+from dirl.models import Network, TemplateStop, feature_statistics, make_network
+from dirl.objectives import TFRMSprop
+from dirl.scenes import World, load_scenes, make_world
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the stages of a run work on."""
+
+    config: TrainConfig
+    world: World
+    sight: SurroundingViews
+    """What agents see."""
+    network: Network
+    demos: TensorDict
+    """The expert's, ``[M]``, with views."""
+    starts: tuple[Tensor, Tensor]
+    """Goal index and start state of each episode of an evaluation, int64 ``[E]`` each."""
+    stop: Tensor | None
+    """Where an evaluated agent stops on its way to each goal, bool ``[G, N]``; None = exactly at the goal."""
+
+
+def build_parts(config: TrainConfig) -> Parts:
+    """Read the scenes and make everything that a run needs; decided by the configuration alone.
+
+    Raises:
+        SceneError: a scene or goal that does not exist or cannot be used.
+        ValueError: an option that no part accepts.
+    """
+    scenes = load_scenes(config.scene or [], source=config.source.name, root=config.source.root)
+    world = make_world(scenes, config.goals).to(config.device)
+    sight = OBSERVATIONS[config.observation](world).to(world.device)
+    network = make_network(
+        world.features,
+        world.names,
+        statistics=feature_statistics(world.features) if config.network.standardise else None,
+        heads=config.network.heads,
+        width=config.network.width,
+        seed=config.seed,
+    )
+    # A demonstrated state has no history: the expert is seen there as at the start of an episode.
+    demos = demonstrations(world, config.imitation.share, config.imitation.rule, config.seed)
+    testing = config.evaluation
+    return Parts(
+        config=config,
+        world=world,
+        sight=sight,
+        network=network.to(world.device),
+        demos=demos.update({"views": sight.begin(demos["state"]), "goal_views": sight.begin(demos["goal"])}),
+        starts=every_start(world)
+        if testing.starts == Starts.every
+        else sampled_starts(world, testing.episodes_per_goal, config.seed),
+        stop=_stop_table(config, config.stop.evaluation, world),
+    )
+
+
+def _stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
+    return TemplateStop(config.stop.threshold, config.stop.match)(world) if rule == Stop.match else None
+
+
+def build_env(parts: Parts) -> EnvBase:
+    """The environment of training, with step limit, reward scale and views."""
+    config, world = parts.config, parts.world
+    env = NavigationEnv(
+        world,
+        config.reinforcement.agents_per_scene * len(world.scenes),
+        reward=Reward(config.reward.goal, config.reward.step, config.reward.collision),
+        stop=_stop_table(config, config.stop.training, world),
+        seed=config.seed,
+    )
+    limit = StepCounter(max_steps=config.reinforcement.max_steps)
+    return TransformedEnv(env, Compose(limit, RewardScaling(loc=0.0, scale=config.reward.scale), parts.sight))
+
+
+def build_optimiser(parts: Parts) -> Optimizer:
+    """The optimiser of reinforcement."""
+    options, weights = parts.config.optimiser, parts.network.parameters()
+    if options.name == Optimiser.adam:
+        return torch.optim.Adam(weights, lr=options.lr, eps=options.eps, fused=True)
+    return TFRMSprop(weights, lr=options.lr, eps=options.eps)
+
+
+def run_policy(parts: Parts, *, greedy: bool = True) -> Episodes:
+    """One episode from each of the evaluation's starts, with the network as it is now."""
+    return evaluate(parts.network, parts.world, parts.starts, greedy=greedy, **_conditions(parts))
+
+
+def run_trajectories(parts: Parts, starts: tuple[Tensor, Tensor]) -> tuple[Episodes, list[list[int]]]:
+    """Greedy episodes from given starts, and the states that each passed."""
+    return trajectories(parts.network, parts.world, starts, **_conditions(parts))
+
+
+def describe(parts: Parts) -> dict[str, Any]:
+    """What a table or picture of a run must say of it."""
+    names = parts.world.names
+    return {
+        "scene": names[0] if len(names) == 1 else list(names),
+        "source": parts.world.source,
+        "system": parts.config.system,
+        "preset": parts.config.preset,
+        "seed": parts.config.seed,
+        "demonstrations": len(parts.demos),
+    }
+
+
+def assess(parts: Parts) -> dict[str, dict[str, Any]]:
+    """The measures of the trained policy, greedy and sampled, and of shortest path and random, from the same starts."""
+    world, starts = parts.world, parts.starts
+    # The random walker is stopped by the environment: it shall only be lost, not also misled.
+    conditions = {**_conditions(parts), "stop": None}
+    return {
+        "shortest_path": report(shortest_episodes(world, starts), world),
+        "random": report(run_episodes(random_policy, world, starts, greedy=False, **conditions), world),
+        "greedy": report(run_policy(parts), world),
+        "sampled": report(run_policy(parts, greedy=False), world),
+    }
+
+
+def _conditions(parts: Parts) -> dict[str, Any]:
+    config = parts.config
+    limit = config.evaluation.max_steps
+    return {"sight": parts.sight, "stop": parts.stop, "max_steps": limit, "seed": config.seed}

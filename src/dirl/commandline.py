@@ -1,0 +1,82 @@
+"""The manners of the recipes on the command line: names for Hydra, and errors of one line."""
+
+import difflib
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import OverrideParseException
+from omegaconf import OmegaConf
+
+from dirl.config import BenchmarkConfig, ConfigError, EvaluateConfig, TrainConfig
+
+
+def register() -> None:
+    """Give Hydra the types, and the resolver that names a run's folder."""
+    store = ConfigStore.instance()
+    store.store("train_schema", TrainConfig)
+    store.store("evaluate_schema", EvaluateConfig)
+    store.store("benchmark_schema", BenchmarkConfig)
+    OmegaConf.register_new_resolver("run_folder", _run_folder, replace=True)
+
+
+def _run_folder(resume: str | None, system: str, scene: Any, time: str) -> str:
+    """The folder to resume, or ``runs/dirl_bathroom_02/<time>`` (several scenes joined by +, the stems of files)."""
+    scenes = [scene] if isinstance(scene, str) else list(scene or ["nowhere"])
+    return resume or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
+
+
+def option_names(schema: type, prefix: str = "") -> list[str]:
+    """The dotted names of all options of a configuration."""
+    names = []
+    for option in fields(schema):
+        names.append(prefix + option.name)
+        kind = option.default_factory if callable(option.default_factory) else option.type
+        if is_dataclass(kind):
+            names += option_names(kind, f"{prefix}{option.name}.")  # type: ignore[arg-type]
+    return names
+
+
+def check_overrides(schema: type, arguments: Sequence[str]) -> None:
+    """Check the names of a command line's ``name=value`` arguments; Hydra's own message does not list the choices.
+
+    Raises:
+        ConfigError: there is no such option.
+    """
+    known = option_names(schema)
+    given = [text for text in arguments if "=" in text and not text.startswith("-")]
+    try:
+        overrides = OverridesParser.create().parse_overrides(given)
+    except OverrideParseException:
+        return  # Hydra says what is wrong with the form
+    for override in overrides:
+        name = override.key_or_group
+        if name in known or name.split("/")[0].split(".")[0] == "hydra":
+            continue
+        parts = {known_name: known_name.split(".")[-1] for known_name in known}
+        near = [n for n in known if parts[n] == name.split(".")[-1]] or difflib.get_close_matches(name, known, n=3)
+        level = name.rpartition(".")[0]
+        inside = [n for n in known if n.rpartition(".")[0] == (level if level in known else "")]
+        hint = f"did you mean {' or '.join(near)}?" if near else f"choose from {', '.join(inside)}"
+        raise ConfigError(f"there is no option '{name}'; {hint}")
+
+
+@contextmanager
+def one_line_errors(folder: Path | None = None) -> Iterator[None]:
+    """Within this context an error in what the user gave ends the program with its message, without a traceback.
+
+    Args:
+        folder: made by Hydra beforehand; deleted again if nothing has been written there.
+    """
+    try:
+        yield
+    except ValueError as error:
+        if folder is not None:
+            with suppress(OSError):
+                os.removedirs(folder)
+        raise SystemExit(f"error: {error}") from None

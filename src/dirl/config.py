@@ -1,0 +1,256 @@
+"""What can be set, with its type; the values are in ``conf/``. The rest of the package takes plain arguments."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError  # PyYAML comes with OmegaConf
+
+Device = StrEnum("Device", ["cpu", "cuda"])
+SourceName = StrEnum("SourceName", ["rooms", "thor"])
+Observation = StrEnum("Observation", ["surrounding", "sequential"])
+Heads = StrEnum("Heads", ["scene", "shared"])
+Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
+Objective = StrEnum("Objective", ["a2c", "ppo"])
+Optimiser = StrEnum("Optimiser", ["adam", "tf_rmsprop"])
+Reduction = StrEnum("Reduction", ["mean", "sum"])
+Stop = StrEnum("Stop", ["goal", "match"])
+Match = StrEnum("Match", ["views", "front"])
+Starts = StrEnum("Starts", ["every", "sampled"])
+LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot be run; the message says which option, and what it may be."""
+
+
+@dataclass
+class SourceConfig:
+    """Where scenes are looked up by name."""
+
+    name: SourceName = MISSING
+    root: str | None = MISSING
+
+
+@dataclass
+class NetworkConfig:
+    """The network."""
+
+    heads: Heads = MISSING
+    width: int = MISSING
+    standardise: bool = MISSING
+
+
+@dataclass
+class ImitationConfig:
+    """Behaviour cloning."""
+
+    share: float = MISSING
+    rule: Rule = MISSING
+    lr: float = MISSING
+    max_steps: int = MISSING
+    enough: float = MISSING
+    keep: float = MISSING
+
+
+@dataclass
+class ObjectiveConfig:
+    """The actor-critic loss."""
+
+    name: Objective = MISSING
+    epochs: int = MISSING
+    minibatches: int = MISSING
+    clip: float = MISSING
+
+
+@dataclass
+class OptimiserConfig:
+    """How reinforcement changes the weights."""
+
+    name: Optimiser = MISSING
+    lr: float = MISSING
+    eps: float = MISSING
+    max_norm: float = MISSING
+    clip_each: bool = MISSING
+
+
+@dataclass
+class ReinforcementConfig:
+    """Actor-critic training."""
+
+    frames_per_scene: int = MISSING
+    agents_per_scene: int = MISSING
+    steps: int = MISSING
+    max_steps: int = MISSING
+    gamma: float = MISSING
+    lmbda: float = MISSING
+    entropy: float = MISSING
+    final_entropy: float = MISSING
+    value: float = MISSING
+    reduction: Reduction = MISSING
+
+
+@dataclass
+class RewardConfig:
+    """What a step earns."""
+
+    goal: float = MISSING
+    step: float = MISSING
+    collision: float = MISSING
+    scale: float = MISSING
+
+
+@dataclass
+class StopConfig:
+    """Who says that the goal has been reached."""
+
+    training: Stop = MISSING
+    evaluation: Stop = MISSING
+    threshold: float = MISSING
+    match: Match = MISSING
+
+
+@dataclass
+class EvaluationConfig:
+    """How a policy is measured."""
+
+    starts: Starts = MISSING
+    episodes_per_goal: int = MISSING
+    max_steps: int = MISSING
+    times: int = MISSING
+
+
+@dataclass
+class CheckpointConfig:
+    """When the state of a run is saved."""
+
+    every_seconds: float = MISSING
+    keep: int = MISSING
+
+
+@dataclass
+class LoggerConfig:
+    """Where metrics go besides the CSV files of the run folder."""
+
+    name: LoggerName = MISSING
+    project: str = MISSING
+
+
+@dataclass
+class TrainConfig:
+    """Everything ``recipes/train.py`` takes."""
+
+    scene: Any = None
+    goals: Any = None
+    seed: int = MISSING
+    device: Device = MISSING
+    resume: str | None = None
+    system: str = MISSING
+    preset: str = MISSING
+    observation: Observation = MISSING
+    source: SourceConfig = field(default_factory=SourceConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    imitation: ImitationConfig = field(default_factory=ImitationConfig)
+    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    reinforcement: ReinforcementConfig = field(default_factory=ReinforcementConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    stop: StopConfig = field(default_factory=StopConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
+    logger: LoggerConfig = field(default_factory=LoggerConfig)
+
+
+@dataclass
+class EvaluateConfig:
+    """Everything ``recipes/evaluate.py`` takes."""
+
+    checkpoint: str | None = None
+    goals: Any = None
+    root: str | None = None
+    seed: int = MISSING
+    stop: Stop = MISSING
+    threshold: float = MISSING
+    match: Match = MISSING
+    starts: Starts = MISSING
+    episodes_per_goal: int = MISSING
+    max_steps: int = MISSING
+    out: str | None = None
+
+
+@dataclass
+class BenchmarkConfig:
+    """Everything ``recipes/benchmark.py`` takes."""
+
+    scenes: list[Any] = MISSING
+    frames_per_scene: int = MISSING
+    repeats: int = MISSING
+    train: list[str] = MISSING
+    out: str | None = None
+
+
+# The least and the most a number may be; None = no upper limit.
+LIMITS: Mapping[str, tuple[float, float | None]] = {
+    "seed": (0, 2**63 - 1),
+    "network.width": (1, None),
+    "imitation.share": (0, 1),
+    "imitation.max_steps": (1, None),
+    "imitation.keep": (0, None),
+    "objective.epochs": (1, None),
+    "objective.minibatches": (1, None),
+    "optimiser.lr": (0, None),
+    "optimiser.max_norm": (0, None),
+    "reinforcement.frames_per_scene": (0, None),
+    "reinforcement.agents_per_scene": (1, None),
+    "reinforcement.steps": (1, None),
+    "reinforcement.max_steps": (1, None),
+    "reinforcement.gamma": (0, 1),
+    "reinforcement.lmbda": (0, 1),
+    "evaluation.episodes_per_goal": (1, None),
+    "evaluation.max_steps": (1, None),
+    "evaluation.times": (0, None),
+    "checkpoint.keep": (1, None),
+    "episodes_per_goal": (1, None),
+    "max_steps": (1, None),
+    "frames_per_scene": (1, None),
+    "repeats": (1, None),
+}
+
+
+def typed(config: DictConfig) -> Any:
+    """The dataclass of a composed configuration.
+
+    Raises:
+        ConfigError: a value is missing, of the wrong type, or outside its limits.
+    """
+    try:
+        made = OmegaConf.to_object(config)
+    except OmegaConfBaseException as error:
+        raise ConfigError(str(error)) from None
+    for name, (least, most) in LIMITS.items():
+        value = OmegaConf.select(config, name)
+        if value is None:
+            continue
+        if value < least or (most is not None and value > most):
+            wanted = f"at least {least}" if most is None else f"between {least} and {most}"
+            raise ConfigError(f"{name}={value}: must be {wanted}")
+    return made
+
+
+def parse_config(text: str, origin: str) -> TrainConfig:
+    """A configuration that a run saved.
+
+    Args:
+        text: YAML.
+        origin: where it stood, for the error.
+
+    Raises:
+        ConfigError: it is not one of this version.
+    """
+    try:
+        return typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), OmegaConf.create(text)))  # type: ignore[arg-type]
+    except (OmegaConfBaseException, YAMLError, ConfigError) as error:
+        raise ConfigError(f"{origin}: holds no configuration of this version of dirl: {error}") from None

@@ -1,0 +1,114 @@
+"""The learning curve of a run, drawn from the files in its folder."""
+
+import csv
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
+from numpy.typing import NDArray
+
+from dirl.reporting.tables import run_title
+from dirl.runs import STABLE_ATL, WINDOW
+
+# Of the Okabe-Ito palette, which colour-blind readers can tell apart.
+BLUE, SKY, VERMILION, GREEN, PURPLE = "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#CC79A7"
+
+FloatArray = NDArray[np.float64]
+
+
+def draw_learning_curve(folder: Path, file: Path) -> None:
+    """Draw a run: ATL, and SR and SPL of the greedy evaluation, over frames, as a PNG.
+
+    A run of imitation alone, with ``imitation.csv`` but no ``reinforcement.csv``, is drawn as the loss and accuracy of
+    its steps.
+
+    Args:
+        folder: holds ``summary.json``, and a table for each stage that has written any rows.
+        file: the image to write.
+
+    Raises:
+        FileNotFoundError: there is no ``summary.json``.
+    """
+    summary = json.loads((folder / "summary.json").read_text())
+    figure = Figure(figsize=(8.5, 5.5), layout="constrained")
+    figure.suptitle(run_title(summary))
+    upper, lower = figure.subplots(2, sharex=True)
+    if (folder / "imitation.csv").is_file() and not (folder / "reinforcement.csv").is_file():
+        _draw_imitation(upper, lower, folder)
+    else:
+        _draw_reinforcement(upper, lower, folder, summary)
+    for axes in (upper, lower):
+        axes.grid(color="0.9")
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.align_ylabels()
+    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+
+
+def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping[str, Any]) -> None:
+    training = _columns(folder / "reinforcement.csv", "frames", "atl", "atl_worst_goal")
+    evaluation = _columns(folder / "evaluation.csv", "frames", "atl", "sr", "spl")
+    shortest = summary["greedy"]["shortest"]
+    frames = evaluation["frames"]
+    _draw_line(upper, training["frames"], training["atl_worst_goal"], SKY, "training, worst goal")
+    label = f"training, mean of goals,\nlast {WINDOW} episodes of each"
+    _draw_line(upper, training["frames"], training["atl"], BLUE, label)
+    _draw_line(upper, frames, evaluation["atl"], VERMILION, "greedy evaluation")
+    upper.axhline(STABLE_ATL, color="0.3", linestyle="--", linewidth=1, label=f"stability limit, {STABLE_ATL:g}")
+    upper.axhline(shortest, color="0.3", linestyle=":", linewidth=1.5, label=f"shortest path, {shortest:.2f}")
+    upper.set_yscale("log")
+    upper.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    upper.yaxis.set_minor_locator(NullLocator())
+    upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    upper.set_ylabel("ATL (steps)")
+    _draw_line(lower, frames, evaluation["sr"], GREEN, "SR, greedy evaluation")
+    _draw_line(lower, frames, evaluation["spl"], PURPLE, "SPL, greedy evaluation")
+    lower.set_ylabel("SR, SPL")
+    lower.set_ylim(-0.03, 1.03)
+    stable = summary["stable_at_frame"]
+    if stable is not None:
+        upper.axvline(stable, color="0.3", linestyle="-.", linewidth=1, label=f"stable at {stable:,} frames")
+        lower.axvline(stable, color="0.3", linestyle="-.", linewidth=1)
+    for axes in (upper, lower):
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
+    # A little room on the left keeps the evaluation at frame 0 off the axis.
+    end = max(summary["frames"], 1)
+    lower.set_xlim(-0.02 * end, 1.02 * end)
+    lower.xaxis.set_major_locator(MaxNLocator(6, integer=True, steps=(1, 2, 5, 10)))
+    lower.xaxis.set_major_formatter(EngFormatter())
+    lower.set_xlabel("frames")
+
+
+def _draw_imitation(upper: Axes, lower: Axes, folder: Path) -> None:
+    imitation = _columns(folder / "imitation.csv", "step", "loss", "accuracy")
+    _draw_line(upper, imitation["step"], imitation["loss"], BLUE)
+    upper.set_ylabel("loss")
+    upper.set_ylim(bottom=0)
+    _draw_line(lower, imitation["step"], imitation["accuracy"], GREEN)
+    lower.set_ylabel("accuracy")
+    lower.set_ylim(-0.03, 1.03)
+    lower.set_xlabel("steps of imitation")
+
+
+def _draw_line(axes: Axes, x: FloatArray, y: FloatArray, color: str, label: str = "") -> None:
+    """A line through the values there are; points mark them where they are few, else a lone one would not show."""
+    known = np.isfinite(y)
+    if not known.any():
+        return
+    marker = "o" if known.sum() <= 50 else ""
+    axes.plot(x[known], y[known], color=color, label=label, linewidth=1.5, marker=marker, markersize=3.5)
+
+
+def _columns(file: Path, *names: str) -> dict[str, FloatArray]:
+    """Some columns of a CSV file; an empty cell is NaN. A stage that never ran has written no file, thus no rows."""
+    if not file.is_file():
+        return {name: np.empty(0) for name in names}
+    with file.open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

@@ -1,0 +1,110 @@
+"""Results as Markdown tables that also read well in a terminal."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+# Heading, key in `dirl.evaluation.metrics`, format. Three digits, so that a share of 0.998 is not printed as 1.
+MEASURES = (
+    ("ATL", "atl", ".2f"),
+    ("ATL of successes", "atl_success", ".2f"),
+    ("SR", "sr", ".3f"),
+    ("SPL", "spl", ".3f"),
+    ("shortest", "shortest", ".2f"),
+    ("false stops", "false_stop_rate", ".3f"),
+    ("missed stops", "missed_stop_rate", ".3f"),
+    ("episodes", "episodes", ",.0f"),
+)
+
+SECTIONS = {"shortest path": "shortest_path", "random": "random", "greedy": "greedy", "sampled": "sampled"}
+
+
+def result_table(rows: Mapping[str, Mapping[str, float | None]]) -> str:
+    """One line a row, one column a measure.
+
+    Args:
+        rows: measures by row label, see `dirl.evaluation.metrics`. One that is missing, None or NaN is printed as
+            "-"; keys that are no measures are left out.
+
+    Returns:
+        A Markdown table without a line break at its end.
+    """
+    cells = [["", *(heading for heading, _, _ in MEASURES)]]
+    for label, measures in rows.items():
+        values = [_number(measures.get(key), form) for _, key, form in MEASURES]
+        cells.append([label.replace("|", r"\|"), *values])
+    # A column is never narrower than the "--:" under its heading.
+    widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
+    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+    lines = [
+        [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        for row in [cells[0], rule, *cells[1:]]
+    ]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def summary_table(summary: Mapping[str, Any]) -> str:
+    """A run's ``summary.json`` for people.
+
+    Args:
+        summary: ``scene``, ``source``, ``system``, ``seed`` and ``frames``; ``frames_per_second``, ``seconds``,
+            ``stable_at_frame`` (None: never) and ``peak_memory_mb`` are printed where they are there.
+            ``shortest_path``, ``random``, ``greedy`` and ``sampled`` hold measures, those that were evaluated;
+            ``greedy`` also those of each scene and goal, as `dirl.evaluation.report` gives them.
+
+    Returns:
+        A heading line, the table of the policies and that of the greedy policy by scene and goal; Markdown.
+    """
+    parts = [_heading(summary)]
+    parts.append(result_table({label: summary[key] for label, key in SECTIONS.items() if summary.get(key)}))
+    by_goal = _by_goal((summary.get("greedy") or {}).get("scenes", {}))
+    if by_goal:
+        parts += ["Greedy policy by goal:", result_table(by_goal)]
+    return "\n\n".join(parts)
+
+
+def run_title(summary: Mapping[str, Any]) -> str:
+    """What was run where, e.g. "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
+    scene = summary["scene"]
+    scenes = scene if isinstance(scene, str) else ", ".join(scene)
+    # The built-in rooms bear the names of published scenes; nobody should take results in them for those.
+    sources = ["rooms, synthetic" if source == "rooms" else source for source in summary["source"].split("+")]
+    system = summary["system"].upper().replace("_", "-")
+    return f"{system}, {scenes} (source: {' + '.join(sources)}), seed {summary['seed']}"
+
+
+def _heading(summary: Mapping[str, Any]) -> str:
+    facts = [f"{summary['frames']:,} frames"]
+    if (rate := summary.get("frames_per_second")) is not None:
+        facts.append(f"{rate:,.0f} frames/s")
+    if (seconds := summary.get("seconds")) is not None:
+        facts.append(f"{_duration(seconds)} in all")
+    if "stable_at_frame" in summary:
+        stable = summary["stable_at_frame"]
+        facts.append("never stable" if stable is None else f"stable at {stable:,} frames")
+    if (memory := summary.get("peak_memory_mb")) is not None:
+        facts.append(f"peak memory {memory:,.0f} MB")
+    return f"{run_title(summary)}: {', '.join(facts)}"
+
+
+def _by_goal(scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, float | None]]:
+    """A row for each goal; among several scenes also one for each scene, before its goals."""
+    rows: dict[str, Mapping[str, float | None]] = {}
+    for name, measures in scenes.items():
+        prefix = ""
+        if len(scenes) > 1:
+            rows[name] = measures
+            prefix = f"{name}, "
+        rows.update({f"{prefix}goal {goal}": of_goal for goal, of_goal in measures["goals"].items()})
+    return rows
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None or math.isnan(value) else format(value, form)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

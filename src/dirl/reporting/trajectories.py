@@ -1,0 +1,251 @@
+"""Paths of an agent on the map of its room, with what it saw on the way (as the paper's figure 6)."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+
+from dirl.scenes import ACTIONS, Scene
+from dirl.scenes.graph import AHEAD, IntArray, places
+
+# The Okabe-Ito palette, which colour-blind readers can tell apart; its yellow is the goal's.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+GOAL_COLOR = "#F0E442"
+WALL_COLOR = "#C9CDD3"
+DASHES: tuple[float, Sequence[float]] = (0, (2, 1.2))
+
+MAX_VIEWS = 8
+"""Of a path; with the goal's they fill three rows of three."""
+
+# Inches: the longer side of the map; the width of the views and the legend; the height of the views.
+MAP_SIZE, SIDE_WIDTH, VIEWS_HEIGHT = 5.0, 4.9, 4.75
+
+FloatArray = NDArray[np.floating]
+
+
+def draw_trajectories(
+    scene: Scene,
+    goal: int,
+    paths: Sequence[Sequence[int]],
+    file: Path,
+    *,
+    success: Sequence[bool],
+    title: str,
+) -> None:
+    """Draw paths to one goal on the map of the room, and the views along the first of them, as a PNG.
+
+    Args:
+        scene: where they were walked; without views only the map is drawn.
+        goal: a state of the scene.
+        paths: at least one; the states visited from the start to the end, as states of the scene. A state that
+            follows itself is a blocked move.
+        file: the image to write.
+        success: whether each path ended in a stop at the goal; the others are dashed.
+        title: of the figure.
+
+    Raises:
+        ValueError: there is no path, a path is empty or makes a step that the scene's graph does not allow, the goal
+            is no state that can be reached, or ``success`` has another length than ``paths``.
+    """
+    if len(paths) == 0 or len(success) != len(paths):
+        raise ValueError(f"expected some paths and as many successes, found {len(paths)} and {len(success)}")
+    scene.check_goal(goal)
+    for path in paths:
+        path_actions(scene, path)
+    sides = np.ptp(scene.positions, axis=0) + 2 * step_length(scene)
+    width, height = sides * MAP_SIZE / sides.max() + (0.8, 0.6)  # with room for the labels of the axes
+    full_width = max(width, SIDE_WIDTH) if scene.views is None else width + SIDE_WIDTH
+    title = textwrap.fill(title, int(11 * full_width))  # about 11 letters an inch
+    title_height = 0.2 * (title.count("\n") + 1) + 0.1
+    legend_height = 0.19 * math.ceil((len(paths) + 4) / 2) + 0.3
+    if scene.views is None:
+        height += title_height
+        figure = Figure((full_width, height + legend_height), layout="constrained")
+        main, side = figure.subfigures(2, 1, squeeze=False, height_ratios=(height, legend_height)).ravel()
+    else:
+        height = max(height + 0.2, VIEWS_HEIGHT + legend_height) + title_height
+        figure = Figure((full_width, height), layout="constrained")
+        main, side = figure.subfigures(1, 2, squeeze=False, width_ratios=(width, SIDE_WIDTH)).ravel()
+        main.suptitle("paths to the goal", fontsize=10)
+        _draw_views(side, scene, goal, paths[0], success[0])
+    figure.suptitle(title)
+    handles = _draw_map(main.subplots(), scene, goal, paths, success)
+    side.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9, handlelength=3)
+    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+
+
+def path_actions(scene: Scene, path: Sequence[int]) -> list[str]:
+    """The actions between the states of a path, one fewer than states; "blocked" where the agent stayed."""
+    if len(path) == 0:
+        raise ValueError("a path holds at least its start")
+    wrong = [state for state in path if not 0 <= state < len(scene)]
+    if wrong:
+        raise ValueError(f"{scene.name}: {wrong[0]} is not a state; states are 0..{len(scene) - 1}")
+    actions = []
+    for state, after in pairwise(path):
+        leads = np.flatnonzero(scene.graph[state] == after)
+        if state != after and not len(leads):
+            raise ValueError(f"{scene.name}: no action leads from state {state} to state {after}")
+        actions.append("blocked" if state == after else ACTIONS[leads[0]])
+    return actions
+
+
+def chosen_steps(steps: int) -> list[int]:
+    """Up to `MAX_VIEWS` of the numbers 0 to ``steps``, evenly spread, the first and last among them."""
+    return np.linspace(0, steps, min(MAX_VIEWS, steps + 1)).round().astype(int).tolist()
+
+
+def step_length(scene: Scene) -> float:
+    """The median length of the moves ahead, metres; 0.5 where there are none."""
+    _, moves = _moves_ahead(scene)
+    return float(np.median(np.abs(moves))) if len(moves) else 0.5
+
+
+def heading_directions(scene: Scene) -> FloatArray:
+    """Where each state's heading points to on the map: unit vectors (x, z), float64 ``[N, 2]``.
+
+    Headings are clockwise from +z in AI2-THOR, but files come from elsewhere too. So the sense of rotation and its
+    zero are those that agree best with where the moves ahead lead to.
+    """
+    states, moves = _moves_ahead(scene)
+    clockwise = np.exp(1j * np.deg2rad(scene.headings))
+    if not len(moves):
+        return np.stack([clockwise.imag, clockwise.real], 1)
+    # Where a sense fits, every move asks for the same zero; where it does not, they cancel each other out.
+    fits = [(turned, np.mean(moves / turned[states])) for turned in (clockwise, clockwise.conj())]
+    turned, zero = max(fits, key=lambda fit: round(abs(fit[1]), 6))
+    pointing = turned * zero / abs(zero)
+    return np.stack([pointing.imag, pointing.real], 1)
+
+
+def _moves_ahead(scene: Scene) -> tuple[IntArray, NDArray[np.complex128]]:
+    """The states whose way ahead is free, and the moves as z + ix, whose angle is the clockwise one from +z."""
+    states = np.flatnonzero(scene.graph[:, AHEAD] >= 0)
+    x, z = (scene.positions[scene.graph[states, AHEAD]] - scene.positions[states]).T
+    return states, z + 1j * x
+
+
+def _draw_map(
+    axes: Axes, scene: Scene, goal: int, paths: Sequence[Sequence[int]], success: Sequence[bool]
+) -> list[Artist]:
+    """Draw the room and the paths in it; return what its legend shows."""
+    side, place = step_length(scene), places(scene.graph)
+    arrows = side * heading_directions(scene)
+    _draw_room(axes, scene, side)
+    handles: list[Artist] = []
+    # Paths are set apart along the diagonal, so that they stay apart in corridors of both directions.
+    apart = min(0.14, 0.6 / len(paths)) * side
+    for number, (path, reached) in enumerate(zip(paths, success, strict=True)):
+        at = scene.positions + (number - (len(paths) - 1) / 2) * apart
+        line = _draw_path(axes, at, place, 0.32 * arrows, path, COLORS[number % len(COLORS)], reached)
+        steps = len(path) - 1
+        failed = "" if reached else ", failed"
+        line.set_label(f"{number + 1}: from state {path[0]}, {steps} step{'' if steps == 1 else 's'}{failed}")
+        handles.append(line)
+    _draw_arrows(axes, scene.positions[[goal]], 0.9 * arrows[[goal]], "black", width=1.8, zorder=6)
+    axes.plot(*scene.positions[goal], "*", color=GOAL_COLOR, markersize=16, markeredgecolor="black", zorder=6)
+    handles.append(_marker("o", 7, "0.4", "white", "start; arrows: heading"))
+    if not all(success):
+        handles.append(_marker("X", 10, "0.4", "white", "end of a failed path"))
+    handles.append(_marker("*", 12, GOAL_COLOR, "black", f"goal, state {goal}"))
+    handles.append(Patch(color=WALL_COLOR, label="walls, furniture"))
+    return handles
+
+
+def _draw_path(
+    axes: Axes,
+    at: FloatArray,
+    place: IntArray,
+    arrows: FloatArray,
+    path: Sequence[int],
+    color: str,
+    reached: bool,
+) -> Line2D:
+    """Draw one path, its states ``at`` ``[N, 2]`` and headed along ``arrows`` ``[N, 2]``; return its legend's line."""
+    red, green, blue = to_rgb(color)
+    pale = ((1 + red) / 2, (1 + green) / 2, (1 + blue) / 2)
+    style: Literal["-"] | tuple[float, Sequence[float]] = "-" if reached else DASHES
+    # One segment for each pair of places: dashes would close up where a path goes over itself.
+    segments = {tuple(sorted(place[[a, b]])): (a, b) for a, b in pairwise(path) if place[a] != place[b]}
+    ends = at[np.array(list(segments.values()), int).reshape(-1, 2)]
+    lines = LineCollection(ends, colors=[pale], linestyles=[style], linewidths=2.5, zorder=3)
+    lines.set_capstyle("round" if reached else "butt")
+    axes.add_collection(lines)
+    # An arrow for each state, however often it was visited; that of the start reaches out from under its dot.
+    states = list(dict.fromkeys(path))
+    lengths = np.ones((len(states), 1))
+    lengths[0] = 2
+    _draw_arrows(axes, at[states], lengths * arrows[states], color, width=1, zorder=4)
+    axes.plot(*at[path[0]], "o", color=color, markersize=7, markeredgecolor="white", zorder=5)
+    if not reached:
+        axes.plot(*at[path[-1]], "X", color=color, markersize=10, markeredgecolor="white", zorder=7)
+    line = Line2D([], [], color=pale, linestyle=style, linewidth=2.5, marker="o", markersize=7)
+    line.set(markerfacecolor=color, markeredgecolor="white")
+    return line
+
+
+def _draw_room(axes: Axes, scene: Scene, side: float) -> None:
+    """White squares where an agent can be, on the grey of walls and furniture."""
+    cells = np.unique(scene.positions.round(3), axis=0)
+    squares = [Rectangle((x - side / 2, z - side / 2), side, side) for x, z in cells]
+    axes.add_collection(PatchCollection(squares, facecolor="white", edgecolor="0.9", linewidth=0.5, zorder=1))
+    axes.set_facecolor(WALL_COLOR)
+    low, high = cells.min(0) - side, cells.max(0) + side
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", anchor="N", xlabel="x (m)", ylabel="z (m)")
+    axes.xaxis.set_major_locator(MultipleLocator(1))
+    axes.yaxis.set_major_locator(MultipleLocator(1))
+
+
+def _draw_arrows(axes: Axes, tails: FloatArray, arrows: FloatArray, color: str, *, width: float, zorder: float) -> None:
+    """Arrows ``[K, 2]`` in metres; ``width`` is that of the shaft, in points."""
+    axes.quiver(
+        *tails.T,
+        *arrows.T,
+        color=color,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        units="inches",
+        width=width / 72,
+        headwidth=5,
+        headlength=5,
+        headaxislength=4.5,
+        zorder=zorder,
+    )
+
+
+def _marker(shape: str, size: float, color: str, edge: str, label: str) -> Line2D:
+    return Line2D([], [], linestyle="", marker=shape, markersize=size, color=color, markeredgecolor=edge, label=label)
+
+
+def _draw_views(figure: SubFigure, scene: Scene, goal: int, path: Sequence[int], reached: bool) -> None:
+    """What was seen at some steps of a path, and what is seen at the goal."""
+    assert scene.views is not None
+    figure.suptitle("views along path 1, each with the action that follows", fontsize=10)
+    actions = [*path_actions(scene, path), "goal reached" if reached else "failed"]
+    shown = [(f"step {step}: {actions[step]}", path[step]) for step in chosen_steps(len(path) - 1)]
+    shown.append(("goal", goal))
+    grid = figure.subplots(3, 3).ravel()
+    for axes in grid:
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+    # Rendering scales the views down to the few pixels they take in the figure, which keeps the file small.
+    for axes, (label, state) in zip(grid, shown, strict=False):
+        axes.imshow(scene.views[state])
+        axes.set_title(label, fontsize=9)
+    for axes, color in ((grid[len(shown) - 2], COLORS[0]), (grid[len(shown) - 1], GOAL_COLOR)):
+        axes.spines[:].set(visible=True, color=color, linewidth=3)
