@@ -139,7 +139,7 @@ def _asking(policy: Policy, world: World, sight: SurroundingViews) -> Callable[[
     goal_views = sight.begin(world.goals)
     goals = len(world.goals)
     if not sight.history:
-        goal_index, state = torch.nonzero(world.distances >= 0, as_tuple=True)
+        goal_index, state = torch.nonzero(world.scene_of[world.goals].unsqueeze(1) == world.scene_of, as_tuple=True)
         table = torch.zeros((*world.distances.shape, len(ACTIONS)), device=world.device)
         for pairs in torch.arange(len(state), device=world.device).split(ASKED_AT_ONCE):
             seen, wanted = state[pairs], goal_index[pairs]

@@ -15,11 +15,16 @@ class SceneLayers(nn.Module):
     Args:
         scenes: the scenes' names, in the order of the world; a single name serves every scene.
         make: makes one scene's module.
+
+    Raises:
+        ValueError: two scenes have the same name, or differ only in dots and underscores.
     """
 
     def __init__(self, scenes: Sequence[str], make: Callable[[], nn.Module]) -> None:
         super().__init__()
         self.scenes = nn.ModuleDict({name.replace(".", "_"): make() for name in scenes})
+        if len(self.scenes) < len(scenes):
+            raise ValueError(f"the scenes' names must differ by more than dots and underscores: {list(scenes)}")
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
         """Rows ``[B, F]`` of scenes int64 ``[B]``, to ``[B, F']``."""

@@ -23,7 +23,10 @@ def ncc(observation: Tensor, goal: Tensor) -> Tensor:
 
 
 def _normal(vector: Tensor) -> Tensor:
-    return F.normalize(vector - vector.mean(-1, keepdim=True), dim=-1)
+    centred = vector - vector.mean(-1, keepdim=True)
+    # The mean of a constant vector is rounded; what is left of it then must not be blown up to length one.
+    constant = vector.amax(-1, keepdim=True) == vector.amin(-1, keepdim=True)
+    return F.normalize(centred.masked_fill(constant, 0.0), dim=-1)
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,9 @@ def load_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str 
     names = [scene] if isinstance(scene, str) else list(scene)
     if not names:
         raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
-    if names == ["all"]:
+    if "all" in names:
+        if len(names) > 1:
+            raise SceneError(f"'all' already stands for {list(PUBLISHED_GOALS)}; name it alone")
         names = list(PUBLISHED_GOALS)
     scenes = []
     for name in names:
@@ -70,6 +72,8 @@ def _no_such_scene(name: str, is_file: bool, folder: Path) -> str:
     if is_file:
         return f"{name}: there is no such file"
     choices = sorted(path.stem for path in folder.glob("*.h5"))
+    if not choices:
+        return f"{folder}: holds no dump files; expected {name}.h5"
     near = difflib.get_close_matches(name, [*choices, "all"], n=1)
     hint = f" (did you mean '{near[0]}'?)" if near else ""
     return (

@@ -29,8 +29,14 @@ from dirl.scenes.graph import ACTIONS, shortest_distances
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import Views
 
-MAX_STATES = 1_000_000
-MAX_FEATURE_WIDTH = 65_536
+# What is larger than these is refused before any of it is read.
+MAX_STATES = 50_000
+MAX_FEATURE_VALUES = 2**29
+MAX_PIXELS = 2**24
+
+MAX_COMPARED = 5_000
+"""Of a scene with more states the stored distances are not compared; there are states x states of them."""
+
 UNREACHABLE_FROM = 1000
 """Stored distances at or above this mean "unreachable" (some copies of the published files hold 1000)."""
 
@@ -64,7 +70,9 @@ def read_dump(path: str | Path, *, name: str | None = None, source: str | None =
     try:
         with h5py.File(path) as file:
             return _read(file, path, name, source)
-    except OSError as error:
+    except SceneError:
+        raise
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError) as error:  # h5py's for damaged files
         raise SceneError(f"{path}: not a readable HDF5 file, perhaps a broken download ({error})") from None
 
 
@@ -80,25 +88,26 @@ def _read(file: h5py.File, path: Path, name: str | None, source: str | None) -> 
     rotation = _dataset(file, path, "rotation", kinds="iuf", shape=(states,))
     extractor, features = _features(file, path, states)
     scene = Scene(
-        name=name or _text(file.attrs.get("name")) or path.stem,
+        name=name or _attribute(file, path, "name") or path.stem,
         graph=_in_our_order(graph[:], file.attrs.get("actions"), path),
         positions=location[:],
         headings=rotation[:],
         features=features,
         views=_views(file, path, states),
-        goals=tuple(int(goal) for goal in np.atleast_1d(file.attrs.get("goals", ()))),
-        source=source or _text(file.attrs.get("source")) or "unlabelled",
+        goals=_goals(file.attrs.get("goals"), path),
+        source=source or _attribute(file, path, "source") or "unlabelled",
         extractor=extractor,
         origin=str(path),
     )
     if "shortest_path_distance" in file:
         stored = _dataset(file, path, "shortest_path_distance", kinds="iuf", shape=(states, states))
-        _compare_distances(scene, stored[:], path)
+        if states <= MAX_COMPARED:
+            _compare_distances(scene, stored[:], path)
     return scene
 
 
-def _dataset(file: h5py.File, path: Path, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
-    """A dataset whose place, type and shape are as expected; nothing of it has been read."""
+def _own(file: h5py.File, path: Path, name: str) -> h5py.Dataset:
+    """A dataset of the file itself; nothing of it has been read."""
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise SceneError(f"{path}: {name}: is a link to elsewhere; a dump must hold its own data")
     dataset = file[name]
@@ -106,6 +115,12 @@ def _dataset(file: h5py.File, path: Path, name: str, *, kinds: str, shape: tuple
         raise SceneError(f"{path}: {name}: is a group; expected a dataset")
     if dataset.is_virtual or dataset.external:
         raise SceneError(f"{path}: {name}: its data lies in other files; a dump must hold its own data")
+    return dataset
+
+
+def _dataset(file: h5py.File, path: Path, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
+    """A dataset whose place, type and shape are as expected; nothing of it has been read."""
+    dataset = _own(file, path, name)
     if dataset.dtype.kind not in kinds:
         names = {"i": "integer", "u": "unsigned integer", "f": "float", "O": "byte string"}
         wanted = " or ".join(names[kind] for kind in kinds)
@@ -121,32 +136,45 @@ def _features(file: h5py.File, path: Path, states: int) -> tuple[str, NDArray[An
     """The extractor's description and the features ``[N, D]`` of the first crop."""
     if "resnet_feature" not in file:
         return "none", None
-    crops = len(getattr(file["resnet_feature"], "shape", None) or ()) == 3
+    crops = len(_own(file, path, "resnet_feature").shape or ()) == 3
     shape = (states, None, None) if crops else (states, None)
     dataset = _dataset(file, path, "resnet_feature", kinds="f", shape=shape)
-    if 0 in dataset.shape or dataset.shape[-1] > MAX_FEATURE_WIDTH:
+    if 0 in dataset.shape or dataset.size > MAX_FEATURE_VALUES:
         raise SceneError(f"{path}: resnet_feature: unusable shape {dataset.shape}")
-    described = [_text(dataset.attrs.get(key)) for key in EXTRACTOR_ATTRIBUTES]
+    described = [_attribute(dataset, path, key) for key in EXTRACTOR_ATTRIBUTES]
     extractor = "; ".join(text for text in described if text) or "unknown"
     return extractor, dataset[:, 0] if crops else dataset[:]
 
 
 def _views(file: h5py.File, path: Path, states: int) -> Views | None:
     if "observation_webp" in file:
-        _dataset(file, path, "observation_webp", kinds="O", shape=(states,))
+        dataset = _dataset(file, path, "observation_webp", kinds="O", shape=(states,))
+        if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
+            raise SceneError(f"{path}: observation_webp: expected byte strings (variable-length uint8)")
         return Views(path.resolve(), "observation_webp", states)
     if "observation" in file:
         dataset = _dataset(file, path, "observation", kinds="u", shape=(states, None, None, 3))
         if dataset.dtype != np.uint8:
             raise SceneError(f"{path}: observation: expected uint8 pixels, found {dataset.dtype}")
+        if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
+            raise SceneError(f"{path}: observation: unusable shape {dataset.shape}")
         return Views(path.resolve(), "observation", states)
     return None
+
+
+def _goals(declared: Any, path: Path) -> tuple[int, ...]:
+    goals = np.asarray(() if declared is None else declared)
+    if goals.size == 0:
+        return ()
+    if goals.dtype.kind not in "iu" or goals.ndim > 1:
+        raise SceneError(f"{path}: attribute 'goals': expected a list of states (integers), found {declared!r}")
+    return tuple(int(goal) for goal in np.atleast_1d(goals))
 
 
 def _in_our_order(graph: NDArray[Any], declared: Any, path: Path) -> NDArray[Any]:
     if declared is None:
         return graph
-    actions = [_text(action) for action in np.atleast_1d(declared)]
+    actions = [_text(action) if isinstance(action, str | bytes) else "?" for action in np.atleast_1d(declared)]
     if sorted(actions) != sorted(ACTIONS):
         raise SceneError(
             f"{path}: attribute 'actions': expected {list(ACTIONS)} in the order of graph's columns, found {actions}"
@@ -156,7 +184,7 @@ def _in_our_order(graph: NDArray[Any], declared: Any, path: Path) -> NDArray[Any
 
 def _compare_distances(scene: Scene, stored: NDArray[Any], path: Path) -> None:
     unreachable = ~np.isfinite(stored) | (stored < 0) | (stored >= UNREACHABLE_FROM)
-    stored = np.where(unreachable, -1, stored)
+    stored = np.where(unreachable, -1.0, stored)
     wrong = np.argwhere(stored != scene.distances)
     if len(wrong):
         state, goal = wrong[0]
@@ -169,8 +197,21 @@ def _compare_distances(scene: Scene, stored: NDArray[Any], path: Path) -> None:
         )
 
 
+def _attribute(file: h5py.File | h5py.Dataset, path: Path, name: str) -> str:
+    """A text, empty if there is none."""
+    value = file.attrs.get(name)
+    try:
+        return "" if value is None else _text(value)
+    except ValueError:
+        raise SceneError(f"{path}: attribute '{name}': expected text, found {value!r}") from None
+
+
 def _text(value: Any) -> str:
-    return "" if value is None else value.decode() if isinstance(value, bytes) else str(value)
+    if isinstance(value, bytes):
+        return value.decode()
+    if not isinstance(value, str):
+        raise ValueError(f"{value!r} is no text")
+    return value
 
 
 def write_dump(
@@ -188,25 +229,45 @@ def write_dump(
         scene: what to write; its ``views`` are not copied.
         views: N encoded images (WebP, PNG or JPEG bytes), in the order of the states.
         attributes: further file attributes, beside the scene's own.
-        feature_attributes: how the features were made: ``extractor``, ``preprocessing``, ``weights``.
+        feature_attributes: how the features were made: ``extractor``, ``preprocessing``, ``weights``; the scene's own
+            description if left out.
+
+    Raises:
+        ValueError: there are not as many views as states.
     """
     path = Path(path)
+    encoded = None if views is None else list(views)
+    if encoded is not None and len(encoded) != len(scene):
+        raise ValueError(f"{path}: {len(encoded)} views for {len(scene)} states")
     unfinished = path.with_name(path.name + ".tmp")
+    try:
+        _write(unfinished, scene, encoded, attributes or {}, feature_attributes or {"extractor": scene.extractor})
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _write(
+    unfinished: Path,
+    scene: Scene,
+    views: list[bytes] | None,
+    attributes: dict[str, Any],
+    feature_attributes: dict[str, str],
+) -> None:
     with h5py.File(unfinished, "w") as file:
         file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
-        file.attrs.update(attributes or {})
+        file.attrs.update(attributes)
         if scene.goals:
             file.attrs["goals"] = np.array(scene.goals)
         file.create_dataset("graph", data=scene.graph.astype(np.int32), compression="gzip")
         file["location"] = scene.positions.astype(np.float32)
         file["rotation"] = scene.headings.astype(np.float32)
-        distances = shortest_distances(scene.graph).astype(np.int16)
+        distances = shortest_distances(scene.graph)
         file.create_dataset("shortest_path_distance", data=distances, compression="gzip", shuffle=True)
         if scene.features is not None:
             file["resnet_feature"] = scene.features[:, None]
-            file["resnet_feature"].attrs.update(feature_attributes or {})
+            file["resnet_feature"].attrs.update(feature_attributes)
         if views is not None:
             stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
             for state, view in enumerate(views):
                 stored[state] = np.frombuffer(view, np.uint8)
-    os.replace(unfinished, path)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.graph import GraphError, IntArray, check_graph, shortest_distances, surrounding_states
+from dirl.scenes.graph import RIGHT, GraphError, IntArray, check_graph, shortest_distances, surrounding_states
 from dirl.scenes.views import Views
 
 
@@ -58,13 +58,16 @@ class Scene:
         headings = self._array("rotation", self.headings, np.number, (states,)).astype(np.float64)
         arrays: dict[str, NDArray[Any]] = {"graph": graph, "positions": positions, "headings": headings}
         if self.features is not None:
-            features = self._array("resnet_feature", self.features, np.floating, (states, None))
-            arrays["features"] = features if features.dtype == np.float16 else features.astype(np.float32)
-        self._check_turns(positions, surrounding_states(graph))
+            features = np.asarray(self.features)
+            if np.issubdtype(features.dtype, np.floating):
+                with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
+                    features = features.astype(np.float16 if features.dtype == np.float16 else np.float32)
+            arrays["features"] = self._array("resnet_feature", features, np.floating, (states, None))
+        self._check_turns(graph, positions)
         if self.views is not None and len(self.views) != states:
             raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")
         for name, array in arrays.items():
-            object.__setattr__(self, name, _read_only(array.copy() if array is getattr(self, name) else array))
+            object.__setattr__(self, name, _read_only(array))
         for goal in self.goals:
             self.check_goal(goal)
 
@@ -84,6 +87,8 @@ class Scene:
 
     def check_goal(self, goal: int) -> None:
         """Raise `SceneError` unless ``goal`` is a state that some other state can reach."""
+        if isinstance(goal, bool) or not isinstance(goal, int | np.integer):
+            raise SceneError(f"{self.origin}: goal {goal!r} is not a state; states are integers")
         if not 0 <= goal < len(self):
             raise SceneError(f"{self.origin}: goal {goal} is not a state; states are 0..{len(self) - 1}")
         if not (shortest_distances(self.graph, np.array([goal])) > 0).any():
@@ -105,14 +110,14 @@ class Scene:
                 raise SceneError(f"{self.origin}: {name}: state {rows[0]} holds a value that is not finite")
         return array
 
-    def _check_turns(self, positions: NDArray[np.floating], surrounding: IntArray) -> None:
-        moved = np.flatnonzero((np.abs(positions[surrounding[:, 1]] - positions) > 1e-3).any(1))
+    def _check_turns(self, graph: IntArray, positions: NDArray[np.floating]) -> None:
+        turned = np.where(graph[:, RIGHT] < 0, np.arange(len(graph)), graph[:, RIGHT])
+        moved = np.flatnonzero((np.abs(positions[turned] - positions) > 1e-3).any(1))
         if len(moved):
             state = moved[0]
             raise SceneError(
-                f"{self.origin}: location: state {state} is at {positions[state].tolist()} but the state seen to "
-                f"its right, {surrounding[state, 1]}, is at {positions[surrounding[state, 1]].tolist()}; "
-                "a turn must not move the agent"
+                f"{self.origin}: location: state {state} is at {positions[state].tolist()} but the state to its right, "
+                f"{turned[state]}, is at {positions[turned[state]].tolist()}; a turn must not move the agent"
             )
 
 

@@ -28,14 +28,22 @@ class Views:
         return self.states
 
     def __getitem__(self, state: int) -> NDArray[np.uint8]:
-        """The view of a state as RGB, uint8 ``[H, W, 3]``."""
+        """The view of a state as RGB, uint8 ``[H, W, 3]``.
+
+        Raises:
+            IndexError: there is no such state.
+            ValueError: its view cannot be decoded.
+        """
         if not 0 <= state < self.states:
             raise IndexError(f"{self.path}: state {state} has no view; states are 0..{self.states - 1}")
         with h5py.File(self.path) as file:
             stored = file[self.dataset][state]
         if self.dataset == "observation":
             return np.asarray(stored)
-        return decode(stored.tobytes())
+        try:
+            return decode(stored.tobytes())
+        except (OSError, SyntaxError, ValueError) as error:
+            raise ValueError(f"{self.path}: {self.dataset}: state {state}: not a readable image ({error})") from None
 
     def encoded(self, state: int) -> bytes | None:
         """The stored bytes of an encoded view; None where views are stored as raw pixels."""

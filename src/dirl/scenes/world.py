@@ -65,7 +65,11 @@ class World:
         return self.scenes[index], state - self.offsets[index]
 
 
-def make_world(scenes: Sequence[Scene], goals: Sequence[int] | Mapping[str, Sequence[int]] | None = None) -> World:
+Goals = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
+"""Goal states of one scene, or of several by name."""
+
+
+def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
     """Join scenes.
 
     Args:
@@ -115,19 +119,20 @@ def make_world(scenes: Sequence[Scene], goals: Sequence[int] | Mapping[str, Sequ
     )
 
 
-def _goals(scenes: Sequence[Scene], goals: Sequence[int] | Mapping[str, Sequence[int]] | None) -> list[tuple[int, ...]]:
+def _goals(scenes: Sequence[Scene], goals: Goals) -> list[tuple[int, ...]]:
     """The goals of each scene, checked."""
     names = [scene.name for scene in scenes]
     if goals is not None and not isinstance(goals, Mapping):
         if len(scenes) > 1:
-            raise SceneError(f"goals of several scenes are given by name, e.g. {{{names[0]}: {list(goals)}}}")
+            raise SceneError(f"goals of several scenes are given by name, e.g. {{{names[0]}: [0, 4]}}, not {goals!r}")
         goals = {names[0]: goals}
     unknown = sorted(set(goals or {}) - set(names))
     if unknown:
         raise SceneError(f"goals are given for '{unknown[0]}', which is not among the scenes {names}")
     chosen = []
     for scene in scenes:
-        states = tuple((goals or {}).get(scene.name, scene.goals))
+        given = (goals or {}).get(scene.name, scene.goals)
+        states = tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
         if not states:
             raise SceneError(f"{scene.origin}: names no goals; choose some, e.g. goals=[0,{len(scene) // 2}]")
         for goal in states:

@@ -1,0 +1,178 @@
+"""What follows from a graph: distances against an independent search, surrounding states, places, checks."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rooms import grid_scene, renumbered
+
+from dirl.scenes import ACTIONS, GraphError
+from dirl.scenes.graph import check_graph, places, shortest_distances, surrounding_states, turns_per_circle
+
+AHEAD, RIGHT, LEFT, BACK = range(4)
+
+
+@st.composite
+def rooms(draw):
+    """A room of up to 4 by 3 places, some walled off, its states in any order."""
+    width, depth = draw(st.integers(1, 4)), draw(st.integers(1, 3))
+    cells = [(x, z) for x in range(width) for z in range(depth)]
+    walls = draw(st.lists(st.sampled_from(cells), unique=True, max_size=len(cells) - 1))
+    room = grid_scene(width, depth, goals=(), headings=draw(st.sampled_from([4, 8, 12])), blocked=walls)
+    return renumbered(room, draw(st.permutations(range(len(room)))))
+
+
+def searched(graph, start):
+    """The fewest actions from one state to every other: a plain queue, forwards."""
+    found = {start: 0}
+    queue = deque([start])
+    while queue:
+        state = queue.popleft()
+        for beyond in graph[state].tolist():
+            if beyond >= 0 and beyond not in found:
+                found[beyond] = found[state] + 1
+                queue.append(beyond)
+    return [found.get(state, -1) for state in range(len(graph))]
+
+
+def with_dead_states(graph, count=4):
+    """The graph with an isolated block in front: states without any move, as in the published bedroom."""
+    moved = np.where(graph >= 0, graph + count, -1)
+    return np.concatenate([np.full((count, 4), -1), moved])
+
+
+def test_actions_are_in_the_published_order():
+    assert ACTIONS == ("ahead", "right", "left", "back")
+
+
+@given(room=rooms(), data=st.data())
+def test_distances_equal_a_plain_search(room, data):
+    graph = room.graph.copy()
+    closed = st.tuples(st.integers(0, len(room) - 1), st.sampled_from([AHEAD, BACK]))
+    for state, action in data.draw(st.lists(closed, max_size=5)):
+        graph[state, action] = -1  # this way only: the link that leads back stays
+    distances = shortest_distances(graph)
+    assert distances.dtype == np.int32
+    assert distances.tolist() == [searched(graph, start) for start in range(len(graph))]
+
+
+@given(room=rooms(), data=st.data())
+def test_distances_to_some_goals_are_columns_of_all_distances(room, data):
+    goals = np.array(data.draw(st.lists(st.integers(0, len(room) - 1), min_size=1, max_size=4)))
+    assert (shortest_distances(room.graph, goals) == room.distances[:, goals]).all()
+
+
+def test_distances_follow_the_direction_of_one_way_links():
+    graph = grid_scene(width=1, depth=2).graph.copy()
+    assert graph[0, AHEAD] == 4
+    graph[0, AHEAD] = -1
+    distances = shortest_distances(graph)
+    assert distances[4, 0] == 1
+    assert distances[0, 4] == 5  # turn round, walk backwards, turn round
+
+
+def test_states_behind_a_wall_are_unreachable():
+    room = grid_scene(width=3, depth=1, blocked=[(1, 0)])
+    assert (room.distances[:4, 4:] == -1).all()
+    assert (room.distances[4:, :4] == -1).all()
+    assert (room.distances[:4, :4] >= 0).all()
+
+
+@given(room=rooms())
+def test_surrounding_states_are_ahead_right_back_and_left_at_the_same_place(room):
+    surrounding = surrounding_states(room.graph)
+    assert (surrounding[:, 0] == np.arange(len(room))).all()
+    turned = (room.headings[surrounding] - room.headings[:, None]) % 360
+    assert turned.tolist() == [[0, 90, 180, 270]] * len(room)
+    assert (room.positions[surrounding] == room.positions[:, None]).all()
+
+
+def test_surrounding_states_come_from_links_not_numbers():
+    order = np.random.default_rng(3).permutation(24)
+    room = grid_scene()
+    mixed = renumbered(room, order)
+    assert (order[mixed.surrounding] == room.surrounding[order]).all()
+    assert (mixed.surrounding // 4 != mixed.surrounding[:, :1] // 4).any()
+
+
+def test_a_quarter_turn_is_three_turns_of_30_degrees():
+    assert grid_scene(headings=12).surrounding[1].tolist() == [1, 4, 7, 10]
+
+
+def test_dead_states_see_themselves_four_times():
+    room = grid_scene()
+    graph = with_dead_states(room.graph)
+    check_graph(graph)
+    assert surrounding_states(graph)[:4].tolist() == [[state] * 4 for state in range(4)]
+    assert (surrounding_states(graph)[4:] == room.surrounding + 4).all()
+
+
+def test_dead_states_are_unreachable_and_reach_nothing():
+    distances = shortest_distances(with_dead_states(grid_scene().graph))
+    assert (distances[:4] == np.where(np.eye(4, 28), 0, -1)).all()
+    assert (distances[4:, :4] == -1).all()
+
+
+@pytest.mark.parametrize("headings", [4, 8, 12])
+@pytest.mark.parametrize("dead", [0, 4])
+def test_turns_per_circle(headings, dead):
+    assert turns_per_circle(with_dead_states(grid_scene(headings=headings).graph, dead)) == headings
+
+
+@given(room=rooms())
+def test_states_share_a_place_where_they_share_a_position(room):
+    place = places(room.graph)
+    same_position = (room.positions[:, None] == room.positions[None]).all(-1)
+    assert ((place[:, None] == place[None]) == same_position).all()
+    _, first = np.unique(place, return_index=True)
+    assert (np.diff(first) > 0).all()  # numbered in the order of their first states
+
+
+def test_each_dead_state_is_a_place_of_its_own():
+    place = places(with_dead_states(grid_scene(width=2, depth=1).graph, 2))
+    assert place.tolist() == [0, 1, *[2] * 4, *[3] * 4]
+
+
+def ring(length):
+    """One place with so many headings and nowhere to go."""
+    states = np.arange(length)
+    return np.stack([states * 0 - 1, (states + 1) % length, (states - 1) % length, states * 0 - 1], 1)
+
+
+def beside(first, second):
+    return np.concatenate([first, np.where(second >= 0, second + len(first), -1)])
+
+
+def changed(state, action, to):
+    graph = grid_scene().graph.copy()
+    graph[state, action] = to
+    return graph
+
+
+@pytest.mark.parametrize(
+    ("graph", "message"),
+    [
+        (np.zeros((0, 4), int), "there are no states"),
+        (np.full((8, 4), -1), "no state has any move"),
+        (changed(5, AHEAD, 24), r"state 5: ahead leads to state 24, but states are 0\.\.23"),
+        (changed(5, AHEAD, -2), "state 5: ahead leads to state -2"),
+        (changed(6, RIGHT, -1), "state 6: turning right is blocked"),
+        (changed(6, LEFT, -1), "state 5: turning right and back does not return"),
+        (changed(9, RIGHT, 8), "state 9: turning right and back does not return to it.*'actions'"),
+        (grid_scene().graph[:, [1, 0, 2, 3]], "state 2: turning right is blocked"),
+        (ring(3), "state 0: a full turn to the right passes 3 states"),
+        (ring(6), "state 0: a full turn to the right passes 6 states"),
+        (beside(ring(4), ring(8)), r"state 4: a full turn .* passes 8 states; .* \(4 at state 0\)"),
+        (with_dead_states(beside(ring(4), ring(5))), "state 8: a full turn to the right passes 5 states"),
+    ],
+)
+def test_a_graph_no_agent_could_walk_in_is_refused(graph, message):
+    with pytest.raises(GraphError, match=message):
+        check_graph(graph)
+
+
+@given(room=rooms())
+def test_every_room_passes_the_check(room):
+    check_graph(room.graph)

@@ -1,0 +1,160 @@
+"""Worlds: scenes joined into one state space, and the goals in it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from rooms import grid_scene
+
+from dirl.scenes import SceneError, make_world
+
+TENSORS = ("graph", "surrounding", "features", "scene_of", "goals", "distances")
+
+
+def hall(**changes):
+    """Eight places, two of them walled off from the others: 32 states."""
+    made = grid_scene(width=4, depth=3, name="hall", goals=(5, 31), seed=1, blocked=[(2, 0), (2, 1), (2, 2), (3, 2)])
+    return replace(made, **changes)
+
+
+@pytest.fixture
+def scenes(scene):
+    return [scene, hall(), grid_scene(width=2, depth=1, name="closet", goals=(7,), headings=12)]
+
+
+@pytest.fixture
+def world(scenes):
+    return make_world(scenes)
+
+
+def test_scenes_lie_one_behind_the_other(world):
+    assert len(world) == 24 + 32 + 24
+    assert world.offsets == (0, 24, 56)
+    assert world.scene_of.tolist() == [0] * 24 + [1] * 32 + [2] * 24
+    assert world.names == ("grid", "hall", "closet")
+
+
+def test_moves_are_those_of_the_scenes_and_blocked_ones_stay(world, scenes):
+    for scene, offset in zip(scenes, world.offsets, strict=True):
+        for state in range(len(scene)):
+            moves = [next_state if next_state >= 0 else state for next_state in scene.graph[state].tolist()]
+            assert world.graph[offset + state].tolist() == [offset + move for move in moves]
+    assert (world.graph == torch.arange(len(world))[:, None]).any()
+
+
+def test_surrounding_states_are_those_of_the_scenes(world, scenes):
+    expected = [scene.surrounding + offset for scene, offset in zip(scenes, world.offsets, strict=True)]
+    assert world.surrounding.tolist() == np.concatenate(expected).tolist()
+
+
+def test_features_are_those_of_the_scenes_as_float32(world, scenes):
+    assert world.features.dtype == torch.float32
+    assert (world.features.numpy() == np.concatenate([scene.features for scene in scenes])).all()
+
+
+def test_features_stored_as_float16_become_float32(scene):
+    halves = replace(scene, features=scene.features.astype(np.float16))
+    world = make_world([halves])
+    assert world.features.dtype == torch.float32
+    assert (world.features.numpy() == halves.features).all()
+
+
+def test_numbers_of_states_and_steps_are_int64(world):
+    for name in TENSORS:
+        assert getattr(world, name).dtype == (torch.float32 if name == "features" else torch.int64), name
+
+
+def test_distances_have_a_row_per_goal_and_end_at_the_scene(world, scenes):
+    assert world.goals.tolist() == [0, 24 + 5, 24 + 31, 56 + 7]
+    expected = np.full((4, 80), -1)
+    expected[0, :24] = scenes[0].distances[:, 0]
+    expected[1, 24:56] = scenes[1].distances[:, 5]
+    expected[2, 24:56] = scenes[1].distances[:, 31]
+    expected[3, 56:] = scenes[2].distances[:, 7]
+    assert world.distances.tolist() == expected.tolist()
+    assert (world.distances[1, 24:56] == -1).any()  # the part behind the wall
+
+
+def test_local_is_the_way_back_to_scenes(world, scenes):
+    for state, index, number in [(0, 0, 0), (23, 0, 23), (24, 1, 0), (55, 1, 31), (56, 2, 0), (79, 2, 23)]:
+        scene, local = world.local(state)
+        assert scene is scenes[index]
+        assert local == number
+
+
+def test_to_moves_every_tensor_and_leaves_the_original(world):
+    moved = world.to("meta")  # a device every machine has
+    assert moved.device == torch.device("meta")
+    for name in TENSORS:
+        assert getattr(moved, name).device.type == "meta", name
+        assert getattr(world, name).device.type == "cpu", name
+    assert moved.scenes is world.scenes
+    assert moved.offsets == world.offsets
+    assert world.device == torch.device("cpu")
+
+
+def test_the_source_names_each_kind_once(scene):
+    others = [hall(source="thor"), replace(scene, name="other", source="thor")]
+    assert make_world([scene, *others]).source == "synthetic+thor"
+    assert make_world(others).source == "thor"
+
+
+@pytest.mark.parametrize("goals", [[3, 0], (3, 0), {"grid": [3, 0]}])
+def test_goals_of_one_scene_replace_its_own(scene, goals):
+    world = make_world([scene], goals)
+    assert world.goals.tolist() == [3, 0]
+    assert world.distances.tolist() == [scene.distances[:, 3].tolist(), scene.distances[:, 0].tolist()]
+
+
+def test_goals_by_name_leave_the_other_scenes_theirs(scenes):
+    assert make_world(scenes, {"hall": [1, 2, 3]}).goals.tolist() == [0, 25, 26, 27, 63]
+
+
+def test_goals_are_in_the_order_of_the_scenes(scenes):
+    world = make_world(scenes, {"closet": [1], "grid": [2]})
+    assert world.goals.tolist() == [2, 29, 55, 57]
+
+
+@pytest.mark.parametrize(
+    ("scenes", "goals", "message"),
+    [
+        ([], None, "a world needs at least one scene"),
+        ([grid_scene(), hall(name="grid")], None, "the scene 'grid' is named twice"),
+        ([hall(features=None)], None, r"grid_scene: has no features \(dataset resnet_feature\); encode its views"),
+        ([grid_scene(), hall(features=None)], None, "grid_scene: has no features"),
+        (
+            [grid_scene(), hall(extractor="CLIP")],
+            None,
+            r"hall and grid have features of different extractors.*: 'CLIP' \(16 wide\) and 'random' \(16 wide\)",
+        ),
+        (
+            [grid_scene(), grid_scene(name="wide", feature_width=32)],
+            None,
+            r"wide and grid have features of different extractors.*\(32 wide\) and 'random' \(16 wide\)",
+        ),
+        ([grid_scene(goals=())], None, r"grid_scene: names no goals; choose some, e.g. goals=\[0,12\]"),
+        ([grid_scene()], [], "grid_scene: names no goals"),
+        ([grid_scene(), hall()], {"hall": []}, "grid_scene: names no goals"),
+        ([grid_scene(), hall()], [0], r"goals of several scenes are given by name, e.g. \{grid: \[0, 4\]\}"),
+        ([grid_scene(), hall()], {"hal": [0]}, r"goals are given for 'hal', which is not among .*'grid', 'hall'"),
+        ([grid_scene()], [0, 24], r"grid_scene: goal 24 is not a state; states are 0\.\.23"),
+        ([grid_scene()], [-1], "grid_scene: goal -1 is not a state"),
+        ([grid_scene()], [4, 0, 4], r"grid: a goal is named twice in \[4, 0, 4\]"),
+        ([grid_scene(goals=(4, 4))], None, "grid: a goal is named twice"),
+    ],
+)
+def test_what_makes_no_world_is_refused(scenes, goals, message):
+    with pytest.raises(SceneError, match=f"^{message}"):
+        make_world(scenes, goals)
+
+
+@pytest.mark.parametrize("goals", [5, {"grid": 5}])
+def test_a_single_goal_needs_no_list(scene, goals):
+    assert make_world([scene], goals).goals.tolist() == [5]
+
+
+@pytest.mark.parametrize("goals", [[1.5], ["kitchen"], [True], "kitchen", {"grid": 1.5}])
+def test_goals_that_are_no_numbers_of_states_are_refused(scene, goals):
+    with pytest.raises(SceneError):
+        make_world([scene], goals)

@@ -1,0 +1,100 @@
+"""Ways to spoil a good dump of 24 states: each returns a function that is given the open file."""
+
+import h5py
+import numpy as np
+import pytest
+
+from dirl.scenes import SceneError, read_dump
+
+
+def without(name):
+    return lambda file: file.pop(name)
+
+
+def instead(name, value):
+    def spoil(file):
+        file.pop(name, None)
+        file[name] = value
+
+    return spoil
+
+
+def cell(name, where, value):
+    def spoil(file):
+        values = file[name][:]
+        values[where] = value
+        instead(name, values)(file)
+
+    return spoil
+
+
+def attribute(name, value):
+    return lambda file: file.attrs.update({name: value})
+
+
+def hollow(name, shape, dtype="f4"):
+    """A dataset of that shape that was never filled."""
+
+    def spoil(file):
+        file.pop(name, None)
+        file.create_dataset(name, shape, dtype, chunks=tuple(min(size, 64) for size in shape))
+
+    return spoil
+
+
+def elsewhere(name, kind):
+    """The dataset's values lie in another (existing, good) file or under another name."""
+
+    def spoil(file):
+        shape, dtype = file[name].shape, file[name].dtype
+        another = file.filename + ".other"
+        with h5py.File(another, "w") as other:
+            other[name] = file[name][:]
+        file.move(name, "hidden")
+        if kind == "virtual":
+            layout = h5py.VirtualLayout(shape, dtype)
+            layout[:] = h5py.VirtualSource(another, name, shape)
+            file.create_virtual_dataset(name, layout)
+        elif kind == "storage":
+            with open(file.filename + ".raw", "wb") as raw:
+                raw.write(file["hidden"][:].tobytes())
+            file.create_dataset(name, shape, dtype, external=[(file.filename + ".raw", 0, h5py.h5f.UNLIMITED)])
+        else:
+            file[name] = h5py.SoftLink("/hidden") if kind == "soft" else h5py.ExternalLink(another, name)
+
+    return spoil
+
+
+def dangling(name):
+    return instead(name, h5py.ExternalLink("/nowhere/at/all.h5", "graph"))
+
+
+def group(name):
+    def spoil(file):
+        del file[name]
+        file.create_group(name)
+
+    return spoil
+
+
+def no_states(file):
+    for name in ("resnet_feature", "observation", "shortest_path_distance"):
+        del file[name]
+    for name, shape in (("graph", (0, 4)), ("location", (0, 2)), ("rotation", (0,))):
+        instead(name, np.zeros(shape, int))(file)
+
+
+def webp(dtype):
+    return lambda file: file.create_dataset("observation_webp", (24,), dtype)
+
+
+def refused(path):
+    """What the one `SceneError` says after the name of the file."""
+    with pytest.raises(SceneError) as caught:
+        read_dump(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert caught.value.__cause__ is None
+    assert caught.value.__context__ is None or caught.value.__suppress_context__  # one error, not a chain
+    assert "\n" not in message
+    return message.removeprefix(f"{path}: ")

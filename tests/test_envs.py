@@ -1,0 +1,171 @@
+import pytest
+import torch
+from rooms import grid_scene
+from torchrl.envs import Compose, StepCounter, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from dirl.envs import OBSERVATIONS, NavigationEnv, Reward
+from dirl.scenes import make_world
+
+AHEAD, RIGHT, LEFT, BACK = range(4)
+
+
+@pytest.fixture
+def world():
+    """24 states with goals 0 and 13, and behind them 8 states in two unconnected places with goal 25."""
+    room = grid_scene(3, 2, name="room", goals=(0, 13))
+    split = grid_scene(3, 1, name="split", goals=(1,), blocked=[(1, 0)])
+    return make_world([room, split])
+
+
+def stand(env, state, goal):
+    """Agents in given states with given goals."""
+    agents = env.reset()
+    agents["state"], agents["goal"] = torch.tensor(state), torch.tensor(goal)
+    agents["scene"] = env.world.scene_of[agents["state"]]
+    return agents
+
+
+def move(env, state, goal, action):
+    """What one step from given states leads to."""
+    return env.step(stand(env, state, goal).set("action", torch.tensor(action)))["next"]
+
+
+def no_stop(world):
+    return torch.zeros_like(world.distances, dtype=torch.bool)
+
+
+def test_env_keeps_torchrls_promises(world):
+    check_env_specs(NavigationEnv(world, 5))
+
+
+@pytest.mark.parametrize("views", OBSERVATIONS.values())
+def test_env_with_views_and_step_limit_keeps_torchrls_promises(world, views):
+    check_env_specs(TransformedEnv(NavigationEnv(world, 5), Compose(StepCounter(2), views(world))))
+
+
+def test_starts_reach_their_goal_and_are_not_it(world):
+    agents = NavigationEnv(world, 3000).reset()
+    starts = {goal: set(agents["state"][agents["goal"] == goal].tolist()) for goal in agents["goal"].unique().tolist()}
+    # In the second scene only the other headings of the goal's own place reach it.
+    assert starts == {0: set(range(24)) - {0}, 13: set(range(24)) - {13}, 25: {24, 26, 27}}
+
+
+def test_a_reset_agent_is_not_done_and_knows_its_scene(world):
+    agents = NavigationEnv(world, 100).reset()
+    assert not agents["done"].any()
+    assert not agents["terminated"].any()
+    assert torch.equal(agents["scene"], (agents["state"] >= 24).long())
+
+
+def test_goals_are_drawn_uniformly_and_so_are_the_starts_of_each(world):
+    agents = 60_000
+    drawn = NavigationEnv(world, agents, seed=3).reset()
+    count = torch.zeros(32, 32).index_put_((drawn["goal"], drawn["state"]), torch.ones(agents), accumulate=True)
+    for goal, starts in ((0, 23), (13, 23), (25, 3)):
+        expected = agents / 3 / starts
+        found = count[goal][count[goal] > 0]
+        assert len(found) == starts
+        assert (found - expected).abs().max() < 5 * expected**0.5
+
+
+@pytest.mark.parametrize(
+    ("state", "action", "next_state"),
+    [
+        pytest.param(4, AHEAD, 16, id="ahead"),
+        pytest.param(4, RIGHT, 5, id="right"),
+        pytest.param(4, LEFT, 7, id="left"),
+        pytest.param(16, BACK, 4, id="back"),
+    ],
+)
+def test_a_step_follows_the_graph_and_earns_the_step_reward(world, state, action, next_state):
+    after = move(NavigationEnv(world), [state], [0], [action])
+    assert after["state"].tolist() == [next_state]
+    assert after["goal"].tolist() == [0]
+    assert after["reward"].tolist() == [[pytest.approx(-0.01)]]
+    assert not after["done"].any()
+
+
+@pytest.mark.parametrize(("state", "action"), [(4, BACK), (6, AHEAD), (3, AHEAD), (1, BACK), (28, AHEAD)])
+def test_a_blocked_move_stays_and_earns_the_collision_reward(world, state, action):
+    goal = 13 if state < 24 else 25
+    after = move(NavigationEnv(world), [state], [goal], [action])
+    assert after["state"].tolist() == [state]
+    assert after["reward"].tolist() == [[pytest.approx(-0.1)]]
+    assert not after["done"].any()
+
+
+def test_reaching_the_goal_earns_the_goal_reward_and_ends_the_episode(world):
+    # By a turn and by a step back; the third agent arrives at a goal that is not its own.
+    after = move(NavigationEnv(world, 3), [3, 12, 14], [0, 0, 0], [RIGHT, BACK, LEFT])
+    assert after["state"].tolist() == [0, 0, 13]
+    assert after["reward"].squeeze(-1).tolist() == pytest.approx([10, 10, -0.01])
+    assert after["terminated"].squeeze(-1).tolist() == [True, True, False]
+    assert torch.equal(after["terminated"], after["done"])
+
+
+def test_the_rewards_can_be_chosen(world):
+    env = NavigationEnv(world, 3, reward=Reward(goal=1, step=-2, collision=-3))
+    after = move(env, [3, 4, 4], [0, 0, 0], [RIGHT, RIGHT, BACK])
+    assert after["reward"].squeeze(-1).tolist() == [1, -2, -3]
+
+
+def test_a_false_stop_ends_the_episode_with_the_step_reward(world):
+    stop = no_stop(world)
+    stop[0, 5] = True
+    # The second agent has another goal, for which that state is none to stop in.
+    after = move(NavigationEnv(world, 2, stop=stop), [4, 4], [0, 13], [RIGHT, RIGHT])
+    assert after["state"].tolist() == [5, 5]
+    assert after["reward"].squeeze(-1).tolist() == pytest.approx([-0.01, -0.01])
+    assert after["terminated"].squeeze(-1).tolist() == [True, False]
+
+
+def test_an_agent_that_does_not_recognise_its_goal_walks_on(world):
+    after = move(NavigationEnv(world, stop=no_stop(world)), [3], [0], [RIGHT])
+    assert after["state"].tolist() == [0]
+    assert after["reward"].tolist() == [[pytest.approx(-0.01)]]
+    assert not after["done"].any()
+
+
+def walk(env, seed, steps=30):
+    torch.manual_seed(seed)
+    return env.rollout(steps, break_when_any_done=False)
+
+
+def test_same_seeds_same_trajectory(world):
+    first = walk(NavigationEnv(world, 6, seed=5), seed=1)
+    env = NavigationEnv(world, 6, seed=0)
+    env.set_seed(5)
+    assert (walk(env, seed=1) == first).all()
+    assert not torch.equal(walk(NavigationEnv(world, 6, seed=6), seed=1)["state"], first["state"])
+
+
+def test_goals_and_starts_do_not_depend_on_torchs_own_generator(world):
+    drawn = []
+    for seed in (1, 2):
+        torch.manual_seed(seed)
+        drawn.append(NavigationEnv(world, 50, seed=5).reset())
+    assert (drawn[0] == drawn[1]).all()
+
+
+def test_the_step_limit_truncates_and_does_not_terminate(world):
+    env = TransformedEnv(NavigationEnv(world, 2), StepCounter(3))
+    agents = stand(env, [16, 1], [0, 0])
+    flags = []
+    for _ in range(3):
+        step = env.step(agents.set("action", torch.tensor([RIGHT, RIGHT])))
+        flags.append([step["next", key].squeeze(-1).tolist() for key in ("truncated", "terminated", "done")])
+        agents = env.step_mdp(step)
+    # The second agent turns from 1 over 2 and 3 to its goal, at the very step of the limit.
+    assert flags[:2] == [[[False, False]] * 3] * 2
+    assert flags[2] == [[True, True], [False, True], [True, True]]
+
+
+def test_agents_that_are_done_start_anew_and_the_others_walk_on(world):
+    steps = walk(NavigationEnv(world, 20), seed=0, steps=100)
+    done, later, before = steps["next", "done"][:, :-1, 0], steps[:, 1:], steps["next"][:, :-1]
+    assert done.sum() > 20
+    assert torch.equal(later["state"][~done], before["state"][~done])
+    assert torch.equal(later["goal"][~done], before["goal"][~done])
+    assert not (later["state"] == later["goal"]).any()
+    assert not steps["done"].any()

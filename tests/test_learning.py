@@ -1,0 +1,42 @@
+"""Each way of learning, alone, must solve a small room; either test goes red if its loss points the wrong way."""
+
+import pytest
+import torch
+from commands import room_file, train_config
+from train import imitate, reinforce
+
+from dirl.assemble import build_parts, run_policy
+from dirl.evaluation import metrics
+from dirl.runs import Run
+
+
+def learn(tmp_path, *options):
+    """Train in a room of 6 places (24 states), and evaluate greedily from every start, before and after."""
+    fixed = [f"scene={room_file(tmp_path)}", "network.width=64", "evaluation.times=0", "checkpoint.every_seconds=1e9"]
+    config = train_config(*fixed, *options)
+    torch.manual_seed(config.seed)
+    parts = build_parts(config)
+    before = metrics(run_policy(parts))
+    run = Run(tmp_path, config)
+    run.begin(parts.world)
+    if len(parts.demos):
+        imitate(parts, run)
+    reinforce(parts, run)
+    return before, metrics(run_policy(parts))
+
+
+def test_imitation_alone_learns_what_the_expert_shows(tmp_path):
+    before, after = learn(tmp_path, "system=il", "imitation.share=1", "imitation.lr=3e-3")
+    assert before["sr"] < 0.5
+    assert after["sr"] == 1
+    assert after["spl"] == 1
+
+
+@pytest.mark.parametrize("objective", ["a2c", "ppo"])
+def test_reinforcement_alone_finds_every_goal(tmp_path, objective):
+    options = ["imitation.share=0", "optimiser.lr=3e-3", f"objective={objective}"]
+    sizes = ["reinforcement.frames_per_scene=20_000", "reinforcement.agents_per_scene=20"]
+    before, after = learn(tmp_path, *options, *sizes)
+    assert before["sr"] < 0.5
+    assert after["sr"] == 1
+    assert after["spl"] > 0.85

@@ -1,0 +1,164 @@
+import csv
+import json
+import signal
+import subprocess
+import time
+
+import pytest
+import torch
+from commands import TINY, recipe_command, room_file, run_recipe
+from PIL import Image
+
+STAGES = ("imitation", "reinforcement", "evaluation")
+
+
+def only_run(folder):
+    (run,) = folder.glob("runs/*/*")
+    return run
+
+
+def read_table(file, without=("seconds", "frames_per_second")):
+    with file.open() as stream:
+        return [{key: value for key, value in row.items() if key not in without} for row in csv.DictReader(stream)]
+
+
+def read_summary(run, without=("seconds", "frames_per_second", "peak_memory_mb")):
+    summary = json.loads((run / "summary.json").read_text())
+    return {key: value for key, value in summary.items() if key not in without}
+
+
+def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
+    file = room_file(tmp_path)
+    status, printed, errors = run_recipe(tmp_path, "train", f"scene={file}", *TINY)
+    assert status == 0, errors
+    assert "| greedy " in printed
+    run = only_run(tmp_path)
+    names = {"config.yaml", "summary.json", "network.pt", "learning_curve.png", "trajectories_grid.png"}
+    assert {entry.name for entry in run.iterdir()} == names | {f"{stage}.csv" for stage in STAGES}
+    for picture in run.glob("*.png"):
+        with Image.open(picture) as image:
+            assert min(image.size) > 200
+    summary = json.loads((run / "summary.json").read_text())
+    facts = {"scene": "grid", "source": "synthetic", "system": "dirl", "preset": "fast", "seed": 3, "frames": 600}
+    assert facts.items() <= summary.items()
+    assert {"stable_at_frame", "seconds", "frames_per_second", "peak_memory_mb"} <= set(summary)
+    measures = {"atl", "atl_success", "sr", "spl", "shortest", "false_stop_rate", "missed_stop_rate", "episodes"}
+    for mode in ("greedy", "sampled", "random", "shortest_path"):
+        assert measures <= set(summary[mode])
+        assert set(summary[mode]["scenes"]["grid"]["goals"]) == {"0", "13"}
+    assert [row["frames"] for row in read_table(run / "evaluation.csv")] == ["0", "300", "600"]
+
+    status, printed, errors = run_recipe(
+        tmp_path, "evaluate", f"checkpoint={run}", "seed=3", "max_steps=50", "out=e.json"
+    )
+    assert status == 0, errors
+    again = json.loads((tmp_path / "e.json").read_text())
+    assert all(again[mode] == summary[mode] for mode in ("greedy", "sampled", "random", "shortest_path"))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["system=il", "reinforcement.frames_per_scene=0"],
+        ["system=td_drl", "objective=ppo", "objective.minibatches=2", "stop.training=match"],
+        ["preset=paper", "reinforcement.max_steps=50", "evaluation.starts=sampled", "evaluation.episodes_per_goal=5"],
+        ["network.heads=shared", "imitation.keep=0", "logger=wandb", "goals=[5]"],
+    ],
+    ids=["il", "td_drl with ppo", "paper", "shared heads, wandb"],
+)
+def test_train_with_other_systems_and_presets(tmp_path, options, monkeypatch):
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    status, _, errors = run_recipe(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *options)
+    assert status == 0, errors
+    summary = read_summary(only_run(tmp_path))
+    assert summary["frames"] == (0 if "system=il" in options else 600)
+    if "logger=wandb" in options:
+        assert list(only_run(tmp_path).glob("wandb/offline-run-*"))
+
+
+def test_multirun_trains_every_combination(tmp_path):
+    options = [*TINY, "reinforcement.frames_per_scene=60", "imitation.share=0,0.5"]
+    status, _, errors = run_recipe(tmp_path, "train", "-m", f"scene={room_file(tmp_path)}", *options)
+    assert status == 0, errors
+    summaries = [json.loads(file.read_text()) for file in sorted(tmp_path.glob("multirun/*/*/summary.json"))]
+    assert [summary["demonstrations"] > 0 for summary in summaries] == [False, True]
+
+
+def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *TINY, "reinforcement.frames_per_scene=3000"]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={whole}")
+    assert status == 0, errors
+    process = subprocess.Popen(
+        recipe_command("train", *options, f"hydra.run.dir={killed}"),
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    waited = time.monotonic()
+    while not list(killed.glob("checkpoints/*[1-9]???.pt")) and time.monotonic() - waited < 120:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (killed / "summary.json").exists(), "it was not killed in time"
+    status, _, errors = run_recipe(tmp_path, "train", f"resume={killed}")
+    assert status == 0, errors
+    first, second = (torch.load(run / "network.pt", weights_only=True)["network"] for run in (whole, killed))
+    assert all(torch.equal(first[key], second[key]) for key in first)
+    assert read_summary(whole) == read_summary(killed)
+    for stage in STAGES:
+        assert read_table(whole / f"{stage}.csv") == read_table(killed / f"{stage}.csv")
+
+
+def test_ctrl_c_saves_a_checkpoint_and_says_how_to_go_on(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *TINY, "reinforcement.frames_per_scene=100_000_000"]
+    command = recipe_command("train", *options, "hydra.run.dir=stopped", "checkpoint.every_seconds=1000")
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    evaluation = tmp_path / "stopped" / "evaluation.csv"
+    waited = time.monotonic()
+    while not evaluation.exists() and time.monotonic() - waited < 120:
+        time.sleep(0.1)
+    time.sleep(1)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "resume=stopped" in errors
+    assert list((tmp_path / "stopped" / "checkpoints").glob("*.pt"))
+
+
+def test_benchmark_measures_both_loops(tmp_path):
+    options = [f"scenes=[{room_file(tmp_path)}]", "frames_per_scene=120", "repeats=1", "out=benchmark.json"]
+    train = "train=['network.width=32','reinforcement.agents_per_scene=6']"
+    status, printed, errors = run_recipe(tmp_path, "benchmark", *options, train)
+    assert status == 0, errors
+    (row,) = json.loads((tmp_path / "benchmark.json").read_text())["rows"]
+    assert row["frames_per_second"] > 0
+    assert row["bare_frames_per_second"] > 0
+    assert row["operations_per_frame"] > 0
+    assert "share of limit" in printed
+
+
+@pytest.mark.parametrize(
+    ("recipe", "arguments", "told"),
+    [
+        ("train", [], ["no scene is named", "scene=bathroom_02"]),
+        ("train", ["scene=bathrom_02"], ["did you mean 'bathroom_02'", "kitchen_02", "'all'"]),
+        ("train", ["scene=bathroom_02", "sede=1"], ["no option 'sede'", "seed"]),
+        ("train", ["scene=bathroom_02", "reinforcement.gamma=1.5"], ["reinforcement.gamma=1.5", "between 0 and 1"]),
+        ("train", ["scene=bathroom_02", "network.heads=two"], ["'two'", "scene, shared"]),
+        ("train", ["scene=bathroom_02", "goals=[180]"], ["bathroom_02", "goal 180", "0..179"]),
+        ("train", ["scene=bathroom_02", "source=thor"], ["source.root="]),
+        ("train", ["resume=nowhere"], ["nowhere", "not the folder of a run"]),
+        ("evaluate", [], ["checkpoint="]),
+        ("evaluate", ["checkpoint=nowhere"], ["nowhere", "no checkpoint"]),
+        ("benchmark", ["repeats=0"], ["repeats=0", "at least 1"]),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else value,
+)
+def test_bad_input_ends_with_one_clear_message_and_leaves_nothing_behind(tmp_path, recipe, arguments, told):
+    status, printed, errors = run_recipe(tmp_path, recipe, *arguments)
+    assert status == 1
+    assert printed == ""
+    assert "Traceback" not in errors
+    assert all(words in errors for words in told), errors
+    assert not list(tmp_path.rglob("*.*"))

@@ -1,0 +1,108 @@
+import pytest
+import torch
+from rooms import grid_scene
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.envs import Compose, StepCounter, TransformedEnv
+
+from dirl.envs import OBSERVATIONS, NavigationEnv, SequentialViews, SurroundingViews
+from dirl.scenes import make_world
+
+AGENTS, STEPS = 6, 25
+BOTH = pytest.mark.parametrize("kind", OBSERVATIONS.values())
+
+
+@pytest.fixture
+def world():
+    return make_world([grid_scene(3, 2, name="a", goals=(0, 13)), grid_scene(2, 2, name="b", goals=(9,))])
+
+
+def rollout(world, kind, seed=0):
+    """Random steps with many ends of episodes among them, ``[B, T]``."""
+    env = TransformedEnv(NavigationEnv(world, AGENTS, seed=seed), Compose(StepCounter(5), kind(world)))
+    torch.manual_seed(seed)
+    return env.rollout(STEPS, break_when_any_done=False)
+
+
+@pytest.mark.parametrize(
+    ("state", "views"),
+    # A state of the first scene is 4 x place + heading, and right turns count headings up.
+    [(0, [0, 1, 2, 3]), (5, [5, 6, 7, 4]), (14, [14, 15, 12, 13]), (23, [23, 20, 21, 22]), (25, [25, 26, 27, 24])],
+)
+def test_surrounding_views_are_ahead_right_back_left_of_the_heading(world, state, views):
+    assert SurroundingViews(world).begin(torch.tensor(state)).tolist() == views
+
+
+def test_surrounding_views_are_quarter_turns_apart_where_turns_are_smaller():
+    world = make_world([grid_scene(2, 1, headings=12)])
+    assert SurroundingViews(world).begin(torch.tensor([2, 22])).tolist() == [[2, 5, 8, 11], [22, 13, 16, 19]]
+
+
+def test_surrounding_views_depend_on_the_state_alone(world):
+    steps = rollout(world, SurroundingViews)
+    for part in (steps, steps["next"]):
+        assert torch.equal(part["views"], world.surrounding[part["state"]])
+        assert torch.equal(part["goal_views"], world.surrounding[part["goal"]])
+
+
+def test_sequential_views_begin_with_the_first_four_times_and_end_with_the_newest(world):
+    sight = SequentialViews(world)
+    views = sight.begin(torch.tensor([7, 16]))
+    assert views.tolist() == [[7, 7, 7, 7], [16, 16, 16, 16]]
+    seen = []
+    for state in ([4, 17], [5, 18], [5, 19], [9, 16], [9, 12]):
+        views = sight.follow(views, torch.tensor(state))
+        seen.append(views[0].tolist())
+    assert seen == [[7, 7, 7, 4], [7, 7, 4, 5], [7, 4, 5, 5], [4, 5, 5, 9], [5, 5, 9, 9]]
+    assert views[1].tolist() == [18, 19, 16, 12]
+
+
+def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states(world):
+    steps = rollout(world, SequentialViews)
+    assert steps["next", "done"].sum() > AGENTS
+    for agent in steps:
+        history = None
+        for step in agent:
+            # `history` is None where an episode begins.
+            history = history or [step["state"].item()] * 4
+            assert step["views"].tolist() == history
+            history = [*history[1:], step["next", "state"].item()]
+            assert step["next", "views"].tolist() == history
+            if step["next", "done"]:
+                history = None
+
+
+def test_sequential_goal_views_are_the_goals_view_four_times(world):
+    steps = rollout(world, SequentialViews)
+    for part in (steps, steps["next"]):
+        assert torch.equal(part["goal_views"], torch.stack([part["goal"]] * 4, -1))
+
+
+@BOTH
+def test_views_made_by_a_replay_buffer_are_those_recorded_in_the_env(world, kind):
+    steps = rollout(world, kind)
+    assert steps["next", "done"][:, :-1].any()
+    stored = steps.select("state", "goal", ("next", "done"))
+    stored["recorded"], stored["recorded_goal"] = steps["views"], steps["goal_views"]
+    buffer = ReplayBuffer(storage=LazyTensorStorage(AGENTS), transform=kind(world), batch_size=40)
+    buffer.extend(stored)
+    sample = buffer.sample()
+    assert sample["views"].shape == (40, STEPS, 4)
+    assert torch.equal(sample["views"], sample["recorded"])
+    assert torch.equal(sample["goal_views"], sample["recorded_goal"])
+
+
+@BOTH
+def test_what_begins_an_episode_is_what_is_recorded_at_its_begin(world, kind):
+    env = TransformedEnv(NavigationEnv(world, AGENTS), kind(world))
+    agents, sight = env.reset(), kind(world)
+    assert torch.equal(agents["views"], sight.begin(agents["state"]))
+    assert torch.equal(agents["goal_views"], sight.begin(agents["goal"]))
+
+
+@BOTH
+def test_views_are_declared_as_states_of_the_world(world, kind):
+    spec = TransformedEnv(NavigationEnv(world, AGENTS), kind(world)).observation_spec
+    for key in ("views", "goal_views"):
+        assert spec[key].shape == (AGENTS, 4)
+        assert spec[key].n == len(world) == 40
+        assert spec[key].dtype == torch.int64
