@@ -30,17 +30,20 @@ def main(composed: DictConfig) -> None:
         if options.out is not None and Path(options.out).exists():
             raise RunError(f"out={options.out}: there is such a file already; it is not overwritten")
         saved = load_checkpoint(options.checkpoint)
-        config = parse_config(saved["config"], origin=options.checkpoint)
-        config.goals = options.goals if options.goals is not None else config.goals
-        config.source.root = options.root or config.source.root
-        config.stop.evaluation, config.stop.threshold, config.stop.match = (
-            options.stop,
-            options.threshold,
-            options.match,
-        )
-        config.evaluation.starts, config.evaluation.max_steps = options.starts, options.max_steps
-        config.evaluation.episodes_per_goal = options.episodes_per_goal
-        parts = build_parts(config)
+        changes = {
+            "goals": options.goals,
+            "source.root": options.root,
+            "device": options.device,
+            "seed": options.seed,
+            "stop.evaluation": options.stop,
+            "stop.threshold": options.threshold,
+            "stop.match": options.match,
+            "evaluation.starts": options.starts,
+            "evaluation.episodes_per_goal": options.episodes_per_goal,
+            "evaluation.max_steps": options.max_steps,
+        }
+        changes = {name: value for name, value in changes.items() if value is not None}
+        parts = build_parts(parse_config(saved["config"], origin=options.checkpoint, changes=changes))
         extractor = parts.world.scenes[0].extractor
         if extractor != saved["extractor"]:
             raise RunError(

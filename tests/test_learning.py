@@ -34,8 +34,8 @@ def test_imitation_alone_learns_what_the_expert_shows(tmp_path):
 
 @pytest.mark.parametrize("objective", ["a2c", "ppo"])
 def test_reinforcement_alone_finds_every_goal(tmp_path, objective):
-    options = ["imitation.share=0", "optimiser.lr=3e-3", f"objective={objective}"]
-    sizes = ["reinforcement.frames_per_scene=20_000", "reinforcement.agents_per_scene=20"]
+    options = ["imitation.share=0", "optimiser.lr=2e-3", f"objective={objective}"]
+    sizes = ["reinforcement.frames_per_scene=30_000", "reinforcement.agents_per_scene=30"]
     before, after = learn(tmp_path, *options, *sizes)
     assert before["sr"] < 0.5
     assert after["sr"] == 1

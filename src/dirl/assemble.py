@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, RewardScaling, StepCounter, TransformedEnv
 
-from dirl.config import Optimiser, Starts, Stop, TrainConfig
+from dirl.config import ConfigError, Device, Optimiser, Starts, Stop, TrainConfig
 from dirl.envs import OBSERVATIONS, NavigationEnv, Reward, SurroundingViews
 from dirl.evaluation import (
     Episodes,
@@ -50,8 +50,10 @@ def build_parts(config: TrainConfig) -> Parts:
 
     Raises:
         SceneError: a scene or goal that does not exist or cannot be used.
-        ValueError: an option that no part accepts.
+        ValueError: an option that no part accepts, or a device that is not there.
     """
+    if config.device == Device.cuda and not torch.cuda.is_available():
+        raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
     scenes = load_scenes(config.scene or [], source=config.source.name, root=config.source.root)
     world = make_world(scenes, config.goals).to(config.device)
     sight = OBSERVATIONS[config.observation](world).to(world.device)

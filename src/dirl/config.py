@@ -171,13 +171,14 @@ class EvaluateConfig:
     checkpoint: str | None = None
     goals: Any = None
     root: str | None = None
-    seed: int = MISSING
-    stop: Stop = MISSING
-    threshold: float = MISSING
-    match: Match = MISSING
-    starts: Starts = MISSING
-    episodes_per_goal: int = MISSING
-    max_steps: int = MISSING
+    device: Device | None = None
+    seed: int | None = None
+    stop: Stop | None = None
+    threshold: float | None = None
+    match: Match | None = None
+    starts: Starts | None = None
+    episodes_per_goal: int | None = None
+    max_steps: int | None = None
     out: str | None = None
 
 
@@ -240,17 +241,21 @@ def typed(config: DictConfig) -> Any:
     return made
 
 
-def parse_config(text: str, origin: str) -> TrainConfig:
+def parse_config(text: str, origin: str, changes: Mapping[str, Any] | None = None) -> TrainConfig:
     """A configuration that a run saved.
 
     Args:
         text: YAML.
         origin: where it stood, for the error.
+        changes: values to replace in it, by dotted name.
 
     Raises:
-        ConfigError: it is not one of this version.
+        ConfigError: it is not one of this version, or cannot be changed so.
     """
     try:
-        return typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), OmegaConf.create(text)))  # type: ignore[arg-type]
+        config = OmegaConf.merge(OmegaConf.structured(TrainConfig), OmegaConf.create(text))
+        for name, value in (changes or {}).items():
+            OmegaConf.update(config, name, value)
+        return typed(config)  # type: ignore[arg-type]
     except (OmegaConfBaseException, YAMLError, ConfigError) as error:
         raise ConfigError(f"{origin}: holds no configuration of this version of dirl: {error}") from None

@@ -210,7 +210,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     if not file.is_file():
         raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
     try:
-        state = torch.load(file, weights_only=True)
+        state = torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for a damaged file
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise RunError(f"{file}: is damaged or no checkpoint ({reason}); delete it to use the one before it") from None
