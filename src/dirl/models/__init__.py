@@ -3,17 +3,22 @@
 from dirl.models.features import FeatureTable, feature_statistics
 from dirl.models.matching import TemplateStop, ncc, stop_errors
 from dirl.models.network import Network, actor_critic, count_parameters, make_network
+from dirl.models.resnet import ResNet50, encode, load_backbone, preprocess
 from dirl.models.siamese import SiameseEncoder
 
 __all__ = [
     "FeatureTable",
     "Network",
+    "ResNet50",
     "SiameseEncoder",
     "TemplateStop",
     "actor_critic",
     "count_parameters",
+    "encode",
     "feature_statistics",
+    "load_backbone",
     "make_network",
     "ncc",
+    "preprocess",
     "stop_errors",
 ]
