@@ -58,11 +58,14 @@ def check_overrides(schema: type, arguments: Sequence[str]) -> None:
         name = override.key_or_group
         if name in known or name.split("/")[0].split(".")[0] == "hydra":
             continue
-        parts = {known_name: known_name.split(".")[-1] for known_name in known}
-        near = [n for n in known if parts[n] == name.split(".")[-1]] or difflib.get_close_matches(name, known, n=3)
-        level = name.rpartition(".")[0]
-        inside = [n for n in known if n.rpartition(".")[0] == (level if level in known else "")]
-        hint = f"did you mean {' or '.join(near)}?" if near else f"choose from {', '.join(inside)}"
+        level, _, last = name.rpartition(".")
+        inside = {
+            known_name.split(".")[-1]: known_name for known_name in known if known_name.rpartition(".")[0] == level
+        }
+        near = [known_name for known_name in known if known_name.split(".")[-1] == last]
+        near = near or [inside[match] for match in difflib.get_close_matches(last, inside, n=3)]
+        choices = ", ".join(inside.values() or (option for option in known if "." not in option))
+        hint = f"did you mean {' or '.join(near)}?" if near else f"choose from {choices}"
         raise ConfigError(f"there is no option '{name}'; {hint}")
 
 
