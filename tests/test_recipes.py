@@ -67,7 +67,10 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     ids=["il", "td_drl with ppo", "paper", "shared heads, wandb"],
 )
 def test_train_with_other_systems_and_presets(tmp_path, options, monkeypatch):
-    monkeypatch.setenv("WANDB_MODE", "offline")
+    # Nobody is logged in, so that Weights & Biases must go offline by itself.
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("WANDB_MODE", "WANDB_API_KEY"):
+        monkeypatch.delenv(name, raising=False)
     status, _, errors = run_recipe(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *options)
     assert status == 0, errors
     summary = read_summary(only_run(tmp_path))

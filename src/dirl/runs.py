@@ -27,6 +27,12 @@ WINDOW = 100
 STABLE_ATL = 20.0
 """A policy is called stable while the current ATL of every goal is at or under this."""
 
+VIEW_ORDER = {
+    "surrounding": ["ahead", "right", "back", "left"],
+    "sequential": ["three steps ago", "two steps ago", "one step ago", "now"],
+}
+"""What the four views of a network's input are, by ``config.observation``; every checkpoint says it."""
+
 
 class RunError(ValueError):
     """A run folder or checkpoint that cannot be used."""
@@ -62,6 +68,7 @@ class Run:
         self.logger = make_logger(self.config.logger, self.folder)
         text = OmegaConf.to_yaml(OmegaConf.structured(self.config))
         self._facts = {"config": text, "scenes": list(world.names), "extractor": world.scenes[0].extractor}
+        self._facts["views"] = VIEW_ORDER[self.config.observation]
         (self.folder / "config.yaml").write_text(text)
         sizes = self.saved["tables"] if self.saved else {}
         for file in self.folder.glob("*.csv"):
@@ -150,7 +157,7 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
 
 
 def make_logger(options: LoggerConfig, folder: Path) -> Logger | None:
-    """TorchRL's logger of that name, or None for ``csv``. Weights & Biases is offline where no API key is set.
+    """TorchRL's logger of that name, or None for ``csv``. Weights & Biases is offline where nobody is logged in.
 
     Raises:
         ConfigError: the package it needs is not installed.
@@ -162,8 +169,13 @@ def make_logger(options: LoggerConfig, folder: Path) -> Logger | None:
             return get_logger("tensorboard", str(folder), "tensorboard")
         import wandb
 
-        online = os.environ.get("WANDB_API_KEY") or wandb.api.api_key  # the latter looks into ~/.netrc
-        kwargs = {"project": options.project, "id": f"{folder.parent.name}-{folder.name}", "offline": not online}
+        kwargs = {"project": options.project, "id": f"{folder.parent.name}-{folder.name}"}
+        if "WANDB_MODE" not in os.environ:
+            try:
+                known = wandb.login(prompt=False)
+            except wandb.errors.Error:  # there is a key, but the service is away or refuses it
+                known = False
+            kwargs["mode"] = "online" if known else "offline"
         return get_logger("wandb", str(folder), folder.name, wandb_kwargs=kwargs)
     except ImportError as error:
         hint = f"pip install 'dirl[{options.name}]'"
