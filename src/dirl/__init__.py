@@ -1,1 +1,22 @@
 """Target-driven visual navigation by deep imitation reinforcement learning."""
+
+from typing import Any
+
+import gymnasium
+
+# Entry points are strings, so that `import dirl` stays light.
+gymnasium.register(
+    id="dirl/Navigation-v0",
+    entry_point="dirl.envs.gym:NavigationGym",
+    vector_entry_point="dirl.envs.gym:NavigationVector",
+    max_episode_steps=200,
+)
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when asked for, so that `import dirl` stays light.
+    if name == "Navigator":
+        from dirl.navigator import Navigator
+
+        return Navigator
+    raise AttributeError(f"module 'dirl' has no attribute '{name}'")
