@@ -3,6 +3,7 @@
     python recipes/evaluate.py checkpoint=runs/dirl_bathroom_02/2026-01-31_12-00-00
     python recipes/evaluate.py checkpoint=... starts=sampled episodes_per_goal=500 max_steps=500
     python recipes/evaluate.py checkpoint=... goals=[51] stop=goal
+    python recipes/evaluate.py checkpoint=... viewer=true              # a web page to step through episodes
 
 All options with their values: conf/evaluate.yaml.
 """
@@ -13,10 +14,11 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from dirl.assemble import assess, build_parts, describe
+from dirl.assemble import Parts, assess, build_parts, describe
 from dirl.commandline import check_overrides, one_line_errors, register
 from dirl.config import EvaluateConfig, parse_config, typed
-from dirl.reporting import summary_table
+from dirl.models import TemplateStop
+from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs import RunError, load_checkpoint, write_json
 
 
@@ -51,6 +53,7 @@ def main(composed: DictConfig) -> None:
                 f"'{extractor}', not '{saved['extractor']}'"
             )
         parts.network.load_state_dict(saved["network"])
+        pages = viewer(parts) if options.viewer else {}
     result = {
         "checkpoint": options.checkpoint,
         "frames": saved["frames"],
@@ -60,6 +63,31 @@ def main(composed: DictConfig) -> None:
     print(summary_table(result))
     if options.out is not None:
         write_json(Path(options.out), result)
+    for name, page in pages.items():
+        file = run_folder(options.checkpoint) / name
+        replaced = " (in place of the one before)" if file.exists() else ""
+        file.write_text(page, encoding="utf-8")
+        print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+
+
+def viewer(parts: Parts) -> dict[str, str]:
+    """The pages of the policy's greedy episodes, by file name, under the conditions of the evaluation."""
+    return viewer_pages(
+        parts.network,
+        parts.world,
+        parts.sight,
+        matching=TemplateStop(parts.config.stop.threshold, parts.config.stop.match),
+        stop=parts.stop,
+        max_steps=parts.config.evaluation.max_steps,
+        title=run_title(describe(parts)),
+    )
+
+
+def run_folder(checkpoint: str) -> Path:
+    """The folder of the run that a checkpoint is of; those of an unfinished run lie one folder deeper."""
+    path = Path(checkpoint)
+    folder = path if path.is_dir() else path.parent
+    return folder.parent if folder.name == "checkpoints" else folder
 
 
 if __name__ == "__main__":

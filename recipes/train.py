@@ -39,10 +39,17 @@ from dirl.assemble import (
 from dirl.collection import collect
 from dirl.commandline import check_overrides, one_line_errors, register
 from dirl.config import ObjectiveConfig, TrainConfig, typed
-from dirl.evaluation import metrics
-from dirl.models import actor_critic
+from dirl.evaluation import action_values, metrics
+from dirl.models import TemplateStop, actor_critic
 from dirl.objectives import ImitationLoss, bootstrap, clip_each, make_advantages, make_loss
-from dirl.reporting import draw_learning_curve, draw_trajectories, run_title, summary_table
+from dirl.reporting import (
+    draw_learning_curve,
+    draw_policy,
+    draw_trajectories,
+    run_title,
+    summary_table,
+    write_gif,
+)
 from dirl.runs import EpisodeMeter, Run, interruptible, open_run
 
 ROWS = 200
@@ -218,7 +225,7 @@ def conclude(parts: Parts, run: Run, trained: dict[str, Any]) -> None:
 
 
 def draw_scene(parts: Parts, index: int, folder: Path, count: int = 5) -> None:
-    """Some greedy episodes to the first goal of a scene, on its map: the farthest start, and nearer ones."""
+    """Pictures of a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy."""
     world, scene = parts.world, parts.world.scenes[index]
     goal_index = int(torch.nonzero(world.scene_of[world.goals] == index)[0])
     distances = world.distances[goal_index]
@@ -227,13 +234,23 @@ def draw_scene(parts: Parts, index: int, folder: Path, count: int = 5) -> None:
     episodes, paths = run_trajectories(parts, (torch.full_like(starts, goal_index), starts))
     goal = int(world.goals[goal_index]) - world.offsets[index]
     facts = describe(parts) | {"scene": scene.name, "source": scene.source}
-    draw_trajectories(
+    title = f"{run_title(facts)}, goal {goal}"
+    walked = [[state - world.offsets[index] for state in path] for path in paths]
+    success = episodes.success.tolist()
+    draw_trajectories(scene, goal, walked, folder / f"trajectories_{scene.name}.png", success=success, title=title)
+    write_gif(scene, goal, walked[0], folder / f"episode_{scene.name}.gif", title=title, success=success[0])
+    matching = TemplateStop(parts.config.stop.threshold, parts.config.stop.match)
+    probabilities, value = action_values(parts.network, world, parts.sight, goal_index)
+    scores = matching.scores(world)[goal_index, world.scene_of == index]
+    draw_policy(
         scene,
         goal,
-        [[state - world.offsets[index] for state in path] for path in paths],
-        folder / f"trajectories_{scene.name}.png",
-        success=episodes.success.tolist(),
-        title=f"{run_title(facts)}, goal {goal}",
+        probabilities.cpu(),
+        value.cpu(),
+        scores.cpu(),
+        folder / f"maps_{scene.name}.png",
+        title=title,
+        threshold=matching.threshold,
     )
 
 

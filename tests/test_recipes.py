@@ -34,6 +34,7 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     assert "| greedy " in printed
     run = only_run(tmp_path)
     names = {"config.yaml", "summary.json", "network.pt", "learning_curve.png", "trajectories_grid.png"}
+    names |= {"maps_grid.png", "episode_grid.gif"}
     assert {entry.name for entry in run.iterdir()} == names | {f"{stage}.csv" for stage in STAGES}
     for picture in run.glob("*.png"):
         with Image.open(picture) as image:

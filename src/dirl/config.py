@@ -180,6 +180,7 @@ class EvaluateConfig:
     episodes_per_goal: int | None = None
     max_steps: int | None = None
     out: str | None = None
+    viewer: bool = False
 
 
 @dataclass

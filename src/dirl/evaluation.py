@@ -174,6 +174,29 @@ def trajectories(
     return evaluate(network, world, starts, watch=watch, **options), paths
 
 
+@torch.no_grad()
+def action_values(network: Network, world: World, sight: SurroundingViews, goal_index: int) -> tuple[Tensor, Tensor]:
+    """What a network makes of every state of a goal's scene: probabilities ``[N, 4]`` and state value ``[N]``.
+
+    Views that hold a history are those at the start of an episode.
+
+    Args:
+        network: whose policy and value.
+        world: where.
+        sight: what the network sees.
+        goal_index: the goal, by its place in ``world.goals``.
+
+    Returns:
+        float32, for the N states of that scene in their order.
+    """
+    goal = world.goals[goal_index]
+    state = torch.nonzero(world.scene_of == world.scene_of[goal]).squeeze(-1)
+    goal_views = sight.begin(goal).expand(len(state), -1)
+    with network.encoder.projecting():
+        logits, value = network(sight.begin(state), goal_views, world.scene_of[state])
+    return logits.softmax(-1), value.squeeze(-1)
+
+
 def metrics(episodes: Episodes) -> dict[str, float]:
     """The measures of the paper's section 4.3, over all episodes unless said otherwise.
 

@@ -1,7 +1,20 @@
 """What a run turns into for a reader: tables, learning curves, pictures of the paths walked."""
 
-from dirl.reporting.curves import draw_learning_curve
+from dirl.reporting.animation import write_gif
+from dirl.reporting.curves import draw_learning_curve, draw_learning_curves
+from dirl.reporting.maps import draw_policy
 from dirl.reporting.tables import result_table, run_title, summary_table
 from dirl.reporting.trajectories import draw_trajectories
+from dirl.reporting.viewer import viewer_pages
 
-__all__ = ["draw_learning_curve", "draw_trajectories", "result_table", "run_title", "summary_table"]
+__all__ = [
+    "draw_learning_curve",
+    "draw_learning_curves",
+    "draw_policy",
+    "draw_trajectories",
+    "result_table",
+    "run_title",
+    "summary_table",
+    "viewer_pages",
+    "write_gif",
+]

@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,64 @@ def draw_learning_curve(folder: Path, file: Path) -> None:
         axes.spines[["top", "right"]].set_visible(False)
     figure.align_ylabels()
     FigureCanvasAgg(figure).print_figure(file, dpi=120)
+
+
+def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> None:
+    """Draw runs in groups, e.g. the seeds of each setting: training ATL and greedy SPL over frames, as a PNG.
+
+    A line is the mean over a group's runs, the band around it reaches from the lowest run to the highest. Runs are
+    compared at common frames, by linear interpolation, as far as the shortest of the group goes.
+
+    Args:
+        groups: the run folders of each group by its label, at least one each.
+        file: the image to write.
+
+    Raises:
+        ValueError: there is no group, or one without runs.
+        FileNotFoundError: a folder lacks ``reinforcement.csv`` or ``evaluation.csv``.
+    """
+    empty = [label for label, folders in groups.items() if not folders]
+    if not groups or empty:
+        raise ValueError(f"group '{empty[0]}' has no runs" if empty else "there are no groups of runs to draw")
+    figure = Figure(figsize=(8.5, 5.5), layout="constrained")
+    panels = figure.subplots(2, sharex=True)
+    for axes, table, column in zip(panels, ("reinforcement", "evaluation"), ("atl", "spl"), strict=True):
+        for number, (label, folders) in enumerate(groups.items()):
+            runs = []
+            for folder in folders:
+                if not (folder / f"{table}.csv").is_file():
+                    raise FileNotFoundError(f"{folder}: there is no {table}.csv; name folders of trained runs")
+                rows = _columns(folder / f"{table}.csv", "frames", column)
+                known = np.isfinite(rows[column])
+                runs.append((rows["frames"][known], rows[column][known]))
+            frames, values = common_frames(runs)
+            color = (BLUE, VERMILION, GREEN, PURPLE, SKY)[number % 5]
+            plural = "" if len(folders) == 1 else "s"
+            axes.fill_between(frames, values.min(0), values.max(0), color=color, alpha=0.2, linewidth=0)
+            axes.plot(frames, values.mean(0), color=color, linewidth=1.5, label=f"{label}, {len(folders)} run{plural}")
+        axes.grid(color="0.9")
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    upper, lower = panels
+    upper.set(yscale="log", ylabel=f"training ATL (steps),\nlast {WINDOW} episodes of a goal")
+    upper.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    upper.yaxis.set_minor_locator(NullLocator())
+    upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    upper.legend(loc="upper right", frameon=False, title="mean, lowest to highest run")
+    lower.set(ylabel="SPL, greedy evaluation", ylim=(-0.03, 1.03), xlabel="frames")
+    lower.xaxis.set_major_formatter(EngFormatter())
+    figure.align_ylabels()
+    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+
+
+def common_frames(runs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Frames ``[F]`` within every run, and each run's values there ``[R, F]``; runs are frames and values ``[K]``."""
+    if any(len(frames) == 0 for frames, _ in runs):
+        return np.empty(0), np.empty((len(runs), 0))
+    first, last = max(frames[0] for frames, _ in runs), min(frames[-1] for frames, _ in runs)
+    frames = np.unique(np.concatenate([frames for frames, _ in runs]))
+    frames = frames[(frames >= first) & (frames <= last)]
+    return frames, np.stack([np.interp(frames, *run) for run in runs])
 
 
 def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping[str, Any]) -> None:

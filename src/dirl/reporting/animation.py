@@ -1,0 +1,144 @@
+"""An episode as an animated picture: what the agent sees, what it looks for, and where it has been."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from dirl.reporting.trajectories import (
+    COLORS,
+    GOAL_COLOR,
+    WALL_COLOR,
+    heading_directions,
+    path_actions,
+    step_length,
+)
+from dirl.scenes import Scene
+
+MAX_FRAMES = 60
+"""Of a longer episode the first steps are shown, and the last."""
+
+FRAME_MS, HOLD_MS = 400, 2500
+"""How long a step is shown, and the last one; milliseconds."""
+
+MAP_SIZE, VIEW_WIDTH, GAP, LINE = 300, 190, 12, 20
+"""Pixels: longer side of the map, width of a view, space between them, height of a line of text."""
+
+SMOOTH = 3
+"""The map is drawn this many times larger and scaled down: PIL draws jagged lines."""
+
+FloatArray = NDArray[np.floating]
+
+
+def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title: str, success: bool) -> None:
+    """Write an episode as an animated GIF, one frame a state: current view, the goal's view, map with the way so far.
+
+    Args:
+        scene: where it was walked; without views only the map is shown.
+        goal: a state of the scene.
+        path: the states from the start to the end. One that follows itself is a blocked move.
+        file: the image to write.
+        title: of the animation.
+        success: whether it ended in a stop at the goal.
+
+    Raises:
+        ValueError: the path is empty or makes a step that the scene's graph does not allow, or the goal is no state
+            that can be reached.
+    """
+    scene.check_goal(goal)
+    steps = len(path) - 1
+    actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
+    shown = [*range(min(steps, MAX_FRAMES - 1)), steps]
+    room = _Map(scene, goal)
+    frames = [_frame(scene, goal, path, step, actions[step], room, title) for step in shown]
+    # One palette for all frames, and no dithering: whatever does not change then costs nothing.
+    sample = Image.new("RGB", (frames[0].width, 4 * frames[0].height))
+    for row, which in enumerate((0, len(frames) // 2, len(frames) - 1)):
+        sample.paste(frames[which], (0, row * frames[0].height))
+    # The views' many colours would else crowd out the few pixels of the markers'.
+    for place, color in enumerate((*COLORS, GOAL_COLOR)):
+        sample.paste(color, (40 * place, 3 * frames[0].height, 40 * (place + 1), 4 * frames[0].height))
+    palette = sample.quantize(128, method=Image.Quantize.MEDIANCUT)
+    first, *rest = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    durations = [FRAME_MS] * (len(frames) - 1) + [HOLD_MS]
+    first.save(file, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
+
+
+class _Map:
+    """The map of a room in pixels: drawn once without a path, and copied for each frame."""
+
+    def __init__(self, scene: Scene, goal: int) -> None:
+        side = step_length(scene)
+        low = scene.positions.min(0) - 0.75 * side
+        spans = scene.positions.max(0) + 0.75 * side - low
+        self.scale = SMOOTH * MAP_SIZE / spans.max()
+        self.side = side * self.scale
+        self.size = (int(np.ceil(spans[0] * self.scale)), int(np.ceil(spans[1] * self.scale)))
+        across, up = (scene.positions - low).T * self.scale
+        self.at = np.stack([across, self.size[1] - up], 1)  # rows of an image count downwards
+        self.ahead = np.nan_to_num(heading_directions(scene)) * (1, -1)
+        self.room = Image.new("RGB", self.size, WALL_COLOR)
+        draw = ImageDraw.Draw(self.room)
+        for x, y in np.unique(self.at.round(2), axis=0):
+            half = self.side / 2
+            draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#E5E5E5", width=SMOOTH)
+        self._pointer(draw, goal, 0.44, GOAL_COLOR)
+
+    def draw(self, path: Sequence[int], color: str) -> Image.Image:
+        """The map with a path up to its last state, where the agent stands."""
+        picture = self.room.copy()
+        draw = ImageDraw.Draw(picture)
+        width = max(SMOOTH, int(0.16 * self.side))
+        points = [tuple(self.at[state]) for state in path]
+        if len(points) > 1:
+            draw.line(points, fill=COLORS[4], width=width, joint="curve")
+        for x, y in points[:1]:
+            draw.ellipse((x - width, y - width, x + width, y + width), fill=COLORS[4])
+        self._pointer(draw, path[-1], 0.34, color)
+        return picture.resize((self.size[0] // SMOOTH, self.size[1] // SMOOTH), Image.Resampling.LANCZOS)
+
+    def _pointer(self, draw: ImageDraw.ImageDraw, state: int, size: float, color: str) -> None:
+        """A dart that points along the heading, ``size`` cells in radius."""
+        ahead = self.ahead[state]
+        beside = np.array([-ahead[1], ahead[0]])
+        reach = size * self.side
+        corners = [ahead, -0.8 * ahead + 0.75 * beside, -0.4 * ahead, -0.8 * ahead - 0.75 * beside]
+        points = [tuple(self.at[state] + reach * corner) for corner in corners]
+        draw.polygon(points, fill=color, outline="black", width=SMOOTH)
+
+
+def _frame(scene: Scene, goal: int, path: Sequence[int], step: int, action: str, room: _Map, title: str) -> Image.Image:
+    ended = step == len(path) - 1
+    arrived = COLORS[2] if action == "goal reached" else COLORS[1]
+    color = arrived if ended else COLORS[0]
+    picture = room.draw(path[: step + 1], color)
+    height = picture.height
+    views: list[tuple[str, Image.Image]] = []
+    if scene.views is not None:
+        for name, state in (("what it sees", path[step]), ("the goal's view", goal)):
+            view = Image.fromarray(scene.views[state])
+            size = (VIEW_WIDTH, round(VIEW_WIDTH * view.height / view.width))
+            views.append((name, view.resize(size, Image.Resampling.LANCZOS)))
+        height = max(height, sum(view.height + LINE for _, view in views) + GAP)
+    caption = f"step {step} of {len(path) - 1}: {action}"
+    big, small = ImageFont.load_default(14), ImageFont.load_default(13)
+    left = picture.width + 2 * GAP
+    width = max(
+        left + (VIEW_WIDTH + GAP if views else 0), *(int(big.getlength(text)) + 2 * GAP for text in (title, caption))
+    )
+    frame = Image.new("RGB", (width, height + 2 * LINE + 3 * GAP), "white")
+    draw = ImageDraw.Draw(frame)
+    draw.text((GAP, GAP), title, fill="black", font=big)
+    draw.text((GAP, GAP + LINE), caption, fill=color if ended else "#444444", font=small)
+    top = 2 * GAP + 2 * LINE
+    frame.paste(picture, (GAP, top))
+    for name, view in views:
+        draw.text((left, top), name, fill="#444444", font=small)
+        frame.paste(view, (left, top + LINE))
+        if ended and name == "what it sees":
+            box = (left, top + LINE, left + view.width - 1, top + LINE + view.height - 1)
+            draw.rectangle(box, outline=color, width=3)
+        top += LINE + view.height + GAP
+    return frame

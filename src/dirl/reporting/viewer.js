@@ -1,0 +1,227 @@
+"use strict";
+const D = JSON.parse(document.getElementById("data").textContent);
+const byId = (id) => document.getElementById(id);
+const LOOKS = [[3, "left"], [0, "ahead"], [1, "right"], [2, "behind"]];  // columns of `surrounding`, as they are laid out
+const NAMES = { ahead: "↑ ahead", right: "→ turn right", left: "← turn left", back: "↓ back" };
+const floats = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+const goals = D.goals.map((g) => ({ ...g, logits: floats(g.logits), values: floats(g.values),
+  scores: floats(g.scores), stops: new Set(g.stops) }));
+
+// An episode: its states, who took each action ("policy" or "hand"), and the step that is shown.
+let goal = goals[0], path = [], by = [], blocked = [], at = 0, timer = null;
+
+// The same as dirl.evaluation: the first of the most probable actions; stop only after a step.
+function chosenAction(state) {
+  let best = 0;
+  for (let a = 1; a < 4; a++) if (goal.logits[4 * state + a] > goal.logits[4 * state + best]) best = a;
+  return best;
+}
+function probabilities(state) {
+  const logits = goal.logits.subarray(4 * state, 4 * state + 4), top = Math.max(...logits);
+  const weights = Array.from(logits, (x) => Math.exp(x - top)), sum = weights.reduce((a, b) => a + b);
+  return weights.map((w) => w / sum);
+}
+const stopped = (step) => step > 0 && goal.stops.has(path[step]);
+const ended = (step) => stopped(step) || step >= D.max_steps;
+
+function take(action, who) {
+  const next = D.graph[path[at]][action];
+  path.length = by.length = blocked.length = at + 1;
+  path.push(next < 0 ? path[at] : next);
+  by.push(who);
+  blocked.push(next < 0);
+  at++;
+}
+function forward() {  // along what has been walked already, then on as the policy says
+  if (at < path.length - 1) at++;
+  else if (!ended(at)) take(chosenAction(path[at]), "policy");
+}
+const canGoOn = () => at < path.length - 1 || !ended(at);
+function toTheEnd() { while (canGoOn()) forward(); }
+function begin(state) {
+  pause();
+  path = [state]; by = [null]; blocked = [false]; at = 0;
+  byId("start").value = state;
+  show();
+}
+function walk(action) { pause(); take(action, "hand"); show(); }
+function pause() { clearInterval(timer); timer = null; }
+function play() {
+  if (timer !== null) { pause(); return show(); }
+  if (!canGoOn()) at = 0;
+  timer = setInterval(() => { forward(); if (!canGoOn()) pause(); show(); }, 1000 / Number(byId("speed").value));
+  show();
+}
+function farthest() { return goal.distances.indexOf(Math.max(...goal.distances)); }
+function randomStart() {
+  const starts = goal.distances.flatMap((d, state) => (d > 0 ? [state] : []));
+  return starts[Math.floor(Math.random() * starts.length)];
+}
+
+const plural = (n, word) => `${n} ${word}${n === 1 ? "" : "s"}`;
+function outcome() {
+  const state = path[at], here = state === goal.state, shortest = goal.distances[path[0]];
+  const hand = by.slice(1, at + 1).filter((who) => who === "hand").length;
+  const length = plural(at, "step") + (hand ? `, ${hand} by hand` : "");
+  const least = shortest < 0 ? "" : ` (shortest path: ${shortest})`;
+  if (stopped(at) && here) return ["good", `Stopped at the goal after ${length}${least}`];
+  if (stopped(at)) return ["bad", `False stop after ${length}: this is not the goal`];
+  if (at >= D.max_steps) return ["bad", `Failed: not at the goal after ${length}`];
+  if (here && at > 0) return ["bad", `Missed: at the goal after ${length}, but not recognised`];
+  if (blocked[at]) return ["", `On the way: ${length}; the last move was blocked`];
+  return ["", at === 0 ? `At the start${least}` : `On the way: ${length}`];
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+function draw(parent, name, attributes) {
+  const node = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+  return parent.appendChild(node);
+}
+const unit = 60 / D.side;  // a place is 60 units wide
+const point = (state) => [unit * D.positions[state][0], -unit * D.positions[state][1]];
+const beside = (state, length, turn = 0) => {  // a point in the direction of the heading, turned by radians
+  const [x, y] = point(state), [dx, dy] = [D.directions[state][0], -D.directions[state][1]];
+  return [x + length * (dx * Math.cos(turn) - dy * Math.sin(turn)), y + length * (dx * Math.sin(turn) + dy * Math.cos(turn))];
+};
+const join = (points) => points.map((p) => p.map((v) => v.toFixed(1)).join(",")).join(" ");
+let overlay;
+function drawRoom() {
+  const all = D.positions.map((_, state) => point(state)), xs = all.map((p) => p[0]), ys = all.map((p) => p[1]);
+  const left = Math.min(...xs) - 50, top = Math.min(...ys) - 50;
+  const box = [left, top, Math.max(...xs) + 50 - left, Math.max(...ys) + 50 - top];
+  const map = draw(byId("map"), "svg", { viewBox: box.join(" "), role: "img", "aria-label": "map of the room" });
+  const seen = new Set();
+  all.forEach(([x, y], state) => {
+    const key = join([[x, y]]);
+    if (seen.has(key)) return;
+    seen.add(key);
+    const cell = draw(map, "rect", { class: "cell", x: x - 30, y: y - 30, width: 60, height: 60 });
+    cell.dataset.state = state;
+    cell.addEventListener("click", () => begin(state));
+  });
+  overlay = draw(map, "g", { class: "overlay" });
+}
+function drawEpisode() {
+  overlay.replaceChildren();
+  for (const over of ["", "over"]) {
+    const [x1, y1] = point(goal.state), [x2, y2] = beside(goal.state, 38);
+    draw(overlay, "line", { class: `toward ${over}`, x1, y1, x2, y2 });
+  }
+  const star = Array.from({ length: 10 }, (_, i) => beside(goal.state, i % 2 ? 11 : 25, (i * Math.PI) / 5));
+  draw(overlay, "polygon", { class: "goal", points: join(star) });
+  draw(overlay, "polyline", { class: "path later", points: join(path.map(point)) });
+  const passed = path.slice(0, at + 1);
+  draw(overlay, "polyline", { class: "path", points: join(passed.map(point)) });
+  for (const state of new Set(passed)) {
+    const heading = [beside(state, 13), beside(state, 9, 2.3), beside(state, 9, -2.3)];
+    draw(overlay, "polygon", { class: "tick", points: join(heading) });
+  }
+  const [cx, cy] = point(path[0]), state = path[at];
+  draw(overlay, "circle", { class: "start", cx, cy, r: 22 });
+  draw(overlay, "polygon", { class: "agent",
+    points: join([beside(state, 22), beside(state, 17, 2.5), beside(state, 8, Math.PI), beside(state, 17, -2.5)]) });
+}
+
+function makeViews(parent) {
+  return LOOKS.map(([column, name]) => {
+    const figure = parent.appendChild(document.createElement("figure"));
+    figure.className = name;
+    const image = figure.appendChild(document.createElement(D.views ? "img" : "div"));
+    figure.appendChild(document.createElement("figcaption")).textContent = name;
+    return (state) => {
+      if (!D.views) return;
+      image.src = `data:image/webp;base64,${D.views[D.surrounding[state][column]]}`;
+      image.alt = `view ${name}, of state ${state}`;
+    };
+  });
+}
+const agentViews = makeViews(byId("views")), goalViews = makeViews(byId("goal-views"));
+const rows = D.actions.map((name, action) => {
+  const row = byId("actions").appendChild(document.createElement("button"));
+  row.className = "act";
+  row.innerHTML = '<span></span><span class="bar"><i></i></span><span class="number"></span>';
+  row.children[0].textContent = NAMES[name];
+  row.addEventListener("click", () => walk(action));
+  return row;
+});
+const percent = (p) => `${(100 * p).toFixed(1)}%`;
+const onBar = (score) => `${100 * Math.min(1, Math.max(0, score))}%`;
+
+function show() {
+  const state = path[at], [kind, text] = outcome(), left = goal.distances[state];
+  byId("outcome").className = kind;
+  byId("outcome").textContent = text;
+  byId("where").textContent = `Step ${at} of at most ${D.max_steps} · state ${state} · `
+    + (left < 0 ? "the goal cannot be reached from here" : `${left} to go by the shortest path`);
+  document.body.dataset.state = state;
+  document.body.dataset.step = at;
+  byId("time").max = path.length - 1;
+  byId("time").value = at;
+  byId("play").textContent = timer === null ? "Play" : "Pause";
+  byId("back").disabled = at === 0;
+  byId("step").disabled = byId("end").disabled = !canGoOn();
+  const chosen = chosenAction(state);
+  probabilities(state).forEach((p, action) => {
+    rows[action].classList.toggle("chosen", action === chosen);
+    rows[action].querySelector("i").style.width = percent(p);
+    rows[action].children[2].textContent = percent(p);
+  });
+  const score = goal.scores[state];
+  byId("score").textContent = score.toFixed(3);
+  byId("score-bar").style.width = onBar(score);
+  byId("verdict").textContent = goal.stops.has(state) ? "stop" : "go on";
+  byId("value").textContent = `Value of this state: ${goal.values[state].toFixed(3)}`;
+  agentViews.forEach((draw) => draw(state));
+  drawEpisode();
+}
+function chooseGoal(index) {
+  goal = goals[index];
+  byId("goal-title").textContent = `The goal, state ${goal.state}`;
+  goalViews.forEach((draw) => draw(goal.state));
+  begin(farthest());
+}
+
+document.title = `dirl viewer: ${D.scene}`;
+byId("title").textContent = `Episodes in ${D.scene}`;
+byId("facts").textContent = `${D.title}. Greedy policy; ` + (D.stops_by === "match" ? "stopped by template matching."
+  : "stopped by the environment, exactly at the goal.");
+byId("match-title").textContent = `Matching with the goal (${D.match === "front" ? "the view ahead" : "all four views"}; `
+  + `threshold ${D.threshold}${D.stops_by === "match" ? "" : ", not used here"})`;
+byId("threshold").style.left = onBar(D.threshold);
+D.scenes.forEach(({ name, file }) => byId("scene").add(new Option(name, file, name === D.scene, name === D.scene)));
+goals.forEach((g, index) => byId("goal").add(new Option(`state ${g.state}`, index)));
+byId("start").max = D.graph.length - 1;
+byId("scene").addEventListener("change", (e) => { location.href = encodeURIComponent(e.target.value); });
+byId("goal").addEventListener("change", (e) => { chooseGoal(Number(e.target.value)); e.target.blur(); });
+byId("start").addEventListener("keydown", (e) => { if (e.key === "Enter") e.target.blur(); });
+byId("start").addEventListener("change", (e) => {
+  const wanted = Number(e.target.value);
+  begin(e.target.value !== "" && Number.isInteger(wanted) && wanted in D.graph ? wanted : path[0]);
+});
+byId("random").addEventListener("click", () => begin(randomStart()));
+byId("speed").addEventListener("change", () => { if (timer !== null) { pause(); play(); } byId("speed").blur(); });
+byId("time").addEventListener("pointerup", () => byId("time").blur());  // else the arrow keys would go on moving it
+byId("time").addEventListener("input", (e) => { pause(); at = Number(e.target.value); show(); });
+// What the buttons and keys of the same name do.
+const does = {
+  play,
+  back: () => { pause(); at = Math.max(0, at - 1); show(); },
+  step: () => { pause(); forward(); show(); },
+  end: () => { pause(); toTheEnd(); show(); },
+  restart: () => begin(path[0]),
+};
+for (const [id, act] of Object.entries(does)) byId(id).addEventListener("click", act);
+const walks = { arrowup: 0, w: 0, arrowright: 1, d: 1, arrowleft: 2, a: 2, arrowdown: 3, s: 3 };
+const keys = { " ": "play", n: "step", b: "back", e: "end", r: "restart" };
+document.addEventListener("keydown", (event) => {
+  const key = event.key.toLowerCase(), tag = event.target.tagName;
+  if (event.ctrlKey || event.altKey || event.metaKey || tag === "INPUT" || tag === "SELECT") return;
+  if (key === " " && tag === "BUTTON") return;  // the button's own
+  if (key in walks) walk(walks[key]);
+  else if (key in keys) does[keys[key]]();
+  else return;
+  event.preventDefault();
+});
+drawRoom();
+chooseGoal(0);

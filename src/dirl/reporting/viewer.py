@@ -1,0 +1,141 @@
+"""A policy's episodes as a web page: one self-contained HTML file for each scene, see docs/howto/viewer.md."""
+
+import base64
+import json
+from importlib.resources import files
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dirl.envs import SurroundingViews
+from dirl.evaluation import ASKED_AT_ONCE
+from dirl.models import Network, TemplateStop
+from dirl.reporting.trajectories import heading_directions, step_length
+from dirl.scenes import ACTIONS, Scene, World
+from dirl.scenes.views import encode
+
+
+def viewer_pages(
+    network: Network,
+    world: World,
+    sight: SurroundingViews,
+    *,
+    matching: TemplateStop,
+    stop: Tensor | None,
+    max_steps: int,
+    title: str,
+) -> dict[str, str]:
+    """Pages in which a person steps through greedy episodes and walks the scenes with the keyboard.
+
+    A scene is a finite graph, so that a page holds the answer of the policy for each pair of goal and state, and plays
+    any episode as `dirl.evaluation.run_episodes` would.
+
+    Args:
+        network: the policy, as it is now.
+        world: the scenes and goals to choose from.
+        sight: what the policy sees.
+        matching: what the shown matching scores and threshold are taken from.
+        stop: where an agent stops on its way to each goal, bool ``[G, N]``; at the goal itself if None.
+        max_steps: an episode that has not arrived by then has failed.
+        title: says whose episodes these are; the same for all scenes.
+
+    Returns:
+        The HTML text of each scene's page by its file name, ``viewer_<scene>.html``. The pages name each other, and
+        belong into one folder.
+
+    Raises:
+        ValueError: what the policy sees depends on more than where it is, so that it has no one answer for a state.
+    """
+    if sight.history:
+        raise ValueError(
+            "the viewer shows policies that see their surroundings; with observation=sequential the answer depends on "
+            "the states before, which no table of states can hold: leave out viewer=true"
+        )
+    logits, values = _answers(network, world, sight)
+    scores = matching.scores(world)
+    common = {
+        "title": title,
+        "actions": ACTIONS,
+        "max_steps": max_steps,
+        "stops_by": "goal" if stop is None else "match",
+        "threshold": matching.threshold,
+        "match": matching.match,
+        "scenes": [{"name": name, "file": file_name(name)} for name in world.names],
+    }
+    pages = {}
+    for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
+        states = slice(offset, offset + len(scene))
+        goals = []
+        for row in torch.nonzero(world.scene_of[world.goals] == index).flatten().tolist():
+            goal = int(world.goals[row]) - offset
+            goals.append(
+                {
+                    "state": goal,
+                    "logits": _base64(logits[row, states]),
+                    "values": _base64(values[row, states]),
+                    "scores": _base64(scores[row, states]),
+                    "distances": world.distances[row, states].tolist(),
+                    "stops": [goal] if stop is None else torch.nonzero(stop[row, states]).flatten().tolist(),
+                }
+            )
+        pages[file_name(scene.name)] = _page({**common, **_room(scene), "goals": goals})
+    return pages
+
+
+def file_name(scene: str) -> str:
+    """The name of a scene's page; a scene's name comes from a file and may hold what no file name can."""
+    return f"viewer_{quote(scene, safe=' ')}.html"
+
+
+@torch.no_grad()
+def _answers(network: Network, world: World, sight: SurroundingViews) -> tuple[Tensor, Tensor]:
+    """Logits, float32 ``[G, N, 4]``, and values, float32 ``[G, N]``; zero for states of other scenes than the goal's.
+
+    The rows are asked in the same batches as in an evaluation, so that the rounding, too, is the same.
+    """
+    goal_views = sight.begin(world.goals)
+    logits = torch.zeros((*world.distances.shape, len(ACTIONS)), device=world.device)
+    values = torch.zeros(world.distances.shape, device=world.device)
+    goal_index, state = torch.nonzero(world.scene_of[world.goals].unsqueeze(1) == world.scene_of, as_tuple=True)
+    with network.encoder.projecting():
+        for wanted, seen in zip(goal_index.split(ASKED_AT_ONCE), state.split(ASKED_AT_ONCE), strict=True):
+            found, value = network(sight.begin(seen), goal_views[wanted], world.scene_of[seen])
+            logits[wanted, seen], values[wanted, seen] = found, value.squeeze(-1)
+    return logits, values
+
+
+def _room(scene: Scene) -> dict[str, Any]:
+    """What a page must know of a scene, apart from its goals."""
+    return {
+        "scene": scene.name,
+        "graph": scene.graph.tolist(),
+        "surrounding": scene.surrounding.tolist(),
+        "positions": scene.positions.round(4).tolist(),
+        "directions": np.nan_to_num(heading_directions(scene)).round(4).tolist(),
+        "side": round(step_length(scene), 4),
+        "views": None if scene.views is None else [_view(scene, state) for state in range(len(scene))],
+    }
+
+
+def _view(scene: Scene, state: int) -> str:
+    assert scene.views is not None
+    return base64.b64encode(scene.views.encoded(state) or encode(scene.views[state])).decode()
+
+
+def _base64(values: Tensor) -> str:
+    """Numbers as little-endian float32, which JavaScript reads back without any rounding."""
+    return base64.b64encode(values.cpu().numpy().astype("<f4").tobytes()).decode()
+
+
+def _page(data: dict[str, Any]) -> str:
+    """The template with style, script and data inside."""
+    # No text in the data, whatever a file calls its scene, may end the script element that it is in.
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    folder = files("dirl.reporting")
+    page, style, script = (
+        folder.joinpath(f"viewer.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+    )
+    return page.replace("{{style}}", style).replace("{{script}}", script).replace("{{data}}", text)

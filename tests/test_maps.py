@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from PIL import Image
+from rooms import grid_scene
+
+from dirl.reporting import draw_learning_curves, draw_policy, write_gif
+from dirl.reporting.animation import MAX_FRAMES
+from dirl.reporting.curves import common_frames
+from dirl.reporting.maps import never_arrives, wedge_corners
+from dirl.scenes.graph import AHEAD, RIGHT
+
+
+def always(scene, action):
+    return np.eye(4)[np.full(len(scene), action)]
+
+
+def test_states_whose_actions_end_in_a_loop_never_arrive():
+    scene = grid_scene(3, 2)
+    lost = never_arrives(scene, 0, np.full(len(scene), RIGHT))
+    assert np.flatnonzero(~lost).tolist() == [0, 1, 2, 3]  # the goal's place, where turning finds its heading
+    lost = never_arrives(scene, 12, np.full(len(scene), AHEAD))
+    assert np.flatnonzero(~lost).tolist() == [0, 12]
+
+
+@pytest.mark.parametrize("turns", [4, 8, 12])
+def test_the_wedges_of_a_place_fill_its_cell(turns):
+    angles = 2 * np.pi * np.arange(turns) / turns
+    corners = wedge_corners(np.ones((turns, 2)), np.stack([np.sin(angles), np.cos(angles)], 1), 0.5, turns)
+    x, z = np.moveaxis(corners, 2, 0)
+    areas = np.abs((x * np.roll(z, -1, 1) - z * np.roll(x, -1, 1)).sum(1)) / 2
+    assert areas.sum() == pytest.approx(0.25)
+    assert corners[0, 2] == pytest.approx([1, 1.25])  # facing +z: the upper side
+
+
+@pytest.mark.parametrize("headings", [4, 12])
+def test_maps_of_a_policy_are_drawn(tmp_path, headings):
+    scene = grid_scene(4, 3, headings=headings)
+    file = tmp_path / "maps.png"
+    draw_policy(scene, 0, always(scene, RIGHT), np.zeros(len(scene)), np.ones(len(scene)), file, title="a policy")
+    with Image.open(file) as image:
+        assert image.width > 2 * image.height
+
+
+def test_maps_refuse_values_of_another_shape_and_what_is_not_finite(tmp_path):
+    scene = grid_scene()
+    fine = np.zeros(len(scene))
+    with pytest.raises(ValueError, match=r"value: expected shape \(24,\).*found \(23,\)"):
+        draw_policy(scene, 0, always(scene, 0), fine[1:], fine, tmp_path / "maps.png", title="")
+    broken = np.where(np.arange(len(scene)) == 3, np.nan, fine)
+    with pytest.raises(ValueError, match="matching: state 3 "):
+        draw_policy(scene, 0, always(scene, 0), fine, broken, tmp_path / "maps.png", title="")
+
+
+@pytest.mark.parametrize(("path", "frames"), [([7, 4, 5, 6], 4), ([8], 1), ([1, 2, 3, 0] * 50, MAX_FRAMES)])
+def test_gif_has_a_frame_for_each_state_up_to_a_limit(tmp_path, path, frames):
+    scene = grid_scene()
+    write_gif(scene, 0, path, tmp_path / "e.gif", title="an episode", success=False)
+    with Image.open(tmp_path / "e.gif") as image:
+        assert image.n_frames == frames
+
+
+def test_gif_refuses_a_step_that_the_room_does_not_allow(tmp_path):
+    with pytest.raises(ValueError, match="no action leads from state 0 to state 23"):
+        write_gif(grid_scene(), 0, [0, 23], tmp_path / "e.gif", title="", success=True)
+
+
+def test_runs_are_compared_where_all_of_them_have_values():
+    frames, values = common_frames(
+        [(np.array([0.0, 10, 20]), np.array([0.0, 1, 2])), (np.array([5.0, 15]), np.ones(2))]
+    )
+    assert frames.tolist() == [5, 10, 15]
+    assert values.tolist() == [[0.5, 1, 1.5], [1, 1, 1]]
+
+
+def test_learning_curves_name_the_folder_that_is_no_run(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"there is no reinforcement\.csv"):
+        draw_learning_curves({"dirl": [tmp_path]}, tmp_path / "curves.png")
+    with pytest.raises(ValueError, match="'dirl' has no runs"):
+        draw_learning_curves({"dirl": []}, tmp_path / "curves.png")
