@@ -38,7 +38,7 @@ from dirl.assemble import (
 )
 from dirl.collection import collect
 from dirl.commandline import check_overrides, one_line_errors, register
-from dirl.config import ObjectiveConfig, TrainConfig, typed
+from dirl.config import ObjectiveConfig, Precision, TrainConfig, typed
 from dirl.evaluation import action_values, metrics
 from dirl.models import TemplateStop, actor_critic
 from dirl.objectives import ImitationLoss, bootstrap, clip_each, make_advantages, make_loss
@@ -110,6 +110,7 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
         reduction=options.reduction,
     )
     imitation = ImitationLoss(operator.get_policy_head(), coeff=config.imitation.keep)
+    rounds = config.precision == Precision.bfloat16
     imitates = config.imitation.keep > 0 and len(demos) > 0
     optimiser = build_optimiser(parts)
     clip = clip_each if config.optimiser.clip_each else clip_grad_norm_
@@ -131,7 +132,8 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
         return {
             "frames": frames,
             "training_seconds": seconds,
-            "network": network.state_dict(),
+            "network": network.weights_on_features(),
+            "learning": network.state_dict(),
             "optimiser": optimiser.state_dict(),
             "agents": agents.to_dict(),
             "meter": meter.state_dict(),
@@ -142,7 +144,7 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
         test(parts, run, frames)
     else:
         frames, seconds = run.saved["frames"], run.saved["training_seconds"]
-        network.load_state_dict(run.saved["network"])
+        network.load_state_dict(run.saved["learning"])
         optimiser.load_state_dict(run.saved["optimiser"])
         agents = TensorDict(run.saved["agents"], batch_size=env.batch_size, device=env.device)
         meter.load_state_dict(run.saved["meter"])
@@ -158,7 +160,7 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
             objective.entropy_coeff = options.final_entropy + (options.entropy - options.final_entropy) * left
             imitation.coeff = config.imitation.keep * left
 
-            with network.encoder.remembering():
+            with network.encoder.remembering(), torch.autocast(env.device.type, torch.bfloat16, enabled=rounds):
                 batch, agents = collect(env, operator, agents, options.steps)
                 advantages(bootstrap(batch, critic))
                 for part in passes(batch.reshape(-1), config.objective):
@@ -212,6 +214,7 @@ def test(parts: Parts, run: Run, frames: int) -> None:
 
 def conclude(parts: Parts, run: Run, trained: dict[str, Any]) -> None:
     """Evaluate, write the summary, show it as a table and in pictures."""
+    parts.network.encoder.use_features()
     measures = assess(parts)
     costs = {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()}
     summary = describe(parts) | trained | costs | measures

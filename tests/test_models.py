@@ -9,11 +9,14 @@ from tensordict import TensorDict
 from torch import nn
 
 from dirl.models import FeatureTable, actor_critic, count_parameters, feature_statistics, make_network
-from dirl.models.heads import SceneLayers
-from dirl.models.rows import Memory, distinct, unpack
+from dirl.models.heads import SceneHeads, SceneLayers
+from dirl.models.rows import Memory, pack, unpack
 from dirl.objectives import TFRMSprop
 
 STATES, FEATURES, WIDTH, SCENES = 30, 7, 12, ("bath", "bed", "kitchen")
+# What is seen from each state: first the state itself.
+SURROUNDING = torch.randint(STATES, (STATES, 4), generator=torch.Generator().manual_seed(9))
+SURROUNDING[:, 0] = torch.arange(STATES)
 
 
 @pytest.fixture
@@ -25,7 +28,7 @@ def network():
 def seen(seed=0, rows=80):
     """Views, goal views and scenes of agents, many of whom see the same, some of them another's goal."""
     generator = torch.Generator().manual_seed(seed)
-    kinds = torch.randint(STATES, (12, 4), generator=generator)
+    kinds = SURROUNDING[torch.randperm(STATES, generator=generator)[:12]]
     views, goal_views = (kinds[first + torch.randint(8, (rows,), generator=generator)] for first in (0, 4))
     return views, goal_views, torch.randint(len(SCENES), (rows,), generator=generator)
 
@@ -78,6 +81,62 @@ def test_observation_and_goal_are_embedded_by_the_same_weights(network):
     assert [name for name, _ in swapped.named_parameters()] == [
         "embedding.weight", "embedding.bias", "fusion.weight", "fusion.bias"
     ]  # fmt: skip
+
+
+def in_axes(network, kind):
+    """A copy of the network that computes in principal axes; with ``every``, as on a GPU."""
+    changed = copy.deepcopy(network)
+    changed.encoder.use_principal_axes(None if kind == "any four views" else SURROUNDING)
+    if kind == "every":
+        changed.encoder._recall = lambda: (Memory(STATES), Memory(STATES))
+    return changed
+
+
+@pytest.mark.parametrize("kind", ["surrounding", "any four views", "every"])
+def test_principal_axes_change_the_weights_but_not_what_they_compute(network, kind):
+    changed, (views, goal_views, _) = in_axes(network, kind), seen()
+    if kind == "any four views":
+        views = views.flip(0).roll(1, 1)
+    else:
+        views = views * torch.tensor([1, 0, 0, 0])  # the state alone says what is seen from it
+    whole = SURROUNDING[views[:, 0]] if kind != "any four views" else views
+    fused, plain = changed.encoder(views, goal_views), network.encoder(whole, goal_views)
+    torch.testing.assert_close(fused, plain)
+    found, expected = gradients(changed.encoder, fused), gradients(network.encoder, plain)
+    # W = C V', so the gradient of C is that of W in the axes.
+    torch.testing.assert_close(found[0], changed.encoder.axes.narrow(expected[0]))
+    torch.testing.assert_close(found[1:], expected[1:])
+    torch.testing.assert_close(changed.weights_on_features(), network.state_dict())
+
+
+def test_principal_axes_need_no_more_columns_than_the_features_span(network):
+    columns = {kind: in_axes(network, kind).encoder.embedding.in_features for kind in ("surrounding", "any four views")}
+    assert columns == {"surrounding": 4 * FEATURES, "any four views": 4 * FEATURES}  # 30 states span all 28
+    few = make_network(torch.randn(3, FEATURES), SCENES, width=WIDTH)
+    few.encoder.use_principal_axes(torch.tensor([[0, 1, 2, 0], [1, 2, 0, 1], [2, 0, 1, 2]]))
+    assert few.encoder.embedding.in_features == 3
+    few.encoder.use_features()
+    few.encoder.use_principal_axes(None)
+    assert few.encoder.embedding.in_features == 4 * 3
+
+
+def test_what_was_learnt_in_principal_axes_stays_on_features(network):
+    changed, (views, goal_views, _) = in_axes(network, "surrounding"), seen()
+    beside = torch.randn(4 * FEATURES, generator=torch.Generator().manual_seed(3))
+    few = make_network(torch.randn(3, FEATURES), SCENES, width=WIDTH)
+    before = few.encoder.embedding.weight.detach().clone()
+    few.encoder.use_principal_axes(torch.tensor([[0, 1, 2, 0], [1, 2, 0, 1], [2, 0, 1, 2]]))
+    rows = few.encoder.axes.features[few.encoder.axes.surrounding].flatten(-2)
+    beside -= torch.linalg.lstsq(rows.T, beside).solution @ rows
+    for encoder in (changed.encoder, few.encoder):
+        with torch.no_grad():
+            encoder.embedding.weight.add_(0.1 * torch.randn_like(encoder.embedding.weight))
+    fused = changed.encoder(views, goal_views)
+    changed.encoder.use_features()
+    torch.testing.assert_close(direct(changed.encoder, views, goal_views), fused)
+    # Nothing was learnt of what the states never show.
+    few.encoder.use_features()
+    torch.testing.assert_close(few.encoder.embedding.weight @ beside, before @ beside, atol=1e-5, rtol=1e-4)
 
 
 def test_remembering_gives_the_same_output_and_gradients_after_a_rollout(network):
@@ -153,16 +212,20 @@ def test_projecting_gives_the_same_output_without_the_embedding(network):
     assert calls == []
 
 
+def small_layers(scenes):
+    return SceneLayers(scenes, lambda: nn.Linear(5, 3)), SceneHeads(scenes, 5, 3)
+
+
+@pytest.mark.parametrize("layers", small_layers(SCENES))
 @pytest.mark.parametrize("scene", [[2, 0, 1, 0, 2, 2], [1, 1, 1, 1, 1, 1], [2, 0, 0, 2, 0, 2]])
-def test_each_row_goes_through_the_layer_of_its_scene(scene):
-    layers = SceneLayers(SCENES, lambda: nn.Linear(5, 3))
+def test_each_row_goes_through_the_layer_of_its_scene(layers, scene):
     rows = torch.randn(6, 5)
     expected = torch.stack([layers.scenes[SCENES[s]](row) for row, s in zip(rows, scene, strict=True)])
     torch.testing.assert_close(layers(rows, torch.tensor(scene)), expected)
 
 
-def test_gradients_do_not_leak_into_other_scenes():
-    layers = SceneLayers(SCENES, lambda: nn.Linear(5, 3))
+@pytest.mark.parametrize("layers", small_layers(SCENES))
+def test_gradients_do_not_leak_into_other_scenes(layers):
     scene = torch.tensor([2, 0, 0, 2, 1])
     layers(torch.randn(5, 5), scene)[scene == 2].square().sum().backward()
     assert layers.scenes["kitchen"].weight.grad.abs().sum() > 0
@@ -171,8 +234,8 @@ def test_gradients_do_not_leak_into_other_scenes():
         assert layers.scenes[name].bias.grad.abs().sum() == 0
 
 
-def test_layers_of_one_name_serve_every_scene():
-    layers = SceneLayers(["shared"], lambda: nn.Linear(5, 3))
+@pytest.mark.parametrize("layers", small_layers(["shared"]))
+def test_layers_of_one_name_serve_every_scene(layers):
     rows = torch.randn(4, 5)
     assert torch.equal(layers(rows, torch.tensor([0, 3, 1, 2])), layers.scenes["shared"](rows))
 
@@ -273,27 +336,29 @@ def test_features_are_standardised_dimension_by_dimension():
 
 
 @given(st.lists(st.lists(st.integers(0, 55_107), min_size=4, max_size=4), min_size=1, max_size=20))
-def test_packed_rows_unpack_to_the_distinct_rows(rows):
-    views = torch.tensor(rows + rows[:3])
-    keys, row = distinct(views, 55_108)
-    assert torch.equal(unpack(keys, 55_108)[row], views)
-    assert len(keys) == len({tuple(r) for r in rows})
+def test_packed_rows_unpack_to_themselves(rows):
+    views = torch.tensor(rows)
+    keys = pack(views, 55_108)
+    assert torch.equal(unpack(keys, 55_108, 4), views)
+    assert len(keys.unique()) == len({tuple(row) for row in rows})
 
 
 def test_too_large_a_world_is_refused():
     with pytest.raises(ValueError, match="55109 states is too large"):
-        distinct(torch.zeros(1, 4, dtype=torch.int64), 55_109)
+        pack(torch.zeros(1, 4, dtype=torch.int64), 55_109)
 
 
-@given(st.lists(st.lists(st.integers(0, 40), min_size=1, max_size=10, unique=True), min_size=1, max_size=6))
-def test_memory_gives_each_keys_value_and_computes_none_twice(questions):
-    memory, computed = Memory(), []
+@pytest.mark.parametrize("every", [None, 41])
+@given(questions=st.lists(st.lists(st.integers(0, 40), min_size=1, max_size=10), min_size=1, max_size=6))
+def test_memory_gives_each_keys_row_and_computes_none_twice(every, questions):
+    memory, computed = Memory(every), []
 
     def square(keys):
         computed.extend(keys.tolist())
-        return (keys**2).float().unsqueeze(-1)
+        return ((keys**2).float().unsqueeze(-1),)
 
     for question in questions:
-        values = memory.look_up(torch.tensor(question), square)
-        assert values.squeeze(-1).tolist() == [key**2 for key in question]
-    assert sorted(computed) == sorted(set().union(*questions))
+        places = memory.places(torch.tensor(question), square)
+        assert memory.keys[places].tolist() == question
+        assert memory.rows[0][places].squeeze(-1).tolist() == [key**2 for key in question]
+    assert sorted(computed) == (list(range(41)) if every else sorted(set().union(*questions)))

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, RewardScaling, StepCounter, TransformedEnv
 
-from dirl.config import ConfigError, Device, Optimiser, Starts, Stop, TrainConfig
+from dirl.config import Axes, ConfigError, Device, Optimiser, Starts, Stop, TrainConfig
 from dirl.envs import OBSERVATIONS, NavigationEnv, Reward, SurroundingViews
 from dirl.evaluation import (
     Episodes,
@@ -65,6 +65,10 @@ def build_parts(config: TrainConfig) -> Parts:
         width=config.network.width,
         seed=config.seed,
     )
+    network = network.to(world.device)
+    # With more states than features of a view there is next to nothing to save.
+    if config.network.axes == Axes.principal and len(world) <= world.features.shape[1]:
+        network.encoder.use_principal_axes(None if sight.history else world.surrounding)
     # A demonstrated state has no history: the expert is seen there as at the start of an episode.
     demos = demonstrations(world, config.imitation.share, config.imitation.rule, config.seed)
     testing = config.evaluation
@@ -72,7 +76,7 @@ def build_parts(config: TrainConfig) -> Parts:
         config=config,
         world=world,
         sight=sight,
-        network=network.to(world.device),
+        network=network,
         demos=demos.update({"views": sight.begin(demos["state"]), "goal_views": sight.begin(demos["goal"])}),
         starts=every_start(world)
         if testing.starts == Starts.every

@@ -12,6 +12,8 @@ from yaml import YAMLError  # PyYAML comes with OmegaConf
 Device = StrEnum("Device", ["cpu", "cuda"])
 SourceName = StrEnum("SourceName", ["rooms", "thor"])
 Observation = StrEnum("Observation", ["surrounding", "sequential"])
+Axes = StrEnum("Axes", ["features", "principal"])
+Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Heads = StrEnum("Heads", ["scene", "shared"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 Objective = StrEnum("Objective", ["a2c", "ppo"])
@@ -42,6 +44,7 @@ class NetworkConfig:
     heads: Heads = MISSING
     width: int = MISSING
     standardise: bool = MISSING
+    axes: Axes = MISSING
 
 
 @dataclass
@@ -147,6 +150,7 @@ class TrainConfig:
     goals: Any = None
     seed: int = MISSING
     device: Device = MISSING
+    precision: Precision = MISSING
     resume: str | None = None
     system: str = MISSING
     preset: str = MISSING

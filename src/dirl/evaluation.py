@@ -9,7 +9,7 @@ from torch import Tensor
 
 from dirl.envs import SurroundingViews
 from dirl.models import Network
-from dirl.models.rows import distinct
+from dirl.models.rows import pack
 from dirl.scenes import ACTIONS, World
 
 Policy = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -147,7 +147,7 @@ def _asking(policy: Policy, world: World, sight: SurroundingViews) -> Callable[[
         return lambda state, views, wanted: table[wanted, state]
 
     def ask(state: Tensor, views: Tensor, wanted: Tensor) -> Tensor:
-        _, row = distinct(views, len(world))
+        _, row = torch.unique(pack(views, len(world)), return_inverse=True)
         cases, case = torch.unique(row * goals + wanted, return_inverse=True)
         first = torch.empty_like(cases).scatter_(0, case, torch.arange(len(case), device=case.device))
         return policy(views[first], goal_views[wanted[first]], world.scene_of[state[first]])[case]

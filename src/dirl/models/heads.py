@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 
@@ -22,9 +23,7 @@ class SceneLayers(nn.Module):
 
     def __init__(self, scenes: Sequence[str], make: Callable[[], nn.Module]) -> None:
         super().__init__()
-        self.scenes = nn.ModuleDict({name.replace(".", "_"): make() for name in scenes})
-        if len(self.scenes) < len(scenes):
-            raise ValueError(f"the scenes' names must differ by more than dots and underscores: {list(scenes)}")
+        self.scenes = _by_name(scenes, make)
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
         """Rows ``[B, F]`` of scenes int64 ``[B]``, to ``[B, F']``."""
@@ -36,3 +35,36 @@ class SceneLayers(nn.Module):
         parts = rows.index_select(0, order).split(sizes)
         done = torch.cat([layer(part) for layer, part in zip(layers, parts, strict=True)])
         return done.index_select(0, torch.argsort(order))
+
+
+class SceneHeads(nn.Module):
+    """One small linear layer for each scene; row by row the one that ``scene`` names is applied.
+
+    All of them are applied to all rows at once and the right outputs picked: for a handful of outputs that is faster
+    than to sort the rows.
+
+    Args:
+        scenes: as for `SceneLayers`.
+        width: F, of the rows.
+        outputs: F', of each layer.
+    """
+
+    def __init__(self, scenes: Sequence[str], width: int, outputs: int) -> None:
+        super().__init__()
+        self.scenes = _by_name(scenes, lambda: nn.Linear(width, outputs))
+
+    def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
+        """Rows ``[B, F]`` of scenes int64 ``[B]``, to ``[B, F']``."""
+        layers = list(self.scenes.values())
+        if len(layers) == 1:
+            return layers[0](rows).float()
+        weight, bias = (torch.cat([getattr(layer, name) for layer in layers]) for name in ("weight", "bias"))
+        every = F.linear(rows, weight, bias).unflatten(1, (len(layers), -1))
+        return every.take_along_dim(scene[:, None, None], 1).squeeze(1).float()
+
+
+def _by_name(scenes: Sequence[str], make: Callable[[], nn.Module]) -> nn.ModuleDict:
+    modules = nn.ModuleDict({name.replace(".", "_"): make() for name in scenes})
+    if len(modules) < len(scenes):
+        raise ValueError(f"the scenes' names must differ by more than dots and underscores: {list(scenes)}")
+    return modules

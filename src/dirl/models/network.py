@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 
 import torch
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
 
 from dirl.models.features import FeatureTable
-from dirl.models.heads import SceneLayers
+from dirl.models.heads import SceneHeads, SceneLayers
 from dirl.models.siamese import SiameseEncoder
 from dirl.scenes import ACTIONS
 
@@ -30,13 +31,43 @@ class Network(nn.Module):
         super().__init__()
         self.encoder = SiameseEncoder(table, width)
         self.hidden = SceneLayers(scenes, lambda: nn.Sequential(nn.Linear(width, width), nn.ReLU()))
-        self.policy = SceneLayers(scenes, lambda: nn.Linear(width, len(ACTIONS)))
-        self.value = SceneLayers(scenes, lambda: nn.Linear(width, 1))
+        self.policy = SceneHeads(scenes, width, len(ACTIONS))
+        self.value = SceneHeads(scenes, width, 1)
 
     def forward(self, views: Tensor, goal_views: Tensor, scene: Tensor) -> tuple[Tensor, Tensor]:
         """Logits ``[B, 4]`` and state value ``[B, 1]`` of states seen, int64 ``[B, 4]``, in scenes int64 ``[B]``."""
         hidden = self.hidden(self.encoder(views, goal_views), scene)
         return self.policy(hidden, scene), self.value(hidden, scene)
+
+    def weights_on_features(self) -> dict[str, Tensor]:
+        """The state_dict that the network would have without principal axes."""
+        state = self.state_dict()
+        if state.pop("encoder.axes.table", None) is not None:
+            state["encoder.embedding.weight"] = self.encoder.weight_on_features()
+        return state
+
+
+class KeyedModule(TensorDictModuleBase):
+    """A module that reads its arguments from a tensordict and writes its one result there.
+
+    Each call of tensordict 0.14's own ``TensorDictModule`` searches the disk for pandas, a third of a rollout's time.
+
+    Args:
+        module: takes one tensor for each of ``in_keys``.
+        in_keys: what it reads.
+        out_key: what it writes.
+    """
+
+    def __init__(self, module: nn.Module, in_keys: Sequence[str], out_key: str) -> None:
+        super().__init__()
+        self.module = module
+        self.in_keys = list(in_keys)
+        self.out_keys = [out_key]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Call the module."""
+        result = self.module(*(tensordict.get(key) for key in self.in_keys))
+        return tensordict.set(self.out_keys[0], result)
 
 
 def actor_critic(network: Network) -> ActorValueOperator:
@@ -45,18 +76,17 @@ def actor_critic(network: Network) -> ActorValueOperator:
     The losses are given the heads only, so that the trunk runs once an update for actor and critic together.
     """
     trunk = TensorDictSequential(
-        TensorDictModule(network.encoder, ["views", "goal_views"], ["fused"]),
-        TensorDictModule(network.hidden, ["fused", "scene"], ["hidden"]),
+        KeyedModule(network.encoder, ["views", "goal_views"], "fused"),
+        KeyedModule(network.hidden, ["fused", "scene"], "hidden"),
     )
     actor = ProbabilisticActor(
-        TensorDictModule(network.policy, ["hidden", "scene"], ["logits"]),
+        KeyedModule(network.policy, ["hidden", "scene"], "logits"),
         in_keys=["logits"],
         distribution_class=Categorical,
         distribution_kwargs={"validate_args": False},
         return_log_prob=True,
     )
-    critic = TensorDictModule(network.value, ["hidden", "scene"], ["state_value"])
-    return ActorValueOperator(trunk, actor, critic)
+    return ActorValueOperator(trunk, actor, KeyedModule(network.value, ["hidden", "scene"], "state_value"))
 
 
 def count_parameters(network: nn.Module) -> int:
