@@ -17,7 +17,8 @@ and ``actions`` (the order of the columns of ``graph``, if not the one above). A
 
 import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,22 @@ MAX_COMPARED = 5_000
 UNREACHABLE_FROM = 1000
 """Stored distances at or above this mean "unreachable" (some copies of the published files hold 1000)."""
 
+DATASETS = (
+    "graph",
+    "location",
+    "rotation",
+    "resnet_feature",
+    "shortest_path_distance",
+    "observation",
+    "observation_webp",
+)
+
 EXTRACTOR_ATTRIBUTES = ("extractor", "preprocessing", "weights")
+
+
+def extractor_text(attributes: Mapping[str, str]) -> str:
+    """What made some features, as one text, from the attributes of ``resnet_feature``; empty if there are none."""
+    return "; ".join(attributes[key] for key in EXTRACTOR_ATTRIBUTES if attributes.get(key))
 
 
 class SceneWarning(UserWarning):
@@ -141,9 +157,8 @@ def _features(file: h5py.File, path: Path, states: int) -> tuple[str, NDArray[An
     dataset = _dataset(file, path, "resnet_feature", kinds="f", shape=shape)
     if 0 in dataset.shape or dataset.size > MAX_FEATURE_VALUES:
         raise SceneError(f"{path}: resnet_feature: unusable shape {dataset.shape}")
-    described = [_attribute(dataset, path, key) for key in EXTRACTOR_ATTRIBUTES]
-    extractor = "; ".join(text for text in described if text) or "unknown"
-    return extractor, dataset[:, 0] if crops else dataset[:]
+    described = {key: _attribute(dataset, path, key) for key in EXTRACTOR_ATTRIBUTES}
+    return extractor_text(described) or "unknown", dataset[:, 0] if crops else dataset[:]
 
 
 def _views(file: h5py.File, path: Path, states: int) -> Views | None:
@@ -239,35 +254,53 @@ def write_dump(
     encoded = None if views is None else list(views)
     if encoded is not None and len(encoded) != len(scene):
         raise ValueError(f"{path}: {len(encoded)} views for {len(scene)} states")
-    unfinished = path.with_name(path.name + ".tmp")
-    try:
-        _write(unfinished, scene, encoded, attributes or {}, feature_attributes or {"extractor": scene.extractor})
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
-def _write(
-    unfinished: Path,
-    scene: Scene,
-    views: list[bytes] | None,
-    attributes: dict[str, Any],
-    feature_attributes: dict[str, str],
-) -> None:
-    with h5py.File(unfinished, "w") as file:
+    with whole_file(path) as file:
         file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
-        file.attrs.update(attributes)
+        file.attrs.update(attributes or {})
         if scene.goals:
             file.attrs["goals"] = np.array(scene.goals)
         file.create_dataset("graph", data=scene.graph.astype(np.int32), compression="gzip")
-        file["location"] = scene.positions.astype(np.float32)
-        file["rotation"] = scene.headings.astype(np.float32)
-        distances = shortest_distances(scene.graph)
-        file.create_dataset("shortest_path_distance", data=distances, compression="gzip", shuffle=True)
+        file["location"], file["rotation"] = scene.positions, scene.headings
+        if len(scene) <= MAX_COMPARED:
+            distances = shortest_distances(scene.graph)
+            file.create_dataset("shortest_path_distance", data=distances, compression="gzip", shuffle=True)
         if scene.features is not None:
             file["resnet_feature"] = scene.features[:, None]
-            file["resnet_feature"].attrs.update(feature_attributes)
-        if views is not None:
+            file["resnet_feature"].attrs.update(feature_attributes or {"extractor": scene.extractor})
+        if encoded is not None:
             stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
-            for state, view in enumerate(views):
+            for state, view in enumerate(encoded):
                 stored[state] = np.frombuffer(view, np.uint8)
+
+
+def replace_features(
+    dump: str | Path, path: str | Path, features: NDArray[np.floating], feature_attributes: Mapping[str, str]
+) -> None:
+    """Write a dump once more with other features; everything else stays as it is, the file attributes too.
+
+    Args:
+        dump: a file that `read_dump` accepts; it is not changed.
+        path: the file to write; it appears whole or not at all.
+        features: of every state, ``[N, D]``.
+        feature_attributes: how they were made: ``extractor``, ``preprocessing``, ``weights``.
+    """
+    with h5py.File(dump) as old, whole_file(Path(path)) as new:
+        new.attrs.update(old.attrs)
+        for name in DATASETS:
+            if name in old and name != "resnet_feature":
+                old.copy(name, new)
+        new["resnet_feature"] = features[:, None]
+        new["resnet_feature"].attrs.update(feature_attributes)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[h5py.File]:
+    """A new HDF5 file to write to; it stands at ``path`` when the context ends, and not at all if that fails."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".tmp")
+    try:
+        with h5py.File(unfinished, "w") as file:
+            yield file
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)

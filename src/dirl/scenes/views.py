@@ -53,10 +53,13 @@ class Views:
             return file[self.dataset][state].tobytes()
 
 
-def encode(view: NDArray[np.uint8], quality: int = 85) -> bytes:
-    """A view as WebP bytes; ``quality`` is WebP's, 0 to 100."""
+def encode(view: NDArray[np.uint8], quality: int | None = 85) -> bytes:
+    """A view as WebP bytes; ``quality`` is WebP's, 0 to 100, or None to lose nothing."""
     buffer = io.BytesIO()
-    Image.fromarray(view).save(buffer, "WEBP", quality=quality, method=6)
+    if quality is None:
+        Image.fromarray(view).save(buffer, "WEBP", lossless=True)
+    else:
+        Image.fromarray(view).save(buffer, "WEBP", quality=quality, method=6)
     return buffer.getvalue()
 
 
