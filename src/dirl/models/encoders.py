@@ -3,9 +3,10 @@
 import hashlib
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,8 @@ BATCH = 32
 """Views that go through a backbone at a time."""
 
 # Of an image processor's many settings, those that change what a model sees.
-PROCESSING = frozenset(
-    ("do_resize", "size", "resample", "crop_pct", "do_center_crop", "crop_size")
-    + ("do_rescale", "rescale_factor", "do_normalize", "image_mean", "image_std")
-)
+RESIZING = {"do_resize", "size", "resample", "crop_pct", "do_center_crop", "crop_size"}
+SCALING = {"do_rescale", "rescale_factor", "do_normalize", "image_mean", "image_std"}
 
 
 class EncoderError(ValueError):
@@ -80,32 +79,48 @@ def load_encoder(name: str, device: str | torch.device = "cpu") -> ViewEncoder:
 
 
 def encode_scene(scene: Scene, encoder: ViewEncoder) -> NDArray[np.float32]:
-    """The features of every view of a scene, float32 ``[N, D]``, with a progress bar.
+    """The features of every view of a scene, see `encode_views`.
 
     Raises:
-        EncoderError: the scene has no views, a view has another shape than the first, or features that are not
-            finite; the message names the state.
+        EncoderError: the scene has no views, or one cannot be encoded.
         ValueError: a view cannot be decoded.
     """
     if scene.views is None:
         raise EncoderError(f"{scene.origin}: has no views to encode; their dataset is observation or observation_webp")
-    shape = scene.views[0].shape
+    views = scene.views
+    return encode_views(encoder, (views[state] for state in range(len(scene))), len(scene), scene.origin)
+
+
+def encode_views(
+    encoder: ViewEncoder, views: Iterable[NDArray[np.uint8]], count: int, origin: str
+) -> NDArray[np.float32]:
+    """The features of views, float32 ``[N, D]``, with a progress bar.
+
+    Args:
+        encoder: whose.
+        views: RGB, uint8 ``[H, W, 3]`` each; they are taken one batch at a time.
+        count: how many there are, N.
+        origin: named in errors, with the state, which is the view's place among them.
+
+    Raises:
+        EncoderError: a view has another shape than the first, or gets features that are not finite.
+    """
+    remaining = iter(views)
     features: list[NDArray[np.float32]] = []
-    with tqdm(total=len(scene), desc="encode", unit=" views", disable=None) as bar:
-        for first in range(0, len(scene), BATCH):
-            states = range(first, min(first + BATCH, len(scene)))
-            views = [scene.views[state] for state in states]
-            for state, view in zip(states, views, strict=True):
+    shape: tuple[int, ...] = ()
+    with tqdm(total=count, desc="encode", unit=" views", disable=None) as bar:
+        while batch := list(islice(remaining, BATCH)):
+            first = BATCH * len(features)
+            shape = shape or batch[0].shape
+            for state, view in enumerate(batch, first):
                 if view.shape != shape:
-                    raise EncoderError(f"{scene.origin}: state {state} has a view {view.shape}, state 0 one {shape}")
-            found = encoder(torch.from_numpy(np.stack(views))).float().cpu().numpy()
+                    raise EncoderError(f"{origin}: state {state} has a view {view.shape}, state 0 one {shape}")
+            found = encoder(torch.from_numpy(np.stack(batch))).float().cpu().numpy()
             bad = np.flatnonzero(~np.isfinite(found).all(1))
             if len(bad):
-                raise EncoderError(
-                    f"{scene.origin}: state {states[bad[0]]}: the encoder gives features that are not finite"
-                )
+                raise EncoderError(f"{origin}: state {first + bad[0]}: its features are not finite numbers")
             features.append(found)
-            bar.update(len(states))
+            bar.update(len(batch))
     return np.concatenate(features)
 
 
@@ -190,7 +205,7 @@ def _huggingface(name: str, device: str | torch.device) -> ViewEncoder:
         hidden = model(pixel_values=images["pixel_values"].to(device)).last_hidden_state
         return hidden.flatten(2).mean(2) if hidden.ndim == 4 else hidden.mean(1)
 
-    settings = {key: value for key, value in processor.to_dict().items() if key in PROCESSING}
+    settings = {key: value for key, value in processor.to_dict().items() if key in RESIZING | SCALING}
     encoder = ViewEncoder(
         forward,
         {
