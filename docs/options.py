@@ -109,7 +109,8 @@ def write_page(conf: Path, page: Path) -> None:
     lines = ["# Every option", "", INTRODUCTION, "## recipes/train.py", ""]
     for group, (meaning, options) in groups(TrainConfig).items():
         if group:
-            lines += [f"### {group}: {meaning[0].lower()}{meaning[1:]}", ""]
+            meaning = meaning[0].lower() + meaning[1:]
+            lines += [f"### {group}" if meaning == f"the {group}" else f"### {group}: {meaning}", ""]
         lines += table(options, files)
     lines += ["### What a choice sets", "", *choices(conf)]
     for name in ("evaluate", "benchmark"):
