@@ -35,12 +35,12 @@ from dirl.inspection import THRESHOLDS, Inspection, inspect_scene
 from dirl.models import ViewEncoder, encode_scene, encode_views, load_encoder
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, load_scenes, write_dump
-from dirl.scenes.dump import replace_features
 from dirl.scenes.interchange import export_icra17
 from dirl.scenes.photos import encoded_photos, read_photos
 from dirl.scenes.thor import start_simulator, take_views
 from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
+from dirl.scenes.writing import replace_features
 
 SHOWN_PAIRS = 10
 """Of the ambiguous ones."""

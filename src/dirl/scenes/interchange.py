@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from dirl.scenes.dump import MAX_COMPARED, whole_file
+from dirl.scenes.dump import MAX_COMPARED
 from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.writing import whole_file
 
 CROPS = 10
 """Features of a state in the published files. Readers use the first, or draw one; all of ours are the same."""
