@@ -1,4 +1,8 @@
-"""The documentation: the code on its pages runs, every option is explained, and the site stands on its own."""
+"""The documentation: the code on its pages runs, every option is explained, and the site stands on its own.
+
+On a how-to page ```python and ```bash blocks are run, in order, in an empty folder; ```text is output. What cannot be
+run here is a {code-block} whose caption tells the reader why.
+"""
 
 import re
 import runpy
