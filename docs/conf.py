@@ -1,10 +1,14 @@
 """The documentation site: `sphinx-build -W --keep-going -b html docs docs/_build`. Needs no network."""
 
+import inspect
 import sys
 from pathlib import Path
+from typing import get_origin
+from urllib.request import urlopen
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from sphinx.util.inspect import stringify_signature
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -12,14 +16,52 @@ from options import write_page  # noqa: E402
 
 project = "dirl"
 author = "The dirl authors"
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+project_copyright = "the dirl authors, MIT licence"
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.intersphinx"]
 myst_enable_extensions = ["dollarmath"]
-default_role = "code"
+myst_heading_anchors = 3
+default_role = "py:obj"  # a name in single backticks is a link where it is known, else code
+autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"
+autodoc_typehints_format = "short"
+maximum_signature_line_length = 80
 exclude_patterns = ["_build"]
 html_theme = "furo"
+html_title = "dirl"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_math_renderer = "mathml"  # written into the pages: MathJax would come from another host
+
+MANUALS = {
+    "torchrl": "https://docs.pytorch.org/rl/stable/",
+    "tensordict": "https://docs.pytorch.org/tensordict/stable/",
+    "torch": "https://docs.pytorch.org/docs/stable/",
+    "gymnasium": "https://gymnasium.farama.org/",
+    "numpy": "https://numpy.org/doc/stable/",
+    "python": "https://docs.python.org/3/",
+}
+
+
+def inventories(folder: Path) -> dict[str, tuple[str, str]]:
+    """The manuals that can be linked to from here; without a network none, and the site lacks those links."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found = {}
+    for name, address in MANUALS.items():
+        file = folder / f"{name}.inv"
+        if not file.exists():
+            try:
+                with urlopen(f"{address}objects.inv", timeout=3) as answer:
+                    inventory = answer.read()
+            except OSError:
+                break  # no network: do not wait for the others
+            if not inventory.startswith(b"# Sphinx inventory"):  # as from a network that asks for a login first
+                break
+            file.write_bytes(inventory)
+        found[name] = (address, str(file))
+    return found
+
+
+intersphinx_mapping = inventories(HERE / "_build" / "inventories")
 
 
 def _inline(translator, node):
@@ -28,11 +70,38 @@ def _inline(translator, node):
 
 
 def _block(translator, node):
-    translator.body.append(convert(node.astext(), display="block"))
+    equation, _, number = node.astext().partition(r"\tag")
+    number = f"<span>({number.strip('{}')})</span>" if number else ""
+    translator.body.append(f'<div class="equation">{convert(equation, display="block")}{number}</div>')
     raise nodes.SkipNode
 
 
+def public_name(cls):
+    """The name that users import a class by, which manuals list: ``torch.nn.Module``, not ``torch.nn.modules...``."""
+    cls = get_origin(cls) or cls
+    parts = cls.__module__.split(".")
+    prefixes = (".".join(parts[:length]) for length in range(1, len(parts) + 1))
+    module = next(name for name in prefixes if getattr(sys.modules.get(name), cls.__name__, None) is cls)
+    return cls.__name__ if module == "builtins" else f"{module}.{cls.__name__}"
+
+
+def _bases(app, name, obj, options, bases):
+    bases[:] = [f":py:class:`{public_name(base)}`" for base in bases]
+
+
+def _signature(app, what, name, obj, options, signature, returned):
+    """TorchRL's metaclasses hide what their classes are made with."""
+    if what == "class" and signature == "(*args, **kwargs)":
+        hidden = inspect.signature(obj.__init__)
+        parameters = [parameter for name, parameter in hidden.parameters.items() if name != "self"]
+        signature = stringify_signature(hidden.replace(parameters=parameters), unqualified_typehints=True)
+        return signature.removesuffix(" -> None"), returned
+    return None
+
+
 def setup(app):
-    """Write the page of options, and render equations as MathML."""
+    """Write the page of options, render equations as MathML, and name classes as manuals do."""
+    app.connect("autodoc-process-bases", _bases)
+    app.connect("autodoc-process-signature", _signature)
     write_page(HERE.parent / "conf", HERE / "configuration.md")
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))

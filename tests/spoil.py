@@ -88,6 +88,66 @@ def webp(dtype):
     return lambda file: file.create_dataset("observation_webp", (24,), dtype)
 
 
+def feature_attribute(name, value):
+    return lambda file: file["resnet_feature"].attrs.update({name: value})
+
+
+def named_type(name):
+    return instead(name, np.dtype("i4"))
+
+
+def of_states(graph):
+    """The graph instead of the file's own, and everything else of as many states as it has."""
+
+    def spoil(file):
+        no_states(file)
+        for name, value in (
+            ("graph", graph),
+            ("location", np.zeros((len(graph), 2))),
+            ("rotation", np.zeros(len(graph))),
+        ):
+            instead(name, value)(file)
+
+    return spoil
+
+
+def partly_written(name):
+    """Only the first chunk of four has been written."""
+
+    def spoil(file):
+        del file[name]
+        dataset = file.create_dataset(name, (24, 8), "f4", chunks=(6, 8))
+        dataset[:6] = 1.0
+
+    return spoil
+
+
+def squeezed(name, shape):
+    """Zeros, packed as well as gzip can."""
+
+    def spoil(file):
+        del file[name]
+        file.create_dataset(name, data=np.zeros(shape, "f4"), compression="gzip", chunks=(shape[0], 2**14))
+
+    return spoil
+
+
+def unknown_filter(name):
+    """The values are packed by a filter that this machine has never heard of."""
+
+    def spoil(file):
+        values = file[name][:]
+        del file[name]
+        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        properties.set_chunk(values.shape)
+        properties.set_filter(32123, h5py.h5z.FLAG_OPTIONAL, ())
+        space, kind = h5py.h5s.create_simple(values.shape), h5py.h5t.py_create(values.dtype)
+        dataset = h5py.h5d.create(file.id, name.encode(), kind, space, properties)
+        dataset.write_direct_chunk((0,) * values.ndim, values.tobytes(), filter_mask=0)
+
+    return spoil
+
+
 def refused(path):
     """What the one `SceneError` says after the name of the file."""
     with pytest.raises(SceneError) as caught:

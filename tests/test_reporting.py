@@ -12,8 +12,9 @@ from PIL import Image
 from rooms import CELL, grid_scene, renumbered
 
 from dirl.reporting import draw_learning_curve, draw_trajectories, result_table, run_title, summary_table
-from dirl.reporting.trajectories import chosen_steps, heading_directions, path_actions, step_length
+from dirl.reporting.trajectories import chosen_steps, path_actions
 from dirl.scenes import load_scenes, read_dump
+from dirl.scenes.geometry import heading_directions, step_length
 
 MEASURES = {
     "atl": 146.194,
@@ -339,7 +340,9 @@ def test_headings_point_where_moving_ahead_leads_however_the_file_counts_them():
 def test_headings_are_those_of_ai2thor_where_no_move_tells():
     corridor = grid_scene(3, 1)
     lone = grid_scene(3, 1, blocked=[(0, 0), (2, 0)])
-    for scene in (corridor, lone):
+    # One row of places, and every heading called 0: the moves to one end cancel those to the other.
+    nameless = replace(corridor, headings=np.zeros(len(corridor)))
+    for scene in (corridor, lone, nameless):
         np.testing.assert_allclose(heading_directions(scene), compass(scene), atol=1e-6)
 
 

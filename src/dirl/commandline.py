@@ -2,7 +2,7 @@
 
 import difflib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -13,15 +13,38 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import OverrideParseException
 from omegaconf import OmegaConf
 
-from dirl.config import BenchmarkConfig, ConfigError, EvaluateConfig, TrainConfig
+from dirl.config import (
+    BenchmarkConfig,
+    ConfigError,
+    EncodeConfig,
+    EvaluateConfig,
+    ExportConfig,
+    ImportConfig,
+    InspectConfig,
+    PhotosConfig,
+    ThorConfig,
+    TrainConfig,
+)
+
+SCHEMAS = {
+    "train": TrainConfig,
+    "evaluate": EvaluateConfig,
+    "benchmark": BenchmarkConfig,
+    "thor": ThorConfig,
+    "photos": PhotosConfig,
+    "encode": EncodeConfig,
+    "export": ExportConfig,
+    "import": ImportConfig,
+    "inspect": InspectConfig,
+}
+"""What each recipe, or command of ``recipes/scenes.py``, takes; its file in ``conf/`` names it ``<key>_schema``."""
 
 
 def register() -> None:
     """Give Hydra the types, and the resolver that names a run's folder."""
     store = ConfigStore.instance()
-    store.store("train_schema", TrainConfig)
-    store.store("evaluate_schema", EvaluateConfig)
-    store.store("benchmark_schema", BenchmarkConfig)
+    for name, schema in SCHEMAS.items():
+        store.store(f"{name}_schema", schema)
     OmegaConf.register_new_resolver("run_folder", _run_folder, replace=True)
 
 
@@ -40,6 +63,30 @@ def option_names(schema: type, prefix: str = "") -> list[str]:
         if is_dataclass(kind):
             names += option_names(kind, f"{prefix}{option.name}.")  # type: ignore[arg-type]
     return names
+
+
+def choose_command(commands: Mapping[str, str], arguments: Sequence[str], text: str) -> tuple[str, list[str]]:
+    """The command that a command line begins with, and what follows it.
+
+    Args:
+        commands: what each one does, by name.
+        arguments: the command line after the program.
+        text: printed above the list of commands where ``--help`` stands in place of a command, or nothing.
+
+    Raises:
+        ConfigError: there is no such command.
+        SystemExit: help was asked for.
+    """
+    if not arguments or arguments[0] in ("--help", "-h"):
+        lines = [f"  {name:<8} {meaning}" for name, meaning in commands.items()]
+        print("\n".join([text.strip(), "", *lines, "", "<command> --help tells the options of one."]))
+        raise SystemExit(0)
+    name, *rest = arguments
+    if name not in commands:
+        near = difflib.get_close_matches(name, commands, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(commands)}"
+        raise ConfigError(f"there is no command '{name}'; {hint}")
+    return name, rest
 
 
 def check_overrides(schema: type, arguments: Sequence[str]) -> None:

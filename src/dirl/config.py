@@ -23,6 +23,7 @@ Stop = StrEnum("Stop", ["goal", "match"])
 Match = StrEnum("Match", ["views", "front"])
 Starts = StrEnum("Starts", ["every", "sampled"])
 LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
+Layout = StrEnum("Layout", ["icra17"])
 
 
 class ConfigError(ValueError):
@@ -198,6 +199,74 @@ class BenchmarkConfig:
     out: str | None = None
 
 
+@dataclass
+class ThorConfig:
+    """Everything ``recipes/scenes.py thor`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    step: float = MISSING
+    height: int = MISSING
+    width: int = MISSING
+    field_of_view: float = MISSING
+    headless: bool = MISSING
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class PhotosConfig:
+    """Everything ``recipes/scenes.py photos`` takes."""
+
+    folder: str | None = None
+    out: str | None = None
+    name: str | None = None
+    height: int = MISSING
+    width: int = MISSING
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class EncodeConfig:
+    """Everything ``recipes/scenes.py encode`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class ExportConfig:
+    """Everything ``recipes/scenes.py export`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    layout: Layout = MISSING
+
+
+@dataclass
+class ImportConfig:
+    """Everything ``recipes/scenes.py import`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    name: str | None = None
+    source: str | None = None
+    goals: list[int] | None = None
+
+
+@dataclass
+class InspectConfig:
+    """Everything ``recipes/scenes.py inspect`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    threshold: float = MISSING
+    match: Match = MISSING
+
+
 # The least and the most a number may be; None = no upper limit.
 LIMITS: Mapping[str, tuple[float, float | None]] = {
     "seed": (0, 2**63 - 1),
@@ -223,6 +292,11 @@ LIMITS: Mapping[str, tuple[float, float | None]] = {
     "max_steps": (1, None),
     "frames_per_scene": (1, None),
     "repeats": (1, None),
+    "step": (0.05, 10),
+    "height": (16, 4096),
+    "width": (16, 4096),
+    "field_of_view": (10, 150),
+    "threshold": (-1, 1),
 }
 
 

@@ -1,6 +1,6 @@
 """How well a policy navigates: episodes from given starts, and their ATL, SR and SPL (paper section 4.3)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -139,10 +139,8 @@ def _asking(policy: Policy, world: World, sight: SurroundingViews) -> Callable[[
     goal_views = sight.begin(world.goals)
     goals = len(world.goals)
     if not sight.history:
-        goal_index, state = torch.nonzero(world.scene_of[world.goals].unsqueeze(1) == world.scene_of, as_tuple=True)
         table = torch.zeros((*world.distances.shape, len(ACTIONS)), device=world.device)
-        for pairs in torch.arange(len(state), device=world.device).split(ASKED_AT_ONCE):
-            seen, wanted = state[pairs], goal_index[pairs]
+        for wanted, seen in _pairs(world, world.goals):
             table[wanted, seen] = policy(sight.begin(seen), goal_views[wanted], world.scene_of[seen])
         return lambda state, views, wanted: table[wanted, state]
 
@@ -175,26 +173,45 @@ def trajectories(
 
 
 @torch.no_grad()
-def action_values(network: Network, world: World, sight: SurroundingViews, goal_index: int) -> tuple[Tensor, Tensor]:
-    """What a network makes of every state of a goal's scene: probabilities ``[N, 4]`` and state value ``[N]``.
+def answers(
+    network: Network, world: World, sight: SurroundingViews, goal_index: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """What a network makes of every state on its way to each goal: logits ``[G, N, 4]`` and state values ``[G, N]``.
 
-    Views that hold a history are those at the start of an episode.
+    Views that hold a history are those at the start of an episode. Asked for all goals, the network is asked in the
+    same batches as by `run_episodes`, so that the rounding, too, is the same.
 
     Args:
         network: whose policy and value.
         world: where.
         sight: what the network sees.
-        goal_index: the goal, by its place in ``world.goals``.
+        goal_index: int64 ``[G]``, goals by their place in ``world.goals``; all of them if left out.
 
     Returns:
-        float32, for the N states of that scene in their order.
+        float32, zero for states of other scenes than the goal's.
     """
-    goal = world.goals[goal_index]
-    state = torch.nonzero(world.scene_of == world.scene_of[goal]).squeeze(-1)
-    goal_views = sight.begin(goal).expand(len(state), -1)
+    goals = world.goals if goal_index is None else world.goals[goal_index]
+    goal_views = sight.begin(goals)
+    logits = torch.zeros((len(goals), len(world), len(ACTIONS)), device=world.device)
+    values = torch.zeros((len(goals), len(world)), device=world.device)
     with network.encoder.projecting():
-        logits, value = network(sight.begin(state), goal_views, world.scene_of[state])
-    return logits.softmax(-1), value.squeeze(-1)
+        for wanted, seen in _pairs(world, goals):
+            found, value = network(sight.begin(seen), goal_views[wanted], world.scene_of[seen])
+            logits[wanted, seen], values[wanted, seen] = found, value.squeeze(-1)
+    return logits, values
+
+
+def action_values(network: Network, world: World, sight: SurroundingViews, goal_index: int) -> tuple[Tensor, Tensor]:
+    """Probabilities ``[N, 4]`` and state value ``[N]`` on the way to one goal, in its scene's states; see `answers`."""
+    logits, values = answers(network, world, sight, torch.tensor([goal_index], device=world.device))
+    inside = world.scene_of == world.scene_of[world.goals[goal_index]]
+    return logits[0, inside].softmax(-1), values[0, inside]
+
+
+def _pairs(world: World, goals: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    """Each goal (by its place in ``goals``) with each state of its scene, int64 ``[P]`` each, batch by batch."""
+    goal_index, state = torch.nonzero(world.scene_of[goals].unsqueeze(1) == world.scene_of, as_tuple=True)
+    return zip(goal_index.split(ASKED_AT_ONCE), state.split(ASKED_AT_ONCE), strict=True)
 
 
 def metrics(episodes: Episodes) -> dict[str, float]:

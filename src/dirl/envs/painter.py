@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from dirl.scenes import Scene
+from dirl.scenes.geometry import heading_directions, step_length
 
 HEIGHT = 300
 """Of a picture, pixels."""
@@ -21,9 +22,6 @@ class Painter:
     """
 
     def __init__(self, scene: Scene, view: Callable[[int], NDArray[np.uint8]]) -> None:
-        # Brings matplotlib with it, which an environment that is not looked at does not need.
-        from dirl.reporting.trajectories import heading_directions, step_length
-
         self.view = view
         self.directions = heading_directions(scene)
         side = step_length(scene)

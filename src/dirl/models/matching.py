@@ -29,6 +29,17 @@ def _normal(vector: Tensor) -> Tensor:
     return F.normalize(centred.masked_fill(constant, 0.0), dim=-1)
 
 
+def template_vectors(features: Tensor, surrounding: Tensor, match: str) -> Tensor:
+    """What is compared of each state, so scaled that the product of two is their coefficient, float32 ``[N, D']``.
+
+    Args:
+        features: of every state, float32 ``[N, D]``.
+        surrounding: the states ahead, right, back and left of each, int64 ``[N, 4]``.
+        match: ``views`` or ``front``, see `TemplateStop`.
+    """
+    return _normal(features if match == "front" else features[surrounding].flatten(1))
+
+
 @dataclass(frozen=True)
 class TemplateStop:
     """Stop where what is seen matches the goal.
@@ -47,8 +58,7 @@ class TemplateStop:
 
     def scores(self, world: World) -> Tensor:
         """The coefficient of every goal with every state, float32 ``[G, N]``."""
-        vectors = world.features if self.match == "front" else world.features[world.surrounding].flatten(1)
-        vectors = _normal(vectors)
+        vectors = template_vectors(world.features, world.surrounding, self.match)
         return vectors[world.goals] @ vectors.T
 
     def __call__(self, world: World) -> Tensor:

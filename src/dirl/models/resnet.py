@@ -131,21 +131,30 @@ def load_backbone(path: str | Path) -> ResNet50:
     except Exception as error:  # what unpickling a broken file raises can be anything
         reason = str(error).split("\n")[0]
         raise ValueError(f"{path}: not a file of weights that torch can load safely ({reason})") from error
+    return backbone_of(stored, str(path))
+
+
+def backbone_of(stored: object, origin: str) -> ResNet50:
+    """The backbone with the weights of a state_dict, see `load_backbone`; ``origin`` is named in errors.
+
+    Raises:
+        ValueError: it is not a state_dict, or the parameters are not those of a ResNet-50.
+    """
     items = stored.items() if isinstance(stored, dict) else ()
     if not items or not all(isinstance(name, str) and isinstance(value, Tensor) for name, value in items):
-        raise ValueError(f"{path}: not a state_dict, which maps names to tensors")
+        raise ValueError(f"{origin}: not a state_dict, which maps names to tensors")
     backbone = ResNet50()
     wanted = {name: value for name, value in backbone.state_dict().items() if not _ignored(name)}
     found = {name: value for name, value in items if not _ignored(name)}
     for name, parameter in wanted.items():
         if name not in found:
-            raise ValueError(f"{path}: '{name}' is missing; the file's names begin with {list(found)[:3]}")
+            raise ValueError(f"{origin}: '{name}' is missing; the file's names begin with {list(found)[:3]}")
         shape, value = list(parameter.shape), found[name]
         if list(value.shape) != shape or not value.is_floating_point():
-            raise ValueError(f"{path}: '{name}': expected floats {shape}, found {value.dtype} {list(value.shape)}")
+            raise ValueError(f"{origin}: '{name}': expected floats {shape}, found {value.dtype} {list(value.shape)}")
     # A deeper ResNet holds every name of this one, and would give nonsense.
     if unknown := [name for name in found if name not in wanted]:
-        raise ValueError(f"{path}: '{unknown[0]}' is no parameter of a ResNet-50")
+        raise ValueError(f"{origin}: '{unknown[0]}' is no parameter of a ResNet-50")
     backbone.load_state_dict(found, strict=False)  # casts to float32; not strict, because the counters were left out
     return backbone
 

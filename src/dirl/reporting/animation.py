@@ -7,15 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dirl.reporting.trajectories import (
-    COLORS,
-    GOAL_COLOR,
-    WALL_COLOR,
-    heading_directions,
-    path_actions,
-    step_length,
-)
+from dirl.reporting.rooms import COLORS, GOAL_COLOR, WALL_COLOR
+from dirl.reporting.trajectories import path_actions
 from dirl.scenes import Scene
+from dirl.scenes.geometry import heading_directions, step_length
 
 MAX_FRAMES = 60
 """Of a longer episode the first steps are shown, and the last."""
@@ -78,7 +73,7 @@ class _Map:
         self.size = (int(np.ceil(spans[0] * self.scale)), int(np.ceil(spans[1] * self.scale)))
         across, up = (scene.positions - low).T * self.scale
         self.at = np.stack([across, self.size[1] - up], 1)  # rows of an image count downwards
-        self.ahead = np.nan_to_num(heading_directions(scene)) * (1, -1)
+        self.ahead = heading_directions(scene) * (1, -1)
         self.room = Image.new("RGB", self.size, WALL_COLOR)
         draw = ImageDraw.Draw(self.room)
         for x, y in np.unique(self.at.round(2), axis=0):

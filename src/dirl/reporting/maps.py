@@ -15,15 +15,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
-from dirl.reporting.trajectories import (
-    COLORS,
-    GOAL_COLOR,
-    WALL_COLOR,
-    _draw_room,
-    heading_directions,
-    step_length,
-)
+from dirl.reporting.rooms import COLORS, GOAL_COLOR, WALL_COLOR, draw_room
 from dirl.scenes import ACTIONS, Scene
+from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, shortest_distances, turns_per_circle
 
 FloatArray = NDArray[np.floating]
@@ -66,7 +60,7 @@ def draw_policy(
     states = len(scene)
     chances = _checked("probabilities", probabilities, (states, len(ACTIONS)))
     values, scores = _checked("value", value, (states,)), _checked("matching", matching, (states,))
-    directions = np.nan_to_num(heading_directions(scene))
+    directions = heading_directions(scene)
     side = step_length(scene)
     wedges = wedge_corners(scene.positions, directions, side, turns_per_circle(scene.graph))
 
@@ -80,7 +74,7 @@ def draw_policy(
     figure.suptitle(title)
     policy_map, value_map, matching_map = figure.subplots(1, 3, sharex=True, sharey=True)
     for axes in (policy_map, value_map, matching_map):
-        _draw_room(axes, scene, side)
+        draw_room(axes, scene, side)
         axes.set_anchor("C")  # as a colour bar sets it for the maps that have one
     value_map.set_ylabel("")
     matching_map.set_ylabel("")

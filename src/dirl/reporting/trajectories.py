@@ -11,21 +11,18 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import MultipleLocator
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from dirl.reporting.rooms import COLORS, GOAL_COLOR, WALL_COLOR, draw_room
 from dirl.scenes import ACTIONS, Scene
-from dirl.scenes.graph import AHEAD, IntArray, places
+from dirl.scenes.geometry import heading_directions, step_length
+from dirl.scenes.graph import IntArray, places
 
-# The Okabe-Ito palette, which colour-blind readers can tell apart; its yellow is the goal's.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-GOAL_COLOR = "#F0E442"
-WALL_COLOR = "#C9CDD3"
 DASHES: tuple[float, Sequence[float]] = (0, (2, 1.2))
 
 MAX_VIEWS = 8
@@ -109,43 +106,13 @@ def chosen_steps(steps: int) -> list[int]:
     return np.linspace(0, steps, min(MAX_VIEWS, steps + 1)).round().astype(int).tolist()
 
 
-def step_length(scene: Scene) -> float:
-    """The median length of the moves ahead, metres; 0.5 where there are none."""
-    _, moves = _moves_ahead(scene)
-    return float(np.median(np.abs(moves))) if len(moves) else 0.5
-
-
-def heading_directions(scene: Scene) -> FloatArray:
-    """Where each state's heading points to on the map: unit vectors (x, z), float64 ``[N, 2]``.
-
-    Headings are clockwise from +z in AI2-THOR, but files come from elsewhere too. So the sense of rotation and its
-    zero are those that agree best with where the moves ahead lead to.
-    """
-    states, moves = _moves_ahead(scene)
-    clockwise = np.exp(1j * np.deg2rad(scene.headings))
-    if not len(moves):
-        return np.stack([clockwise.imag, clockwise.real], 1)
-    # Where a sense fits, every move asks for the same zero; where it does not, they cancel each other out.
-    fits = [(turned, np.mean(moves / turned[states])) for turned in (clockwise, clockwise.conj())]
-    turned, zero = max(fits, key=lambda fit: round(abs(fit[1]), 6))
-    pointing = turned * zero / abs(zero)
-    return np.stack([pointing.imag, pointing.real], 1)
-
-
-def _moves_ahead(scene: Scene) -> tuple[IntArray, NDArray[np.complex128]]:
-    """The states whose way ahead is free, and the moves as z + ix, whose angle is the clockwise one from +z."""
-    states = np.flatnonzero(scene.graph[:, AHEAD] >= 0)
-    x, z = (scene.positions[scene.graph[states, AHEAD]] - scene.positions[states]).T
-    return states, z + 1j * x
-
-
 def _draw_map(
     axes: Axes, scene: Scene, goal: int, paths: Sequence[Sequence[int]], success: Sequence[bool]
 ) -> list[Artist]:
     """Draw the room and the paths in it; return what its legend shows."""
     side, place = step_length(scene), places(scene.graph)
     arrows = side * heading_directions(scene)
-    _draw_room(axes, scene, side)
+    draw_room(axes, scene, side)
     handles: list[Artist] = []
     # Paths are set apart along the diagonal, so that they stay apart in corridors of both directions.
     apart = min(0.14, 0.6 / len(paths)) * side
@@ -196,18 +163,6 @@ def _draw_path(
     line = Line2D([], [], color=pale, linestyle=style, linewidth=2.5, marker="o", markersize=7)
     line.set(markerfacecolor=color, markeredgecolor="white")
     return line
-
-
-def _draw_room(axes: Axes, scene: Scene, side: float) -> None:
-    """White squares where an agent can be, on the grey of walls and furniture."""
-    cells = np.unique(scene.positions.round(3), axis=0)
-    squares = [Rectangle((x - side / 2, z - side / 2), side, side) for x, z in cells]
-    axes.add_collection(PatchCollection(squares, facecolor="white", edgecolor="0.9", linewidth=0.5, zorder=1))
-    axes.set_facecolor(WALL_COLOR)
-    low, high = cells.min(0) - side, cells.max(0) + side
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", anchor="N", xlabel="x (m)", ylabel="z (m)")
-    axes.xaxis.set_major_locator(MultipleLocator(1))
-    axes.yaxis.set_major_locator(MultipleLocator(1))
 
 
 def _draw_arrows(axes: Axes, tails: FloatArray, arrows: FloatArray, color: str, *, width: float, zorder: float) -> None:

@@ -6,15 +6,14 @@ from importlib.resources import files
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from dirl.envs import SurroundingViews
-from dirl.evaluation import ASKED_AT_ONCE
+from dirl.evaluation import answers
 from dirl.models import Network, TemplateStop
-from dirl.reporting.trajectories import heading_directions, step_length
 from dirl.scenes import ACTIONS, Scene, World
+from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.views import encode
 
 
@@ -54,7 +53,7 @@ def viewer_pages(
             "the viewer shows policies that see their surroundings; with observation=sequential the answer depends on "
             "the states before, which no table of states can hold: leave out viewer=true"
         )
-    logits, values = _answers(network, world, sight)
+    logits, values = answers(network, world, sight)
     scores = matching.scores(world)
     common = {
         "title": title,
@@ -90,23 +89,6 @@ def file_name(scene: str) -> str:
     return f"viewer_{quote(scene, safe=' ')}.html"
 
 
-@torch.no_grad()
-def _answers(network: Network, world: World, sight: SurroundingViews) -> tuple[Tensor, Tensor]:
-    """Logits, float32 ``[G, N, 4]``, and values, float32 ``[G, N]``; zero for states of other scenes than the goal's.
-
-    The rows are asked in the same batches as in an evaluation, so that the rounding, too, is the same.
-    """
-    goal_views = sight.begin(world.goals)
-    logits = torch.zeros((*world.distances.shape, len(ACTIONS)), device=world.device)
-    values = torch.zeros(world.distances.shape, device=world.device)
-    goal_index, state = torch.nonzero(world.scene_of[world.goals].unsqueeze(1) == world.scene_of, as_tuple=True)
-    with network.encoder.projecting():
-        for wanted, seen in zip(goal_index.split(ASKED_AT_ONCE), state.split(ASKED_AT_ONCE), strict=True):
-            found, value = network(sight.begin(seen), goal_views[wanted], world.scene_of[seen])
-            logits[wanted, seen], values[wanted, seen] = found, value.squeeze(-1)
-    return logits, values
-
-
 def _room(scene: Scene) -> dict[str, Any]:
     """What a page must know of a scene, apart from its goals."""
     return {
@@ -114,7 +96,7 @@ def _room(scene: Scene) -> dict[str, Any]:
         "graph": scene.graph.tolist(),
         "surrounding": scene.surrounding.tolist(),
         "positions": scene.positions.round(4).tolist(),
-        "directions": np.nan_to_num(heading_directions(scene)).round(4).tolist(),
+        "directions": heading_directions(scene).round(4).tolist(),
         "side": round(step_length(scene), 4),
         "views": None if scene.views is None else [_view(scene, state) for state in range(len(scene))],
     }

@@ -15,9 +15,9 @@ and ``actions`` (the order of the columns of ``graph``, if not the one above). A
 ``extractor``, ``preprocessing``, ``weights``.
 """
 
-import os
+import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,22 +25,43 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.graph import ACTIONS, shortest_distances
+from dirl.scenes.graph import ACTIONS
 from dirl.scenes.scene import Scene, SceneError
-from dirl.scenes.views import Views
+from dirl.scenes.views import MAX_PIXELS, Views
 
 # What is larger than these is refused before any of it is read.
 MAX_STATES = 50_000
-MAX_FEATURE_VALUES = 2**29
-MAX_PIXELS = 2**24
+MAX_FEATURE_VALUES = 2**27
+"""Of the first crop, the one that is read: half a gigabyte as float32."""
+MAX_CHUNK_BYTES = 2**28
+"""HDF5 unpacks a whole chunk to read any value in it, and a small file can hold a chunk of gigabytes."""
+MAX_FREELY_UNPACKED, MAX_RATIO = 2**26, 500
+"""Bytes; and how much larger than in the file more than that may become. (gzip packs zeros a thousand times.)"""
+MAX_NAME, MAX_TEXT = 100, 2000
+"""Characters of the scene's name, which file names are made of, and of other texts."""
 
 MAX_COMPARED = 5_000
-"""Of a scene with more states the stored distances are not compared; there are states x states of them."""
+"""Of a scene with more states distances are neither stored nor compared; there are states x states of them."""
 
 UNREACHABLE_FROM = 1000
 """Stored distances at or above this mean "unreachable" (some copies of the published files hold 1000)."""
 
+DATASETS = (
+    "graph",
+    "location",
+    "rotation",
+    "resnet_feature",
+    "shortest_path_distance",
+    "observation",
+    "observation_webp",
+)
+
 EXTRACTOR_ATTRIBUTES = ("extractor", "preprocessing", "weights")
+
+
+def extractor_text(attributes: Mapping[str, str]) -> str:
+    """What made some features, as one text, from the attributes of ``resnet_feature``; empty if there are none."""
+    return "; ".join(attributes[key] for key in EXTRACTOR_ATTRIBUTES if attributes.get(key))
 
 
 class SceneWarning(UserWarning):
@@ -86,9 +107,11 @@ def _read(file: h5py.File, path: Path, name: str | None, source: str | None) -> 
         raise SceneError(f"{path}: graph: {states} states are more than the {MAX_STATES} this package can hold")
     location = _dataset(file, path, "location", kinds="iuf", shape=(states, 2))
     rotation = _dataset(file, path, "rotation", kinds="iuf", shape=(states,))
+    for dataset in (graph, location, rotation):
+        _check_storage(dataset, path)
     extractor, features = _features(file, path, states)
     scene = Scene(
-        name=name or _attribute(file, path, "name") or path.stem,
+        name=name or _name(file, path) or path.stem,
         graph=_in_our_order(graph[:], file.attrs.get("actions"), path),
         positions=location[:],
         headings=rotation[:],
@@ -102,6 +125,7 @@ def _read(file: h5py.File, path: Path, name: str | None, source: str | None) -> 
     if "shortest_path_distance" in file:
         stored = _dataset(file, path, "shortest_path_distance", kinds="iuf", shape=(states, states))
         if states <= MAX_COMPARED:
+            _check_storage(stored, path)
             _compare_distances(scene, stored[:], path)
     return scene
 
@@ -112,10 +136,40 @@ def _own(file: h5py.File, path: Path, name: str) -> h5py.Dataset:
         raise SceneError(f"{path}: {name}: is a link to elsewhere; a dump must hold its own data")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset):
-        raise SceneError(f"{path}: {name}: is a group; expected a dataset")
+        raise SceneError(f"{path}: {name}: is a {type(dataset).__name__.lower()}; expected a dataset")
     if dataset.is_virtual or dataset.external:
         raise SceneError(f"{path}: {name}: its data lies in other files; a dump must hold its own data")
     return dataset
+
+
+def _check_storage(dataset: h5py.Dataset, path: Path) -> None:
+    """Check that all of a dataset's values have been written, in pieces of sensible size."""
+    name = dataset.name.removeprefix("/")
+    if dataset.chunks is None:
+        unwritten = dataset.size and not dataset.id.get_storage_size()
+    else:
+        size = math.prod(dataset.chunks) * dataset.dtype.itemsize
+        if size > MAX_CHUNK_BYTES:
+            raise SceneError(
+                f"{path}: {name}: is stored in chunks of {dataset.chunks}, {size} bytes each; at most {MAX_CHUNK_BYTES}"
+            )
+        pieces = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
+        unwritten = dataset.id.get_num_chunks() < pieces
+    if unwritten:
+        raise SceneError(f"{path}: {name}: some of its values were never written; was its making stopped?")
+    layout = dataset.id.get_create_plist()
+    for index in range(layout.get_nfilters()):
+        code = layout.get_filter(index)[0]
+        if not h5py.h5z.filter_avail(code):
+            raise SceneError(
+                f"{path}: {name}: is compressed in a way that is not installed here (HDF5 filter {code}); store it "
+                "with gzip, or install the filter"
+            )
+    packed = dataset.id.get_storage_size()
+    if dataset.nbytes > max(MAX_FREELY_UNPACKED, MAX_RATIO * packed):
+        raise SceneError(
+            f"{path}: {name}: {packed} bytes would unpack to {dataset.nbytes}; no such data compresses as well"
+        )
 
 
 def _dataset(file: h5py.File, path: Path, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
@@ -139,11 +193,14 @@ def _features(file: h5py.File, path: Path, states: int) -> tuple[str, NDArray[An
     crops = len(_own(file, path, "resnet_feature").shape or ()) == 3
     shape = (states, None, None) if crops else (states, None)
     dataset = _dataset(file, path, "resnet_feature", kinds="f", shape=shape)
-    if 0 in dataset.shape or dataset.size > MAX_FEATURE_VALUES:
-        raise SceneError(f"{path}: resnet_feature: unusable shape {dataset.shape}")
-    described = [_attribute(dataset, path, key) for key in EXTRACTOR_ATTRIBUTES]
-    extractor = "; ".join(text for text in described if text) or "unknown"
-    return extractor, dataset[:, 0] if crops else dataset[:]
+    if 0 in dataset.shape or states * dataset.shape[-1] > MAX_FEATURE_VALUES:
+        raise SceneError(
+            f"{path}: resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "
+            f"found shape {dataset.shape}"
+        )
+    _check_storage(dataset, path)
+    described = {key: _attribute(dataset, path, key) for key in EXTRACTOR_ATTRIBUTES}
+    return extractor_text(described) or "unknown", dataset[:, 0] if crops else dataset[:]
 
 
 def _views(file: h5py.File, path: Path, states: int) -> Views | None:
@@ -151,13 +208,17 @@ def _views(file: h5py.File, path: Path, states: int) -> Views | None:
         dataset = _dataset(file, path, "observation_webp", kinds="O", shape=(states,))
         if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
             raise SceneError(f"{path}: observation_webp: expected byte strings (variable-length uint8)")
+        _check_storage(dataset, path)
         return Views(path.resolve(), "observation_webp", states)
     if "observation" in file:
         dataset = _dataset(file, path, "observation", kinds="u", shape=(states, None, None, 3))
         if dataset.dtype != np.uint8:
             raise SceneError(f"{path}: observation: expected uint8 pixels, found {dataset.dtype}")
         if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
-            raise SceneError(f"{path}: observation: unusable shape {dataset.shape}")
+            raise SceneError(
+                f"{path}: observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}"
+            )
+        _check_storage(dataset, path)
         return Views(path.resolve(), "observation", states)
     return None
 
@@ -167,8 +228,12 @@ def _goals(declared: Any, path: Path) -> tuple[int, ...]:
     if goals.size == 0:
         return ()
     if goals.dtype.kind not in "iu" or goals.ndim > 1:
-        raise SceneError(f"{path}: attribute 'goals': expected a list of states (integers), found {declared!r}")
-    return tuple(int(goal) for goal in np.atleast_1d(goals))
+        raise SceneError(f"{path}: attribute 'goals': expected a list of states (integers), found {_short(declared)}")
+    states = np.atleast_1d(goals).tolist()
+    twice = [goal for goal in states if states.count(goal) > 1]
+    if twice:
+        raise SceneError(f"{path}: attribute 'goals': names state {twice[0]} twice")
+    return tuple(states)
 
 
 def _in_our_order(graph: NDArray[Any], declared: Any, path: Path) -> NDArray[Any]:
@@ -201,9 +266,28 @@ def _attribute(file: h5py.File | h5py.Dataset, path: Path, name: str) -> str:
     """A text, empty if there is none."""
     value = file.attrs.get(name)
     try:
-        return "" if value is None else _text(value)
+        text = "" if value is None else _text(value)
     except ValueError:
-        raise SceneError(f"{path}: attribute '{name}': expected text, found {value!r}") from None
+        raise SceneError(f"{path}: attribute '{name}': expected text, found {_short(value)}") from None
+    if not text.isprintable() or len(text) > MAX_TEXT:
+        raise SceneError(f"{path}: attribute '{name}': expected one line of text, found {_short(text)}")
+    return text
+
+
+def _name(file: h5py.File, path: Path) -> str:
+    """The scene's name, fit to be part of a file's name; empty if there is none."""
+    name = _attribute(file, path, "name")
+    if len(name) > MAX_NAME or "/" in name or "\\" in name:
+        raise SceneError(
+            f"{path}: attribute 'name': expected at most {MAX_NAME} characters without slashes, found {_short(name)}"
+        )
+    return name
+
+
+def _short(value: Any) -> str:
+    """A value of a file for a message, on one line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:60]}..."
 
 
 def _text(value: Any) -> str:
@@ -212,62 +296,3 @@ def _text(value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{value!r} is no text")
     return value
-
-
-def write_dump(
-    path: str | Path,
-    scene: Scene,
-    views: Iterable[bytes] | None = None,
-    *,
-    attributes: dict[str, Any] | None = None,
-    feature_attributes: dict[str, str] | None = None,
-) -> None:
-    """Write one scene; the file appears whole or not at all.
-
-    Args:
-        path: the file to write; an existing one is replaced.
-        scene: what to write; its ``views`` are not copied.
-        views: N encoded images (WebP, PNG or JPEG bytes), in the order of the states.
-        attributes: further file attributes, beside the scene's own.
-        feature_attributes: how the features were made: ``extractor``, ``preprocessing``, ``weights``; the scene's own
-            description if left out.
-
-    Raises:
-        ValueError: there are not as many views as states.
-    """
-    path = Path(path)
-    encoded = None if views is None else list(views)
-    if encoded is not None and len(encoded) != len(scene):
-        raise ValueError(f"{path}: {len(encoded)} views for {len(scene)} states")
-    unfinished = path.with_name(path.name + ".tmp")
-    try:
-        _write(unfinished, scene, encoded, attributes or {}, feature_attributes or {"extractor": scene.extractor})
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
-def _write(
-    unfinished: Path,
-    scene: Scene,
-    views: list[bytes] | None,
-    attributes: dict[str, Any],
-    feature_attributes: dict[str, str],
-) -> None:
-    with h5py.File(unfinished, "w") as file:
-        file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
-        file.attrs.update(attributes)
-        if scene.goals:
-            file.attrs["goals"] = np.array(scene.goals)
-        file.create_dataset("graph", data=scene.graph.astype(np.int32), compression="gzip")
-        file["location"] = scene.positions.astype(np.float32)
-        file["rotation"] = scene.headings.astype(np.float32)
-        distances = shortest_distances(scene.graph)
-        file.create_dataset("shortest_path_distance", data=distances, compression="gzip", shuffle=True)
-        if scene.features is not None:
-            file["resnet_feature"] = scene.features[:, None]
-            file["resnet_feature"].attrs.update(feature_attributes)
-        if views is not None:
-            stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
-            for state, view in enumerate(views):
-                stored[state] = np.frombuffer(view, np.uint8)

@@ -11,6 +11,11 @@ ACTIONS = ("ahead", "right", "left", "back")
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
 
+ORDER_HINT = f"are the columns in the order {list(ACTIONS)}? (another one is declared by the file attribute 'actions')"
+
+MAX_TURNS = 360
+"""In a full circle; a ring of more states is no turn on the spot."""
+
 IntArray = NDArray[np.int64]
 
 
@@ -45,28 +50,26 @@ def check_graph(graph: IntArray) -> None:
     turned = graph[alive, RIGHT]
     bad = alive[turned < 0]
     if len(bad):
-        raise GraphError(f"state {bad[0]}: turning right is blocked; a turn on the spot never is")
+        raise GraphError(f"state {bad[0]}: turning right is blocked, as a turn on the spot never is; {ORDER_HINT}")
     # With this the left turn is the inverse of the right turn everywhere, and needs no check of its own.
     bad = alive[graph[turned, LEFT] != alive]
     if len(bad):
-        raise GraphError(
-            f"state {bad[0]}: turning right and back does not return to it; are the columns in the order "
-            f"{list(ACTIONS)}? (another order is declared by the file attribute 'actions')"
-        )
+        raise GraphError(f"state {bad[0]}: turning right and back does not return to it; {ORDER_HINT}")
     rings = _ring_lengths(graph, alive)
-    odd = alive[(rings % 4 != 0) | (rings != rings[0])]
+    odd = alive[(rings % 4 != 0) | (rings != rings[0]) | (rings == 0)]
     if len(odd):
+        here, first = (length or f"more than {MAX_TURNS}" for length in (rings[alive == odd[0]][0], rings[0]))
         raise GraphError(
-            f"state {odd[0]}: a full turn to the right passes {rings[alive.tolist().index(odd[0])]} states; "
-            f"expected the same multiple of four everywhere ({rings[0]} at state {alive[0]})"
+            f"state {odd[0]}: a full turn to the right passes {here} states; "
+            f"expected the same multiple of four everywhere ({first} at state {alive[0]})"
         )
 
 
 def _ring_lengths(graph: IntArray, alive: IntArray) -> IntArray:
-    """How many right turns bring each of the states ``alive`` back to itself, int64 ``[len(alive)]``."""
+    """How many right turns bring each of the states ``alive`` back to itself, int64; 0 = more than `MAX_TURNS`."""
     lengths = np.zeros(len(alive), np.int64)
     at = alive
-    for turns in range(1, len(graph) + 1):
+    for turns in range(1, MAX_TURNS + 1):
         at = graph[at, RIGHT]
         lengths[(at == alive) & (lengths == 0)] = turns
         if lengths.all():

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from dirl.scenes.graph import RIGHT, GraphError, IntArray, check_graph, shortest_distances, surrounding_states
 from dirl.scenes.views import Views
 
+LARGEST = 1e6
+"""Metres of a position, degrees of a heading; what is beyond has been misread."""
+
 
 class SceneError(ValueError):
     """A scene that cannot be used; the message says what is wrong, where, and what to do."""
@@ -48,7 +51,9 @@ class Scene:
     origin: str = "a scene made in memory"
 
     def __post_init__(self) -> None:
-        graph = self._array("graph", self.graph, np.integer, (None, 4)).astype(np.int64)
+        given = self._array("graph", self.graph, np.integer, (None, 4))
+        # The largest unsigned numbers would become -1, a blocked move.
+        graph = np.minimum(given, min(np.iinfo(given.dtype).max, np.iinfo(np.int64).max)).astype(np.int64)
         states = len(graph)
         try:
             check_graph(graph)
@@ -63,6 +68,13 @@ class Scene:
                 with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
                     features = features.astype(np.float16 if features.dtype == np.float16 else np.float32)
             arrays["features"] = self._array("resnet_feature", features, np.floating, (states, None))
+        for name, values, unit in (("location", positions, "metres"), ("rotation", headings, "degrees")):
+            far = np.flatnonzero((np.abs(values.reshape(states, -1)) > LARGEST).any(1))
+            if len(far):
+                raise SceneError(
+                    f"{self.origin}: {name}: state {far[0]} holds {values[far[0]].tolist()}; expected at most "
+                    f"{LARGEST:,.0f} {unit}"
+                )
         self._check_turns(graph, positions)
         if self.views is not None and len(self.views) != states:
             raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")

@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+MAX_PIXELS = 2**24
+"""Of a view; larger ones are refused before they are unpacked."""
+
 
 @dataclass(frozen=True)
 class Views:
@@ -42,7 +45,7 @@ class Views:
             return np.asarray(stored)
         try:
             return decode(stored.tobytes())
-        except (OSError, SyntaxError, ValueError) as error:
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
             raise ValueError(f"{self.path}: {self.dataset}: state {state}: not a readable image ({error})") from None
 
     def encoded(self, state: int) -> bytes | None:
@@ -53,14 +56,19 @@ class Views:
             return file[self.dataset][state].tobytes()
 
 
-def encode(view: NDArray[np.uint8], quality: int = 85) -> bytes:
-    """A view as WebP bytes; ``quality`` is WebP's, 0 to 100."""
+def encode(view: NDArray[np.uint8], quality: int | None = 85) -> bytes:
+    """A view as WebP bytes; ``quality`` is WebP's, 0 to 100, or None to lose nothing."""
     buffer = io.BytesIO()
-    Image.fromarray(view).save(buffer, "WEBP", quality=quality, method=6)
+    if quality is None:
+        Image.fromarray(view).save(buffer, "WEBP", lossless=True)
+    else:
+        Image.fromarray(view).save(buffer, "WEBP", quality=quality, method=6)
     return buffer.getvalue()
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
     """The RGB image, uint8 ``[H, W, 3]``, in the bytes of an encoded one."""
     with Image.open(io.BytesIO(data)) as image:
+        if image.width * image.height > MAX_PIXELS:
+            raise ValueError(f"{image.width}x{image.height} pixels are more than {MAX_PIXELS}")
         return np.asarray(image.convert("RGB"))

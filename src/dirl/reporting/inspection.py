@@ -1,0 +1,160 @@
+"""Pictures of a scene: its map, all its views, how far its states are apart, and where template matching errs."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from dirl.reporting.rooms import COLORS, GOAL_COLOR, WALL_COLOR, draw_room
+from dirl.scenes import Scene
+from dirl.scenes.geometry import heading_directions, step_length
+from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
+
+MAX_THUMBNAILS = 720
+THUMBNAIL, LABEL, GAP = 96, 14, 4
+"""Pixels: the width of a view on the contact sheet, the height of the line above a place, between places."""
+
+MAP_SIZE = 6.0
+"""Inches, the longer side."""
+
+PLATE = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+"""Behind the numbers on the map."""
+
+
+def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
+    """Draw walls, free cells, moves and goals, as a PNG.
+
+    Args:
+        scene: N states.
+        parts: which part each state is in, see `dirl.inspection.Inspection`; those but the largest are coloured.
+        file: the image to write.
+    """
+    side, place = step_length(scene), places(scene.graph)
+    spans = np.ptp(scene.positions, axis=0) + 2 * side
+    width, height = spans * MAP_SIZE / spans.max()
+    figure = Figure((max(width, 3.5) + 1, height + 1.4), layout="constrained")
+    axes = figure.subplots()
+    draw_room(axes, scene, side)
+    figure.suptitle(f"{scene.name} ({scene.source}): {len(scene)} states at {place.max() + 1} places", fontsize=11)
+    # Numbers that would not be readable are left out.
+    size = 72 * 0.28 * side * min(width / spans[0], height / spans[1])
+    for first in np.unique(place, return_index=True)[1]:
+        x, z = scene.positions[first]
+        if parts[first] > 0:
+            axes.plot(
+                x, z, "s", color=COLORS[(parts[first] - 1) % len(COLORS)], alpha=0.35, markersize=2.4 * size, zorder=2
+            )
+        if size > 3.5:
+            axes.text(
+                x, z, str(first), ha="center", va="center", fontsize=min(size, 9), color="0.25", zorder=4, bbox=PLATE
+            )
+    for state in np.flatnonzero(scene.graph[:, AHEAD] >= 0):
+        ends = scene.positions[[state, scene.graph[state, AHEAD]]]
+        axes.plot(*ends.T, color="0.7", linewidth=0.8, zorder=1.5)
+    ahead = np.nan_to_num(heading_directions(scene))
+    for goal in scene.goals:
+        x, z = scene.positions[goal]
+        axes.annotate(
+            "",
+            xytext=(x, z),
+            xy=(x + 0.8 * side * ahead[goal, 0], z + 0.8 * side * ahead[goal, 1]),
+            arrowprops={"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0},
+            zorder=5,
+        )
+        axes.plot(x, z, "*", color=GOAL_COLOR, markeredgecolor="black", markersize=14, zorder=6)
+    handles: list[Patch | Line2D] = [Patch(color=WALL_COLOR, label="walls, furniture")]
+    handles.append(Line2D([], [], color="0.7", linewidth=0.8, label="moves ahead"))
+    if len(scene.goals):
+        star = Line2D([], [], linestyle="", marker="*", markersize=12, color=GOAL_COLOR, markeredgecolor="black")
+        star.set_label("goals, and the way they face")
+        handles.append(star)
+    if parts.max() > 0:
+        handles.append(Patch(color=COLORS[0], alpha=0.35, label="not connected with the rest"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+
+
+def draw_contact_sheet(scene: Scene, file: Path) -> None:
+    """Draw all views small, place by place, each place with its first state's number, as a JPEG.
+
+    Of a scene with more than `MAX_THUMBNAILS` views, places evenly spread over it are drawn.
+
+    Raises:
+        ValueError: the scene has no views, or one cannot be decoded.
+    """
+    if scene.views is None:
+        raise ValueError(f"{scene.origin}: has no views")
+    turns = turns_per_circle(scene.graph)
+    place = places(scene.graph)
+    groups = [np.flatnonzero(place == number) for number in range(place.max() + 1)]
+    most = max(1, MAX_THUMBNAILS // turns)
+    if len(groups) > most:
+        groups = [groups[number] for number in np.linspace(0, len(groups) - 1, most).round().astype(int)]
+    rows, columns, _ = scene.views[0].shape
+    height = max(1, round(THUMBNAIL * rows / columns))
+    # A place's headings stay together in one line; the sheet comes out about as wide as high.
+    block = turns * (THUMBNAIL + 1) + GAP
+    line = height + LABEL + GAP
+    across = max(1, round(math.sqrt(len(groups) * line / block)))
+    down = math.ceil(len(groups) / across)
+    sheet = Image.new("RGB", (across * block + GAP, down * line + GAP), "white")
+    draw = ImageDraw.Draw(sheet)
+    for number, states in enumerate(groups):
+        left, top = GAP + number % across * block, GAP + number // across * line
+        draw.text((left, top - 1), f"{states[0]}", fill="black")
+        for turn, state in enumerate(states):
+            view = Image.fromarray(scene.views[int(state)]).resize((THUMBNAIL, height), Image.Resampling.BOX)
+            sheet.paste(view, (left + turn * (THUMBNAIL + 1), top + LABEL))
+    sheet.save(file, quality=85)
+
+
+def draw_distances(scene: Scene, file: Path) -> None:
+    """Draw how many pairs of states are how many actions apart, as a PNG."""
+    reached = scene.distances[scene.distances > 0]
+    figure = Figure((6, 3.2), layout="constrained")
+    axes = figure.subplots()
+    axes.hist(reached, bins=[edge + 0.5 for edge in range(reached.max() + 1)], color=COLORS[0], rwidth=0.9)
+    axes.axvline(reached.mean(), color=COLORS[1], label=f"mean {reached.mean():.1f}")
+    axes.set(xlabel="actions from state to state", ylabel="pairs", title=f"{scene.name} ({scene.source})")
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+
+
+def draw_false_stops(
+    scene: Scene,
+    thresholds: NDArray[np.floating],
+    every: NDArray[np.floating],
+    own: NDArray[np.floating] | None,
+    threshold: float,
+    file: Path,
+) -> None:
+    """Draw how often template matching would stop at a wrong state, over its threshold, as a PNG.
+
+    Args:
+        scene: named in the title.
+        thresholds: ``[T]``.
+        every: the share of false stops with every state as a goal, ``[T]``.
+        own: the same for the scene's own goals, or None.
+        threshold: the one in use.
+        file: the image to write.
+    """
+    figure = Figure((6, 3.6), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(thresholds, 100 * every, color=COLORS[0], label="every state as a goal")
+    if own is not None:
+        axes.plot(thresholds, 100 * own, color=COLORS[1], label="the scene's own goals")
+    axes.axvline(threshold, color="0.5", linestyle=":", label=f"threshold {threshold:g}")
+    axes.set(xlabel="threshold", ylabel="false stops (% of states)", title=f"{scene.name} ({scene.source})")
+    axes.set_yscale("symlog", linthresh=0.1)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(-0.005, 110))
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    FigureCanvasAgg(figure).print_figure(file, dpi=120)

@@ -1,0 +1,32 @@
+"""The map of a room that pictures are drawn on, and the colours that they share."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MultipleLocator
+
+from dirl.scenes import Scene
+
+# The Okabe-Ito palette, which colour-blind readers can tell apart; its yellow is the goal's.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+GOAL_COLOR = "#F0E442"
+WALL_COLOR = "#C9CDD3"
+
+
+def draw_room(axes: Axes, scene: Scene, side: float) -> None:
+    """White squares where an agent can be, on the grey of walls and furniture.
+
+    Args:
+        axes: drawn on; get the limits and labels of the room.
+        scene: the room.
+        side: of a square, metres, see `dirl.scenes.geometry.step_length`.
+    """
+    cells = np.unique(scene.positions.round(3), axis=0)
+    squares = [Rectangle((x - side / 2, z - side / 2), side, side) for x, z in cells]
+    axes.add_collection(PatchCollection(squares, facecolor="white", edgecolor="0.9", linewidth=0.5, zorder=1))
+    axes.set_facecolor(WALL_COLOR)
+    low, high = cells.min(0) - side, cells.max(0) + side
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", anchor="N", xlabel="x (m)", ylabel="z (m)")
+    axes.xaxis.set_major_locator(MultipleLocator(1))
+    axes.yaxis.set_major_locator(MultipleLocator(1))

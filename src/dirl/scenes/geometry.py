@@ -1,0 +1,40 @@
+"""Where the states of a scene lie and point to on its map, as its moves tell."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.scenes.graph import AHEAD, IntArray
+from dirl.scenes.scene import Scene
+
+
+def step_length(scene: Scene) -> float:
+    """The median length of the moves ahead, metres; 0.5 where there are none."""
+    _, moves = _moves_ahead(scene)
+    return float(np.median(np.abs(moves))) if len(moves) else 0.5
+
+
+def heading_directions(scene: Scene) -> NDArray[np.float64]:
+    """Where each state's heading points to on the map: unit vectors (x, z), float64 ``[N, 2]``.
+
+    Headings are clockwise from +z in AI2-THOR, but files come from elsewhere too. So the sense of rotation and its
+    zero are those that agree best with where the moves ahead lead to; AI2-THOR's where the moves do not tell.
+    """
+    states, moves = _moves_ahead(scene)
+    clockwise = np.exp(1j * np.deg2rad(scene.headings))
+    turned, zero = clockwise, np.complex128(1)
+    if len(moves):
+        # Where a sense fits, every move asks for the same zero; where it does not, they cancel each other out.
+        fits = [(sense, np.mean(moves / sense[states])) for sense in (clockwise, clockwise.conj())]
+        best, mean = max(fits, key=lambda fit: round(abs(fit[1]), 6))
+        # With headings that are all the same the moves may cancel out in either sense.
+        if abs(mean) > 1e-6 * np.abs(moves).max():
+            turned, zero = best, mean / abs(mean)
+    pointing = turned * zero
+    return np.stack([pointing.imag, pointing.real], 1)
+
+
+def _moves_ahead(scene: Scene) -> tuple[IntArray, NDArray[np.complex128]]:
+    """The states whose way ahead is free, and the moves as z + ix, whose angle is the clockwise one from +z."""
+    states = np.flatnonzero(scene.graph[:, AHEAD] >= 0)
+    x, z = (scene.positions[scene.graph[states, AHEAD]] - scene.positions[states]).T
+    return states, z + 1j * x

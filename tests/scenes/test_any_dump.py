@@ -1,0 +1,96 @@
+"""Properties of `read_dump`, whatever a file holds: a scene that can be walked in, or one `SceneError`."""
+
+import tempfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from rooms import grid_scene, published_dump
+from spoil import instead, refused
+
+from dirl.scenes import SceneError, read_dump
+
+GOOD = grid_scene()
+
+
+def reads(spoil):
+    """The scene of a good file that has been spoiled; None if it was refused, by a proper error."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = published_dump(Path(folder) / "room.h5", GOOD, crops=1)
+        with h5py.File(path, "a") as file:
+            del file["shortest_path_distance"]  # it would warn of every changed link
+            spoil(file)
+        return read_or_refused(path)
+
+
+def read_or_refused(path):
+    try:
+        scene = read_dump(path)
+    except SceneError:
+        scene = None
+    if scene is None:
+        refused(path)
+    else:
+        check_walkable(scene)
+    return scene
+
+
+def check_walkable(scene):
+    states = np.arange(len(scene))
+    assert ((scene.graph >= -1) & (scene.graph < len(scene))).all()
+    alive = (scene.graph >= 0).any(1)
+    right = scene.graph[alive, 1]
+    assert (scene.graph[right, 2] == states[alive]).all()
+    around = scene.surrounding
+    assert (np.sort(around[alive], 1)[:, 1:] != np.sort(around[alive], 1)[:, :-1]).all()  # four different ones
+    assert np.abs(scene.positions[around] - scene.positions[:, None]).max() < 0.01
+    for values in (scene.positions, scene.headings, scene.features):
+        assert np.isfinite(values).all()
+
+
+@given(graph=hnp.arrays(np.int8, st.tuples(st.integers(0, 30), st.integers(0, 6)), elements=st.integers(-3, 30)))
+def test_any_table_of_integers_for_a_graph(graph):
+    reads(instead("graph", graph))
+
+
+@given(data=st.data())
+def test_a_good_graph_with_some_links_changed(data):
+    graph = GOOD.graph.copy()
+    cells = st.tuples(st.integers(0, 23), st.integers(0, 3), st.integers(-2, 24))
+    changes = data.draw(st.lists(cells, min_size=1, max_size=4))
+    for state, action, to in changes:
+        graph[state, action] = to
+    scene = reads(instead("graph", graph))
+    if scene is not None:
+        assert (scene.graph == graph).all()  # nothing has been repaired
+    moves_only = all(action in (0, 3) and -1 <= to < 24 for _, action, to in changes)
+    assert (scene is not None) or not moves_only
+
+
+NUMBERS = hnp.integer_dtypes() | hnp.unsigned_integer_dtypes() | hnp.floating_dtypes(sizes=(16, 32, 64))
+
+
+@given(data=st.data(), name=st.sampled_from(["graph", "location", "rotation", "resnet_feature"]))
+def test_any_numbers_for_any_dataset(data, name):
+    shape = data.draw(hnp.array_shapes(max_dims=4, max_side=25) | st.just(GOOD.features.shape))
+    reads(instead(name, data.draw(hnp.arrays(data.draw(NUMBERS), shape))))
+
+
+@pytest.mark.filterwarnings("ignore:.*shortest_path_distance")
+@given(data=st.data())
+def test_a_file_whose_values_are_damaged(data):
+    with tempfile.TemporaryDirectory() as folder:
+        path = published_dump(Path(folder) / "room.h5", GOOD, crops=1)
+        content = bytearray(path.read_bytes())
+        with h5py.File(path) as file:  # damage outside of the values is libhdf5's to notice
+            start = min(file[name].id.get_offset() for name in ("graph", "location", "rotation"))
+        places = st.integers(start, len(content) - 1)
+        for place, value in data.draw(st.dictionaries(places, st.integers(0, 255))).items():
+            content[place] = value
+        path.write_bytes(content)
+        with np.errstate(all="ignore"):
+            read_or_refused(path)

@@ -1,0 +1,170 @@
+"""The documentation: the code on its pages runs, every option is explained, and the site stands on its own.
+
+On a how-to page ```python and ```bash blocks are run, in order, in an empty folder; ```text is output. What cannot be
+run here is a {code-block} whose caption tells the reader why.
+"""
+
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import torch
+from commands import ROOT, TINY
+
+DOCS = ROOT / "docs"
+PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "howto").glob("*.md"))]
+
+QUICK = [option for option in TINY if "evaluation.max_steps" not in option] + ["evaluation.max_steps=10"]
+"""Behind every training of a page, but for the options that it gives itself."""
+
+SHORTER = {
+    "gymnasium.md": {"total_timesteps=40_960": "total_timesteps=1_024", "set(range(180))": "set(range(20, 40))"},
+    "navigator.md": {"frames_per_scene=30000": "frames_per_scene=2500", "times=10": "times=1"},
+}
+"""What makes the Python code of a page take seconds; it is otherwise run as it stands."""
+
+NOT_RUN = {
+    "gpu.md": ["needs CUDA"],
+    "loggers.md": ["needs pip install -e '.[tensorboard]', which they do without"],
+    "navigator.md": ["needs the weights of a ResNet-50"],
+    "thor_dumps.md": ["needs the published dumps"],
+}
+"""Why the blocks that a page declares as not run are not; what is added here must be a reason."""
+
+EXAMPLE_RUN = "runs/dirl_bathroom_02/2026-01-31_12-00-00"
+"""The run that pages speak of."""
+
+
+class Block(NamedTuple):
+    language: str
+    caption: str
+    text: str
+
+
+def blocks(page):
+    """The fenced code of a page."""
+    fence = r'^```(?:\{code-block\} )?(\w+)\n(?::caption: "([^\n]*)"\n)?(.*?)^```$'
+    return [Block(*match) for match in re.findall(fence, page.read_text(), re.DOTALL | re.MULTILINE)]
+
+
+def run_line(line, monkeypatch):
+    """Run a line of a shell block in this process, which saves the seconds that imports take."""
+    words = shlex.split(line, comments=True)
+    if words[:2] == ["python", "-m"]:
+        monkeypatch.setattr(sys, "argv", words[2:])
+        runpy.run_module(words[2], run_name="__main__")
+        return
+    assert words[0] == "python", f"how is this tested? {line}"
+    if words[1].endswith("train.py") and not any(word.startswith("resume=") for word in words):
+        given = {word.partition("=")[0] for word in words}
+        words += [option for option in QUICK if option.partition("=")[0] not in given]
+    monkeypatch.setattr(sys, "argv", words[1:])
+    runpy.run_path(str(ROOT / words[1]), run_name="__main__")
+
+
+@pytest.fixture(scope="module")
+def example_run(tmp_path_factory):
+    """A folder of a finished run in the bathroom."""
+    folder = tmp_path_factory.mktemp("example") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        run_line(f"python recipes/train.py scene=bathroom_02 hydra.run.dir={folder}", patch)
+    return folder
+
+
+@pytest.fixture
+def few_threads():
+    """Pages may choose how many threads torch uses."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("few_threads")
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_code_of_a_page_runs(page, example_run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    shutil.copytree(example_run, EXAMPLE_RUN)
+    if page.stem == "resume":  # as if it had been stopped before its first checkpoint
+        for file in Path(EXAMPLE_RUN).iterdir():
+            if file.name != "config.yaml":
+                file.unlink()
+    names = {"__name__": page.stem}
+    for language, caption, text in blocks(page):
+        if caption:
+            continue
+        if language == "python":
+            for old, new in SHORTER.get(page.name, {}).items():
+                text = text.replace(old, new)
+            exec(compile(text, str(page), "exec"), names)
+        elif language == "bash":
+            for line in text.replace("\\\n", "").splitlines():
+                if not line.startswith("pip install"):
+                    run_line(line, monkeypatch)
+
+
+def test_pages_have_only_code_that_is_run_or_says_why_it_is_not():
+    reasons = {}
+    for page in PAGES:
+        outside = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+        assert not re.search(r"\n\n    \S", outside), f"{page.name}: indented code is not run; fence it"
+        for block in blocks(page):
+            assert block.language in ("python", "bash", "text"), f"{page.name}: {block.language}"
+            if block.caption:
+                reasons.setdefault(page.name, []).append(block.caption.removeprefix("Not run by the tests: "))
+        for old in SHORTER.get(page.name, {}):
+            assert old in page.read_text(), f"{page.name}: there is no '{old}' to make shorter"
+    assert reasons == NOT_RUN
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The built site; a warning fails."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(DOCS), str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+class Assets(HTMLParser):
+    """Collects what a browser would fetch for a page."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        if tag != "a":
+            self.found += [given[name] for name in ("src", "srcset", "href", "data", "poster") if given.get(name)]
+        self.found += re.findall(r"url\((.*?)\)", given.get("style") or "")
+
+
+def test_the_site_asks_no_other_host_for_anything(site):
+    asked = {}
+    for page in site.rglob("*.html"):
+        parser = Assets()
+        parser.feed(page.read_text())
+        asked[page.name] = parser.found
+    for sheet in site.rglob("*.css"):
+        asked[sheet.name] = re.findall(r"(?:url\(|@import )['\"]?([^'\")]+)", sheet.read_text())
+    assert len(asked["index.html"]) > 5
+    other = re.compile(r"\s*(\w+:)?//")
+    elsewhere = [(name, what) for name, found in asked.items() for what in found if other.match(what)]
+    assert elsewhere == []
+
+
+def test_every_option_has_a_meaning(site):
+    cells = re.findall(r"<tr.*?</tr>", (site / "configuration.html").read_text(), re.DOTALL)
+    rows = [re.findall(r"<td>(.*?)</td>", row, re.DOTALL) for row in cells]
+    options = {re.sub(r"<.*?>", "", row[0]).strip(): row[2] for row in rows if len(row) == 3}
+    assert "reinforcement.gamma" in " ".join(options)
+    assert [name for name, meaning in options.items() if not meaning.strip("<p>/ \n")] == []
