@@ -1,182 +1,165 @@
 """Measure the speed of training and evaluation on this machine, everything in one run.
 
     python recipes/benchmark.py out=benchmark.json
-    python recipes/benchmark.py scenes=[kitchen_02] "train=['reinforcement.agents_per_scene=400']"
+    python recipes/benchmark.py worlds=[kitchen_02] growth=false "train=['reinforcement.agents_per_scene=400']"
 
-Training is ``reinforce`` of recipes/train.py as it is. Beside it stands the same loop in bare tensors, without TorchRL
-and TensorDict: what it is faster is what they cost. Both are also given as a share of the machine's limit, the rate of
-its matrix products. All options: conf/benchmark.yaml.
+Training is ``reinforce`` of recipes/train.py as it is. Beside it stand the loops of recipes/loops.py: bare tensors,
+stock TorchRL, Stable-Baselines3. All take turns, so that what else the machine does hits all; medians are shown. The
+limit is the rate of the machine's float32 matrix products. All options: conf/benchmark.yaml.
 """
 
+import multiprocessing
 import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import hydra
 import torch
-import torch.nn.functional as F
-from hydra import compose
+from hydra import compose, initialize_config_dir
+from loops import bare_tensors, stable_baselines3, stock_torchrl
 from omegaconf import DictConfig
-from torch.nn.utils import clip_grad_norm_
 from torch.utils.flop_counter import FlopCounterMode
 from tqdm import tqdm
-from train import peak_memory_mb, reinforce
+from train import imitate, peak_memory_mb, reinforce
 
-from dirl.assemble import Parts, build_optimiser, build_parts, run_policy
+from dirl.assemble import Parts, build_env, build_parts, run_policy
+from dirl.collection import collect
 from dirl.commandline import check_overrides, one_line_errors, register
-from dirl.config import BenchmarkConfig, ConfigError, typed
-from dirl.evaluation import every_start
+from dirl.config import BenchmarkConfig, ConfigError, TrainConfig, typed
+from dirl.models import actor_critic
 from dirl.runs import Run, write_json
+from dirl.scenes.catalog import ROOMS
+
+CONF = Path(__file__).resolve().parent.parent / "conf"
+SLOW = 20
+"""The loops of others make so many times fewer updates than ours."""
+
+GROWTH = {
+    "agents": [16, 64, 256, 1024, 4096],
+    "scenes": [1, 4, 16, 64],
+    "goals": [4, 32, 128, 512],
+}
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="benchmark")
 def main(composed: DictConfig) -> None:
-    """Measure, print the table, write the file."""
+    """Measure, print the tables, write the file."""
     with one_line_errors():
         options: BenchmarkConfig = typed(composed)
         if options.out is not None and Path(options.out).exists():
             raise ConfigError(f"out={options.out}: there is such a file already; it is not overwritten")
-        asked = [_train_config(scene, options) for scene in options.scenes]
+        fixed = [f"reinforcement.frames_per_scene={options.frames_per_scene}", *options.train]
+        asked = [train_config([f"scene={_text(scene)}", *fixed]) for scene in options.worlds]
         for config in asked:
             build_parts(config)
-    loops: dict[str, Callable[[Parts], float]] = {"training": training, "bare tensors": bare_training}
-    limit = matrix_product_rate()
-    rows = []
-    for scene, config in zip(options.scenes, asked, strict=True):
-        rates: dict[str, list[float]] = {name: [] for name in loops}
-        for _ in tqdm(range(options.repeats), desc=str(scene), disable=not sys.stderr.isatty()):
-            for name, loop in loops.items():
-                rates[name].append(loop(build_parts(config)))
-        needed = operations_per_frame(build_parts(config))
-        medians = {name: statistics.median(of_loop) for name, of_loop in rates.items()}
-        rows.append(
-            {
-                "scene": scene,
-                "frames_per_second": medians["training"],
-                "bare_frames_per_second": medians["bare tensors"],
-                "ratio": statistics.median(
-                    a / b for a, b in zip(rates["training"], rates["bare tensors"], strict=True)
-                ),
-                "operations_per_frame": needed,
-                "share_of_limit": medians["training"] * needed / limit,
-                **evaluation_seconds(build_parts(config)),
-            }
-        )
-    result = {"threads": torch.get_num_threads(), "matrix_products_per_second": limit, "rows": rows}
+    result: dict[str, Any] = {"threads": torch.get_num_threads()}
+    result["limits"] = {name: matrix_product_rate(getattr(torch, name)) for name in ("float32", "bfloat16")}
+    result["rows"] = [
+        compare(_text(scene), config, options, result["limits"]["float32"])
+        for scene, config in zip(options.worlds, asked, strict=True)
+    ]
     result["peak_memory_mb"] = peak_memory_mb()
-    print(table(result))
+    result["growth"] = growth(options.train) if options.growth else []
+    print(tables(result))
     if options.out is not None:
         write_json(Path(options.out), result)
 
 
-def _train_config(scene: Any, options: BenchmarkConfig) -> Any:
-    scene = scene if isinstance(scene, str) else f"[{','.join(scene)}]"
-    fixed = [f"scene={scene}", f"reinforcement.frames_per_scene={options.frames_per_scene}"]
-    return typed(compose("train", [*fixed, "evaluation.times=0", "checkpoint.every_seconds=1e9", *options.train]))
+def train_config(overrides: Sequence[str]) -> TrainConfig:
+    """A configuration of recipes/train.py in which nothing but training takes time."""
+    quiet = ["evaluation.times=0", "checkpoint.every_seconds=1e9"]
+    config: TrainConfig = typed(compose("train", [*quiet, *overrides]))
+    return config
+
+
+def compare(name: str, config: TrainConfig, options: BenchmarkConfig, limit: float) -> dict[str, Any]:
+    """One row: our loop and the others in one world, and how long it takes to learn it."""
+    scenes = len(build_parts(config).world.scenes)
+    updates = config.reinforcement.frames_per_scene // (
+        config.reinforcement.agents_per_scene * config.reinforcement.steps
+    )
+    few = max(2, updates // SLOW)
+    loops: dict[str, Callable[[], float]] = {
+        "training": lambda: training(build_parts(config)),
+        "rollout": lambda: rollout(build_parts(config), updates),
+        "bare_tensors": lambda: bare_tensors(build_parts(config), updates),
+        "stock_torchrl": lambda: stock_torchrl(build_parts(config), few),
+    }
+    if options.sb3:
+        loops["stable_baselines3"] = lambda: stable_baselines3(build_parts(config), few)
+    rates: dict[str, list[float]] = {loop: [] for loop in loops}
+    for _ in tqdm(range(options.repeats), desc=name, disable=not sys.stderr.isatty()):
+        for loop, measure in loops.items():
+            rates[loop].append(measure())
+    needed = operations_per_frame(config)
+    row: dict[str, Any] = {"world": name, "scenes": scenes, "operations_per_frame": needed}
+    row["frames_per_second"] = {loop: statistics.median(of_loop) for loop, of_loop in rates.items()}
+    row["times_faster"] = {
+        loop: statistics.median(ours / other for ours, other in zip(rates["training"], of_loop, strict=True))
+        for loop, of_loop in rates.items()
+    }
+    row["share_of_limit"] = row["frames_per_second"]["training"] * needed / limit
+    row |= evaluation_seconds(build_parts(config))
+    return row | (learning(name, options) if options.learning else {})
 
 
 def training(parts: Parts) -> float:
     """Frames per second of our training loop."""
+    return float(trained(parts)["frames_per_second"])
+
+
+def trained(parts: Parts, *, imitation: bool = False) -> dict[str, Any]:
+    """Train in a folder that is thrown away."""
     with tempfile.TemporaryDirectory() as folder:
         run = Run(Path(folder), parts.config)
         run.begin(parts.world)
-        return reinforce(parts, run)["frames_per_second"]
+        torch.manual_seed(parts.config.seed)
+        if imitation:
+            imitate(parts, run)
+        return reinforce(parts, run)
 
 
-def bare_training(parts: Parts) -> float:
-    """Frames per second of the same loop without TorchRL and TensorDict (A2C, surrounding views, stop at the goal).
-
-    It makes the same computations in the same order, from the graph and the network alone.
-    """
-    config, world, network = parts.config, parts.world, parts.network
-    options = config.reinforcement
-    agents, steps, limit = options.agents_per_scene * len(world.scenes), options.steps, options.max_steps
-    total = options.frames_per_scene * len(world.scenes)
-    optimiser = build_optimiser(parts)
-    demos = [parts.demos[key] for key in ("views", "goal_views", "scene")]
-    goal_index, start = every_start(world)
-    reward, scale = config.reward, config.reward.scale
-
-    def begin() -> tuple[torch.Tensor, torch.Tensor]:
-        chosen = torch.randint(len(start), (agents,))
-        return start[chosen], goal_index[chosen]
-
-    state, goal = begin()
-    age = torch.zeros(agents, dtype=torch.long)
+def rollout(parts: Parts, updates: int) -> float:
+    """Frames per second of walking alone."""
+    env, policy = build_env(parts), actor_critic(parts.network)
+    agents, frames = env.reset(), 0
     began = time.perf_counter()
-    for frames in range(0, total, agents * steps):
-        left = 1 - frames / total
-        for group in optimiser.param_groups:
-            group["lr"] = config.optimiser.lr * left
-        with network.encoder.remembering():
-            seen, actions, rewards, values, next_values, overs, ends = [], [], [], [], [], [], []
-            with torch.no_grad():
-                for _ in range(steps):
-                    seen.append((world.surrounding[state], world.surrounding[world.goals[goal]], world.scene_of[state]))
-                    logits, value = network(*seen[-1])
-                    actions.append(torch.multinomial(logits.softmax(-1), 1).squeeze(-1))
-                    after = world.graph[state, actions[-1]]
-                    arrived = after == world.goals[goal]
-                    earned = torch.where(after == state, reward.collision, reward.step)
-                    rewards.append(torch.where(arrived, reward.goal, earned) * scale)
-                    values.append(value.squeeze(-1))
-                    age += 1
-                    over = arrived | (age >= limit)
-                    cut = over & ~arrived
-                    next_value = torch.zeros(agents)
-                    if cut.any():
-                        views = world.surrounding[after[cut]], world.surrounding[world.goals[goal[cut]]]
-                        next_value[cut] = network(*views, world.scene_of[after[cut]])[1].squeeze(-1)
-                    next_values.append(next_value)
-                    overs.append(over)
-                    ends.append(arrived)
-                    fresh, fresh_goal = begin()
-                    state, goal = torch.where(over, fresh, after), torch.where(over, fresh_goal, goal)
-                    age[over] = 0
-                views = world.surrounding[state], world.surrounding[world.goals[goal]]
-                following = network(*views, world.scene_of[state])[1].squeeze(-1)
-                advantage, advantages = torch.zeros(agents), list[torch.Tensor]()
-                for t in reversed(range(steps)):
-                    bootstrap = torch.where(overs[t], next_values[t], following)
-                    delta = rewards[t] + options.gamma * bootstrap - values[t]
-                    advantage = delta + options.gamma * options.lmbda * ~overs[t] * advantage
-                    advantages.insert(0, advantage)
-                    following = values[t]
-            batch = [torch.cat(parts) for parts in zip(*seen, strict=True)]
-            gains, targets = torch.cat(advantages), torch.cat(advantages) + torch.cat(values)
-            rows = [torch.cat(pair) for pair in zip(batch, demos, strict=True)]
-            logits, value = network(*rows)
-            log_probs = logits.log_softmax(-1)
-            own = log_probs[: len(gains)]
-            taken = own.gather(-1, torch.cat(actions).unsqueeze(-1)).squeeze(-1)
-            entropy = -(own.exp() * own).sum(-1).mean()
-            loss = -(taken * gains).mean() - options.entropy * left * entropy
-            loss = loss + options.value * F.mse_loss(value[: len(gains)].squeeze(-1), targets)
-            loss = loss + config.imitation.keep * left * F.nll_loss(
-                log_probs[len(gains) :], parts.demos["expert_action"]
-            )
-            optimiser.zero_grad()
-            loss.backward()
-            clip_grad_norm_(network.parameters(), config.optimiser.max_norm)
-            optimiser.step()
-    return total / (time.perf_counter() - began)
+    for _ in range(updates):
+        with parts.network.encoder.remembering():
+            batch, agents = collect(env, policy, agents, parts.config.reinforcement.steps)
+        frames += batch.numel()
+    return frames / (time.perf_counter() - began)
 
 
-def operations_per_frame(parts: Parts) -> float:
+def learning(name: str, options: BenchmarkConfig) -> dict[str, float]:
+    """When a whole training became stable: at which frame, and after how many seconds (imitation included)."""
+    config = train_config([f"scene={name}", *options.train])
+    began = time.perf_counter()
+    parts = build_parts(config)
+    result = trained(parts, imitation=True)
+    seconds = time.perf_counter() - began
+    stable, frames = result["stable_at_frame"], result["frames"]
+    # All frames take about equally long.
+    before = seconds - frames / result["frames_per_second"]
+    return {"stable_at_frame": stable, "stable_at_second": stable and before + stable / result["frames_per_second"]}
+
+
+def operations_per_frame(config: TrainConfig) -> float:
     """Floating-point operations of matrix products that our training loop makes for a frame."""
-    total = parts.config.reinforcement.frames_per_scene * len(parts.world.scenes)
+    parts = build_parts(config)
     with FlopCounterMode(display=False) as counter:
-        training(parts)
-    return counter.get_total_flops() / total
+        result = trained(parts)
+    return float(counter.get_total_flops() / result["frames"])
 
 
-def matrix_product_rate(size: int = 2048, repeats: int = 10) -> float:
-    """The machine's limit: operations per second of a float32 matrix product, the median of several."""
-    a, b = torch.randn(2, size, size)
+def matrix_product_rate(dtype: torch.dtype, size: int = 2048, repeats: int = 10) -> float:
+    """Operations per second of a matrix product, the median of several."""
+    a, b = torch.randn(2, size, size).to(dtype)
     seconds = []
     for _ in range(repeats):
         began = time.perf_counter()
@@ -185,38 +168,87 @@ def matrix_product_rate(size: int = 2048, repeats: int = 10) -> float:
     return 2 * size**3 / statistics.median(seconds)
 
 
-def evaluation_seconds(parts: Parts) -> dict[str, float]:
-    """How long one episode from every start takes, with the network as it begins: the longest episodes there are."""
-    result: dict[str, float] = {"episodes": len(parts.starts[0])}
-    for name, greedy in (("greedy_seconds", True), ("sampled_seconds", False)):
+def evaluation_seconds(parts: Parts) -> dict[str, Any]:
+    """How long episodes take, with the network as it begins, which walks longest: every start, and 100,000 drawn."""
+    draws = torch.randint(len(parts.starts[0]), (100_000,))
+    many = Parts(**{**vars(parts), "starts": (parts.starts[0][draws], parts.starts[1][draws])})
+    result: dict[str, Any] = {"episodes": len(parts.starts[0])}
+    for name, of_parts, greedy in (("greedy_seconds", parts, True), ("sampled_100k_seconds", many, False)):
         began = time.perf_counter()
-        run_policy(parts, greedy=greedy)
+        run_policy(of_parts, greedy=greedy)
         result[name] = time.perf_counter() - began
     return result
 
 
-def table(result: dict[str, Any]) -> str:
+def growth(overrides: list[str]) -> list[dict[str, Any]]:
+    """Speed and memory over numbers of agents, scenes (copies of one) and goals, each in a process of its own."""
+    rows = []
+    cases = [(what, number) for what, numbers in GROWTH.items() for number in numbers]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1) as pool:
+        for what, number in tqdm(cases, desc="growth", disable=not sys.stderr.isatty()):
+            rows.append(pool.submit(grown, what, number, overrides).result())
+    return rows
+
+
+def grown(what: str, number: int, overrides: list[str], updates: int = 12) -> dict[str, Any]:
+    """One row of `growth`: the built-in rooms with so many agents, the bathroom so many times, the kitchen's goals."""
+    register()
+    with tempfile.TemporaryDirectory() as folder, initialize_config_dir(str(CONF), version_base="1.3"):
+        agents, scenes = 80, 1
+        if what == "agents":
+            scenes, agents = 4, number // 4
+            world = ["scene=all"]
+        elif what == "scenes":
+            scenes, agents = number, max(1, 320 // number)
+            copies = [Path(folder) / f"copy_{copy}.h5" for copy in range(number)]
+            for copy in copies:
+                copy.symlink_to(ROOMS / "bathroom_02.h5")
+            world = [f"scene=[{','.join(map(str, copies))}]"]
+        else:
+            agents = 320
+            world = ["scene=kitchen_02", f"goals=[{','.join(map(str, range(number)))}]"]
+        frames = updates * agents * 5
+        counts = [f"reinforcement.frames_per_scene={frames}", f"reinforcement.agents_per_scene={agents}"]
+        parts = build_parts(train_config([*overrides, *world, *counts]))
+        rate = training(parts)
+    shape = {"agents": agents * scenes, "scenes": scenes, "states": len(parts.world), "goals": len(parts.world.goals)}
+    return {**shape, "frames_per_second": rate, "peak_memory_mb": peak_memory_mb()}
+
+
+def tables(result: dict[str, Any]) -> str:
     """The result for people, as Markdown."""
-    limit, memory = result["matrix_products_per_second"] / 1e9, result["peak_memory_mb"]
-    lines = [
-        f"{result['threads']} threads, float32 matrix products {limit:.0f} GFLOP/s, peak memory {memory:.0f} MB",
-        "",
-        "| scene | frames/s | bare tensors | ratio | MFLOP a frame | share of limit | every start, greedy | sampled |",
-        "| ----- | -------: | -----------: | ----: | ------------: | -------------: | ------------------: | ------: |",
-    ]
+    limits = ", ".join(f"{name} {rate / 1e9:.0f} GFLOP/s" for name, rate in result["limits"].items())
+    text = f"{result['threads']} threads; matrix products: {limits}; peak memory {result['peak_memory_mb']:.0f} MB\n\n"
+    speeds: list[tuple[str, ...]] = []
     for row in result["rows"]:
-        cells = [
-            str(row["scene"]),
-            f"{row['frames_per_second']:,.0f}",
-            f"{row['bare_frames_per_second']:,.0f}",
-            f"{row['ratio']:.2f}",
-            f"{row['operations_per_frame'] / 1e6:.2f}",
-            f"{row['share_of_limit']:.0%}",
-            f"{row['episodes']} in {row['greedy_seconds']:.2f} s",
-            f"{row['sampled_seconds']:.2f} s",
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+        for loop, rate in row["frames_per_second"].items():
+            cells = [row["world"], loop.replace("_", " "), f"{rate:,.0f}", f"{row['times_faster'][loop]:.2f}"]
+            needed, share = f"{row['operations_per_frame'] / 1e6:.2f}", f"{row['share_of_limit']:.0%}"
+            speeds.append((*cells, *((needed, share) if loop == "training" else ("", ""))))
+    text += markdown(("world", "loop", "frames/s", "training is x times it", "MFLOP a frame", "share of limit"), speeds)
+    times = []
+    for row in result["rows"]:
+        stable = row.get("stable_at_frame", 0)
+        when = "never" if stable is None else f"frame {stable:,}, {row['stable_at_second']:.1f} s" if stable else ""
+        greedy, sampled = f"{row['episodes']} in {row['greedy_seconds']:.2f} s", f"{row['sampled_100k_seconds']:.2f} s"
+        times.append((row["world"], greedy, sampled, when))
+    text += "\n" + markdown(("world", "every start, greedy", "100,000 episodes, sampled", "stable at"), times)
+    if result["growth"]:
+        names = tuple(result["growth"][0])
+        grown_rows = [tuple(f"{row[name]:,.0f}" for name in names) for row in result["growth"]]
+        text += "\n" + markdown(tuple(name.replace("_", " ") for name in names), grown_rows)
+    return text
+
+
+def markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    """A table."""
+    lines = [head, tuple("---" if not place else "---:" for place in range(len(head))), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _text(scene: Any) -> str:
+    return scene if isinstance(scene, str) else f"[{','.join(scene)}]"
 
 
 if __name__ == "__main__":

@@ -130,15 +130,18 @@ def test_ctrl_c_saves_a_checkpoint_and_says_how_to_go_on(tmp_path):
     assert list((tmp_path / "stopped" / "checkpoints").glob("*.pt"))
 
 
-def test_benchmark_measures_both_loops(tmp_path):
-    options = [f"scenes=[{room_file(tmp_path)}]", "frames_per_scene=120", "repeats=1", "out=benchmark.json"]
-    train = "train=['network.width=32','reinforcement.agents_per_scene=6']"
+def test_benchmark_measures_every_loop(tmp_path):
+    room = room_file(tmp_path)
+    options = [f"worlds=[{room}]", "frames_per_scene=240", "repeats=1", "growth=false", "out=benchmark.json"]
+    small = "network.width=32,reinforcement.agents_per_scene=6,imitation.max_steps=2,reinforcement.frames_per_scene=240"
+    train = "train=[" + ",".join(f"'{option}'" for option in small.split(",")) + "]"
     status, printed, errors = run_recipe(tmp_path, "benchmark", *options, train)
     assert status == 0, errors
     (row,) = json.loads((tmp_path / "benchmark.json").read_text())["rows"]
-    assert row["frames_per_second"] > 0
-    assert row["bare_frames_per_second"] > 0
+    assert set(row["frames_per_second"]) == {"training", "rollout", "bare_tensors", "stock_torchrl"}
+    assert all(rate > 0 for rate in row["frames_per_second"].values())
     assert row["operations_per_frame"] > 0
+    assert row["stable_at_frame"] is None
     assert "share of limit" in printed
 
 

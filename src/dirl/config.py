@@ -192,9 +192,12 @@ class EvaluateConfig:
 class BenchmarkConfig:
     """Everything ``recipes/benchmark.py`` takes."""
 
-    scenes: list[Any] = MISSING
+    worlds: list[Any] = MISSING
     frames_per_scene: int = MISSING
     repeats: int = MISSING
+    sb3: bool = MISSING
+    learning: bool = MISSING
+    growth: bool = MISSING
     train: list[str] = MISSING
     out: str | None = None
 
