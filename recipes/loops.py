@@ -149,6 +149,14 @@ class PlainTrunk(nn.Module):
         return self.fusion(torch.cat([self.embedding(observation), self.embedding(goal_observation)], -1))
 
 
+class PlainLayers(SceneLayers):
+    """`SceneLayers` for batches of any shape: TorchRL's GAE asks the critic for all steps of all agents at once."""
+
+    def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
+        """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
+        return super().forward(rows.flatten(0, -2), scene.flatten()).unflatten(0, scene.shape)
+
+
 def stock_torchrl(parts: Parts, updates: int) -> float:
     """TorchRL as its A2C examples use it: collector, features as keys, GAE and loss with networks of their own passes.
 
@@ -160,19 +168,19 @@ def stock_torchrl(parts: Parts, updates: int) -> float:
     trunk = TensorDictSequential(
         TensorDictModule(PlainTrunk(world.features.shape[1], width), ["observation", "goal_observation"], ["fused"]),
         TensorDictModule(
-            SceneLayers(world.names, lambda: nn.Sequential(nn.Linear(width, width), nn.ReLU())),
+            PlainLayers(world.names, lambda: nn.Sequential(nn.Linear(width, width), nn.ReLU())),
             ["fused", "scene"],
             ["hidden"],
         ),
     )
-    policy = SceneLayers(world.names, lambda: nn.Linear(width, len(ACTIONS)))
+    policy = PlainLayers(world.names, lambda: nn.Linear(width, len(ACTIONS)))
     actor = ProbabilisticActor(
         TensorDictModule(policy, ["hidden", "scene"], ["logits"]),
         in_keys=["logits"],
         distribution_class=Categorical,
         return_log_prob=True,
     )
-    value = SceneLayers(world.names, lambda: nn.Linear(width, 1))
+    value = PlainLayers(world.names, lambda: nn.Linear(width, 1))
     critic = TensorDictModule(value, ["hidden", "scene"], ["state_value"])
     operator = ActorValueOperator(trunk, actor, critic)
     policy_operator, value_operator = operator.get_policy_operator(), operator.get_value_operator()
