@@ -35,7 +35,7 @@ def entries(file: Path) -> dict[str, tuple[str, str]]:
     level, found = (f"{file.parent.name}." if inside else ""), {}
     prefix = level
     for line in text.splitlines():
-        match = re.match(r"( *)([a-z_]+):\s*([^#]*?)\s*(?:#\s*(.*))?$", line)
+        match = re.match(r"( *)([a-z_0-9]+):\s*([^#]*?)\s*(?:#\s*(.*))?$", line)
         if match is None:
             continue
         indent, name, value, comment = match.groups()

@@ -27,7 +27,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from tqdm import tqdm
 from train import imitate, peak_memory_mb, reinforce
 
-from dirl.assemble import Parts, build_env, build_parts, run_policy
+from dirl.assemble import Parts, build_env, learning_parts, run_policy
 from dirl.collection import collect
 from dirl.commandline import check_overrides, one_line_errors, register
 from dirl.config import BenchmarkConfig, ConfigError, TrainConfig, typed
@@ -56,7 +56,7 @@ def main(composed: DictConfig) -> None:
         fixed = [f"reinforcement.frames_per_scene={options.frames_per_scene}", *options.train]
         asked = [train_config([f"scene={_text(scene)}", *fixed]) for scene in options.worlds]
         for config in asked:
-            build_parts(config)
+            learning_parts(config)
     result: dict[str, Any] = {"threads": torch.get_num_threads()}
     result["limits"] = {name: matrix_product_rate(getattr(torch, name)) for name in ("float32", "bfloat16")}
     result["rows"] = [
@@ -79,19 +79,19 @@ def train_config(overrides: Sequence[str]) -> TrainConfig:
 
 def compare(name: str, config: TrainConfig, options: BenchmarkConfig, limit: float) -> dict[str, Any]:
     """One row: our loop and the others in one world, and how long it takes to learn it."""
-    scenes = len(build_parts(config).world.scenes)
+    scenes = len(learning_parts(config).world.scenes)
     updates = config.reinforcement.frames_per_scene // (
         config.reinforcement.agents_per_scene * config.reinforcement.steps
     )
     few = max(2, updates // SLOW)
     loops: dict[str, Callable[[], float]] = {
-        "training": lambda: training(build_parts(config)),
-        "rollout": lambda: rollout(build_parts(config), updates),
-        "bare_tensors": lambda: bare_tensors(build_parts(config), updates),
-        "stock_torchrl": lambda: stock_torchrl(build_parts(config), few),
+        "training": lambda: training(learning_parts(config)),
+        "rollout": lambda: rollout(learning_parts(config), updates),
+        "bare_tensors": lambda: bare_tensors(learning_parts(config), updates),
+        "stock_torchrl": lambda: stock_torchrl(learning_parts(config), few),
     }
     if options.sb3:
-        loops["stable_baselines3"] = lambda: stable_baselines3(build_parts(config), few)
+        loops["stable_baselines3"] = lambda: stable_baselines3(learning_parts(config), few)
     rates: dict[str, list[float]] = {loop: [] for loop in loops}
     for _ in tqdm(range(options.repeats), desc=name, disable=not sys.stderr.isatty()):
         for loop, measure in loops.items():
@@ -104,7 +104,7 @@ def compare(name: str, config: TrainConfig, options: BenchmarkConfig, limit: flo
         for loop, of_loop in rates.items()
     }
     row["share_of_limit"] = row["frames_per_second"]["training"] * needed / limit
-    row |= evaluation_seconds(build_parts(config))
+    row |= evaluation_seconds(learning_parts(config))
     return row | (learning(name, options) if options.learning else {})
 
 
@@ -140,7 +140,7 @@ def learning(name: str, options: BenchmarkConfig) -> dict[str, float]:
     """When a whole training became stable: at which frame, and after how many seconds (imitation included)."""
     config = train_config([f"scene={name}", *options.train])
     began = time.perf_counter()
-    parts = build_parts(config)
+    parts = learning_parts(config)
     result = trained(parts, imitation=True)
     seconds = time.perf_counter() - began
     stable, frames = result["stable_at_frame"], result["frames"]
@@ -151,7 +151,7 @@ def learning(name: str, options: BenchmarkConfig) -> dict[str, float]:
 
 def operations_per_frame(config: TrainConfig) -> float:
     """Floating-point operations of matrix products that our training loop makes for a frame."""
-    parts = build_parts(config)
+    parts = learning_parts(config)
     with FlopCounterMode(display=False) as counter:
         result = trained(parts)
     return float(counter.get_total_flops() / result["frames"])
@@ -210,7 +210,7 @@ def grown(what: str, number: int, overrides: list[str], updates: int = 12) -> di
             world = ["scene=kitchen_02", f"goals=[{','.join(map(str, range(number)))}]"]
         frames = updates * agents * 5
         counts = [f"reinforcement.frames_per_scene={frames}", f"reinforcement.agents_per_scene={agents}"]
-        parts = build_parts(train_config([*overrides, *world, *counts]))
+        parts = learning_parts(train_config([*overrides, *world, *counts]))
         rate = training(parts)
     shape = {"agents": agents * scenes, "scenes": scenes, "states": len(parts.world), "goals": len(parts.world.goals)}
     return {**shape, "frames_per_second": rate, "peak_memory_mb": peak_memory_mb()}

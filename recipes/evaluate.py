@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 
 from dirl.assemble import Parts, assess, build_parts, describe
 from dirl.commandline import check_overrides, one_line_errors, register
-from dirl.config import Axes, EvaluateConfig, parse_config, typed
+from dirl.config import EvaluateConfig, parse_config, typed
 from dirl.models import TemplateStop
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs import RunError, load_checkpoint, write_json
@@ -43,7 +43,6 @@ def main(composed: DictConfig) -> None:
             "evaluation.starts": options.starts,
             "evaluation.episodes_per_goal": options.episodes_per_goal,
             "evaluation.max_steps": options.max_steps,
-            "network.axes": Axes.features,  # what a checkpoint holds
         }
         changes = {name: value for name, value in changes.items() if value is not None}
         parts = build_parts(parse_config(saved["config"], origin=options.checkpoint, changes=changes))

@@ -31,8 +31,8 @@ from dirl.assemble import (
     assess,
     build_env,
     build_optimiser,
-    build_parts,
     describe,
+    learning_parts,
     run_policy,
     run_trajectories,
 )
@@ -63,7 +63,7 @@ def main(composed: DictConfig) -> None:
     folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
     with one_line_errors(folder):
         run = open_run(typed(composed), folder, HydraConfig.get().overrides.task)
-        parts = build_parts(run.config)
+        parts = learning_parts(run.config)
         run.begin(parts.world)
     torch.manual_seed(run.config.seed)
     world = parts.world

@@ -65,10 +65,6 @@ def build_parts(config: TrainConfig) -> Parts:
         width=config.network.width,
         seed=config.seed,
     )
-    network = network.to(world.device)
-    # With more states than features of a view there is next to nothing to save.
-    if config.network.axes == Axes.principal and len(world) <= world.features.shape[1]:
-        network.encoder.use_principal_axes(None if sight.history else world.surrounding)
     # A demonstrated state has no history: the expert is seen there as at the start of an episode.
     demos = demonstrations(world, config.imitation.share, config.imitation.rule, config.seed)
     testing = config.evaluation
@@ -76,13 +72,23 @@ def build_parts(config: TrainConfig) -> Parts:
         config=config,
         world=world,
         sight=sight,
-        network=network,
+        network=network.to(world.device),
         demos=demos.update({"views": sight.begin(demos["state"]), "goal_views": sight.begin(demos["goal"])}),
         starts=every_start(world)
         if testing.starts == Starts.every
         else sampled_starts(world, testing.episodes_per_goal, config.seed),
         stop=_stop_table(config, config.stop.evaluation, world),
     )
+
+
+def learning_parts(config: TrainConfig) -> Parts:
+    """`build_parts`, with the network in the axes it shall learn in."""
+    parts = build_parts(config)
+    world = parts.world
+    # With more states than features of a view there is next to nothing to save.
+    if config.network.axes == Axes.principal and len(world) <= world.features.shape[1]:
+        parts.network.encoder.use_principal_axes(None if parts.sight.history else world.surrounding)
+    return parts
 
 
 def _stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
