@@ -33,6 +33,7 @@ SHORTER = {
 NOT_RUN = {
     "gpu.md": ["needs CUDA"],
     "loggers.md": ["needs pip install -e '.[tensorboard]', which they do without"],
+    "make_scenes.md": ["needs AI2-THOR's build", "needs the weights of a ResNet-50"],
     "navigator.md": ["needs the weights of a ResNet-50"],
     "thor_dumps.md": ["needs the published dumps"],
 }

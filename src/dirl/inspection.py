@@ -136,8 +136,9 @@ def _graph_problems(scene: Scene, parts: IntArray) -> Iterator[str]:
 def _map_problems(scene: Scene) -> Iterator[str]:
     turn = 360 / turns_per_circle(scene.graph)
     moving = np.flatnonzero(scene.graph[:, RIGHT] >= 0)
-    turned = np.abs(_difference(scene.headings[scene.graph[moving, RIGHT]], scene.headings[moving])) - turn
-    wrong = moving[np.abs(turned) > 1]
+    turned = _difference(scene.headings[scene.graph[moving, RIGHT]], scene.headings[moving])
+    sense = -1 if np.median(turned) < 0 else 1  # some files count headings the other way round
+    wrong = moving[np.abs(turned - sense * turn) > 1]
     if len(wrong):
         state = wrong[0]
         after = scene.graph[state, RIGHT]

@@ -81,7 +81,9 @@ def draw_policy(
 
     lost = never_arrives(scene, goal, chances.argmax(1))
     middles = scene.positions + 0.31 * side * directions
-    _draw_actions(policy_map, wedges, middles, directions, side, chances, lost)
+    # A quarter of the cell has room for a glyph of a third of its side; narrower wedges for less.
+    glyph = 0.34 * side * min(1.0, 1.6 * math.tan(math.pi / turns_per_circle(scene.graph)))
+    _draw_actions(policy_map, wedges, middles, directions, glyph, chances, lost)
     policy_map.set_title("most probable action", fontsize=10)
     _draw_heat(figure, value_map, wedges, values, Normalize(values.min(), values.max()), "viridis")
     value_map.set_title("state value", fontsize=10)
@@ -157,11 +159,14 @@ def _draw_actions(
     wedges: FloatArray,
     middles: FloatArray,
     directions: FloatArray,
-    side: float,
+    glyph: float,
     chances: FloatArray,
     lost: NDArray[np.bool_],
 ) -> None:
-    """A wedge for each state, the stronger in colour the surer the policy is, and a glyph of the action on it."""
+    """A wedge for each state, the stronger in colour the surer the policy is, and a glyph of the action on it.
+
+    ``glyph`` is its height, metres.
+    """
     actions = chances.argmax(1)
     colors = np.array([to_rgb(color) for color in COLORS[: len(ACTIONS)]])[actions]
     # Evenly divided chances are white; full colour stays pale enough for a black glyph on it.
@@ -173,7 +178,7 @@ def _draw_actions(
     for middle, direction, action in zip(middles, directions, actions, strict=True):
         # The glyph's own "up" comes to lie along the heading.
         turn = np.array([[direction[1], -direction[0]], direction])
-        glyphs.append(middle + 0.34 * side * GLYPHS[action] @ turn)
+        glyphs.append(middle + glyph * GLYPHS[action] @ turn)
     inks = np.where(lost[:, None], 0.5 + 0.5 * colors, 0.05)
     axes.add_collection(PolyCollection(glyphs, facecolors=inks, linewidths=0, zorder=3))
 

@@ -240,7 +240,7 @@ def _same_heading(places: dict[str, list[Row]], first: dict[str, int], row: Row,
     nearest = int(np.argmin(off))
     if off[nearest] > TOLERANCE:
         raise SceneError(
-            f"{row.where}: {column}: '{location}' has no image with heading {row.heading:g}; a move keeps the heading"
+            f"{row.where}: {column}: '{location}' has no image with heading {row.heading:g}; a move keeps it"
         )
     return first[location] + nearest
 

@@ -1,0 +1,71 @@
+"""What the textures are made of: noise that repeats seamlessly, colours, coordinates."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+def rgb(color: str) -> Array:
+    """A colour such as ``#d94f30`` as sRGB values in [0, 1], float64 ``[3]``.
+
+    Raises:
+        ValueError: the text is no such colour.
+    """
+    digits = color.removeprefix("#")
+    try:
+        if len(digits) != 6 or not color.startswith("#"):
+            raise ValueError
+        return np.array([int(digits[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0
+    except ValueError:
+        raise ValueError(f"'{color}' is no colour; write e.g. '#d94f30'") from None
+
+
+def palette(colors: tuple[str, ...]) -> Array:
+    """Several colours, float64 ``[k, 3]``."""
+    if not colors:
+        raise ValueError("colors: name at least one")
+    return np.stack([rgb(color) for color in colors])
+
+
+def mix(a: Array, b: Array, share: Array) -> Array:
+    """From colour ``a`` to ``b``; ``share`` is ``b``'s, ``[h, w]``."""
+    return a * (1 - share[..., None]) + b * share[..., None]
+
+
+def coordinates(n: int) -> tuple[Array, Array]:
+    """Rows (v, downwards) and columns (u) of the pixel centres, in [0, 1], ``[n, n]`` each."""
+    centres = (np.arange(n) + 0.5) / n
+    v, u = np.meshgrid(centres, centres, indexing="ij")
+    return v, u
+
+
+def fractal_noise(rng: np.random.Generator, height: int, width: int, fy: int, fx: int, octaves: int = 5) -> Array:
+    """Value noise in [0, 1] that repeats seamlessly, float64 ``[height, width]``.
+
+    Args:
+        rng: every call draws from it.
+        height: rows.
+        width: columns.
+        fy: cells of the coarsest octave along the rows; every further octave doubles them and weighs half.
+        fx: the same along the columns.
+        octaves: how many; those finer than a pixel are left out.
+    """
+    total, weight, weights = np.zeros((height, width)), 1.0, 0.0
+    for octave in range(octaves):
+        ny, nx = fy * 2**octave, fx * 2**octave
+        if ny > height or nx > width:
+            break
+        lattice = rng.random((ny, nx))
+        y, x = np.arange(height) * ny / height, np.arange(width) * nx / width
+        iy, ix = y.astype(int), x.astype(int)
+        ty, tx = ((t * t * (3 - 2 * t)) for t in (y - iy, x - ix))
+        below, beside = (iy + 1) % ny, (ix + 1) % nx
+        top = lattice[iy][:, ix] * (1 - tx) + lattice[iy][:, beside] * tx
+        bottom = lattice[below][:, ix] * (1 - tx) + lattice[below][:, beside] * tx
+        total += weight * (top * (1 - ty[:, None]) + bottom * ty[:, None])
+        weights += weight
+        weight /= 2
+    return total / weights

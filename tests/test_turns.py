@@ -1,0 +1,103 @@
+"""A room whose turns are 30 degrees, from training to every picture: a quarter turn is then three turns."""
+
+import json
+import re
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from commands import train_config
+from PIL import Image
+from rooms import grid_scene
+from train import draw_scene, imitate, reinforce
+
+from dirl.assemble import build_parts, run_policy
+from dirl.evaluation import metrics
+from dirl.models import TemplateStop
+from dirl.navigator import Navigator
+from dirl.reporting import viewer_pages
+from dirl.runs import Run
+from dirl.scenes import write_dump
+from dirl.scenes.views import encode
+
+GOAL = 19
+"""In the second place, headed 210 degrees, along no axis."""
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """DIRL trained in three places of twelve headings, and where its run lies."""
+    folder = tmp_path_factory.mktemp("turns")
+    room = grid_scene(2, 2, headings=12, goals=(GOAL,), blocked=[(0, 1)], feature_width=32)
+    rng = np.random.default_rng(0)
+    views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8), quality=None) for _ in range(len(room))]
+    write_dump(folder / "room.h5", room, views)
+    sizes = ["reinforcement.frames_per_scene=20_000", "reinforcement.agents_per_scene=30", "evaluation.times=0"]
+    options = ["network.width=64", "imitation.share=0.3", "optimiser.lr=2e-3", "checkpoint.every_seconds=1e9"]
+    config = train_config(f"scene={folder / 'room.h5'}", *sizes, *options)
+    torch.manual_seed(config.seed)
+    parts = build_parts(config)
+    run = Run(folder, config)
+    run.begin(parts.world)
+    imitate(parts, run)
+    result = reinforce(parts, run)
+    run.finish({"frames": result["frames"], "network": parts.network.state_dict()}, {})
+    return parts, folder
+
+
+def test_it_finds_its_goal_from_everywhere(trained):
+    parts, _ = trained
+    result = metrics(run_policy(parts))
+    assert (result["sr"], result["episodes"]) == (1, 35)
+    assert result["spl"] > 0.7
+
+
+def test_what_surrounds_a_state_is_three_turns_apart(trained):
+    parts, _ = trained
+    headings = parts.world.scenes[0].headings
+    assert ((headings[parts.world.surrounding] - headings[:, None]) % 360 == [0, 90, 180, 270]).all()
+    assert parts.sight.begin(torch.tensor(GOAL)).tolist() == [19, 22, 13, 16]
+
+
+def test_maps_paths_and_film_are_drawn(trained):
+    parts, folder = trained
+    draw_scene(parts, 0, folder)
+    for name in ("maps_grid.png", "trajectories_grid.png", "episode_grid.gif"):
+        with Image.open(folder / name) as image:
+            assert min(image.size) > 200, name
+            frames = getattr(image, "n_frames", 1)
+    longest = int(parts.world.distances.max())
+    assert frames > longest  # the film begins farthest from the goal
+
+
+def test_the_viewer_knows_every_heading(trained):
+    parts, _ = trained
+    matching = TemplateStop(0.9)
+    (page,) = viewer_pages(
+        parts.network, parts.world, parts.sight, matching=matching, stop=parts.stop, max_steps=20, title="a test"
+    ).values()
+    data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
+    assert data["surrounding"][GOAL] == [19, 22, 13, 16]
+    sine, cosine = 0.5, round(3**0.5 / 2, 4)
+    assert data["directions"][:4] == [[0, 1], [sine, cosine], [cosine, sine], [1, 0]]
+
+
+def test_a_robot_and_gymnasium_walk_there(trained):
+    parts, folder = trained
+    scene = parts.world.scenes[0]
+    known = {scene.views[state].tobytes(): torch.tensor(scene.features[state]) for state in range(len(scene))}
+    navigator = Navigator.load(
+        folder, lambda images: torch.stack([known[i.numpy().tobytes()] for i in images]), extractor=scene.extractor
+    )
+    env = gymnasium.make(
+        "dirl/Navigation-v0", scene=str(folder / "room.h5"), observation="views", render_mode="rgb_array"
+    )
+    seen, info = env.reset(options={"state": 0}, seed=0)
+    navigator.reset(seen["goal_views"])
+    for _ in range(20):
+        seen, _, arrived, _, info = env.step(navigator.act(seen["views"]).action)
+        if arrived:
+            break
+    assert info["state"] == GOAL
+    assert env.render().shape[0] == 300
