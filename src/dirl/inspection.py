@@ -208,7 +208,7 @@ def _ambiguous(scene: Scene, scores: NDArray[np.floating], threshold: float) -> 
 def _false_stops(scene: Scene, scores: NDArray[np.floating], goals: IntArray) -> NDArray[np.floating]:
     """The share of (goal, state that reaches it) whose coefficient is above each of `THRESHOLDS`."""
     wrong = np.sort(scores[:, goals][scene.distances[:, goals] > 0])
-    return 1 - np.searchsorted(wrong, THRESHOLDS, side="right") / max(1, len(wrong))
+    return 1 - np.searchsorted(wrong, THRESHOLDS, side="right") / len(wrong)
 
 
 def _matching_problems(
