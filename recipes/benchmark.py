@@ -120,7 +120,7 @@ def trained(parts: Parts, *, imitation: bool = False) -> dict[str, Any]:
         run.begin(parts.world)
         torch.manual_seed(parts.config.seed)
         if imitation:
-            imitate(parts, run)
+            imitate(parts, run, parts.demos)
         return reinforce(parts, run)
 
 

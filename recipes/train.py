@@ -4,6 +4,7 @@
     python recipes/train.py scene=all seed=1 logger=wandb
     python recipes/train.py scene=kitchen_02 preset=paper system=td_drl
     python recipes/train.py -m scene=bathroom_02 imitation.share=0,0.05,0.5 seed=0,1,2
+    python recipes/train.py -m experiment=fig8
     python recipes/train.py resume=runs/dirl_bathroom_02/2026-01-31_12-00-00
 
 All options with their values: conf/train.yaml and the groups beside it.
@@ -12,44 +13,31 @@ All options with their values: conf/train.yaml and the groups beside it.
 import resource
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torch.nn.utils import clip_grad_norm_
 from torchrl.envs import EnvBase
 from tqdm import tqdm
 
-from dirl.assemble import (
-    Parts,
-    assess,
-    build_env,
-    build_optimiser,
-    describe,
-    learning_parts,
-    run_policy,
-    run_trajectories,
-)
+from dirl.assemble import Parts, assess, build_env, build_optimiser, describe, learning_parts, run_policy
+from dirl.asynchronous import asynchronous_updates, fetch, share
 from dirl.collection import collect
-from dirl.commandline import check_overrides, one_line_errors, register
-from dirl.config import ObjectiveConfig, Precision, TrainConfig, typed
-from dirl.evaluation import action_values, metrics
-from dirl.models import TemplateStop, actor_critic
-from dirl.objectives import ImitationLoss, bootstrap, clip_each, make_advantages, make_loss
-from dirl.reporting import (
-    draw_learning_curve,
-    draw_policy,
-    draw_trajectories,
-    run_title,
-    summary_table,
-    write_gif,
-)
+from dirl.commandline import check_overrides, job_errors, one_line_errors, register
+from dirl.config import PolicyName, Precision, TrainConfig, typed
+from dirl.evaluation import mean_shortest, metrics
+from dirl.experts import label, merge_demonstrations
+from dirl.learning import Update, make_gradients, set_learning_rate, summarise
+from dirl.models import actor_critic
+from dirl.objectives import ImitationLoss
+from dirl.pictures import draw_scene
+from dirl.reporting import draw_learning_curve, run_title, summary_table
 from dirl.runs import EpisodeMeter, Run, interruptible, open_run
 
 ROWS = 200
@@ -58,32 +46,71 @@ ROWS = 200
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="train")
 def main(composed: DictConfig) -> None:
-    """Set up, run the stages one after the other, and show what came out."""
+    """Train: one run, or one job of a sweep."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
-    with one_line_errors(folder):
-        run = open_run(typed(composed), folder, HydraConfig.get().overrides.task)
-        parts = learning_parts(run.config)
-        run.begin(parts.world)
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        with job_errors(folder):
+            train(*set_up(composed, folder))
+    else:
+        with one_line_errors(folder):
+            run, parts = set_up(composed, folder)
+        train(run, parts)
+
+
+def set_up(composed: DictConfig, folder: Path) -> tuple[Run, Parts | None]:
+    """The run and its parts, made before anything is written; no parts if it was finished before."""
+    run = open_run(typed(composed), folder, HydraConfig.get().overrides.task)
+    if run.finished:
+        return run, None
+    parts = learning_parts(run.config)
+    run.begin(parts.world)
+    return run, parts
+
+
+def train(run: Run, parts: Parts | None) -> None:
+    """Run the stages one after the other, and show what came out."""
+    if parts is None:
+        print(f"finished before: {run.folder}")
+        return
     torch.manual_seed(run.config.seed)
-    world = parts.world
-    print(f"{run.config.system} in {', '.join(world.names)} (source: {world.source}), seed {run.config.seed}: {folder}")
-
+    print(f"{run_title(describe(parts))}: {run.folder}")
+    if run.config.policy != PolicyName.network:
+        measure(parts, run)
+        return
+    walked = {}
     if run.saved is None and len(parts.demos):
-        imitate(parts, run)
-    trained = reinforce(parts, run)
-    conclude(parts, run, trained)
+        step = imitate(parts, run, parts.demos)
+        walked = aggregate(parts, run, step)
+    conclude(parts, run, reinforce(parts, run) | walked)
 
 
-def imitate(parts: Parts, run: Run) -> None:
-    """Clone the expert, by full-batch steps until its actions are learnt (paper section 3.3)."""
+def measure(parts: Parts, run: Run) -> None:
+    """Evaluate a policy that learns nothing."""
+    summary = describe(parts) | {"frames": 0, "seconds": run.seconds} | assess(parts)
+    run.write_summary(summary)
+    print(summary_table(summary))
+
+
+def imitate(parts: Parts, run: Run, demos: TensorDictBase, done: int = 0) -> int:
+    """Clone the expert, by full-batch steps until its actions are learnt (paper section 3.3).
+
+    Args:
+        parts: of the run.
+        run: gets a row of ``imitation.csv`` a step.
+        demos: what the expert did, ``[M]``, with views.
+        done: steps so far.
+
+    Returns:
+        Steps so far.
+    """
     options = parts.config.imitation
     operator = actor_critic(parts.network)
     trunk = operator.module[0]
     loss = ImitationLoss(operator.get_policy_head())
     optimiser = torch.optim.Adam(parts.network.parameters(), lr=options.lr)  # the value head gets no gradient
-    for step in range(1, options.max_steps + 1):
-        result = loss(trunk(parts.demos.copy()))
+    for step in range(done + 1, done + options.max_steps + 1):
+        result = loss(trunk(demos.copy()))
         optimiser.zero_grad()
         result["loss_imitation"].backward()
         optimiser.step()
@@ -91,42 +118,43 @@ def imitate(parts: Parts, run: Run) -> None:
         run.write("imitation", step, row)
         if row["loss"] < options.enough:
             break
-    print(f"{len(parts.demos)} demonstrations, {step} steps of imitation: {row['accuracy']:.1%} of the actions learnt")
+    print(f"{len(demos)} demonstrations, {step} steps of imitation: {row['accuracy']:.1%} of the actions learnt")
+    return step
+
+
+def aggregate(parts: Parts, run: Run, done: int) -> dict[str, Any]:
+    """DAgger (Ross et al. 2011): the learner walks, the expert labels the states it came to, all is cloned again.
+
+    Writes a row of ``dagger.csv`` a round: frames walked so far, states and goals labelled so far, and what the clone
+    is worth. Returns what the summary says of it.
+    """
+    options, world = parts.config.imitation, parts.world
+    if options.rounds == 0:
+        return {}
+    env, operator = build_env(parts), actor_critic(parts.network)
+    agents, demos, frames = env.reset(), parts.demos, 0
+    for number in range(1, options.rounds + 1):
+        batch, agents = collect(env, operator, agents, options.walk)
+        frames += batch.numel()
+        demos = merge_demonstrations(demos, label(world, batch.reshape(-1)))
+        done = imitate(parts, run, demos, done)
+        row = {"round": number, "frames": frames, "labels": len(demos)}
+        run.write("dagger", number, row | metrics(run_policy(parts)))
+    return {"frames": frames, "demonstrations": len(demos)}
 
 
 def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
-    config, world, network, demos = parts.config, parts.world, parts.network, parts.demos
+    config, world, network = parts.config, parts.world, parts.network
     options = config.reinforcement
-    operator = actor_critic(network)
-    trunk, critic = operator.module[0], operator.get_value_operator()
-    advantages = make_advantages(options.gamma, options.lmbda)
-    objective = make_loss(
-        config.objective.name,
-        operator,
-        entropy=options.entropy,
-        value=options.value,
-        clip=config.objective.clip,
-        reduction=options.reduction,
-    )
-    imitation = ImitationLoss(operator.get_policy_head(), coeff=config.imitation.keep)
-    rounds = config.precision == Precision.bfloat16
-    imitates = config.imitation.keep > 0 and len(demos) > 0
     optimiser = build_optimiser(parts)
-    clip = clip_each if config.optimiser.clip_each else clip_grad_norm_
+    operator, gradients = actor_critic(network), make_gradients(parts, network)
+    rounds = config.precision == Precision.bfloat16
     env = build_env(parts)
     agents = env.reset()
-    meter = EpisodeMeter(len(world.goals))
+    meter = EpisodeMeter(mean_shortest(world))
     total = options.frames_per_scene * len(world.scenes)
-    frames, seconds = 0, 0.0
-
-    def losses(batch: TensorDictBase) -> TensorDictBase:
-        rows = batch.select(*trunk.in_keys)
-        if imitates:
-            rows = torch.cat([rows, demos.select(*trunk.in_keys)])
-        hidden = trunk(rows)["hidden"]
-        result = objective(batch.set("hidden", hidden[: len(batch)]))
-        return result.update(imitation(demos.copy().set("hidden", hidden[len(batch) :]))) if imitates else result
+    frames, seconds, began, shared = 0, 0.0, 0.0, None
 
     def state() -> dict[str, Any]:
         return {
@@ -150,55 +178,54 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
         meter.load_state_dict(run.saved["meter"])
         restore_random_state(env, run.saved["random"])
 
+    def record(update: Update) -> None:
+        """Count an update; write, test and save where it is time to."""
+        nonlocal frames, seconds, began
+        before, frames = frames, frames + update.frames
+        seconds += time.perf_counter() - began
+        began = time.perf_counter()
+        meter.add(update.goal_index, update.steps, frames)
+        bar.update(update.frames)
+        bar.set_postfix_str(f"ATL {meter.atl:.1f}", refresh=False)
+        if due(before, frames, total, ROWS):
+            progress = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
+            progress |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
+            run.write("reinforcement", frames, progress | update.values)
+        tests, saves = due(before, frames, total, config.evaluation.times), run.save_due() or frames >= total
+        if shared is not None and (tests or saves):
+            fetch(shared, network)
+        if tests:
+            test(parts, run, frames)
+        if saves:
+            run.save(state())
+        if shared is None:  # workers have not waited
+            began = time.perf_counter()
+
     often = 0.2 if sys.stderr.isatty() else 10.0
     bar = tqdm(total=total, initial=frames, unit=" frames", unit_scale=True, mininterval=often, disable=total == 0)
+    began = time.perf_counter()
     with interruptible() as interrupted, bar:
-        while frames < total:
-            began, before, left = time.perf_counter(), frames, 1 - frames / total
-            for group in optimiser.param_groups:
-                group["lr"] = config.optimiser.lr * left
-            objective.entropy_coeff = options.final_entropy + (options.entropy - options.final_entropy) * left
-            imitation.coeff = config.imitation.keep * left
-
+        if options.workers > 1 and frames < total:
+            shared = share(network, optimiser, frames)
+            for update in asynchronous_updates(config, shared, total, interrupted):
+                record(update)
+        while frames < total and not interrupted:
+            left = 1 - frames / total
+            set_learning_rate(optimiser, config.optimiser.lr * left)
             with network.encoder.remembering(), torch.autocast(env.device.type, torch.bfloat16, enabled=rounds):
                 batch, agents = collect(env, operator, agents, options.steps)
-                advantages(bootstrap(batch, critic))
-                for part in passes(batch.reshape(-1), config.objective):
-                    result = losses(part)
-                    optimiser.zero_grad()
-                    sum(value for key, value in result.items() if key.startswith("loss_")).backward()
-                    clip(network.parameters(), config.optimiser.max_norm)
+                for result in gradients(batch, left):  # noqa: B007
                     optimiser.step()
-
-            frames += batch.numel()
-            over = batch["next"].transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
-            meter.add(env.base_env.goal_index[over["goal"]], over["step_count"].squeeze(-1), frames)
-            seconds += time.perf_counter() - began
-            bar.update(batch.numel())
-            bar.set_postfix_str(f"ATL {meter.atl:.1f}", refresh=False)
-            if due(before, frames, total, ROWS):
-                progress = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
-                progress |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
-                values = {key: value.item() for key, value in sorted(result.items()) if value.numel() == 1}
-                run.write("reinforcement", frames, progress | values)
-            if due(before, frames, total, config.evaluation.times):
-                test(parts, run, frames)
-            if run.save_due() or interrupted or frames >= total:
-                run.save(state())
-            if interrupted and frames < total:
-                bar.close()
-                raise SystemExit(f"interrupted; go on with: python recipes/train.py resume={run.folder}")
+            record(summarise(env, batch, result))
+        if interrupted and frames < total:
+            if shared is not None:
+                fetch(shared, network)
+            run.save(state())
+            bar.close()
+            raise SystemExit(f"interrupted; go on with: python recipes/train.py resume={run.folder}")
     rate = frames / seconds if seconds else None
-    return {"frames": frames, "frames_per_second": rate, "stable_at_frame": meter.stable_at}
-
-
-def passes(batch: TensorDictBase, options: ObjectiveConfig) -> Iterator[TensorDictBase]:
-    """The batches of the updates that follow one rollout: all of it, or shuffled shares of it."""
-    for _ in range(options.epochs):
-        if options.minibatches == 1:
-            yield batch
-        else:
-            yield from (batch[rows] for rows in torch.randperm(len(batch)).chunk(options.minibatches))
+    stable = {"stable_at_frame": meter.stable_at, "near_shortest_at_frame": meter.near_at}
+    return {"frames": frames, "frames_per_second": rate, **stable}
 
 
 def due(before: int, now: int, total: int, times: int) -> bool:
@@ -227,36 +254,6 @@ def conclude(parts: Parts, run: Run, trained: dict[str, Any]) -> None:
     print(f"pictures, metrics and weights: {run.folder}")
 
 
-def draw_scene(parts: Parts, index: int, folder: Path, count: int = 5) -> None:
-    """Pictures of a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy."""
-    world, scene = parts.world, parts.world.scenes[index]
-    goal_index = int(torch.nonzero(world.scene_of[world.goals] == index)[0])
-    distances = world.distances[goal_index]
-    order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())]
-    starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(count, len(order))).long()]
-    episodes, paths = run_trajectories(parts, (torch.full_like(starts, goal_index), starts))
-    goal = int(world.goals[goal_index]) - world.offsets[index]
-    facts = describe(parts) | {"scene": scene.name, "source": scene.source}
-    title = f"{run_title(facts)}, goal {goal}"
-    walked = [[state - world.offsets[index] for state in path] for path in paths]
-    success = episodes.success.tolist()
-    draw_trajectories(scene, goal, walked, folder / f"trajectories_{scene.name}.png", success=success, title=title)
-    write_gif(scene, goal, walked[0], folder / f"episode_{scene.name}.gif", title=title, success=success[0])
-    matching = TemplateStop(parts.config.stop.threshold, parts.config.stop.match)
-    probabilities, value = action_values(parts.network, world, parts.sight, goal_index)
-    scores = matching.scores(world)[goal_index, world.scene_of == index]
-    draw_policy(
-        scene,
-        goal,
-        probabilities.cpu(),
-        value.cpu(),
-        scores.cpu(),
-        folder / f"maps_{scene.name}.png",
-        title=title,
-        threshold=matching.threshold,
-    )
-
-
 def random_state(env: EnvBase) -> dict[str, Tensor]:
     """The state of everything that draws random numbers during training."""
     state = {"env": env.base_env.generator.get_state(), "cpu": torch.get_rng_state()}
@@ -280,5 +277,5 @@ def peak_memory_mb() -> float:
 if __name__ == "__main__":
     register()
     with one_line_errors():
-        check_overrides(TrainConfig, sys.argv[1:])
+        check_overrides(TrainConfig, sys.argv[1:], groups=["experiment"])
     main()

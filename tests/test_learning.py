@@ -20,7 +20,7 @@ def learn(tmp_path, *options):
     run = Run(tmp_path, config)
     run.begin(parts.world)
     if len(parts.demos):
-        imitate(parts, run)
+        imitate(parts, run, parts.demos)
     reinforce(parts, run)
     return before, metrics(run_policy(parts))
 

@@ -32,7 +32,7 @@ def begun(folder, saved=None):
 
 
 def episodes(meter, goal, steps, count, frames=0):
-    meter.add(torch.full((count,), goal), torch.full((count,), steps), frames)
+    meter.add([goal] * count, [steps] * count, frames)
 
 
 def test_rows_become_a_csv_file_with_empty_cells_for_nan(tmp_path):
@@ -120,7 +120,7 @@ def test_json_is_whole_or_not_there(tmp_path):
 
 
 def test_atl_is_averaged_over_goals_and_forgets_old_episodes():
-    meter = EpisodeMeter(3)
+    meter = EpisodeMeter([6, 6, 6])
     assert math.isnan(meter.atl)
     episodes(meter, 0, 50, 10)
     episodes(meter, 0, 10, WINDOW)
@@ -129,7 +129,7 @@ def test_atl_is_averaged_over_goals_and_forgets_old_episodes():
 
 
 def test_stable_needs_enough_short_episodes_of_every_goal_and_is_lost_again():
-    meter = EpisodeMeter(2)
+    meter = EpisodeMeter([6, 6])
     episodes(meter, 0, 20, WINDOW, frames=1)
     episodes(meter, 1, 20, WINDOW - 1, frames=2)
     assert meter.stable_at is None
@@ -144,7 +144,7 @@ def test_stable_needs_enough_short_episodes_of_every_goal_and_is_lost_again():
 
 
 def test_a_restored_meter_goes_on_as_if_nothing_had_happened():
-    meter, other = EpisodeMeter(1), EpisodeMeter(1)
+    meter, other = EpisodeMeter([6]), EpisodeMeter([6])
     episodes(meter, 0, 20, WINDOW + 5, frames=9)
     other.load_state_dict(json.loads(json.dumps(meter.state_dict())))
     for one in (meter, other):

@@ -40,7 +40,7 @@ def trained(tmp_path_factory):
     parts = build_parts(config)
     run = Run(folder, config)
     run.begin(parts.world)
-    imitate(parts, run)
+    imitate(parts, run, parts.demos)
     result = reinforce(parts, run)
     run.finish({"frames": result["frames"], "network": parts.network.state_dict()}, {})
     return parts, folder

@@ -39,7 +39,7 @@ def clone(parts, folder):
     run = Run(folder, parts.config)
     run.begin(parts.world)
     torch.manual_seed(0)
-    imitate(parts, run)
+    imitate(parts, run, parts.demos)
     return parts
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, RewardScaling, StepCounter, TransformedEnv
 
-from dirl.config import Axes, ConfigError, Device, Optimiser, Starts, Stop, TrainConfig
+from dirl.config import Axes, ConfigError, Device, Optimiser, PolicyName, Starts, Stop, TrainConfig
 from dirl.envs import OBSERVATIONS, NavigationEnv, Reward, SurroundingViews
 from dirl.evaluation import (
     Episodes,
@@ -55,6 +55,11 @@ def build_parts(config: TrainConfig) -> Parts:
     if config.device == Device.cuda and not torch.cuda.is_available():
         raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
     scenes = load_scenes(config.scene or [], source=config.source.name, root=config.source.root)
+    workers, agents = config.reinforcement.workers, config.reinforcement.agents_per_scene * len(scenes)
+    if workers > agents:
+        raise ConfigError(f"reinforcement.workers={workers}: there are only {agents} agents to share among them")
+    if workers > 1 and config.device != Device.cpu:
+        raise ConfigError(f"reinforcement.workers={workers}: several workers learn on the CPU only; use device=cpu")
     world = make_world(scenes, config.goals).to(config.device)
     sight = OBSERVATIONS[config.observation](world).to(world.device)
     network = make_network(
@@ -95,15 +100,21 @@ def _stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
     return TemplateStop(config.stop.threshold, config.stop.match)(world) if rule == Stop.match else None
 
 
-def build_env(parts: Parts) -> EnvBase:
-    """The environment of training, with step limit, reward scale and views."""
+def build_env(parts: Parts, *, agents: int | None = None, seed: int | None = None) -> EnvBase:
+    """The environment of training, with step limit, reward scale and views.
+
+    Args:
+        parts: of the run.
+        agents: how many walk in it; all of them if left out.
+        seed: of goals and starts; the configuration's if left out.
+    """
     config, world = parts.config, parts.world
     env = NavigationEnv(
         world,
-        config.reinforcement.agents_per_scene * len(world.scenes),
+        agents or config.reinforcement.agents_per_scene * len(world.scenes),
         reward=Reward(config.reward.goal, config.reward.step, config.reward.collision),
         stop=_stop_table(config, config.stop.training, world),
-        seed=config.seed,
+        seed=config.seed if seed is None else seed,
     )
     limit = StepCounter(max_steps=config.reinforcement.max_steps)
     return TransformedEnv(env, Compose(limit, RewardScaling(loc=0.0, scale=config.reward.scale), parts.sight))
@@ -141,13 +152,21 @@ def describe(parts: Parts) -> dict[str, Any]:
 
 
 def assess(parts: Parts) -> dict[str, dict[str, Any]]:
-    """The measures of the trained policy, greedy and sampled, and of shortest path and random, from the same starts."""
-    world, starts = parts.world, parts.starts
+    """The measures of the policy, greedy and sampled, and of shortest path and random, from the same starts.
+
+    Where the policy is one of the latter two, greedy and sampled are the same.
+    """
+    world, starts, policy = parts.world, parts.starts, parts.config.policy
     # The random walker is stopped by the environment: it shall only be lost, not also misled.
     conditions = {**_conditions(parts), "stop": None}
-    return {
+    baselines = {
         "shortest_path": report(shortest_episodes(world, starts), world),
         "random": report(run_episodes(random_policy, world, starts, greedy=False, **conditions), world),
+    }
+    if policy != PolicyName.network:
+        return {**baselines, "greedy": baselines[policy], "sampled": baselines[policy]}
+    return {
+        **baselines,
         "greedy": report(run_policy(parts), world),
         "sampled": report(run_policy(parts, greedy=False), world),
     }

@@ -2,6 +2,7 @@
 
 import difflib
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
@@ -89,13 +90,18 @@ def choose_command(commands: Mapping[str, str], arguments: Sequence[str], text: 
     return name, rest
 
 
-def check_overrides(schema: type, arguments: Sequence[str]) -> None:
+def check_overrides(schema: type, arguments: Sequence[str], groups: Sequence[str] = ()) -> None:
     """Check the names of a command line's ``name=value`` arguments; Hydra's own message does not list the choices.
+
+    Args:
+        schema: what the recipe takes.
+        arguments: the command line after the program.
+        groups: folders of ``conf/`` that can be chosen from besides.
 
     Raises:
         ConfigError: there is no such option.
     """
-    known = option_names(schema)
+    known = [*option_names(schema), *groups]
     given = [text for text in arguments if "=" in text and not text.startswith("-")]
     try:
         overrides = OverridesParser.create().parse_overrides(given)
@@ -114,6 +120,19 @@ def check_overrides(schema: type, arguments: Sequence[str]) -> None:
         choices = ", ".join(inside.values() or (option for option in known if "." not in option))
         hint = f"did you mean {' or '.join(near)}?" if near else f"choose from {choices}"
         raise ConfigError(f"there is no option '{name}'; {hint}")
+
+
+@contextmanager
+def job_errors(folder: Path) -> Iterator[None]:
+    """Within this context an error of one job of a sweep is told at once, under its folder's name; Hydra keeps it.
+
+    Hydra goes on with the other jobs, and only at the end says what went wrong in the first that failed.
+    """
+    try:
+        yield
+    except Exception as error:
+        print(f"failed: {folder}: {error}", file=sys.stderr, flush=True)
+        raise
 
 
 @contextmanager

@@ -17,6 +17,8 @@ Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Heads = StrEnum("Heads", ["scene", "shared"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 Objective = StrEnum("Objective", ["a2c", "ppo"])
+PolicyName = StrEnum("PolicyName", ["network", "random", "shortest_path"])
+Existing = StrEnum("Existing", ["refuse", "keep"])
 Optimiser = StrEnum("Optimiser", ["adam", "tf_rmsprop"])
 Reduction = StrEnum("Reduction", ["mean", "sum"])
 Stop = StrEnum("Stop", ["goal", "match"])
@@ -58,6 +60,8 @@ class ImitationConfig:
     max_steps: int = MISSING
     enough: float = MISSING
     keep: float = MISSING
+    rounds: int = MISSING
+    walk: int = MISSING
 
 
 @dataclass
@@ -87,6 +91,7 @@ class ReinforcementConfig:
 
     frames_per_scene: int = MISSING
     agents_per_scene: int = MISSING
+    workers: int = MISSING
     steps: int = MISSING
     max_steps: int = MISSING
     gamma: float = MISSING
@@ -153,8 +158,10 @@ class TrainConfig:
     device: Device = MISSING
     precision: Precision = MISSING
     resume: str | None = None
+    existing: Existing = MISSING
     system: str = MISSING
     preset: str = MISSING
+    policy: PolicyName = MISSING
     observation: Observation = MISSING
     source: SourceConfig = field(default_factory=SourceConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
@@ -277,12 +284,15 @@ LIMITS: Mapping[str, tuple[float, float | None]] = {
     "imitation.share": (0, 1),
     "imitation.max_steps": (1, None),
     "imitation.keep": (0, None),
+    "imitation.rounds": (0, None),
+    "imitation.walk": (1, None),
     "objective.epochs": (1, None),
     "objective.minibatches": (1, None),
     "optimiser.lr": (0, None),
     "optimiser.max_norm": (0, None),
     "reinforcement.frames_per_scene": (0, None),
     "reinforcement.agents_per_scene": (1, None),
+    "reinforcement.workers": (1, None),
     "reinforcement.steps": (1, None),
     "reinforcement.max_steps": (1, None),
     "reinforcement.gamma": (0, 1),

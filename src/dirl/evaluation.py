@@ -56,6 +56,11 @@ def sampled_starts(world: World, per_goal: int, seed: int) -> tuple[Tensor, Tens
     return goal_index.to(world.device), draws.flatten().to(world.device)
 
 
+def mean_shortest(world: World) -> list[float]:
+    """The fewest steps to each goal, in the mean over the states that reach it."""
+    return [distances[distances > 0].double().mean().item() for distances in world.distances]
+
+
 def shortest_episodes(world: World, starts: tuple[Tensor, Tensor]) -> Episodes:
     """The expert's episodes from given starts, without walking them: it never fails and never errs."""
     goal_index, start = starts

@@ -1,7 +1,7 @@
 """The shortest-path expert and the demonstrations taken from it (paper sections 3.3 and 4.2)."""
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from dirl.scenes import World
@@ -92,3 +92,33 @@ def demonstrations(world: World, share: float, rule: str = "interval", seed: int
         batch_size=[len(state)],
         device=world.device,
     )
+
+
+def label(world: World, visited: TensorDictBase) -> TensorDict:
+    """What the expert would do where a learner has come to.
+
+    Args:
+        world: where it walks.
+        visited: ``[B]`` rows of ``state``, ``goal`` and ``scene``, and the views of both.
+
+    Returns:
+        ``[M]`` rows of the same and ``expert_action``. Left out are states that do not reach their goal.
+    """
+    goal_index = torch.full((len(world),), -1, device=world.device)
+    goal_index[world.goals] = torch.arange(len(world.goals), device=world.device)
+    wanted = goal_index[visited["goal"]]
+    reaches = world.distances[wanted, visited["state"]] > 0
+    rows = visited.select("state", "goal", "scene", "views", "goal_views")[reaches].clone()
+    return rows.set("expert_action", expert_action(world, wanted[reaches], rows["state"]))
+
+
+def merge_demonstrations(*parts: TensorDictBase) -> TensorDictBase:
+    """All demonstrations, one of each that see the same on the way to the same goal; in order of these."""
+    rows = TensorDict.cat(
+        [part.select("state", "goal", "scene", "views", "goal_views", "expert_action") for part in parts]
+    )
+    seen = torch.cat([rows["views"], rows["goal"].unsqueeze(-1)], -1)
+    _, which = torch.unique(seen, dim=0, return_inverse=True)
+    first = torch.full((int(which.max()) + 1,), len(which), device=which.device)
+    first.scatter_reduce_(0, which, torch.arange(len(which), device=which.device), "amin")
+    return rows[first]

@@ -15,10 +15,9 @@ from typing import Any
 
 import torch
 from omegaconf import OmegaConf
-from torch import Tensor
 from torchrl.record.loggers import Logger, get_logger
 
-from dirl.config import ConfigError, LoggerConfig, LoggerName, TrainConfig, parse_config
+from dirl.config import ConfigError, Existing, LoggerConfig, LoggerName, TrainConfig, parse_config
 from dirl.scenes import World
 
 WINDOW = 100
@@ -26,6 +25,9 @@ WINDOW = 100
 
 STABLE_ATL = 20.0
 """A policy is called stable while the current ATL of every goal is at or under this."""
+
+NEAR = 1.5
+"""It is called near the shortest path while the current ATL of every goal is at or under so many times the shortest."""
 
 VIEW_ORDER = {
     "surrounding": ["ahead", "right", "back", "left"],
@@ -75,6 +77,11 @@ class Run:
             os.truncate(file, sizes.get(file.name, 0))
 
     @property
+    def finished(self) -> bool:
+        """Whether it has come to its end; only one with ``config.existing=keep`` is opened again then."""
+        return is_finished(self.folder)
+
+    @property
     def seconds(self) -> float:
         """How long the run has taken, without the time between being stopped and resumed."""
         return time.perf_counter() - self._began
@@ -116,6 +123,10 @@ class Run:
     def finish(self, state: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
         """Write ``network.pt`` and ``summary.json``."""
         save_checkpoint(self.folder / "network.pt", {**state, **self._facts})
+        self.write_summary(summary)
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write ``summary.json``."""
         write_json(self.folder / "summary.json", summary)
 
     def clean_up(self) -> None:
@@ -126,7 +137,7 @@ class Run:
 
 
 def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
-    """Begin a run in a new folder, or go on with the one that ``config.resume`` names.
+    """Begin a run in a new folder, or go on with the one that is there, or that ``config.resume`` names.
 
     Args:
         config: as composed; of a resumed run only ``resume`` is used.
@@ -139,9 +150,16 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
         ConfigError: the saved configuration cannot be used.
     """
     if config.resume is None:
-        if (folder / "config.yaml").exists():
+        file = folder / "config.yaml"
+        if not file.exists():
+            return Run(folder, config)
+        if config.existing == Existing.refuse:
             raise RunError(f"{folder}: holds a run already; go on with it by resume={folder}, or choose another folder")
-        return Run(folder, config)
+        changed = _changes(config, parse_config(file.read_text(), origin=str(file)))
+        if changed:
+            raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
+        checkpoints = training_checkpoints(folder)
+        return Run(folder, config, load_checkpoint(checkpoints[-1]) if checkpoints else None)
     others = [text for text in overrides if not text.startswith("resume=")]
     if others:
         raise RunError(f"resume goes on with the saved configuration; leave out {' '.join(others)}")
@@ -151,9 +169,34 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
         raise RunError(f"{folder}: is not the folder of a run; it has no {file.name}")
     saved_config = parse_config(file.read_text(), origin=str(file))
     checkpoints = training_checkpoints(folder)
-    if (folder / "summary.json").exists() and not checkpoints:
+    if is_finished(folder):
         raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
     return Run(folder, saved_config, load_checkpoint(checkpoints[-1]) if checkpoints else None)
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a folder holds a run that has come to its end."""
+    return (folder / "summary.json").exists() and not training_checkpoints(folder)
+
+
+def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:
+    """What is asked for and is not what was saved, as ``name=saved, not asked``; of what changes a result."""
+    asked, before = (options_of(OmegaConf.to_container(OmegaConf.structured(one))) for one in (config, saved))
+    same = ("resume", "existing", "source.root", "checkpoint.", "logger.")
+    return [
+        f"{name}={before.get(name)} instead of {value}"
+        for name, value in asked.items()
+        if before.get(name) != value and not name.startswith(same)
+    ]
+
+
+def options_of(config: Any, prefix: str = "") -> dict[str, Any]:
+    """The values of a nested configuration by dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        inside = isinstance(value, dict) and name != "goals"
+        found |= options_of(value, f"{prefix}{name}.") if inside else {prefix + name: value}
+    return found
 
 
 def make_logger(options: LoggerConfig, folder: Path) -> Logger | None:
@@ -240,28 +283,37 @@ class EpisodeMeter:
     """Steps of the latest training episodes of each goal, and since when the policy is stable.
 
     Args:
-        goals: how many there are.
+        shortest: the fewest steps to each goal, in the mean over its starts.
     """
 
-    def __init__(self, goals: int) -> None:
-        self.steps: list[deque[int]] = [deque(maxlen=WINDOW) for _ in range(goals)]
+    def __init__(self, shortest: Sequence[float]) -> None:
+        self.shortest = shortest
+        self.steps: list[deque[int]] = [deque(maxlen=WINDOW) for _ in shortest]
         self.episodes = 0
         self.stable_at: int | None = None
+        self.near_at: int | None = None
 
-    def add(self, goal_index: Tensor, steps: Tensor, frames: int) -> None:
-        """Count finished episodes, int64 ``[E]`` each in the order they ended, of which the last ended by ``frames``.
+    def add(self, goal_index: Sequence[int], steps: Sequence[int], frames: int) -> None:
+        """Count finished episodes in the order they ended; the last ended by ``frames``.
 
         The policy is stable from the first frame after which the mean steps of the last `WINDOW` episodes stay at or
-        under `STABLE_ATL` for every goal.
+        under `STABLE_ATL` for every goal, and near the shortest path from that after which they stay at or under
+        `NEAR` times the fewest steps.
         """
-        for goal, length in zip(goal_index.tolist(), steps.tolist(), strict=True):
+        for goal, length in zip(goal_index, steps, strict=True):
             self.steps[goal].append(length)
         self.episodes += len(steps)
-        stable = all(len(last) == WINDOW and sum(last) <= STABLE_ATL * WINDOW for last in self.steps)
-        if not stable:
-            self.stable_at = None
-        elif self.stable_at is None:
-            self.stable_at = frames
+        self.stable_at = self._since(self.stable_at, frames, [STABLE_ATL] * len(self.steps))
+        self.near_at = self._since(self.near_at, frames, [NEAR * fewest for fewest in self.shortest])
+
+    def _since(self, before: int | None, frames: int, limits: Sequence[float]) -> int | None:
+        """Since when every goal is within its limit, given what it was before these frames."""
+        within = (
+            len(last) == WINDOW and sum(last) <= limit * WINDOW for last, limit in zip(self.steps, limits, strict=True)
+        )
+        if not all(within):
+            return None
+        return frames if before is None else before
 
     @property
     def atl(self) -> float:
@@ -279,12 +331,17 @@ class EpisodeMeter:
 
     def state_dict(self) -> dict[str, Any]:
         """What `load_state_dict` takes."""
-        return {"steps": [list(last) for last in self.steps], "episodes": self.episodes, "stable_at": self.stable_at}
+        return {
+            "steps": [list(last) for last in self.steps],
+            "episodes": self.episodes,
+            "stable_at": self.stable_at,
+            "near_at": self.near_at,
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state."""
         self.steps = [deque(last, maxlen=WINDOW) for last in state["steps"]]
-        self.episodes, self.stable_at = state["episodes"], state["stable_at"]
+        self.episodes, self.stable_at, self.near_at = state["episodes"], state["stable_at"], state["near_at"]
 
 
 @contextlib.contextmanager
