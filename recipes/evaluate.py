@@ -14,9 +14,9 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from dirl.assemble import Parts, assess, build_parts, describe
+from dirl.assemble import Parts, assess, describe, trained_parts
 from dirl.commandline import check_overrides, one_line_errors, register
-from dirl.config import EvaluateConfig, parse_config, typed
+from dirl.config import EvaluateConfig, typed
 from dirl.models import TemplateStop
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs import RunError, load_checkpoint, write_json
@@ -45,14 +45,7 @@ def main(composed: DictConfig) -> None:
             "evaluation.max_steps": options.max_steps,
         }
         changes = {name: value for name, value in changes.items() if value is not None}
-        parts = build_parts(parse_config(saved["config"], origin=options.checkpoint, changes=changes))
-        extractor = parts.world.scenes[0].extractor
-        if extractor != saved["extractor"]:
-            raise RunError(
-                f"the scenes' features are of another extractor than those {options.checkpoint} was trained on: "
-                f"'{extractor}', not '{saved['extractor']}'"
-            )
-        parts.network.load_state_dict(saved["network"])
+        parts = trained_parts(saved, options.checkpoint, changes)
         pages = viewer(parts) if options.viewer else {}
     result = {
         "checkpoint": options.checkpoint,

@@ -1,5 +1,6 @@
 """From a configuration to the parts of a run: the one place where they are put together, for every recipe."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, RewardScaling, StepCounter, TransformedEnv
 
-from dirl.config import Axes, ConfigError, Device, Optimiser, PolicyName, Starts, Stop, TrainConfig
+from dirl.config import Axes, ConfigError, Device, Optimiser, PolicyName, Starts, Stop, TrainConfig, parse_config
 from dirl.envs import OBSERVATIONS, NavigationEnv, Reward, SurroundingViews
 from dirl.evaluation import (
     Episodes,
@@ -25,6 +26,7 @@ from dirl.evaluation import (
 from dirl.experts import demonstrations
 from dirl.models import Network, TemplateStop, feature_statistics, make_network
 from dirl.objectives import TFRMSprop
+from dirl.runs import RunError
 from dirl.scenes import World, load_scenes, make_world
 
 
@@ -96,6 +98,29 @@ def learning_parts(config: TrainConfig) -> Parts:
     return parts
 
 
+def trained_parts(saved: Mapping[str, Any], origin: str, changes: Mapping[str, Any] | None = None) -> Parts:
+    """The parts of a run with the weights of a checkpoint.
+
+    Args:
+        saved: see `dirl.runs.load_checkpoint`.
+        origin: where it stood, for errors.
+        changes: options to replace in its configuration, by dotted name.
+
+    Raises:
+        RunError: the scenes' features are of another extractor than those it was trained on.
+        ConfigError, SceneError: see `build_parts`.
+    """
+    parts = build_parts(parse_config(saved["config"], origin=origin, changes=changes))
+    extractor = parts.world.scenes[0].extractor
+    if extractor != saved["extractor"]:
+        raise RunError(
+            f"the scenes' features are of another extractor than those {origin} was trained on: "
+            f"'{extractor}', not '{saved['extractor']}'"
+        )
+    parts.network.load_state_dict(saved["network"])
+    return parts
+
+
 def _stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
     return TemplateStop(config.stop.threshold, config.stop.match)(world) if rule == Stop.match else None
 
@@ -133,9 +158,11 @@ def run_policy(parts: Parts, *, greedy: bool = True) -> Episodes:
     return evaluate(parts.network, parts.world, parts.starts, greedy=greedy, **_conditions(parts))
 
 
-def run_trajectories(parts: Parts, starts: tuple[Tensor, Tensor]) -> tuple[Episodes, list[list[int]]]:
-    """Greedy episodes from given starts, and the states that each passed."""
-    return trajectories(parts.network, parts.world, starts, **_conditions(parts))
+def run_trajectories(
+    parts: Parts, starts: tuple[Tensor, Tensor], *, greedy: bool = True
+) -> tuple[Episodes, list[list[int]]]:
+    """Episodes from given starts, and the states that each passed."""
+    return trajectories(parts.network, parts.world, starts, greedy=greedy, **_conditions(parts))
 
 
 def describe(parts: Parts) -> dict[str, Any]:

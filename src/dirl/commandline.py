@@ -23,6 +23,7 @@ from dirl.config import (
     ImportConfig,
     InspectConfig,
     PhotosConfig,
+    ReportConfig,
     ThorConfig,
     TrainConfig,
 )
@@ -30,6 +31,7 @@ from dirl.config import (
 SCHEMAS = {
     "train": TrainConfig,
     "evaluate": EvaluateConfig,
+    "report": ReportConfig,
     "benchmark": BenchmarkConfig,
     "thor": ThorConfig,
     "photos": PhotosConfig,

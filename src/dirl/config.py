@@ -18,6 +18,7 @@ Heads = StrEnum("Heads", ["scene", "shared"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 Objective = StrEnum("Objective", ["a2c", "ppo"])
 PolicyName = StrEnum("PolicyName", ["network", "random", "shortest_path"])
+ExperimentName = StrEnum("ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop"])
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Optimiser = StrEnum("Optimiser", ["adam", "tf_rmsprop"])
 Reduction = StrEnum("Reduction", ["mean", "sum"])
@@ -196,6 +197,20 @@ class EvaluateConfig:
 
 
 @dataclass
+class ReportConfig:
+    """Everything ``recipes/report.py`` takes."""
+
+    experiment: ExperimentName | None = None
+    runs: str = MISSING
+    preset: str = MISSING
+    out: str | None = None
+    scene: str = MISSING
+    goal: int = MISSING
+    starts: int = MISSING
+    encoder: str | None = None
+
+
+@dataclass
 class BenchmarkConfig:
     """Everything ``recipes/benchmark.py`` takes."""
 
@@ -305,6 +320,7 @@ LIMITS: Mapping[str, tuple[float, float | None]] = {
     "max_steps": (1, None),
     "frames_per_scene": (1, None),
     "repeats": (1, None),
+    "goal": (0, None),
     "step": (0.05, 10),
     "height": (16, 4096),
     "width": (16, 4096),

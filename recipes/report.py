@@ -1,0 +1,81 @@
+"""Write a table or figure of the paper from finished runs, the paper's numbers beside ours.
+
+    python recipes/train.py -m experiment=fig8 && python recipes/report.py experiment=fig8
+    python recipes/report.py experiment=table2 preset=paper out=table2_paper
+    python recipes/report.py experiment=stop encoder=resnet50.pth      # disturbs views, and encodes them anew
+
+A report is a folder: README.md with the tables, CSV files with the value of every run, figures as PNG and SVG.
+All options with their values: conf/report/report.yaml.
+"""
+
+import sys
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig
+
+from dirl.commandline import check_overrides, one_line_errors, register
+from dirl.config import ConfigError, ExperimentName, ReportConfig, typed
+from dirl.experiments.efficiency import report_efficiency
+from dirl.experiments.new_goals import report_control, report_new_goals
+from dirl.experiments.performance import report_performance
+from dirl.experiments.results import Result, finished_runs
+from dirl.experiments.stopping import report_stopping
+from dirl.models.encoders import load_encoder
+
+
+@hydra.main(version_base="1.3", config_path="../conf/report", config_name="report")
+def main(composed: DictConfig) -> None:
+    """Read the runs, measure what they did not, write the report."""
+    with one_line_errors():
+        options: ReportConfig = typed(composed)
+        name = options.experiment
+        if name is None:
+            raise ConfigError(f"name what to report: experiment=<one of {', '.join(ExperimentName)}>")
+        if name == ExperimentName.stop and options.encoder is None:
+            raise ConfigError("experiment=stop encodes disturbed views: name what made the features, encoder=<weights>")
+        kept = name if name in (ExperimentName.fig7, ExperimentName.fig8) else "systems"
+        folder = Path(options.runs) / kept / options.preset
+        hint = f"python recipes/train.py -m experiment={name}"
+        runs = finished_runs(folder, hint if options.preset == "fast" else f"{hint} preset={options.preset}")
+        out = Path(options.out or f"reports/{options.preset}/{name}")
+        out.mkdir(parents=True, exist_ok=True)
+        print(write(options, runs, out))
+    print(f"report: {out}")
+
+
+def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
+    """Write the report of an experiment into a folder; returns its text."""
+    name, note = options.experiment, describe_runs(runs)
+    match name:
+        case ExperimentName.table1 | ExperimentName.table2:
+            return report_performance(name, runs, out, note)
+        case ExperimentName.fig4 | ExperimentName.fig7 | ExperimentName.fig8:
+            return report_efficiency(name, runs, out, note)
+        case ExperimentName.fig5:
+            return report_new_goals(runs, out, note, options.starts)
+        case ExperimentName.fig6:
+            return report_control(runs, out, note, options.scene, options.goal)
+    assert options.encoder is not None
+    learnt = [run for run in runs if run.config.system == "dirl"]
+    return report_stopping(learnt, out, note, options.scene, load_encoder(options.encoder))
+
+
+def describe_runs(runs: list[Result]) -> str:
+    """What must stand above every table: which rooms, which constants, which seeds, and how numbers are summed up."""
+    summary, config = runs[0].summary, runs[0].config
+    scene = summary["scene"]
+    names = scene if isinstance(scene, str) else ", ".join(scene)
+    kind = "built-in rooms, **synthetic, not AI2-THOR**" if summary["source"] == "rooms" else summary["source"]
+    seeds = ", ".join(map(str, sorted({run.config.seed for run in runs})))
+    return (
+        f"Scenes: {names} ({kind}). Preset `{config.preset}`, seeds {seeds}. Of several runs: interquartile "
+        "mean and, in brackets, its 95 % bootstrap interval over seeds."
+    )
+
+
+if __name__ == "__main__":
+    register()
+    with one_line_errors():
+        check_overrides(ReportConfig, sys.argv[1:])
+    main()

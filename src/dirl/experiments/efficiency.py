@@ -1,0 +1,148 @@
+"""Figures 4, 7 and 8: how many frames it takes until the policy is stable (paper sections 4.5.1 and 4.5.4)."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, LogLocator, NullLocator, StrMethodFormatter
+
+from dirl.experiments.results import (
+    NAMES,
+    Column,
+    Result,
+    Table,
+    by_system,
+    grouped,
+    published,
+    save_figure,
+    write_tables,
+)
+from dirl.reporting.curves import BLUE, GREEN, PURPLE, SKY, VERMILION, common_frames
+from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.runs import NEAR, STABLE_ATL, WINDOW
+
+COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY)
+
+RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}
+
+Groups = Mapping[str, tuple[list[Result], Any]]
+"""Runs by label, each with the frames that the paper reports, or None."""
+
+
+def stable_frames(result: Result, key: str = "stable_at_frame") -> float:
+    """When the policy became stable, in frames; infinity if it never did."""
+    frame = result.summary[key]
+    return math.inf if frame is None else float(frame)
+
+
+def mean_stable_frames(result: Result) -> float:
+    """Since when the mean over the goals alone is low enough, which is less than every goal; infinity if never.
+
+    Taken from ``reinforcement.csv``, thus on one of its rows.
+    """
+    rows = result.table("reinforcement")
+    above = np.flatnonzero(~(rows["atl"] <= STABLE_ATL))
+    first = above[-1] + 1 if len(above) else 0
+    return float(rows["frames"][first]) if first < len(rows["frames"]) else math.inf
+
+
+def report_efficiency(experiment: str, results: Sequence[Result], out: Path, note: str) -> str:
+    """Write the curves and the table of frames for figure 4, 7 or 8.
+
+    Args:
+        experiment: ``fig4``, ``fig7`` or ``fig8``.
+        results: runs.
+        out: a folder.
+        note: what a reader must know of the runs.
+
+    Returns:
+        The text of the README.
+    """
+    paper = published(experiment)
+    titles = {"fig4": "sample efficiency", "fig7": "surrounding or sequential views", "fig8": "the expert's share"}
+    groups, drawn = _groups(experiment, results, paper)
+    table = Table(
+        Column("setting"),
+        Column("runs", "d"),
+        Column("frames, paper", ",d"),
+        Column("frames, every goal", ",.0f"),
+        Column(f"frames, {NEAR:g} x shortest", ",.0f"),
+        Column("frames, mean of goals", ",.0f"),
+        Column("ATL at the end", ".2f"),
+        Column("trained", ",d"),
+    )
+    for label, (runs, reported) in groups.items():
+        table.add(
+            label,
+            len(runs),
+            reported,
+            [stable_frames(run) for run in runs],
+            [stable_frames(run, "near_shortest_at_frame") for run in runs],
+            [mean_stable_frames(run) for run in runs],
+            [run.summary["greedy"]["atl"] for run in runs],
+            max(run.total for run in runs),
+        )
+    draw_efficiency({label: groups[label][0] for label in drawn}, out, experiment)
+    text = (
+        f"{note}\n\nFrames until the mean steps of the last {WINDOW} training episodes stay at or under a limit: "
+        f"{STABLE_ATL:g} for every goal; {NEAR:g} times the shortest path for every goal; {STABLE_ATL:g} in the mean "
+        f"over the goals. Paper: {paper['source']}."
+    )
+    return write_tables(out, f"Figure {experiment[3]}: {titles[experiment]}", text, {experiment: table}, [experiment])
+
+
+def _groups(experiment: str, results: Sequence[Result], paper: Mapping[str, Any]) -> tuple[Groups, list[str]]:
+    """All settings for the table, and which of them are drawn."""
+    found: dict[str, tuple[list[Result], Any]] = {}
+    if experiment == "fig4":
+        for system, runs in by_system(results).items():
+            if system in ("dirl", "td_drl", "a3c", "dirl_ppo"):
+                found[NAMES[system]] = runs, paper.get(system)
+        return found, list(found)
+    if experiment == "fig7":
+        for views, runs in grouped(results, lambda config: str(config.observation)).items():
+            found[f"{views} views"] = runs, paper[views]
+        return found, list(found)
+    drawn = []
+    settings = grouped(results, lambda config: (config.imitation.share, str(config.imitation.rule)))
+    # The paper's rule is `interval`; what learns best is drawn.
+    main = "random" if any(rule == "random" and share for share, rule in settings) else "interval"
+    for (share, rule), runs in sorted(settings.items(), key=lambda item: (list(RULES).index(item[0][1]), item[0][0])):
+        label = f"{share:.0%}, {RULES[rule]}" if share else "no expert"
+        found[label] = runs, paper.get(str(float(share))) if rule in ("interval", main) or not share else None
+        if rule == main or not share:
+            drawn.append(label)
+    return found, drawn
+
+
+def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str) -> None:
+    """Draw training ATL over frames, the interquartile mean of each group with its 95 % interval."""
+    figure = Figure(figsize=(8, 4.6), layout="constrained")
+    axes = figure.subplots()
+    for color, (label, runs) in zip(COLORS, groups.items(), strict=False):
+        tables = [run.table("reinforcement") for run in runs]
+        frames, values = common_frames([(table["frames"], table["atl"]) for table in tables])
+        known = np.isfinite(values).all(0)
+        frames, values = frames[known], values[:, known]
+        if not len(frames):
+            continue
+        axes.fill_between(frames, *bootstrap_interval(values), color=color, alpha=0.2, linewidth=0)
+        stable = float(iqm([stable_frames(run) for run in runs]))
+        when = f"stable at {stable:,.0f}" if np.isfinite(stable) else "never stable"
+        axes.plot(frames, iqm(values), color=color, linewidth=1.6, label=f"{label}: {when}")
+        if np.isfinite(stable):
+            axes.axvline(stable, color=color, linestyle=":", linewidth=1.2)
+    axes.axhline(STABLE_ATL, color="0.3", linestyle="--", linewidth=1, label=f"stability limit, {STABLE_ATL:g} steps")
+    axes.set(yscale="log", xlabel="frames", ylabel=f"training ATL (steps),\nlast {WINDOW} episodes of each goal")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_major_formatter(EngFormatter())
+    axes.grid(color="0.9")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    save_figure(figure, out, name)

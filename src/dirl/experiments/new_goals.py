@@ -1,0 +1,217 @@
+"""Figures 5 and 6: goals that were not trained (paper section 4.5.3)."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from dirl.assemble import Parts, run_policy, run_trajectories
+from dirl.evaluation import metrics
+from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
+from dirl.reporting import draw_trajectories, write_gif
+from dirl.reporting.curves import BLUE, GREEN, SKY, VERMILION
+from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.runs import RunError
+from dirl.scenes import World
+
+DISTANCES = (1, 2, 4, 8)
+"""Steps from a new goal to the nearest trained one."""
+
+PER_SCENE = 2
+"""New goals of each distance; with four scenes the paper's eight."""
+
+MAX_STEPS = 500
+"""An episode that has not arrived by then has failed."""
+
+SYSTEMS = ("dirl", "td_drl", "a3c")
+
+
+def new_goals(world: World, distance: int, seed: int = 0) -> dict[str, list[int]]:
+    """Goals that are so many steps from the nearest trained one, by scene, as states of it.
+
+    Args:
+        world: with the trained goals.
+        distance: in steps, turns among them.
+        seed: of the draw.
+
+    Returns:
+        Up to `PER_SCENE` for each scene, those that every state with a way to a trained goal reaches; a scene without
+        any is left out.
+    """
+    generator = np.random.default_rng(seed)
+    chosen = {}
+    for index, scene in enumerate(world.scenes):
+        trained = [goal - world.offsets[index] for goal in world.goals.tolist() if world.scene_of[goal] == index]
+        to_trained = scene.distances[:, trained]
+        nearest = np.where(to_trained < 0, np.iinfo(np.int64).max, to_trained).min(1)
+        reached = (scene.distances >= 0).sum(0) == (scene.distances >= 0).sum(0).max()
+        fitting = np.flatnonzero((nearest == distance) & reached)
+        picked = generator.choice(fitting, min(PER_SCENE, len(fitting)), replace=False)
+        if len(picked):
+            chosen[scene.name] = sorted(picked.tolist())
+    return chosen
+
+
+def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: int = 500) -> str:
+    """Write figure 5: the success rate for new goals by their distance from trained ones.
+
+    Args:
+        results: runs of DIRL, TD-DRL and A3C.
+        out: a folder.
+        note: what a reader must know of the runs.
+        starts: of each goal.
+
+    Returns:
+        The text of the README.
+    """
+    columns = [Column("system"), Column("runs", "d"), Column("steps from a trained goal", "d"), Column("goals", "d")]
+    columns += [Column("SR, sampled", ".3f"), Column("SPL, sampled", ".3f"), Column("SR, greedy", ".3f")]
+    table = Table(*columns, Column("shortest", ".2f"))
+    bars: dict[str, dict[int, list[float]]] = {}
+    for system, runs in by_system(results).items():
+        if system not in SYSTEMS:
+            continue
+        for distance in DISTANCES:
+            sampled, greedy, goals = [], [], 0
+            for run in runs:
+                chosen = new_goals(run.parts().world, distance)
+                if not chosen:
+                    continue
+                goals = sum(map(len, chosen.values()))
+                conditions = {"evaluation.starts": "sampled", "evaluation.episodes_per_goal": starts}
+                parts = run.parts({"goals": chosen, "evaluation.max_steps": MAX_STEPS, **conditions})
+                sampled.append(_measured(parts, list(chosen), greedy=False))
+                greedy.append(_measured(parts, list(chosen), greedy=True))
+            if not sampled:
+                continue
+            table.add(
+                NAMES[system],
+                len(runs),
+                distance,
+                goals,
+                [found["sr"] for found in sampled],
+                [found["spl"] for found in sampled],
+                [found["sr"] for found in greedy],
+                sampled[0]["shortest"],
+            )
+            bars.setdefault(NAMES[system], {})[distance] = [found["sr"] for found in sampled]
+    _draw_bars(bars, out)
+    text = (
+        f"{note}\n\n{PER_SCENE} new goals for each scene and distance, {starts} starts each, at most {MAX_STEPS} "
+        f"steps; the figure shows sampled policies. Paper: {published('fig5')['source']}."
+    )
+    return write_tables(out, "Figure 5: new goals", text, {"fig5": table}, ["fig5"])
+
+
+def _measured(parts: Parts, scenes: Sequence[str], *, greedy: bool) -> dict[str, float]:
+    """The measures of the goals in these scenes; the others have only trained goals."""
+    episodes = run_policy(parts, greedy=greedy)
+    wanted = torch.tensor([parts.world.names.index(name) for name in scenes], device=parts.world.device)
+    return metrics(episodes.select(torch.isin(parts.world.scene_of[episodes.start], wanted)))
+
+
+def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None:
+    figure = Figure(figsize=(6.5, 3.8), layout="constrained")
+    axes = figure.subplots()
+    width = 0.8 / max(1, len(bars))
+    for number, (label, rates) in enumerate(bars.items()):
+        for distance, values in rates.items():
+            at = DISTANCES.index(distance) + (number - (len(bars) - 1) / 2) * width
+            middle, (low, high) = float(iqm(values)), bootstrap_interval(values)
+            name = label if distance == min(rates) else None
+            axes.bar(at, middle, 0.92 * width, color=(SKY, BLUE, VERMILION, GREEN)[number % 4], label=name)
+            axes.plot([at, at], [low, high], color="black", linewidth=1.2)
+    axes.set_xticks(range(len(DISTANCES)), [f"{d} step{'' if d == 1 else 's'}" for d in DISTANCES])
+    axes.set(xlabel="from the nearest trained goal", ylabel="SR, sampled policy", ylim=(0, 1.03))
+    axes.grid(axis="y", color="0.9")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    save_figure(figure, out, "fig5")
+
+
+def report_control(results: Sequence[Result], out: Path, note: str, scene: str, goal: int) -> str:
+    """Write figure 6: how each system goes to one new goal from the farthest start, as picture and as GIF.
+
+    Args:
+        results: runs of DIRL, TD-DRL and A3C.
+        out: a folder.
+        note: what a reader must know of the runs.
+        scene: where.
+        goal: a state of it.
+
+    Returns:
+        The text of the README.
+
+    Raises:
+        RunError: the runs were not made in that scene.
+    """
+    paper = published("fig6")
+    table = Table(
+        Column("system"),
+        Column("runs", "d"),
+        Column("steps, paper", "d"),
+        Column("steps", ".0f"),
+        Column("steps of every start", ".2f"),
+        Column("SR of every start", ".3f"),
+        Column("shortest", "d"),
+    )
+    pictures = []
+    for system, runs in by_system(results).items():
+        if system not in SYSTEMS:
+            continue
+        walked, every = [], []
+        for run in runs:
+            names = run.parts().world.names
+            if scene not in names:
+                raise RunError(f"scene={scene}: the runs are of {', '.join(names)}; choose one of them")
+            changes = {"goals": {scene: [goal]}, "evaluation.max_steps": MAX_STEPS, "evaluation.starts": "every"}
+            parts = run.parts(changes)
+            steps, episodes = _walk(parts, scene, goal, run, out, pictures, draws=run is runs[0])
+            walked.append(float(steps))
+            every.append(episodes)
+        table.add(
+            NAMES[system],
+            len(runs),
+            paper.get(system),
+            walked,
+            [found["atl"] for found in every],
+            [found["sr"] for found in every],
+            int(parts.world.distances[_goal_index(parts, scene)].max()),
+        )
+    text = (
+        f"{note}\n\nSampled policies on the way to state {goal} of {scene}, which was not trained, from the farthest "
+        f"start, at most {MAX_STEPS} steps. Pictures and GIFs are of the first seed. Paper: {paper['source']}."
+    )
+    return write_tables(out, "Figure 6: the control process", text, {"fig6": table}, pictures)
+
+
+def _goal_index(parts: Parts, scene: str) -> int:
+    world = parts.world
+    return int(torch.nonzero(world.scene_of[world.goals] == world.names.index(scene))[0])
+
+
+def _walk(
+    parts: Parts, scene: str, goal: int, run: Result, out: Path, pictures: list[str], *, draws: bool
+) -> tuple[int, dict[str, float]]:
+    """Walk from the farthest start, and for the measures from every one; draw the former."""
+    world, goal_index = parts.world, _goal_index(parts, scene)
+    start = int(world.distances[goal_index].argmax())
+    starts = torch.tensor([goal_index], device=world.device), torch.tensor([start], device=world.device)
+    walked, (path,) = run_trajectories(parts, starts, greedy=False)
+    success, steps = bool(walked.success), int(walked.steps)
+    room, offset = world.scenes[world.names.index(scene)], world.offsets[world.names.index(scene)]
+    if draws:
+        system = run.config.system
+        local = [state - offset for state in path]
+        ended = f"{steps} steps" if success else "failed"
+        title = f"{NAMES[system]}, {scene} ({room.source}), new goal {goal}, seed {run.config.seed}: {ended}"
+        name = f"fig6_{system}"
+        for kind in ("png", "svg"):
+            draw_trajectories(room, goal, [local], out / f"{name}.{kind}", success=[success], title=title)
+        write_gif(room, goal, local, out / f"{name}.gif", title=title, success=success)
+        pictures.append(name)
+    episodes = run_policy(parts, greedy=False)
+    return steps, metrics(episodes.select(episodes.goal_index == goal_index))

@@ -1,0 +1,95 @@
+"""Tables 1 and 2: how well each system navigates to the goals it was trained for (paper section 4.5.2)."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
+from dirl.reporting.curves import BLUE, VERMILION
+from dirl.reporting.statistics import bootstrap_interval, iqm
+
+MEASURES = {
+    "atl": (".2f", "ATL"),
+    "atl_success": (".2f", "ATL of successes"),
+    "sr": (".3f", "SR"),
+    "spl": (".3f", "SPL"),
+}
+
+
+def halfway(result: Result) -> dict[str, float]:
+    """The greedy measures after half of the frames; of a system without reinforcement those at its end."""
+    if result.config.reinforcement.frames_per_scene == 0 or result.config.policy != "network":
+        return measures(result, "greedy")
+    rows = result.table("evaluation")
+    row = int(np.searchsorted(rows["frames"], result.total / 2))
+    return {name: float(rows[name][row]) for name in MEASURES}
+
+
+def measures(result: Result, mode: str) -> dict[str, float]:
+    """The measures at the end; an ATL of no successes is NaN."""
+    found = result.summary[mode]
+    return {name: float("nan") if found[name] is None else found[name] for name in MEASURES}
+
+
+def report_performance(experiment: str, results: Sequence[Result], out: Path, note: str) -> str:
+    """Write table 1 (half-way) or 2 (at the end) with the paper's beside ours, and a picture of it.
+
+    Args:
+        experiment: ``table1`` or ``table2``.
+        results: runs of any systems.
+        out: a folder.
+        note: what a reader must know of the runs.
+
+    Returns:
+        The text of the README.
+    """
+    paper, tables = published(experiment), {}
+    columns = [Column("system"), Column("runs", "d"), Column("frames", ",d")]
+    columns += [Column(f"{heading}, {who}", form) for form, heading in MEASURES.values() for who in ("paper", "ours")]
+    columns = [column for column in columns if column.heading != "ATL of successes, paper"]
+    modes = ("greedy",) if experiment == "table1" else ("greedy", "sampled")
+    ours: dict[str, dict[str, list[float]]] = {}
+    for mode in modes:
+        tables[f"{experiment}_{mode}"] = table = Table(*columns)
+        for system, runs in by_system(results).items():
+            found = [halfway(run) if experiment == "table1" else measures(run, mode) for run in runs]
+            values = {name: [run[name] for run in found] for name in MEASURES}
+            told: Mapping[str, Any] = paper.get(system, {})
+            frames = max(run.total for run in runs) // (2 if experiment == "table1" else 1)
+            cells: list[Any] = [NAMES.get(system, system), len(runs), frames]
+            for name in MEASURES:
+                cells += [values[name]] if name == "atl_success" else [told.get(name), values[name]]
+            table.add(*cells)
+            if mode == "greedy":
+                ours[system] = values
+    _draw(ours, paper, out, experiment)
+    when = "half-way through" if experiment == "table1" else "at the end of"
+    title = f"{experiment[:5].capitalize()} {experiment[5]}: trained goals, {when} the training"
+    text = f"{note}\n\nPaper: {paper['source']}. Greedy policies" + (" first, then sampled ones." if modes[1:] else ".")
+    return write_tables(out, title, text, tables, [experiment])
+
+
+def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Mapping[str, Any], out: Path, name: str) -> None:
+    figure = Figure(figsize=(9, 0.42 * len(ours) + 1.5), layout="constrained")
+    panels = figure.subplots(1, 3, sharey=True)
+    places = np.arange(len(ours))[::-1]
+    for axes, measure in zip(panels, ("atl", "sr", "spl"), strict=True):
+        for place, (system, values) in zip(places, ours.items(), strict=True):
+            low, high = bootstrap_interval(values[measure])
+            axes.plot([low, high], [place, place], color=BLUE, linewidth=5, alpha=0.35, solid_capstyle="butt")
+            axes.plot(iqm(values[measure]), place, "o", color=BLUE, label="here, synthetic rooms")
+            if system in paper:
+                axes.plot(paper[system][measure], place, "x", color=VERMILION, mew=2, label="paper, AI2-THOR")
+        axes.set(xlabel=MEASURES[measure][1] + (" (steps)" if measure == "atl" else ""), yticks=places)
+        axes.set_yticks(places, [NAMES.get(system, system) for system in ours])
+        axes.set_xlim(*((0, 208) if measure == "atl" else (-0.04, 1.04)))
+        axes.grid(color="0.9")
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    handles, labels = panels[0].get_legend_handles_labels()
+    unique = dict(zip(labels, handles, strict=True))
+    figure.legend(unique.values(), unique.keys(), loc="outside upper center", ncols=2, frameon=False)
+    save_figure(figure, out, name)

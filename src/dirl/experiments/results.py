@@ -1,0 +1,181 @@
+"""Finished runs as they lie on the disk, the paper's numbers, and tables and figures as files."""
+
+import csv
+import json
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from dirl.assemble import Parts, trained_parts
+from dirl.config import TrainConfig, parse_config
+from dirl.reporting.statistics import summarised
+from dirl.runs import RunError, is_finished, load_checkpoint
+
+NAMES = {
+    "shortest_path": "shortest path",
+    "random": "random",
+    "il": "IL",
+    "dagger": "DAgger",
+    "a3c": "A3C",
+    "td_drl": "TD-DRL",
+    "dirl": "DIRL",
+    "dirl_ppo": "DIRL with PPO",
+}
+"""Systems by the name they have in a configuration, in the order of the tables."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished run."""
+
+    folder: Path
+    config: TrainConfig
+    summary: Mapping[str, Any]
+
+    @property
+    def total(self) -> int:
+        """Frames that it was to train."""
+        return int(self.summary["frames"])
+
+    def parts(self, changes: Mapping[str, Any] | None = None) -> Parts:
+        """Its parts with the weights it ended with; ``changes`` are options to replace, by dotted name."""
+        return trained_parts(load_checkpoint(self.folder), str(self.folder), changes)
+
+    def table(self, stage: str) -> dict[str, NDArray[np.float64]]:
+        """The columns of ``<stage>.csv``; an empty cell is NaN."""
+        with (self.folder / f"{stage}.csv").open(newline="") as lines:
+            rows = list(csv.DictReader(lines))
+        return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]} if rows else {}
+
+
+def finished_runs(folder: Path, hint: str) -> list[Result]:
+    """The finished runs right in a folder, by name; those that are not finished are named on the terminal.
+
+    Args:
+        folder: holds a folder for each run.
+        hint: how to make them, for the error.
+
+    Raises:
+        RunError: there is none.
+    """
+    folders = sorted(file.parent for file in folder.glob("*/config.yaml"))
+    unfinished = [one.name for one in folders if not is_finished(one)]
+    if unfinished:
+        print(f"not finished, left out: {', '.join(unfinished)}")
+    found = [
+        Result(
+            one,
+            parse_config((one / "config.yaml").read_text(), origin=str(one / "config.yaml")),
+            json.loads((one / "summary.json").read_text()),
+        )
+        for one in folders
+        if one.name not in unfinished
+    ]
+    if not found:
+        raise RunError(f"{folder}: holds no finished run; make some by: {hint}")
+    scenes = {str(result.summary["scene"]) for result in found}
+    if len(scenes) > 1:
+        raise RunError(f"{folder}: holds runs of different scenes, {' and '.join(sorted(scenes))}; report them apart")
+    return found
+
+
+def grouped(results: Sequence[Result], key: Callable[[TrainConfig], Any]) -> dict[Any, list[Result]]:
+    """Runs by what a function makes of their configuration, in the order they come."""
+    groups: dict[Any, list[Result]] = {}
+    for result in results:
+        groups.setdefault(key(result.config), []).append(result)
+    return groups
+
+
+def by_system(results: Sequence[Result]) -> dict[str, list[Result]]:
+    """Runs by system, in the order of `NAMES`."""
+    groups = grouped(results, lambda config: config.system)
+    return {name: groups[name] for name in [*NAMES, *sorted(set(groups) - set(NAMES))] if name in groups}
+
+
+def published(experiment: str) -> dict[str, Any]:
+    """The paper's numbers, and under ``source`` where they stand in it."""
+    text = (Path(__file__).parent / "published.toml").read_text()
+    return tomllib.loads(text)[experiment]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Args:
+        heading: above it.
+        form: of its numbers, as for `format`.
+    """
+
+    heading: str
+    form: str = ""
+
+
+class Table:
+    """Rows of texts, numbers, and lists of numbers (one for each run, shown as mean and interval).
+
+    Args:
+        columns: of it.
+    """
+
+    def __init__(self, *columns: Column) -> None:
+        self.columns = columns
+        self.rows: list[tuple[Any, ...]] = []
+
+    def add(self, *cells: Any) -> None:
+        """Add a row; None stays empty."""
+        assert len(cells) == len(self.columns)
+        self.rows.append(cells)
+
+    def markdown(self) -> str:
+        """For people."""
+        lines = [[column.heading for column in self.columns], [":--" if not c.form else "--:" for c in self.columns]]
+        for row in self.rows:
+            lines.append([self._text(cell, column) for cell, column in zip(row, self.columns, strict=True)])
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+    @staticmethod
+    def _text(cell: Any, column: Column) -> str:
+        if cell is None:
+            return ""
+        if isinstance(cell, list):
+            return summarised(cell, column.form)
+        return format(cell, column.form) if column.form and not isinstance(cell, str) else str(cell)
+
+    def write_csv(self, file: Path) -> None:
+        """A row for each run: rows without lists once, else one for each place in the lists, numbered as ``run``."""
+        with file.open("w", newline="") as stream:
+            writer = csv.writer(stream)
+            writer.writerow([*(column.heading for column in self.columns), "run"])
+            for row in self.rows:
+                runs = max((len(cell) for cell in row if isinstance(cell, list)), default=1)
+                for run in range(runs):
+                    cells = [cell[run] if isinstance(cell, list) else cell for cell in row]
+                    writer.writerow([*("" if cell is None else cell for cell in cells), run])
+
+
+def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], figures: Sequence[str] = ()) -> str:
+    """Write ``<name>.csv`` for each table, and ``README.md`` with all of them and the figures; returns its text."""
+    parts = [f"# {title}", note]
+    for name, table in tables.items():
+        table.write_csv(out / f"{name}.csv")
+        parts.append(table.markdown().rstrip())
+    parts += [f"![{name}]({name}.png)" for name in figures]
+    text = "\n\n".join(parts) + "\n"
+    (out / "README.md").write_text(text)
+    return text
+
+
+def save_figure(figure: Figure, out: Path, name: str) -> None:
+    """Write a figure as PNG and SVG."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.print_figure(out / f"{name}.png", dpi=120)
+    canvas.print_figure(out / f"{name}.svg")

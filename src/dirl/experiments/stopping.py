@@ -1,0 +1,238 @@
+"""Section 4.5.4: stopping by template matching when views are disturbed, which the paper speaks of only."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image, ImageEnhance, ImageFilter
+from torch import Tensor
+
+from dirl.assemble import Parts
+from dirl.evaluation import metrics, run_episodes
+from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
+from dirl.models import make_network
+from dirl.models.encoders import ViewEncoder, encode_views
+from dirl.models.matching import template_vectors
+from dirl.reporting.curves import BLUE, GREEN, PURPLE, VERMILION
+from dirl.runs import RunError
+from dirl.scenes import Scene
+
+DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "noise": ("deviation, grey levels", (8, 16, 32, 64)),
+    "darkness": ("share of light lost", (0.2, 0.4, 0.6, 0.8)),
+    "blur": ("radius, pixels", (1, 2, 4, 8)),
+    "occlusion": ("share of the view", (0.05, 0.1, 0.2, 0.4)),
+}
+"""What is done to views: the unit of its strength, and growing strengths."""
+
+THRESHOLDS = np.arange(0.30, 1.0, 0.01)
+
+SAME = 0.02
+"""How far, relative to their size, features computed anew may be from the stored ones."""
+
+ByteArray = NDArray[np.uint8]
+
+
+def disturb(view: ByteArray, kind: str, strength: float, generator: np.random.Generator) -> ByteArray:
+    """A view, uint8 ``[H, W, 3]``, with one of the `DISTURBANCES`; occlusion is a grey square at a drawn place."""
+    if kind == "noise":
+        return (view + generator.normal(0, strength, view.shape)).clip(0, 255).astype(np.uint8)
+    image = Image.fromarray(view)
+    if kind == "darkness":
+        return np.asarray(ImageEnhance.Brightness(image).enhance(1 - strength))
+    if kind == "blur":
+        return np.asarray(image.filter(ImageFilter.GaussianBlur(strength)))
+    height, width = view.shape[:2]
+    side = round((strength * height * width) ** 0.5)
+    top, left = (int(generator.integers(max(1, length - side + 1))) for length in (height, width))
+    covered = view.copy()
+    covered[top : top + side, left : left + side] = 128
+    return covered
+
+
+def encode_disturbed(scene: Scene, encoder: ViewEncoder, kind: str | None = None, strength: float = 0.0) -> Tensor:
+    """Features of a scene's views, float32 ``[N, D]``, disturbed if a kind is given; always the same way."""
+    assert scene.views is not None
+    generator, views = np.random.default_rng(0), scene.views
+    seen = (
+        views[state] if kind is None else disturb(views[state], kind, strength, generator)
+        for state in range(len(scene))
+    )
+    return torch.from_numpy(encode_views(encoder, seen, len(scene), scene.origin))
+
+
+def coefficients(clean: Tensor, disturbed: Tensor, scene: Scene, match: str) -> tuple[Tensor, Tensor]:
+    """The matching coefficient of disturbed views with clean goals, with every state of the scene as the goal.
+
+    Returns:
+        At the goal, float ``[N]``; elsewhere, float ``[N * (N - 1)]``.
+    """
+    surrounding = torch.from_numpy(scene.surrounding)
+    goals, seen = (template_vectors(features, surrounding, match) for features in (clean, disturbed))
+    scores = goals @ seen.T
+    away = ~torch.eye(len(scores), dtype=torch.bool)
+    return scores.diagonal(), scores[away]
+
+
+def precision_recall(at_goal: Tensor, away: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Of stopping above each of `THRESHOLDS`, ``[T]`` each; the precision of no stop at all is one.
+
+    An agent that stands in each state once, with each goal.
+    """
+    right, wrong = (np.sort(values.numpy()) for values in (at_goal, away))
+    hits, errors = (len(values) - np.searchsorted(values, THRESHOLDS, side="right") for values in (right, wrong))
+    return np.where(hits + errors, hits / np.maximum(1, hits + errors), 1.0), hits / len(right)
+
+
+def recommended_threshold(curves: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> float:
+    """Which of `THRESHOLDS` has the highest F1 of precision and recall, in the mean over disturbances."""
+    scores = [2 * precision * recall / np.maximum(1e-9, precision + recall) for precision, recall in curves]
+    return float(THRESHOLDS[np.mean(scores, 0).argmax()].round(2))
+
+
+def success(parts: Parts, scene: Scene, disturbed: Tensor, threshold: float) -> dict[str, float]:
+    """Greedy episodes in which the agent sees disturbed views and knows the clean ones of its goals.
+
+    Args:
+        parts: of a trained run.
+        scene: of its world, where the episodes take place.
+        disturbed: features of its views, float32 ``[N, D]``.
+        threshold: of the stop by template matching.
+    """
+    world, match = parts.world, parts.config.stop.match
+    offset = world.offsets[world.scenes.index(scene)]
+    seen = world.features.clone()
+    seen[offset : offset + len(scene)] = disturbed
+    network = make_network(
+        torch.cat([world.features, seen]),
+        world.names,
+        heads=parts.config.network.heads,
+        width=parts.config.network.width,
+    )
+    network.load_state_dict(parts.network.state_dict())
+    goals = template_vectors(world.features, world.surrounding, match)[world.goals]
+    scores = goals @ template_vectors(seen, world.surrounding, match).T
+    goal_index, start = parts.starts
+    inside = world.scene_of[start] == world.scenes.index(scene)
+    with network.encoder.projecting():
+        episodes = run_episodes(
+            lambda views, goal_views, scenes: network(views + len(world), goal_views, scenes)[0],
+            world,
+            (goal_index[inside], start[inside]),
+            sight=parts.sight,
+            stop=(scores > threshold) & (world.distances >= 0),
+            max_steps=parts.config.evaluation.max_steps,
+            seed=parts.config.seed,
+        )
+    return metrics(episodes)
+
+
+def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name: str, encoder: ViewEncoder) -> str:
+    """Write coefficients, precision and recall, and success under disturbed views.
+
+    Args:
+        results: runs of DIRL.
+        out: a folder.
+        note: what a reader must know of the runs.
+        scene_name: where.
+        encoder: the one that made the scene's features.
+
+    Returns:
+        The text of the README.
+
+    Raises:
+        RunError: the runs were not made in that scene, it has no views, or its features are of another encoder.
+    """
+    runs = [run.parts({"evaluation.starts": "every"}) for run in results]
+    world = runs[0].world
+    if scene_name not in world.names:
+        raise RunError(f"scene={scene_name}: the runs are of {', '.join(world.names)}; choose one of them")
+    scene = world.scenes[world.names.index(scene_name)]
+    if scene.views is None:
+        raise RunError(f"{scene.origin}: has no views to disturb")
+    first = torch.from_numpy(encode_views(encoder, (scene.views[state] for state in (0,)), 1, scene.origin))
+    stored = torch.from_numpy(np.asarray(scene.features, np.float32))
+    if first.shape[1] != stored.shape[1] or (first - stored[:1]).norm() > SAME * stored[:1].norm():
+        raise RunError(f"encoder: gives other features than those of {scene.name}, '{scene.extractor}'; name the same")
+    clean = encode_disturbed(scene, encoder)
+    match = runs[0].config.stop.match
+    found: dict[tuple[str, float], Tensor] = {("none", 0.0): clean}
+    for kind, (_, strengths) in DISTURBANCES.items():
+        found |= {(kind, strength): encode_disturbed(scene, encoder, kind, strength) for strength in strengths}
+    pairs = {key: coefficients(clean, features, scene, match) for key, features in found.items()}
+    curves = {key: precision_recall(*pair) for key, pair in pairs.items()}
+    best = recommended_threshold(list(curves.values()))
+    paper = published("stop")
+    table = Table(
+        *(Column("disturbance"), Column("strength", "g")),
+        *(Column("at the goal, mean", ".3f"), Column("lowest", ".3f")),
+        *(Column("elsewhere, 99 %", ".3f"), Column("highest", ".3f")),
+        *(Column(f"{what} at {limit:g}", ".3f") for limit in (paper["threshold"], best) for what in MEASURED),
+    )
+    for key, features in found.items():
+        at_goal, away = pairs[key]
+        cells: list[Any] = [key[0], key[1], float(at_goal.mean()), float(at_goal.min())]
+        cells += [float(np.quantile(away.numpy(), 0.99)), float(away.max())]
+        for limit in (paper["threshold"], best):
+            place = int(np.abs(THRESHOLDS - limit).argmin())
+            cells += [float(values[place]) for values in curves[key]]
+            walked = [success(parts, scene, features, limit) for parts in runs]
+            cells += [[one[name] for one in walked] for name in ("sr", "false_stop_rate")]
+        table.add(*cells)
+    _draw(pairs, curves, best, out)
+    units = "; ".join(f"{kind}: {unit}" for kind, (unit, _) in DISTURBANCES.items())
+    text = (
+        f"{note}\n\n{scene_name}, {len(scene)} states, each of them once as the goal for coefficients, precision and "
+        f"recall; SR and false stops are of greedy episodes from every start to the trained goals, in which the "
+        f"policy, too, sees disturbed views. The goals' views are clean. Strengths are in {units}. "
+        f"Paper: {paper['source']}.\n\n"
+        f"**Recommended threshold: {best:g}** (highest F1 in the mean over all disturbances and none)."
+    )
+    return write_tables(out, "Stopping under disturbed views", text, {"stop": table}, ["stop"])
+
+
+MEASURED = ("precision", "recall", "SR", "false stops")
+
+
+def _draw(
+    pairs: Mapping[tuple[str, float], tuple[Tensor, Tensor]],
+    curves: Mapping[tuple[str, float], tuple[NDArray[np.float64], NDArray[np.float64]]],
+    best: float,
+    out: Path,
+) -> None:
+    """Above the coefficients by strength, below precision and recall over thresholds; a column a disturbance."""
+    figure = Figure(figsize=(11, 5.5), layout="constrained")
+    grid = figure.subplots(2, len(DISTURBANCES), sharey="row")
+    for (upper, lower), (kind, (unit, strengths)) in zip(grid.T, DISTURBANCES.items(), strict=True):
+        keys = [("none", 0.0), *((kind, strength) for strength in strengths)]
+        at = range(len(keys))
+        for part, color, label in ((0, BLUE, "at the goal"), (1, VERMILION, "elsewhere")):
+            ranges = np.array([np.quantile(pairs[key][part].numpy(), [0.01, 0.5, 0.99]) for key in keys])
+            upper.fill_between(at, ranges[:, 0], ranges[:, 2], color=color, alpha=0.2, linewidth=0)
+            upper.plot(at, ranges[:, 1], "o-", color=color, markersize=3.5, label=f"{label}, median and 98 %")
+        upper.axhline(0.9, color="0.3", linestyle="--", linewidth=1, label="the paper's threshold, 0.9")
+        upper.axhline(best, color="0.3", linestyle=":", linewidth=1.5, label=f"recommended, {best:g}")
+        upper.set_xticks(at, [f"{key[1]:g}" for key in keys])
+        upper.set(title=kind, xlabel=unit, ylim=(-0.05, 1.05))
+        for number, key in enumerate(keys):
+            weight = 0.35 + 0.65 * number / (len(keys) - 1)
+            lower.plot(THRESHOLDS, curves[key][0], color=PURPLE, alpha=weight, linewidth=1.3)
+            lower.plot(THRESHOLDS, curves[key][1], color=GREEN, alpha=weight, linewidth=1.3)
+        lower.plot([], [], color=PURPLE, label="precision (paler: weaker)")
+        lower.plot([], [], color=GREEN, label="recall (paler: weaker)")
+        lower.axvline(0.9, color="0.3", linestyle="--", linewidth=1)
+        lower.axvline(best, color="0.3", linestyle=":", linewidth=1.5)
+        lower.set(xlabel="threshold", ylim=(-0.05, 1.05))
+        for axes in (upper, lower):
+            axes.grid(color="0.9")
+            axes.set_axisbelow(True)
+            axes.spines[["top", "right"]].set_visible(False)
+    grid[0, 0].set_ylabel("matching coefficient")
+    grid[1, 0].set_ylabel("of the stops")
+    handles = [one for axes in grid[:, 0] for one in axes.get_legend_handles_labels()[0]]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+    save_figure(figure, out, "stop")

@@ -1,0 +1,63 @@
+"""What several seeds say together: interquartile mean and bootstrap interval (Agarwal et al. 2021)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+RESAMPLES = 2000
+
+FloatArray = NDArray[np.float64]
+
+
+def iqm(values: ArrayLike) -> FloatArray:
+    """The mean of the middle half, without the lowest and highest quarter (each rounded down), along the first axis.
+
+    Args:
+        values: float ``[R, ...]``, of R runs, at least one; infinity is a value like others, the highest.
+
+    Returns:
+        float ``[...]``.
+    """
+    runs = np.sort(np.asarray(values, float), axis=0)
+    if len(runs) == 0:
+        raise ValueError("there is no mean of no runs")
+    cut = len(runs) // 4
+    return runs[cut : len(runs) - cut].mean(0)
+
+
+def bootstrap_interval(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Between which limits the interquartile mean lies, by drawing the runs anew with replacement (percentiles).
+
+    Args:
+        values: float ``[R, ...]``, of R runs, at least one.
+        confidence: of the interval.
+        seed: of the draws.
+
+    Returns:
+        Lower and upper limit, float ``[...]`` each; both are the value itself for one run.
+    """
+    runs = np.asarray(values, float)
+    if len(runs) == 0:
+        raise ValueError("there is no interval of no runs")
+    drawn = np.random.default_rng(seed).integers(len(runs), size=(len(runs), RESAMPLES))
+    means = iqm(runs[drawn])
+    tail = 100 * (1 - confidence) / 2
+    # Nearest ranks: nothing is interpolated between a number and infinity.
+    low, high = np.percentile(means, [tail, 100 - tail], axis=0, method="nearest")
+    return low, high
+
+
+def summarised(values: Sequence[float], form: str) -> str:
+    """Interquartile mean and 95 % interval as text, e.g. "13.51 [13.20, 14.02]"; infinity is "never"."""
+
+    def text(number: float) -> str:
+        return "never" if np.isinf(number) else format(number, form)
+
+    if len(values) == 0 or np.isnan(values).any():
+        return "-"
+    middle = text(float(iqm(values)))
+    if len(values) == 1:
+        return middle
+    low, high = (text(float(limit)) for limit in bootstrap_interval(values))
+    return f"{middle} [{low}, {high}]"
