@@ -21,7 +21,7 @@ from dirl.experiments.results import (
     write_tables,
 )
 from dirl.reporting.curves import BLUE, GREEN, PURPLE, SKY, VERMILION, common_frames
-from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.reporting.statistics import FloatArray, bootstrap_interval, iqm
 from dirl.runs import NEAR, STABLE_ATL, WINDOW
 
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY)
@@ -43,10 +43,21 @@ def mean_stable_frames(result: Result) -> float:
 
     Taken from ``reinforcement.csv``, thus on one of its rows.
     """
-    rows = result.table("reinforcement")
-    above = np.flatnonzero(~(rows["atl"] <= STABLE_ATL))
+    frames, atl = training_curve(result)
+    above = np.flatnonzero(atl > STABLE_ATL)
     first = above[-1] + 1 if len(above) else 0
-    return float(rows["frames"][first]) if first < len(rows["frames"]) else math.inf
+    return float(frames[first]) if first < len(frames) else math.inf
+
+
+def training_curve(result: Result) -> tuple[FloatArray, FloatArray]:
+    """Frames and training ATL, ``[K]`` each, once there are `WINDOW` episodes a goal.
+
+    The first to end are the short ones, so that the mean of few says little.
+    """
+    rows = result.table("reinforcement")
+    goals = sum(len(scene["goals"]) for scene in result.summary["greedy"]["scenes"].values())
+    enough = rows["episodes"] >= WINDOW * goals if rows else np.empty(0, bool)
+    return (rows["frames"][enough], rows["atl"][enough]) if rows else (np.empty(0), np.empty(0))
 
 
 def report_efficiency(experiment: str, results: Sequence[Result], out: Path, note: str) -> str:
@@ -123,10 +134,7 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
     figure = Figure(figsize=(8, 4.6), layout="constrained")
     axes = figure.subplots()
     for color, (label, runs) in zip(COLORS, groups.items(), strict=False):
-        tables = [run.table("reinforcement") for run in runs]
-        frames, values = common_frames([(table["frames"], table["atl"]) for table in tables])
-        known = np.isfinite(values).all(0)
-        frames, values = frames[known], values[:, known]
+        frames, values = common_frames([training_curve(run) for run in runs])
         if not len(frames):
             continue
         axes.fill_between(frames, *bootstrap_interval(values), color=color, alpha=0.2, linewidth=0)

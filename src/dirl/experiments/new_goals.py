@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from dirl.assemble import Parts, run_policy, run_trajectories
 from dirl.evaluation import metrics
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
-from dirl.reporting import draw_trajectories, write_gif
+from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.curves import BLUE, GREEN, SKY, VERMILION
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.runs import RunError
@@ -207,7 +207,7 @@ def _walk(
         system = run.config.system
         local = [state - offset for state in path]
         ended = f"{steps} steps" if success else "failed"
-        title = f"{NAMES[system]}, {scene} ({room.source}), new goal {goal}, seed {run.config.seed}: {ended}"
+        title = f"{run_title({**run.summary, 'scene': scene, 'source': room.source})}, new goal {goal}: {ended}"
         name = f"fig6_{system}"
         for kind in ("png", "svg"):
             draw_trajectories(room, goal, [local], out / f"{name}.{kind}", success=[success], title=title)

@@ -16,7 +16,7 @@ from dirl.evaluation import metrics, run_episodes
 from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
 from dirl.models import make_network
 from dirl.models.encoders import ViewEncoder, encode_views
-from dirl.models.matching import template_vectors
+from dirl.models.matching import ncc, template_vectors
 from dirl.reporting.curves import BLUE, GREEN, PURPLE, VERMILION
 from dirl.runs import RunError
 from dirl.scenes import Scene
@@ -31,8 +31,8 @@ DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
 
 THRESHOLDS = np.arange(0.30, 1.0, 0.01)
 
-SAME = 0.02
-"""How far, relative to their size, features computed anew may be from the stored ones."""
+SAME = 0.85
+"""Least correlation of features computed anew with the stored ones; compressing the views moves them by some percent."""
 
 ByteArray = NDArray[np.uint8]
 
@@ -94,30 +94,31 @@ def recommended_threshold(curves: Sequence[tuple[NDArray[np.float64], NDArray[np
     return float(THRESHOLDS[np.mean(scores, 0).argmax()].round(2))
 
 
-def success(parts: Parts, scene: Scene, disturbed: Tensor, threshold: float) -> dict[str, float]:
+def success(parts: Parts, scene: Scene, clean: Tensor, disturbed: Tensor, threshold: float) -> dict[str, float]:
     """Greedy episodes in which the agent sees disturbed views and knows the clean ones of its goals.
 
     Args:
         parts: of a trained run.
         scene: of its world, where the episodes take place.
-        disturbed: features of its views, float32 ``[N, D]``.
+        clean: features of its views, float32 ``[N, D]``.
+        disturbed: likewise, of its disturbed views.
         threshold: of the stop by template matching.
     """
     world, match = parts.world, parts.config.stop.match
-    offset = world.offsets[world.scenes.index(scene)]
-    seen = world.features.clone()
-    seen[offset : offset + len(scene)] = disturbed
+    offset = world.offsets[world.names.index(scene.name)]
+    known, seen = world.features.clone(), world.features.clone()
+    known[offset : offset + len(scene)], seen[offset : offset + len(scene)] = clean, disturbed
     network = make_network(
-        torch.cat([world.features, seen]),
+        torch.cat([known, seen]),
         world.names,
         heads=parts.config.network.heads,
         width=parts.config.network.width,
     )
     network.load_state_dict(parts.network.state_dict())
-    goals = template_vectors(world.features, world.surrounding, match)[world.goals]
+    goals = template_vectors(known, world.surrounding, match)[world.goals]
     scores = goals @ template_vectors(seen, world.surrounding, match).T
     goal_index, start = parts.starts
-    inside = world.scene_of[start] == world.scenes.index(scene)
+    inside = world.scene_of[start] == world.names.index(scene.name)
     with network.encoder.projecting():
         episodes = run_episodes(
             lambda views, goal_views, scenes: network(views + len(world), goal_views, scenes)[0],
@@ -154,11 +155,10 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
     scene = world.scenes[world.names.index(scene_name)]
     if scene.views is None:
         raise RunError(f"{scene.origin}: has no views to disturb")
-    first = torch.from_numpy(encode_views(encoder, (scene.views[state] for state in (0,)), 1, scene.origin))
-    stored = torch.from_numpy(np.asarray(scene.features, np.float32))
-    if first.shape[1] != stored.shape[1] or (first - stored[:1]).norm() > SAME * stored[:1].norm():
-        raise RunError(f"encoder: gives other features than those of {scene.name}, '{scene.extractor}'; name the same")
     clean = encode_disturbed(scene, encoder)
+    stored = torch.from_numpy(np.asarray(scene.features, np.float32))
+    if clean.shape != stored.shape or ncc(clean, stored).mean() < SAME:
+        raise RunError(f"encoder: gives other features than those of {scene.name}, '{scene.extractor}'; name the same")
     match = runs[0].config.stop.match
     found: dict[tuple[str, float], Tensor] = {("none", 0.0): clean}
     for kind, (_, strengths) in DISTURBANCES.items():
@@ -180,7 +180,7 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
         for limit in (paper["threshold"], best):
             place = int(np.abs(THRESHOLDS - limit).argmin())
             cells += [float(values[place]) for values in curves[key]]
-            walked = [success(parts, scene, features, limit) for parts in runs]
+            walked = [success(parts, scene, clean, features, limit) for parts in runs]
             cells += [[one[name] for one in walked] for name in ("sr", "false_stop_rate")]
         table.add(*cells)
     _draw(pairs, curves, best, out)
