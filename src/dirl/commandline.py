@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 
 from dirl.config import (
     BenchmarkConfig,
+    BuildConfig,
     ConfigError,
     EncodeConfig,
     EvaluateConfig,
@@ -22,6 +23,7 @@ from dirl.config import (
     ImportConfig,
     InspectConfig,
     PhotosConfig,
+    SampleConfig,
     ThorConfig,
     TrainConfig,
 )
@@ -32,6 +34,8 @@ SCHEMAS = {
     "benchmark": BenchmarkConfig,
     "thor": ThorConfig,
     "photos": PhotosConfig,
+    "build": BuildConfig,
+    "sample": SampleConfig,
     "encode": EncodeConfig,
     "export": ExportConfig,
     "import": ImportConfig,
