@@ -61,8 +61,8 @@ def test_furniture_outside_the_room_is_found():
 def test_a_blocked_door_and_places_that_are_cut_off_are_found():
     found = check_room(with_piece(Piece("stool", (0.3, 0.3, 0.45), at=(0.7, 0.3))))
     assert "[[furniture]] number 2 (door): less than 0.6 m in front of it are free" in found
-    found = check_room(with_piece(Piece("cabinet", (0.2, 1.6, 1.0), at=(0.65, 0.8))))
-    assert any("free points can be reached from each other" in line for line in found)
+    screens = (Piece("cabinet", (0.04, 1.5, 1.0), at=(x, 0.75)) for x in (0.65, 1.15))
+    assert "[grid] only 2 of 5 free points can be reached from each other" in check_room(with_piece(*screens))
 
 
 def test_blank_and_alike_views_are_found():
