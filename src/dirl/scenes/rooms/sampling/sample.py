@@ -29,7 +29,7 @@ GOALS = 5
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of room: how it is furnished, its range of widths and depths in metres, the fewest places, what it needs."""
+    """A kind of room: how it is furnished, how wide and deep it may be in metres, the fewest places, what it needs."""
 
     furnish: Callable[[Draft], None]
     extent: tuple[float, float]
