@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ from dirl.commandline import check_overrides, one_line_errors, register
 from dirl.config import BenchmarkConfig, ConfigError, TrainConfig, typed
 from dirl.models import actor_critic
 from dirl.runs import Run, write_json
-from dirl.scenes.catalog import ROOMS
+from dirl.scenes import load_scenes, write_dump
 
 CONF = Path(__file__).resolve().parent.parent / "conf"
 SLOW = 20
@@ -59,12 +60,12 @@ def main(composed: DictConfig) -> None:
             learning_parts(config)
     result: dict[str, Any] = {"threads": torch.get_num_threads()}
     result["limits"] = {name: matrix_product_rate(getattr(torch, name)) for name in ("float32", "bfloat16")}
+    result["growth"] = growth(options.train) if options.growth else []
     result["rows"] = [
         compare(_text(scene), config, options, result["limits"]["float32"])
         for scene, config in zip(options.worlds, asked, strict=True)
     ]
     result["peak_memory_mb"] = peak_memory_mb()
-    result["growth"] = growth(options.train) if options.growth else []
     print(tables(result))
     if options.out is not None:
         write_json(Path(options.out), result)
@@ -201,9 +202,10 @@ def grown(what: str, number: int, overrides: list[str], updates: int = 12) -> di
             world = ["scene=all"]
         elif what == "scenes":
             scenes, agents = number, max(1, 320 // number)
+            (scene,) = load_scenes("bathroom_02")
             copies = [Path(folder) / f"copy_{copy}.h5" for copy in range(number)]
             for copy in copies:
-                copy.symlink_to(ROOMS / "bathroom_02.h5")
+                write_dump(copy, replace(scene, name=copy.stem, views=None))
             world = [f"scene=[{','.join(map(str, copies))}]"]
         else:
             agents = 320

@@ -1,7 +1,9 @@
-"""Take, convert, encode and check scenes.
+"""Take, build, convert, encode and check scenes.
 
     python recipes/scenes.py thor scene=FloorPlan401 out=dumps/FloorPlan401.h5 encoder=resnet50.pth
     python recipes/scenes.py photos folder=my_office out=my_office.h5 encoder=resnet50.pth
+    python recipes/scenes.py build description=bathroom_02 out=bathroom.h5 encoder=resnet50.pth
+    python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom encoder=resnet50.pth
     python recipes/scenes.py encode scene=room.h5 encoder=resnet50.pth out=room_resnet.h5
     python recipes/scenes.py export scene=bathroom_02 layout=icra17 out=icra17/bathroom_02.h5
     python recipes/scenes.py import scene=data/bathroom_02.h5 source=thor out=bathroom_02.h5
@@ -22,12 +24,14 @@ from tqdm import tqdm
 
 from dirl.commandline import SCHEMAS, check_overrides, choose_command, one_line_errors, register
 from dirl.config import (
+    BuildConfig,
     ConfigError,
     EncodeConfig,
     ExportConfig,
     ImportConfig,
     InspectConfig,
     PhotosConfig,
+    SampleConfig,
     ThorConfig,
     typed,
 )
@@ -37,6 +41,8 @@ from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops,
 from dirl.scenes import Scene, load_scenes, write_dump
 from dirl.scenes.interchange import export_icra17
 from dirl.scenes.photos import encoded_photos, read_photos
+from dirl.scenes.rooms import KINDS, build_room, built_in_rooms, sample_room, write_description
+from dirl.scenes.rooms.sheet import draw_sheet, preview
 from dirl.scenes.thor import start_simulator, take_views
 from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
@@ -82,6 +88,59 @@ def write_photos(
     write_dump(out, scene, views, feature_attributes=None if encoder is None else dict(encoder.attributes))
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
     print("no features yet; see the command encode" if encoder is None else f"extractor: {encoder.extractor}")
+
+
+def build(options: BuildConfig) -> None:
+    """Build a synthetic room from its description."""
+    out = new_file(options.out)
+    if options.description is None:
+        raise ConfigError(f"name a room: description=<{' | '.join(built_in_rooms())}, or a .toml file>")
+    problems = build_room(
+        options.description,
+        out,
+        size=(options.height, options.width),
+        turn=options.turn,
+        fine=options.fine,
+        quality=options.quality,
+        workers=options.workers,
+        encoder=chosen_encoder(options),
+        provenance=options.provenance or "",
+    )
+    scene = one_scene(str(out))
+    print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
+    print("\n".join(["problems:", *(f"- {problem}" for problem in problems)] if problems else ["no problems found"]))
+
+
+def sample(options: SampleConfig) -> None:
+    """Furnish random rooms and build them, each with its description beside it, and a contact sheet of all."""
+    folder = new_file(options.out, ending="")
+    if options.kind is None:
+        raise ConfigError(f"name a kind of room: kind=<{' | '.join(KINDS)} | all>")
+    kinds = list(KINDS) if options.kind == "all" else [options.kind]
+    encoder, previews = chosen_encoder(options), []
+    for kind in kinds:
+        for seed in range(options.seed, options.seed + options.count):
+            room = sample_room(kind, seed)
+            folder.mkdir(parents=True, exist_ok=True)
+            write_description(room, folder / f"{room.name}.toml")
+            problems = build_room(
+                room,
+                folder / f"{room.name}.h5",
+                size=(options.height, options.width),
+                turn=options.turn,
+                fine=options.fine,
+                workers=options.workers,
+                encoder=encoder,
+            )
+            previews.append(preview(room))
+            if len(previews) == 1:
+                print("| room | metres | pieces | places | problems |\n|---|---|--:|--:|---|")
+            width, depth, height = room.size
+            found = "; ".join(problems) or "none"
+            print(f"| {room.name} | {width:g} x {depth:g} x {height:g} | {len(room.furniture)} ", end="")
+            print(f"| {room.grid.places} | {found} |", flush=True)
+    draw_sheet(previews, folder / "rooms.png")
+    print(f"\n{len(previews)} rooms: {folder}")
 
 
 def encode(options: EncodeConfig) -> None:
@@ -157,7 +216,9 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     print(f"\npictures: {folder}")
 
 
-def chosen_encoder(options: ThorConfig | PhotosConfig | EncodeConfig) -> ViewEncoder | None:
+def chosen_encoder(
+    options: ThorConfig | PhotosConfig | BuildConfig | SampleConfig | EncodeConfig,
+) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names."""
     return None if options.encoder is None else load_encoder(options.encoder, options.device)
 
@@ -186,6 +247,8 @@ def new_file(name: str | None, ending: str = ".h5") -> Path:
 COMMANDS: dict[str, tuple[str, Callable[[Any], None]]] = {
     "thor": ("take a scene from live AI2-THOR", thor),
     "photos": ("make a scene from photographs of a real place", photos),
+    "build": ("build a synthetic room from its description", build),
+    "sample": ("furnish random rooms and build them", sample),
     "encode": ("compute the features of a dump anew, with another encoder", encode),
     "export": ("write a scene in the layout of the published navigation code", export),
     "import": ("take over a dump in that layout", take_over),

@@ -38,9 +38,9 @@ def run_recipe(folder, name, *arguments):
 
 
 def room_file(folder, **options):
-    """A dump of a small room with two goals."""
+    """A dump of a small room of 24 states with two goals, and more features than states, as built-in rooms have."""
     file = folder / "room.h5"
-    write_dump(file, grid_scene(goals=(0, 13), **options))
+    write_dump(file, grid_scene(goals=(0, 13), feature_width=32, **options))
     return file
 
 

@@ -35,6 +35,7 @@ NOT_RUN = {
     "loggers.md": ["needs pip install -e '.[tensorboard]', which they do without"],
     "make_scenes.md": ["needs AI2-THOR's build", "needs the weights of a ResNet-50"],
     "navigator.md": ["needs the weights of a ResNet-50"],
+    "rooms.md": ["needs the weights of a ResNet-50", "takes minutes"],
     "thor_dumps.md": ["needs the published dumps"],
 }
 """Why the blocks that a page declares as not run are not; what is added here must be a reason."""

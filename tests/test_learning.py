@@ -5,7 +5,7 @@ import torch
 from commands import room_file, train_config
 from train import imitate, reinforce
 
-from dirl.assemble import build_parts, run_policy
+from dirl.assemble import learning_parts, run_policy
 from dirl.evaluation import metrics
 from dirl.runs import Run
 
@@ -15,7 +15,7 @@ def learn(tmp_path, *options):
     fixed = [f"scene={room_file(tmp_path)}", "network.width=64", "evaluation.times=0", "checkpoint.every_seconds=1e9"]
     config = train_config(*fixed, *options)
     torch.manual_seed(config.seed)
-    parts = build_parts(config)
+    parts = learning_parts(config)
     before = metrics(run_policy(parts))
     run = Run(tmp_path, config)
     run.begin(parts.world)

@@ -33,8 +33,8 @@ def trained(tmp_path_factory):
     rng = np.random.default_rng(0)
     views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8), quality=None) for _ in range(len(room))]
     write_dump(folder / "room.h5", room, views)
-    sizes = ["reinforcement.frames_per_scene=20_000", "reinforcement.agents_per_scene=30", "evaluation.times=0"]
-    options = ["network.width=64", "imitation.share=0.3", "optimiser.lr=2e-3", "checkpoint.every_seconds=1e9"]
+    sizes = ["reinforcement.frames_per_scene=30_000", "reinforcement.agents_per_scene=30", "evaluation.times=0"]
+    options = ["network.width=64", "imitation.share=0.6", "optimiser.lr=2e-3", "checkpoint.every_seconds=1e9"]
     config = train_config(f"scene={folder / 'room.h5'}", *sizes, *options)
     torch.manual_seed(config.seed)
     parts = build_parts(config)

@@ -16,6 +16,7 @@ from omegaconf import OmegaConf
 
 from dirl.config import (
     BenchmarkConfig,
+    BuildConfig,
     ConfigError,
     EncodeConfig,
     EvaluateConfig,
@@ -24,6 +25,7 @@ from dirl.config import (
     InspectConfig,
     PhotosConfig,
     ReportConfig,
+    SampleConfig,
     ThorConfig,
     TrainConfig,
 )
@@ -35,6 +37,8 @@ SCHEMAS = {
     "benchmark": BenchmarkConfig,
     "thor": ThorConfig,
     "photos": PhotosConfig,
+    "build": BuildConfig,
+    "sample": SampleConfig,
     "encode": EncodeConfig,
     "export": ExportConfig,
     "import": ImportConfig,

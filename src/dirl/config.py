@@ -253,6 +253,40 @@ class PhotosConfig:
 
 
 @dataclass
+class BuildConfig:
+    """Everything ``recipes/scenes.py build`` takes."""
+
+    description: str | None = None
+    out: str | None = None
+    height: int = MISSING
+    width: int = MISSING
+    turn: float = MISSING
+    fine: bool = MISSING
+    quality: int = MISSING
+    workers: int | None = None
+    encoder: str | None = None
+    provenance: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class SampleConfig:
+    """Everything ``recipes/scenes.py sample`` takes."""
+
+    kind: str | None = None
+    seed: int = MISSING
+    count: int = MISSING
+    out: str | None = None
+    height: int = MISSING
+    width: int = MISSING
+    turn: float = MISSING
+    fine: bool = MISSING
+    workers: int | None = None
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
 class EncodeConfig:
     """Everything ``recipes/scenes.py encode`` takes."""
 

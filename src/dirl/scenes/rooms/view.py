@@ -84,7 +84,8 @@ class Renderer:
         width, height = (max(1, round(length * scale)) for length in room.size[:2])
         x, y = np.meshgrid((np.arange(width) + 0.5) / scale, room.size[1] - (np.arange(height) + 0.5) / scale)
         origins = np.stack([x, y, np.full_like(x, room.size[2] - 0.01)], -1).reshape(-1, 3)
-        seen = self.radiance(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), 1 / scale / room.size[2], reflect=False)
+        down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
+        seen = self.radiance(origins, down, 1 / scale / room.size[2], reflect=False)
         return display(seen.reshape(height, width, 3) * self.exposure)
 
     def radiance(self, origins: Array, way: Array, spread: float, *, reflect: bool) -> Array:

@@ -177,7 +177,7 @@ class Draft:
         for other in self.placed:
             low, high = other.box[1 - axis], other.box[4 - axis]
             near = high > far - 0.5 if wall in ("north", "east") else low < 0.5
-            if near and other.box[2] < EYE[1] - 0.15 and other.box[5] > EYE[0] + 0.35:
+            if near and other.box[2] < EYE[1] - 0.15 and other.box[5] > EYE[0] + 0.25:
                 taken.append((other.box[axis], other.box[axis + 3]))
         gaps, at = [], 0.0
         for start, end in sorted(taken):

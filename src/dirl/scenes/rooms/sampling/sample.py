@@ -29,19 +29,20 @@ GOALS = 5
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of room: how it is furnished, the range of its width and depth in metres, the fewest places."""
+    """A kind of room: how it is furnished, how wide and deep it may be in metres, the fewest places, what it needs."""
 
     furnish: Callable[[Draft], None]
     extent: tuple[float, float]
     places: int
+    needs: tuple[str, ...]
     wet: bool = False
 
 
 KINDS = {
-    "bathroom": Kind(furnishing.bathroom, (3.6, 5.0), 20, wet=True),
-    "bedroom": Kind(furnishing.bedroom, (4.4, 6.8), 30),
-    "kitchen": Kind(furnishing.kitchen, (4.6, 7.4), 35, wet=True),
-    "living_room": Kind(furnishing.living_room, (5.0, 7.4), 40),
+    "bathroom": Kind(furnishing.bathroom, (3.6, 5.0), 20, ("toilet", "vanity"), wet=True),
+    "bedroom": Kind(furnishing.bedroom, (4.4, 6.8), 30, ("bed",)),
+    "kitchen": Kind(furnishing.kitchen, (4.6, 7.4), 35, ("counter", "table"), wet=True),
+    "living_room": Kind(furnishing.living_room, (5.0, 7.4), 40, ("sofa", "tv")),
 }
 
 
@@ -64,7 +65,7 @@ def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = 
     problems = ["attempts must be at least 1"]
     for attempt in range(attempts):
         room = draw_room(kind, seed, attempt)
-        problems = problems_of(room, KINDS[kind].places, look=look)
+        problems = problems_of(room, KINDS[kind], look=look)
         if not problems:
             return room
     raise SceneError(f"kind={kind} seed={seed}: none of {attempts} rooms passed the checks; the last: {problems[0]}")
@@ -105,15 +106,16 @@ def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
     return replace(room, goals=goals, grid=Grid(origin=room.grid.origin, places=places))
 
 
-def problems_of(room: RoomDescription, places: int, *, look: bool) -> list[str]:
+def problems_of(room: RoomDescription, kind: Kind, *, look: bool) -> list[str]:
     """What keeps a room from being used, one line each."""
     try:
         way = walk(room)
     except SceneError as error:
         return [str(error)]
-    if len(way.places) < places:
-        return [f"only {len(way.places)} places; at least {places} are wanted"]
-    problems = check_room(room)
+    if len(way.places) < kind.places:
+        return [f"only {len(way.places)} places; at least {kind.places} are wanted"]
+    kinds = {piece.kind for piece in room.furniture} | {"table" for piece in room.furniture if "table" in piece.kind}
+    problems = [f"there was no room for a {need}" for need in kind.needs if need not in kinds] + check_room(room)
     if problems or not look:
         return problems
     renderer = Renderer.of(room, fine=False)

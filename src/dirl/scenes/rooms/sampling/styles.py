@@ -44,9 +44,9 @@ class Style:
     def __init__(self, rng: np.random.Generator, *, wet: bool) -> None:
         self.rng, self.wet = rng, wet
         self.materials: dict[str, Material] = {}
-        hue = rng.random()
-        spread = rng.choice([0.08, 0.33, 0.5])
-        self.hues = [hue, (hue + spread) % 1, (hue - spread) % 1]
+        # Two neighbouring hues for most of the room and one far from them: rooms with all hues look alike.
+        hue, apart = rng.random(), rng.uniform(0.03, 0.12)
+        self.hues = [hue, (hue + apart) % 1, (hue + rng.uniform(0.4, 0.6)) % 1]
         self.vivid = rng.uniform(0.3, 0.7)
         for name, wood in zip(("wood", "wood_dark", "wood_c"), rng.permutation(list(WOODS)), strict=False):
             self._add_wood(name, *WOODS[wood])
@@ -61,7 +61,7 @@ class Style:
 
     def color(self, *, hue: float | None = None, saturation: float | None = None, value: float | None = None) -> str:
         """A colour of the room's palette, a little off; what is not given is drawn."""
-        base = float(self.rng.choice(self.hues)) if hue is None else hue
+        base = float(self.rng.choice(self.hues, p=(0.45, 0.35, 0.2))) if hue is None else hue
         s = self.vivid * self.rng.uniform(0.5, 1.0) if saturation is None else saturation
         v = self.rng.uniform(0.35, 0.85) if value is None else value
         red, green, blue = colorsys.hsv_to_rgb((base + self.rng.normal(0, 0.02)) % 1, s, v)
@@ -129,8 +129,9 @@ class Style:
         patterns = [str(p) for p in self.rng.permutation(WALLPAPERS)]
         dado, dado_height = self.rng.random() < (0.7 if self.wet else 0.4), float(self.rng.choice([0.9, 1.0, 1.2, 1.5]))
         walls: dict[str, tuple[Band, ...]] = {}
+        order = self.rng.permutation([0, 0, 1, 2 if self.rng.random() < 0.5 else 1])
         for k, side in enumerate(SIDES):
-            hue = (self.hues[k % 3] + 0.09 * k) % 1
+            hue = self.hues[int(order[k])]
             if self.wet and self.rng.random() < 0.25:
                 walls[side] = ((height, self._tiles(hue)),)
                 continue

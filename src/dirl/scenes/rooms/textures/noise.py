@@ -51,13 +51,14 @@ def fractal_noise(rng: np.random.Generator, height: int, width: int, fy: int, fx
         width: columns.
         fy: cells of the coarsest octave along the rows; every further octave doubles them and weighs half.
         fx: the same along the columns.
-        octaves: how many; those finer than a pixel are left out.
+        octaves: how many; those finer than a pixel are left out, but for the first.
     """
     total, weight, weights = np.zeros((height, width)), 1.0, 0.0
     for octave in range(octaves):
         ny, nx = fy * 2**octave, fx * 2**octave
-        if ny > height or nx > width:
+        if octave and (ny > height or nx > width):
             break
+        ny, nx = min(ny, height), min(nx, width)
         lattice = rng.random((ny, nx))
         y, x = np.arange(height) * ny / height, np.arange(width) * nx / width
         iy, ix = y.astype(int), x.astype(int)
