@@ -12,16 +12,19 @@ import sys
 from pathlib import Path
 
 import hydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from dirl.commandline import check_overrides, one_line_errors, register
-from dirl.config import ConfigError, ExperimentName, ReportConfig, typed
+from dirl.config import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
 from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.new_goals import report_control, report_new_goals
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
 from dirl.models.encoders import load_encoder
+from dirl.runs import RunError
+
+CONF = Path(__file__).resolve().parent.parent / "conf"
 
 
 @hydra.main(version_base="1.3", config_path="../conf/report", config_name="report")
@@ -34,14 +37,42 @@ def main(composed: DictConfig) -> None:
             raise ConfigError(f"name what to report: experiment=<one of {', '.join(ExperimentName)}>")
         if name == ExperimentName.stop and options.encoder is None:
             raise ConfigError("experiment=stop encodes disturbed views: name what made the features, encoder=<weights>")
-        kept = name if name in (ExperimentName.fig7, ExperimentName.fig8) else "systems"
-        folder = Path(options.runs) / kept / options.preset
-        hint = f"python recipes/train.py -m experiment={name}"
-        runs = finished_runs(folder, hint if options.preset == "fast" else f"{hint} preset={options.preset}")
+        hint = f"python recipes/train.py -m experiment={name} preset={options.preset}"
+        runs = chosen(options, finished_runs(Path(options.runs) / options.preset, hint), hint)
         out = Path(options.out or f"reports/{options.preset}/{name}")
         out.mkdir(parents=True, exist_ok=True)
         print(write(options, runs, out))
     print(f"report: {out}")
+
+
+def chosen(options: ReportConfig, runs: list[Result], hint: str) -> list[Result]:
+    """The runs that an experiment is about, of all experiments' runs.
+
+    Args:
+        options: of the report.
+        runs: finished ones.
+        hint: how to make those that are missing, for the error.
+
+    Raises:
+        RunError: there is none.
+    """
+    usual = OmegaConf.load(CONF / "preset" / f"{options.preset}.yaml").imitation
+
+    def belongs(config: TrainConfig) -> bool:
+        match options.experiment:
+            case ExperimentName.fig7:
+                return config.system in ("dirl", "td_drl") and config.imitation.share == 0
+            case ExperimentName.fig8:
+                return config.system == "dirl"
+            case ExperimentName.stop:
+                if config.system != "dirl":
+                    return False
+        return config.system != "dirl" or (config.imitation.share, config.imitation.rule) == (usual.share, usual.rule)
+
+    found = [run for run in runs if belongs(run.config)]
+    if not found:
+        raise RunError(f"no finished run is of experiment={options.experiment}; make some by: {hint}")
+    return found
 
 
 def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
@@ -57,8 +88,7 @@ def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
         case ExperimentName.fig6:
             return report_control(runs, out, note, options.scene, options.goal)
     assert options.encoder is not None
-    learnt = [run for run in runs if run.config.system == "dirl"]
-    return report_stopping(learnt, out, note, options.scene, load_encoder(options.encoder))
+    return report_stopping(runs, out, note, options.scene, load_encoder(options.encoder))
 
 
 def describe_runs(runs: list[Result]) -> str:

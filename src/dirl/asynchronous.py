@@ -104,14 +104,15 @@ def asynchronous_updates(
     finally:
         signal.signal(signal.SIGINT, before)
     failed = False
+    ready: Any
     while listening:
-        for receiver in wait(list(listening)):
+        for ready in wait(list(listening)):
             if interrupted or failed:
                 shared.stopped.set()
             try:
-                yield receiver.recv()
+                yield ready.recv()
             except EOFError:
-                worker = listening.pop(receiver)
+                worker = listening.pop(ready)
                 worker.join()
                 failed |= worker.exitcode != 0
     if failed:

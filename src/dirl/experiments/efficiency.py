@@ -136,6 +136,7 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
     for color, (label, runs) in zip(COLORS, groups.items(), strict=False):
         frames, values = common_frames([training_curve(run) for run in runs])
         if not len(frames):
+            axes.plot([], [], color=color, label=f"{label}: never stable, too few episodes to draw")
             continue
         axes.fill_between(frames, *bootstrap_interval(values), color=color, alpha=0.2, linewidth=0)
         stable = float(iqm([stable_frames(run) for run in runs]))

@@ -158,7 +158,7 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
         Column("SR of every start", ".3f"),
         Column("shortest", "d"),
     )
-    pictures = []
+    pictures: list[str] = []
     for system, runs in by_system(results).items():
         if system not in SYSTEMS:
             continue

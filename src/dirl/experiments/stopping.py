@@ -32,7 +32,7 @@ DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
 THRESHOLDS = np.arange(0.30, 1.0, 0.01)
 
 SAME = 0.85
-"""Least correlation of features computed anew with the stored ones; compressing the views moves them by some percent."""
+"""Least correlation of features computed anew with the stored ones; other compression moves them a little."""
 
 ByteArray = NDArray[np.uint8]
 
@@ -71,7 +71,7 @@ def coefficients(clean: Tensor, disturbed: Tensor, scene: Scene, match: str) -> 
     Returns:
         At the goal, float ``[N]``; elsewhere, float ``[N * (N - 1)]``.
     """
-    surrounding = torch.from_numpy(scene.surrounding)
+    surrounding = torch.tensor(scene.surrounding)
     goals, seen = (template_vectors(features, surrounding, match) for features in (clean, disturbed))
     scores = goals @ seen.T
     away = ~torch.eye(len(scores), dtype=torch.bool)

@@ -57,7 +57,7 @@ def summarised(values: Sequence[float], form: str) -> str:
     if len(values) == 0 or np.isnan(values).any():
         return "-"
     middle = text(float(iqm(values)))
-    if len(values) == 1:
+    if len(values) == 1 or np.isinf(values).all():
         return middle
     low, high = (text(float(limit)) for limit in bootstrap_interval(values))
     return f"{middle} [{low}, {high}]"
