@@ -171,7 +171,7 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
                     optimiser.step()
 
             frames += batch.numel()
-            over = batch["next"].transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
+            over = batch["next"].select("goal", "step_count").transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
             meter.add(env.base_env.goal_index[over["goal"]], over["step_count"].squeeze(-1), frames)
             seconds += time.perf_counter() - began
             bar.update(batch.numel())
