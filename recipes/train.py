@@ -270,8 +270,10 @@ def restore_random_state(env: EnvBase, state: dict[str, Tensor]) -> None:
 
 def peak_memory_mb() -> float:
     """The most memory this process has held, in megabytes."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+    status = Path("/proc/self/status")
+    if status.exists():  # on Linux `getrusage` would count what the parent of a new process held
+        return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 if __name__ == "__main__":

@@ -146,7 +146,7 @@ def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_agai
 
 
 def test_a_folder_with_a_run_of_other_options_is_left_alone(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *SMALL, "system=random", "seed=0", "-m", "experiment=table2"]
+    options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=random", "seed=0"]
     assert run_recipe(tmp_path, "train", *options)[0] == 0
     status, _, errors = run_recipe(tmp_path, "train", *options, "evaluation.max_steps=49")
     assert status == 1

@@ -97,7 +97,8 @@ def set_learning_rate(optimiser: Optimizer, rate: float) -> None:
 
 def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Update:
     """What there is to tell of an update: its rollout ``[B, T]`` and the losses of its last pass."""
-    over = batch["next"].transpose(0, 1)[batch["next", "done"].squeeze(-1).T]  # in the order they ended
+    # In the order they ended.
+    over = batch["next"].select("goal", "step_count").transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
     return Update(
         frames=batch.numel(),
         goal_index=env.base_env.goal_index[over["goal"]].tolist(),

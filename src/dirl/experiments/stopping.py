@@ -156,7 +156,7 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
     if scene.views is None:
         raise RunError(f"{scene.origin}: has no views to disturb")
     clean = encode_disturbed(scene, encoder)
-    stored = torch.from_numpy(np.asarray(scene.features, np.float32))
+    stored = torch.tensor(scene.features).float()
     if clean.shape != stored.shape or ncc(clean, stored).mean() < SAME:
         raise RunError(f"encoder: gives other features than those of {scene.name}, '{scene.extractor}'; name the same")
     match = runs[0].config.stop.match
