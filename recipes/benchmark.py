@@ -228,14 +228,17 @@ def tables(result: dict[str, Any]) -> str:
             cells = [row["world"], loop.replace("_", " "), f"{rate:,.0f}", f"{row['times_faster'][loop]:.2f}"]
             needed, share = f"{row['operations_per_frame'] / 1e6:.2f}", f"{row['share_of_limit']:.0%}"
             speeds.append((*cells, *((needed, share) if loop == "training" else ("", ""))))
-    text += markdown(("world", "loop", "frames/s", "training is x times it", "MFLOP a frame", "share of limit"), speeds)
-    times = []
+    if speeds:
+        columns = ("world", "loop", "frames/s", "training is x times it", "MFLOP a frame", "share of limit")
+        text += markdown(columns, speeds)
+    times: list[tuple[str, ...]] = []
     for row in result["rows"]:
         stable = row.get("stable_at_frame", 0)
         when = "never" if stable is None else f"frame {stable:,}, {row['stable_at_second']:.1f} s" if stable else ""
         greedy, sampled = f"{row['episodes']} in {row['greedy_seconds']:.2f} s", f"{row['sampled_100k_seconds']:.2f} s"
         times.append((row["world"], greedy, sampled, when))
-    text += "\n" + markdown(("world", "every start, greedy", "100,000 episodes, sampled", "stable at"), times)
+    if times:
+        text += "\n" + markdown(("world", "every start, greedy", "100,000 episodes, sampled", "stable at"), times)
     if result["growth"]:
         names = tuple(result["growth"][0])
         grown_rows = [tuple(f"{row[name]:,.0f}" for name in names) for row in result["growth"]]

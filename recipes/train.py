@@ -171,7 +171,7 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
                     optimiser.step()
 
             frames += batch.numel()
-            over = batch["next"].transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
+            over = batch["next"].select("goal", "step_count").transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
             meter.add(env.base_env.goal_index[over["goal"]], over["step_count"].squeeze(-1), frames)
             seconds += time.perf_counter() - began
             bar.update(batch.numel())
@@ -273,8 +273,10 @@ def restore_random_state(env: EnvBase, state: dict[str, Tensor]) -> None:
 
 def peak_memory_mb() -> float:
     """The most memory this process has held, in megabytes."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+    status = Path("/proc/self/status")
+    if status.exists():  # on Linux `getrusage` would count what the parent of a new process held
+        return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 if __name__ == "__main__":

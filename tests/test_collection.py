@@ -3,12 +3,13 @@ import torch
 from rooms import grid_scene
 from tensordict.nn import TensorDictModule
 from torch.distributions import Categorical
+from torch.utils._python_dispatch import TorchDispatchMode
 from torchrl.envs import Compose, StepCounter, TransformedEnv
 from torchrl.modules import ProbabilisticActor
 
 from dirl.collection import INTERMEDIATE, collect
 from dirl.envs import OBSERVATIONS, NavigationEnv
-from dirl.models import actor_critic, make_network
+from dirl.models import actor_critic, heads, make_network, siamese
 from dirl.scenes import make_world
 
 AGENTS, STEPS = 12, 20
@@ -103,3 +104,52 @@ def test_actions_are_sampled(world):
     batch, _ = collect(env, always(0.1, 0.2, 0.4, 0.3), env.reset(), 20)
     share = batch["action"].flatten().bincount() / 10_000
     assert share.tolist() == pytest.approx([0.1, 0.2, 0.4, 0.3], abs=0.02)
+
+
+class Questions(TorchDispatchMode):
+    """Notes every operation whose answer Python, or a size, waits for."""
+
+    def __init__(self):
+        super().__init__()
+        self.asked = []
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        name = function.overloadpacket.__name__
+        indices = args[1] if name in ("index", "index_put_", "_index_put_impl_") else []
+        masks = any(index is not None and index.dtype == torch.bool for index in indices)
+        if masks or name in ("_local_scalar_dense", "nonzero", "masked_select", "_unique2", "equal"):
+            self.asked.append(name)
+        return function(*args, **(kwargs or {}))
+
+
+def test_a_gpu_is_asked_nothing(world, monkeypatch):
+    """It would have to finish its work before it answers; what an agent does is decided without."""
+    for module in (heads, siamese):
+        monkeypatch.setattr(module, "answers_late", lambda tensor: True)
+    env = make_env(world)
+    network = make_network(world.features, world.names, width=8)
+    network.encoder.use_principal_axes(world.surrounding)
+    policy = actor_critic(network)
+    with network.encoder.remembering():
+        _, agents = collect(env, policy, env.reset(), 1)  # sets up what is set up once
+        with Questions() as questions:
+            collect(env, policy, agents, STEPS)
+    assert questions.asked == []
+
+
+def test_what_a_gpu_computes_is_the_same(world, monkeypatch):
+    network = make_network(world.features, world.names, width=8)
+    network.encoder.use_principal_axes(world.surrounding)
+    batch, _ = collect(make_env(world), actor_critic(network), make_env(world).reset(), STEPS)
+    rows = [batch.reshape(-1)[key] for key in ("views", "goal_views", "scene")]
+
+    def outputs_and_gradients():
+        network.zero_grad()
+        logits, value = network(*rows)
+        (logits.square().sum() + value.sum()).backward()
+        return [logits.detach(), value.detach(), *(weight.grad.clone() for weight in network.parameters())]
+
+    here = outputs_and_gradients()
+    for module in (heads, siamese):
+        monkeypatch.setattr(module, "answers_late", lambda tensor: True)
+    torch.testing.assert_close(outputs_and_gradients(), here)

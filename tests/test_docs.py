@@ -1,7 +1,7 @@
 """The documentation: the code on its pages runs, every option is explained, and the site stands on its own.
 
-On a how-to page ```python and ```bash blocks are run, in order, in an empty folder; ```text is output. What cannot be
-run here is a {code-block} whose caption tells the reader why.
+On a how-to page ```python and ```bash blocks are run, in order, in an empty folder; ```text is output or data. What
+cannot be run here is a {code-block} whose caption tells the reader why; the caption of TOML is the name of its file.
 """
 
 import re
@@ -100,9 +100,11 @@ def test_the_code_of_a_page_runs(page, example_run, tmp_path, monkeypatch):
                 file.unlink()
     names = {"__name__": page.stem}
     for language, caption, text in blocks(page):
-        if caption:
+        if language == "toml":
+            Path(caption).write_text(text)
+        elif caption:
             continue
-        if language == "python":
+        elif language == "python":
             for old, new in SHORTER.get(page.name, {}).items():
                 text = text.replace(old, new)
             exec(compile(text, str(page), "exec"), names)
@@ -118,8 +120,8 @@ def test_pages_have_only_code_that_is_run_or_says_why_it_is_not():
         outside = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
         assert not re.search(r"\n\n    \S", outside), f"{page.name}: indented code is not run; fence it"
         for block in blocks(page):
-            assert block.language in ("python", "bash", "text"), f"{page.name}: {block.language}"
-            if block.caption:
+            assert block.language in ("python", "bash", "toml", "text"), f"{page.name}: {block.language}"
+            if block.caption and block.language != "toml":
                 reasons.setdefault(page.name, []).append(block.caption.removeprefix("Not run by the tests: "))
         for old in SHORTER.get(page.name, {}):
             assert old in page.read_text(), f"{page.name}: there is no '{old}' to make shorter"

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 from torch.optim import Optimizer
-from torchrl.envs import Compose, EnvBase, RewardScaling, StepCounter, TransformedEnv
+from torchrl.envs import Compose, EnvBase, StepCounter, TransformedEnv
 
 from dirl.config import Axes, ConfigError, Device, Optimiser, Starts, Stop, TrainConfig
 from dirl.envs import OBSERVATIONS, NavigationEnv, Reward, SurroundingViews
@@ -98,15 +98,15 @@ def _stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
 def build_env(parts: Parts) -> EnvBase:
     """The environment of training, with step limit, reward scale and views."""
     config, world = parts.config, parts.world
+    reward, scale = config.reward, config.reward.scale
     env = NavigationEnv(
         world,
         config.reinforcement.agents_per_scene * len(world.scenes),
-        reward=Reward(config.reward.goal, config.reward.step, config.reward.collision),
+        reward=Reward(reward.goal * scale, reward.step * scale, reward.collision * scale),
         stop=_stop_table(config, config.stop.training, world),
         seed=config.seed,
     )
-    limit = StepCounter(max_steps=config.reinforcement.max_steps)
-    return TransformedEnv(env, Compose(limit, RewardScaling(loc=0.0, scale=config.reward.scale), parts.sight))
+    return TransformedEnv(env, Compose(StepCounter(max_steps=config.reinforcement.max_steps), parts.sight))
 
 
 def build_optimiser(parts: Parts) -> Optimizer:

@@ -18,6 +18,8 @@ def collect(
 
     This is what TorchRL's ``Collector`` does, without its state: where the agents stand between two calls is a
     tensordict in the caller's hand, which a checkpoint can hold. (A ``Collector`` can only start again from a reset.)
+    A new episode is drawn for every agent at every step, and used where the old one ended. ``step_and_maybe_reset``
+    would ask first whether there is any, and a GPU that is asked stands still.
 
     Args:
         env: batched, B agents.
@@ -32,8 +34,11 @@ def collect(
     # Without this TorchRL's actors take the most probable action.
     with set_exploration_type(ExplorationType.RANDOM):
         for _ in range(steps):
-            step, agents = env.step_and_maybe_reset(policy(agents).exclude(*INTERMEDIATE))
+            step = env.step(policy(agents).exclude(*INTERMEDIATE))
             taken.append(step)
+            fresh = env.reset()
+            after = step["next"].select(*fresh.keys())
+            agents = fresh.where(after["done"].squeeze(-1), after)
     batch = TensorDict.stack(taken, -1)
     batch.names = [*batch.names[:-1], "time"]
     return batch, agents

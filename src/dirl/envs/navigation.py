@@ -54,7 +54,8 @@ class NavigationEnv(EnvBase):
         stop: Tensor | None = None,
         seed: int = 0,
     ) -> None:
-        super().__init__(device=world.device, batch_size=[num_agents])
+        # Allowing it spares a look at every reset whether it happened, which a GPU would have to wait for; it cannot.
+        super().__init__(device=world.device, batch_size=[num_agents], allow_done_after_reset=True)
         self.world = world
         self.reward = reward or Reward()
         states, agents = len(world), self.batch_size

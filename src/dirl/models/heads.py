@@ -6,12 +6,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from dirl.models.rows import answers_late
+
 
 class SceneLayers(nn.Module):
     """One module for each scene; row by row the one that ``scene`` names is applied.
 
-    Rows are sorted by scene, split, and put back. (Computing all heads and picking is ten times slower; a stacked
-    parameter would lose the scenes' names in the state_dict, and with them adding or freezing a scene.)
+    Rows are sorted by scene, split, and put back; on a GPU, which would have to tell how many there are of each, every
+    layer is applied to all of them. (A stacked parameter would lose the scenes' names in the state_dict, and with them
+    adding or freezing a scene.)
 
     Args:
         scenes: the scenes' names, in the order of the world; a single name serves every scene.
@@ -30,6 +33,8 @@ class SceneLayers(nn.Module):
         layers = list(self.scenes.values())
         if len(layers) == 1:
             return layers[0](rows)
+        if answers_late(rows):
+            return _pick(torch.stack([layer(rows) for layer in layers], 1), scene)
         sizes = torch.bincount(scene, minlength=len(layers)).tolist()
         order = torch.argsort(scene, stable=True)
         parts = rows.index_select(0, order).split(sizes)
@@ -59,8 +64,12 @@ class SceneHeads(nn.Module):
         if len(layers) == 1:
             return layers[0](rows).float()
         weight, bias = (torch.cat([getattr(layer, name) for layer in layers]) for name in ("weight", "bias"))
-        every = F.linear(rows, weight, bias).unflatten(1, (len(layers), -1))
-        return every.take_along_dim(scene[:, None, None], 1).squeeze(1).float()
+        return _pick(F.linear(rows, weight, bias).unflatten(1, (len(layers), -1)), scene).float()
+
+
+def _pick(every: Tensor, scene: Tensor) -> Tensor:
+    """Of what every scene's layer made of the rows, ``[B, S, F]``, that of each row's scene, ``[B, F]``."""
+    return every.take_along_dim(scene[:, None, None], 1).squeeze(1)
 
 
 def _by_name(scenes: Sequence[str], make: Callable[[], nn.Module]) -> nn.ModuleDict:

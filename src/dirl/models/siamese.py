@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from dirl.envs.transforms import VIEWS
 from dirl.models.axes import PrincipalAxes
 from dirl.models.features import FeatureTable
-from dirl.models.rows import KnownLinear, Memory, pack, unpack
+from dirl.models.rows import KnownLinear, Memory, answers_late, pack, unpack
 
 
 class SiameseEncoder(nn.Module):
@@ -89,8 +89,8 @@ class SiameseEncoder(nn.Module):
         # Every in-place change, such as an optimiser's step, counts a version up.
         versions = [parameter._version for parameter in self.parameters()]
         if self._memories is None or not self._remembers or versions != self._versions:
-            # Asking a GPU what is not known yet takes longer than computing all there is.
-            every = len(self.table) if self._slots == 1 and self.table.table.is_cuda else None
+            # Asking what is not known yet takes longer than computing all there is.
+            every = len(self.table) if self._slots == 1 and answers_late(self.table.table) else None
             self._memories, self._versions = (Memory(every), Memory(every)), versions
         return self._memories
 
