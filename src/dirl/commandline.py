@@ -154,7 +154,8 @@ def _wanted(kind: Any) -> str:
     if get_origin(kind) is UnionType:
         return " or ".join(map(_wanted, get_args(kind)))
     if get_origin(kind) is list:
-        return f"a list, each {_wanted(get_args(kind)[0])}"
+        (each,) = get_args(kind)
+        return "a list" if each is Any else f"a list, each {_wanted(each)}"
     if issubclass(kind, Enum):
         return f"one of {', '.join(kind)}"
     return {int: "a whole number", float: "a number", bool: "true or false", str: "text", NoneType: "null"}[kind]
