@@ -30,18 +30,19 @@ from dirl.config import (
     ExportConfig,
     ImportConfig,
     InspectConfig,
+    Match,
     PhotosConfig,
     SampleConfig,
     ThorConfig,
     typed,
 )
-from dirl.inspection import THRESHOLDS, Inspection, inspect_scene
+from dirl.inspection import FAR, THRESHOLDS, Inspection, inspect_scene
 from dirl.models import ViewEncoder, encode_scene, encode_views, load_encoder
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, load_scenes, write_dump
 from dirl.scenes.interchange import export_icra17
 from dirl.scenes.photos import encoded_photos, read_photos
-from dirl.scenes.rooms import KINDS, build_room, built_in_rooms, sample_room, write_description
+from dirl.scenes.rooms import KINDS, RoomDescription, build_room, built_in_rooms, sample_room, write_description
 from dirl.scenes.rooms.sheet import draw_sheet, preview
 from dirl.scenes.thor import start_simulator, take_views
 from dirl.scenes.views import decode
@@ -134,13 +135,31 @@ def sample(options: SampleConfig) -> None:
             )
             previews.append(preview(room))
             if len(previews) == 1:
-                print("| room | metres | pieces | places | problems |\n|---|---|--:|--:|---|")
-            width, depth, height = room.size
-            found = "; ".join(problems) or "none"
-            print(f"| {room.name} | {width:g} x {depth:g} x {height:g} | {len(room.furniture)} ", end="")
-            print(f"| {room.grid.places} | {found} |", flush=True)
+                print("| room | metres | pieces | places | states | parts | alike: one view | four views | problems |")
+                print("|---|---|--:|--:|--:|--:|--:|--:|---|")
+            scene = one_scene(str(folder / f"{room.name}.h5"))
+            print("| " + " | ".join(sampled(room, scene, problems)), "|", flush=True)
     draw_sheet(previews, folder / "rooms.png")
     print(f"\n{len(previews)} rooms: {folder}")
+
+
+def sampled(room: RoomDescription, scene: Scene, problems: list[str]) -> list[str]:
+    """The table's row of a random room; with features also how many pairs of states that are not neighbours match."""
+    found = {match: inspect_scene(scene, match=match) for match in Match}
+    far = {match: sum(not 0 <= pair[3] < FAR for pair in one.ambiguous) for match, one in found.items()}
+    none = scene.features is None
+    problems = problems if none else problems + found[Match.views].problems
+    return [
+        room.name,
+        "{:g} x {:g} x {:g}".format(*room.size),
+        f"{len(room.furniture)}",
+        f"{room.grid.places}",
+        f"{len(scene)}",
+        f"{found[Match.views].parts.max() + 1}",
+        "-" if none else f"{far[Match.front]}",
+        "-" if none else f"{far[Match.views]}",
+        "; ".join(problems) or "none",
+    ]
 
 
 def encode(options: EncodeConfig) -> None:

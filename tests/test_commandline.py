@@ -1,16 +1,18 @@
 import subprocess
 import sys
+from dataclasses import is_dataclass
+from typing import Any
 
 import pytest
 from commands import ROOT, run_recipe, train_config
 from omegaconf import OmegaConf
 
-from dirl.commandline import check_overrides, one_line_errors, option_names
+from dirl.commandline import SCHEMAS, _wanted, check_overrides, one_line_errors, option_types
 from dirl.config import BenchmarkConfig, ConfigError, EvaluateConfig, TrainConfig, parse_config
 
 
 def test_options_are_named_with_dots():
-    names = option_names(TrainConfig)
+    names = option_types(TrainConfig)
     assert {"scene", "reinforcement", "reinforcement.gamma", "logger.name"} <= set(names)
 
 
@@ -18,6 +20,7 @@ def test_options_are_named_with_dots():
     "arguments",
     [
         ["scene=[bathroom_02,kitchen_02]", "-m", "seed=0,1,2", "preset=paper", "source.root=/a/b"],
+        ["reward.goal=5", "device=cuda", "resume=null", "seed=range(0,3)", "objective=ppo", "network.width=${seed}"],
         ["goals={bathroom_02:[26]}", "hydra.run.dir=x", "hydra/launcher=joblib", "+reinforcement.gamma=0.5"],
         ["--cfg", "job"],
     ],
@@ -37,6 +40,40 @@ def test_known_options_pass(arguments):
 def test_an_unknown_option_is_told_its_neighbours(name, told):
     with pytest.raises(ConfigError, match=f"^there is no option '{name}'; {told}"):
         check_overrides(TrainConfig, [f"{name}=1"])
+
+
+@pytest.mark.parametrize(
+    ("recipe", "argument", "told"),
+    [
+        ("train", "seed=x", "seed=x: must be a whole number"),
+        ("train", "seed=0,1,many", "seed=many: must be a whole number"),
+        ("train", "network.width=1.5", "network.width=1.5: must be a whole number"),
+        ("train", "reward.goal='a lot'", "reward.goal=a lot: must be a number"),
+        ("train", "reward.goal=null", "reward.goal=null: must be a number"),
+        ("train", "device=gpu", "device=gpu: must be one of cpu, cuda"),
+        ("train", "network.standardise=perhaps", "network.standardise=perhaps: must be true or false"),
+        ("train", "resume=[a]", "resume=['a']: must be text or null"),
+        ("evaluate", "stop=never", "stop=never: must be one of goal, match or null"),
+        ("import", "goals=[a]", "goals=['a']: must be a list, each a whole number or null"),
+        ("import", "goals=3", "goals=3: must be a list, each a whole number or null"),
+    ],
+)
+def test_a_value_of_another_type_is_told_the_one_that_is_wanted(recipe, argument, told):
+    with pytest.raises(ConfigError) as raised:
+        check_overrides(SCHEMAS[recipe], [argument])
+    assert str(raised.value) == told
+
+
+def test_every_type_of_option_has_words():
+    for schema in SCHEMAS.values():
+        for name, kind in option_types(schema).items():
+            assert kind is Any or is_dataclass(kind) or _wanted(kind), name
+
+
+def test_a_recipe_ends_with_one_line_at_a_value_of_another_type(tmp_path):
+    status, _, errors = run_recipe(tmp_path, "train", "scene=bathroom_02", "seed=x")
+    assert (status, errors) == (1, "error: seed=x: must be a whole number\n")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_error_in_the_input_ends_the_program_and_its_empty_folder(tmp_path):

@@ -102,6 +102,7 @@ def test_two_processes_and_smaller_turns_give_the_same_views(tmp_path):
     one, two = read_dump(tmp_path / "one.h5"), read_dump(tmp_path / "two.h5")
     assert len(two) == 2 * len(one)
     assert all((one.views[state] == two.views[2 * state]).all() for state in range(len(one)))
+    assert (one.goals, two.goals) == ((3,), (6,))
 
 
 @pytest.mark.parametrize(("options", "message"), [

@@ -2,10 +2,12 @@
 
 import shlex
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from closet import closet
 from commands import ROOT, run_recipe
 from hydra import compose, initialize_config_dir
 from PIL import Image
@@ -14,7 +16,8 @@ from scenes import COMMANDS
 from simulator import Simulator
 
 from dirl.commandline import SCHEMAS, check_overrides, choose_command, register
-from dirl.config import ConfigError, typed
+from dirl.config import ConfigError, Match, typed
+from dirl.inspection import FAR, inspect_scene
 from dirl.models import ResNet50
 from dirl.scenes import read_dump, write_dump
 from dirl.scenes.views import encode
@@ -138,6 +141,27 @@ def test_live_thor_becomes_a_dump(here, monkeypatch, capsys):
     scene = read_dump("dumps/401.h5")
     assert (scene.name, scene.source, scene.features) == ("FloorPlan401", "thor", None)
     assert scene.views[3].shape == (60, 80, 3)
+
+
+def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch):
+    pytest.importorskip("embreex")
+    torch.save(ResNet50().state_dict(), here / "weights.pth")
+
+    def room(kind, seed):
+        return replace(closet(), name=f"{kind}_{seed}")
+
+    monkeypatch.setattr(sys.modules["scenes"], "sample_room", room)
+    run("sample kind=bedroom seed=3 count=2 out=many height=24 width=32 fine=false workers=1 encoder=weights.pth")
+    table = capsys.readouterr().out.splitlines()
+    assert len(table) == 6
+    scene = read_dump("many/bedroom_4.h5")
+    far = {match: sum(pair[3] >= FAR for pair in inspect_scene(scene, match=match).ambiguous) for match in Match}
+    pairs = f"{far[Match.front]} | {far[Match.views]}"
+    assert table[3].startswith(f"| bedroom_4 | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | {pairs} | ")
+    assert f"({far[Match.views]} pairs above 0.9)" in table[3]  # weights at random tell nothing apart
+    assert table[-1] == "2 rooms: many"
+    names = ["bedroom_3.h5", "bedroom_3.toml", "bedroom_4.h5", "bedroom_4.toml", "rooms.png"]
+    assert sorted(path.name for path in (here / "many").iterdir()) == names
 
 
 def test_a_dump_goes_out_and_comes_back_as_it_was(room, capsys):

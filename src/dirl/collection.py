@@ -25,7 +25,7 @@ def collect(
         env: batched, B agents.
         policy: writes ``action``.
         agents: where they stand, ``[B]``; at first ``env.reset()``.
-        steps: T.
+        steps: how many each takes, T.
 
     Returns:
         The steps, ``[B, T]``, and where the agents stand now, ``[B]``; those whose episode ended start a new one.

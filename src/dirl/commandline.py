@@ -6,13 +6,17 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
+from enum import Enum
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep, Override, QuotedString, Sweep
 from hydra.errors import OverrideParseException
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config import (
     BenchmarkConfig,
@@ -61,15 +65,15 @@ def _run_folder(resume: str | None, system: str, scene: Any, time: str) -> str:
     return resume or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
 
 
-def option_names(schema: type, prefix: str = "") -> list[str]:
-    """The dotted names of all options of a configuration."""
-    names = []
+def option_types(schema: type, prefix: str = "") -> dict[str, Any]:
+    """The types of all options of a configuration, by their dotted names."""
+    types: dict[str, Any] = {}
     for option in fields(schema):
-        names.append(prefix + option.name)
         kind = option.default_factory if callable(option.default_factory) else option.type
+        types[prefix + option.name] = kind
         if is_dataclass(kind):
-            names += option_names(kind, f"{prefix}{option.name}.")  # type: ignore[arg-type]
-    return names
+            types |= option_types(kind, f"{prefix}{option.name}.")  # type: ignore[arg-type]
+    return types
 
 
 def choose_command(commands: Mapping[str, str], arguments: Sequence[str], text: str) -> tuple[str, list[str]]:
@@ -97,7 +101,7 @@ def choose_command(commands: Mapping[str, str], arguments: Sequence[str], text: 
 
 
 def check_overrides(schema: type, arguments: Sequence[str], groups: Sequence[str] = ()) -> None:
-    """Check the names of a command line's ``name=value`` arguments; Hydra's own message does not list the choices.
+    """Check a command line's ``name=value`` arguments; Hydra's own messages take many lines and list no choices.
 
     Args:
         schema: what the recipe takes.
@@ -105,9 +109,9 @@ def check_overrides(schema: type, arguments: Sequence[str], groups: Sequence[str
         groups: folders of ``conf/`` that can be chosen from besides.
 
     Raises:
-        ConfigError: there is no such option.
+        ConfigError: there is no such option, or its value is of another type.
     """
-    known = [*option_names(schema), *groups]
+    known = option_types(schema) | dict.fromkeys(groups, schema)
     given = [text for text in arguments if "=" in text and not text.startswith("-")]
     try:
         overrides = OverridesParser.create().parse_overrides(given)
@@ -115,7 +119,10 @@ def check_overrides(schema: type, arguments: Sequence[str], groups: Sequence[str
         return  # Hydra says what is wrong with the form
     for override in overrides:
         name = override.key_or_group
-        if name in known or name.split("/")[0].split(".")[0] == "hydra":
+        if name.split("/")[0].split(".")[0] == "hydra":
+            continue
+        if name in known:
+            _check_value(schema, name, known[name], override)
             continue
         level, _, last = name.rpartition(".")
         inside = {
@@ -126,6 +133,32 @@ def check_overrides(schema: type, arguments: Sequence[str], groups: Sequence[str
         choices = ", ".join(inside.values() or (option for option in known if "." not in option))
         hint = f"did you mean {' or '.join(near)}?" if near else f"choose from {choices}"
         raise ConfigError(f"there is no option '{name}'; {hint}")
+
+
+def _check_value(schema: type, name: str, kind: Any, override: Override) -> None:
+    """Raise `ConfigError` unless OmegaConf can make the value, or each of a sweep's list, what the option wants."""
+    if is_dataclass(kind) or override.is_delete():  # a choice of Hydra's config groups
+        return
+    value = override.value()
+    for one in value.list if isinstance(value, ChoiceSweep) else [] if isinstance(value, Sweep) else [value]:
+        given = one.text if isinstance(one, QuotedString) else one
+        try:
+            OmegaConf.update(OmegaConf.structured(schema), name, given)
+        except OmegaConfBaseException:
+            shown = "null" if given is None else given
+            raise ConfigError(f"{name}={shown}: must be {_wanted(kind)}") from None
+
+
+def _wanted(kind: Any) -> str:
+    """A type in words."""
+    if get_origin(kind) is UnionType:
+        return " or ".join(map(_wanted, get_args(kind)))
+    if get_origin(kind) is list:
+        (each,) = get_args(kind)
+        return "a list" if each is Any else f"a list, each {_wanted(each)}"
+    if issubclass(kind, Enum):
+        return f"one of {', '.join(kind)}"
+    return {int: "a whole number", float: "a number", bool: "true or false", str: "text", NoneType: "null"}[kind]
 
 
 @contextmanager

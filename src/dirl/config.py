@@ -355,6 +355,7 @@ LIMITS: Mapping[str, tuple[float, float | None]] = {
     "frames_per_scene": (1, None),
     "repeats": (1, None),
     "goal": (0, None),
+    "count": (1, None),
     "step": (0.05, 10),
     "height": (16, 4096),
     "width": (16, 4096),

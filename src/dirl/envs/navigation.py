@@ -38,7 +38,7 @@ class NavigationEnv(EnvBase):
 
     Args:
         world: the scenes and goals; the environment runs on its device.
-        num_agents: B.
+        num_agents: how many agents, B.
         reward: what a step earns.
         stop: where an agent stops on its way to each goal, bool ``[G, N]`` (see `dirl.models.TemplateStop`). A stop
             anywhere but at the goal ends the episode with the reward of an ordinary step.

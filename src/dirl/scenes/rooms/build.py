@@ -125,7 +125,7 @@ def scene_of(room: RoomDescription, way: Walk, *, source: str = "synthetic") -> 
         graph=way.graph,
         positions=np.repeat(way.places, turns, axis=0),
         headings=np.tile(way.headings, len(way.places)),
-        goals=room.goals,
+        goals=tuple(goal * turns // 4 for goal in room.goals),
         source=source,
         extractor="none",
         origin=f"the room '{room.name}'",

@@ -127,7 +127,8 @@ class RoomDescription:
         ceiling: its material.
         skirting: material of the boards along the floor; none if left out.
         rail: material of a rail at the top of the lowest band of walls with several; none if left out.
-        goals: states that agents are sent to.
+        goals: states that agents are sent to, numbered as with turns of 90 degrees: four times the place, plus 0 to 3
+            for north, east, south, west.
         grid: the places.
         camera: how they are seen.
     """

@@ -31,7 +31,7 @@ def preview(room: RoomDescription, *, views: int = 2) -> Preview:
     """A quick look at a room: its plan, and the views with most to see among some spread over its states."""
     renderer = Renderer.of(room, fine=False)
     spread = poses(walk(room))
-    some = [spread[k] for k in np.unique(np.linspace(0, len(spread) - 1, 24).astype(int))]
+    some = spread[:: len(spread) // 24 | 1]  # an odd step: all headings come in turn
     thumbs = [renderer.view(room.camera, pose, (24, 32)).astype(float) for pose in some]
     detail = [np.abs(np.diff(thumb, axis=0)).mean() + np.abs(np.diff(thumb, axis=1)).mean() for thumb in thumbs]
     chosen: list[int] = []

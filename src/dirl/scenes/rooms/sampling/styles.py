@@ -29,6 +29,9 @@ SKIES = (
     ("#6a6fb5", "#f2b28c"),
     ("#86a9c9", "#f7d6d0"),
 )
+HUES = ((0.0, 0.4, 0.55, 0.65, 0.85, 0.92, 1.0), (0.0, 0.14, 0.3, 0.48, 0.64, 0.85, 1.0))
+"""Quantiles of the hues that are drawn: shares, and hues (red 0, yellow 0.17, green 0.33, blue 0.67)."""
+
 WALLPAPERS = ("damask", "stripe", "leaf", "dots", "trellis", "chevron")
 PAINTINGS = ("abstract", "blocks", "circles", "bouquet", "landscape", "skyline", "sea")
 
@@ -44,10 +47,11 @@ class Style:
     def __init__(self, rng: np.random.Generator, *, wet: bool) -> None:
         self.rng, self.wet = rng, wet
         self.materials: dict[str, Material] = {}
-        # Two neighbouring hues for most of the room and one far from them: rooms with all hues look alike.
-        hue, apart = rng.random(), rng.uniform(0.03, 0.12)
+        # Two neighbouring hues for most of the room and one far from them: rooms with all hues look alike. People
+        # paint warm or blue more often than green or purple, which are half of the circle of hues.
+        hue, apart = float(np.interp(rng.random(), *HUES)), rng.uniform(0.03, 0.12)
         self.hues = [hue, (hue + apart) % 1, (hue + rng.uniform(0.4, 0.6)) % 1]
-        self.vivid = rng.uniform(0.3, 0.7)
+        self.vivid = rng.uniform(0.2, 0.6)
         for name, wood in zip(("wood", "wood_dark", "wood_c"), rng.permutation(list(WOODS)), strict=False):
             self._add_wood(name, *WOODS[wood])
         self._add_wood("door", *WOODS[str(rng.choice(["birch", "oak", "teak", "walnut", "limed"]))])
@@ -158,7 +162,8 @@ class Style:
             made = Material(kind, options, rough=0.25, size=1.4, resolution=1024)
         else:
             light, dark = self.color(saturation=0.12, value=0.88), self.color(saturation=0.4, value=0.5)
-            colors = (light, dark) if kind == "checker" else (dark, *[self.color(saturation=0.35) for _ in range(3)])
+            calm = (dark, *[self.color(saturation=0.3, value=value) for value in (0.58, 0.66, 0.74)])
+            colors = (light, dark) if kind == "checker" else calm
             n = 2 * int(self.rng.integers(2, 4))
             options = {"colors": colors, "checker": kind == "checker", "nx": n, "ny": n, "grout": light}
             made = Material("tile", options, rough=0.25, size=size, resolution=1024)
@@ -210,8 +215,10 @@ class Style:
     def _bold(self) -> tuple[str, ...]:
         """Colours of a painting: of any hue, dark to light."""
         values = np.linspace(0.25, 0.95, 5)
+        hues = np.interp(self.rng.random(5), *HUES)
         return tuple(
-            self.color(hue=self.rng.random(), saturation=self.rng.uniform(0.3, 0.9), value=float(v)) for v in values
+            self.color(hue=float(hue), saturation=self.rng.uniform(0.2, 0.75), value=float(v))
+            for hue, v in zip(hues, values, strict=True)
         )
 
     def _scenery(self, kind: str) -> dict[str, Any]:
