@@ -233,7 +233,10 @@ def test_precision_and_recall_of_thresholds():
     at = {threshold: round((threshold - 0.3) * 100) for threshold in (0.5, 0.7, 0.9, 0.99)}
     assert [precision[at[one]] for one in at] == pytest.approx([2 / 3, 1 / 2, 1, 1])
     assert [recall[at[one]] for one in at] == pytest.approx([1, 1 / 2, 1 / 2, 0])
-    assert 0.2 < recommended_threshold([precision_recall(torch.tensor([0.8]), torch.tensor([0.5]))]) < 0.8
+    clear, blurred = ((torch.tensor([0.8]), torch.tensor([highest])) for highest in (0.545, 0.645))
+    assert recommended_threshold([precision_recall(*clear)]) == 0.55
+    assert recommended_threshold([precision_recall(*clear), precision_recall(*blurred)]) == 0.65
+    assert recommended_threshold([precision_recall(torch.tensor([0.1]), torch.tensor([0.1]))]) == 0.3
 
 
 def test_the_coefficient_is_one_at_the_goal_if_nothing_is_disturbed():
