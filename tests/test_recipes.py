@@ -164,7 +164,7 @@ def test_benchmark_measures_every_loop(tmp_path):
         ("train", ["scene=bathrom_02"], ["did you mean 'bathroom_02'", "kitchen_02", "'all'"]),
         ("train", ["scene=bathroom_02", "sede=1"], ["no option 'sede'", "seed"]),
         ("train", ["scene=bathroom_02", "reinforcement.gamma=1.5"], ["reinforcement.gamma=1.5", "between 0 and 1"]),
-        ("train", ["scene=bathroom_02", "network.heads=two"], ["'two'", "scene, shared"]),
+        ("train", ["scene=bathroom_02", "network.heads=two"], ["network.heads=two", "scene, shared"]),
         ("train", ["scene=bathroom_02", "goals=[180]"], ["bathroom_02", "goal 180", "0..179"]),
         ("train", ["scene=bathroom_02", "source=thor"], ["source.root="]),
         ("train", ["resume=nowhere"], ["nowhere", "not the folder of a run"]),
