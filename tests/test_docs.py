@@ -36,6 +36,7 @@ NOT_RUN = {
     "make_scenes.md": ["needs AI2-THOR's build", "needs the weights of a ResNet-50"],
     "navigator.md": ["needs the weights of a ResNet-50"],
     "rooms.md": ["needs the weights of a ResNet-50", "takes minutes"],
+    "sweeps.md": ["needs launchers and clusters"],
     "thor_dumps.md": ["needs the published dumps"],
 }
 """Why the blocks that a page declares as not run are not; what is added here must be a reason."""

@@ -145,6 +145,23 @@ def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_agai
     assert all(torch.equal(ours[key], theirs[key]) for key in ours)
 
 
+def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_one_loses_none(tmp_path, monkeypatch):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # sums depend on the number of threads
+    options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
+    options += ["reinforcement.gamma=1.5,0.9,0.95", "hydra.sweep.subdir=${reinforcement.gamma}"]
+    for folder, launcher in (("alone", "basic"), ("together", "cores")):
+        status, _, errors = run_recipe(
+            tmp_path, "train", *options, f"hydra/launcher={launcher}", f"hydra.sweep.dir={folder}"
+        )
+        assert status == 1
+        assert f"failed: {folder}/1.5: reinforcement.gamma=1.5" in errors
+    for job in ("0.9", "0.95"):
+        ours, theirs = (tmp_path / folder / job / "network.pt" for folder in ("alone", "together"))
+        ours, theirs = (torch.load(file, weights_only=True)["network"] for file in (ours, theirs))
+        assert all(torch.equal(ours[key], theirs[key]) for key in ours)
+
+
 def test_a_folder_with_a_run_of_other_options_is_left_alone(tmp_path):
     options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=random", "seed=0"]
     assert run_recipe(tmp_path, "train", *options)[0] == 0
