@@ -36,13 +36,14 @@ from dirl.config import (
     ThorConfig,
     typed,
 )
-from dirl.inspection import FAR, THRESHOLDS, Inspection, inspect_scene
+from dirl.inspection import THRESHOLDS, Inspection, inspect_scene
 from dirl.models import ViewEncoder, encode_scene, encode_views, load_encoder
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, load_scenes, write_dump
 from dirl.scenes.interchange import export_icra17
 from dirl.scenes.photos import encoded_photos, read_photos
 from dirl.scenes.rooms import KINDS, RoomDescription, build_room, built_in_rooms, sample_room, write_description
+from dirl.scenes.rooms.checks import far_apart
 from dirl.scenes.rooms.sheet import draw_sheet, preview
 from dirl.scenes.thor import start_simulator, take_views
 from dirl.scenes.views import decode
@@ -144,9 +145,10 @@ def sample(options: SampleConfig) -> None:
 
 
 def sampled(room: RoomDescription, scene: Scene, problems: list[str]) -> list[str]:
-    """The table's row of a random room; with features also how many pairs of states that are not neighbours match."""
+    """The table's row of a random room; with features also how many pairs of states that are far apart match."""
     found = {match: inspect_scene(scene, match=match) for match in Match}
-    far = {match: sum(not 0 <= pair[3] < FAR for pair in one.ambiguous) for match, one in found.items()}
+    apart = far_apart(scene.positions, scene.headings)
+    far = {match: sum(bool(apart[a, b]) for a, b, *_ in one.ambiguous) for match, one in found.items()}
     none = scene.features is None
     problems = problems if none else problems + found[Match.views].problems
     return [

@@ -35,7 +35,12 @@ NOT_RUN = {
     "loggers.md": ["needs pip install -e '.[tensorboard]', which they do without"],
     "make_scenes.md": ["needs AI2-THOR's build", "needs the weights of a ResNet-50"],
     "navigator.md": ["needs the weights of a ResNet-50"],
-    "rooms.md": ["needs the weights of a ResNet-50", "takes minutes"],
+    "rooms.md": [
+        "needs the weights of a ResNet-50",
+        "takes minutes",
+        "needs the weights of a ResNet-50",
+        "needs the weights of a ResNet-50",
+    ],
     "sweeps.md": ["needs launchers and clusters"],
     "thor_dumps.md": ["needs the published dumps"],
 }

@@ -17,9 +17,10 @@ from simulator import Simulator
 
 from dirl.commandline import SCHEMAS, check_overrides, choose_command, register
 from dirl.config import ConfigError, Match, typed
-from dirl.inspection import FAR, inspect_scene
+from dirl.inspection import inspect_scene
 from dirl.models import ResNet50
 from dirl.scenes import read_dump, write_dump
+from dirl.scenes.rooms.checks import far_apart
 from dirl.scenes.views import encode
 
 
@@ -155,10 +156,11 @@ def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch
     table = capsys.readouterr().out.splitlines()
     assert len(table) == 6
     scene = read_dump("many/bedroom_4.h5")
-    far = {match: sum(pair[3] >= FAR for pair in inspect_scene(scene, match=match).ambiguous) for match in Match}
-    pairs = f"{far[Match.front]} | {far[Match.views]}"
-    assert table[3].startswith(f"| bedroom_4 | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | {pairs} | ")
-    assert f"({far[Match.views]} pairs above 0.9)" in table[3]  # weights at random tell nothing apart
+    apart = far_apart(scene.positions, scene.headings)
+    alike = {match: inspect_scene(scene, match=match).ambiguous for match in Match}
+    far = [sum(apart[a, b] for a, b, *_ in alike[match]) for match in (Match.front, Match.views)]
+    assert 0 < far[1] < len(alike[Match.views])  # weights at random tell little apart
+    assert table[3].startswith(f"| bedroom_4 | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | {far[0]} | {far[1]} | states ")
     assert table[-1] == "2 rooms: many"
     names = ["bedroom_3.h5", "bedroom_3.toml", "bedroom_4.h5", "bedroom_4.toml", "rooms.png"]
     assert sorted(path.name for path in (here / "many").iterdir()) == names

@@ -1,6 +1,7 @@
 """What can be wrong with a room: furniture in furniture, doors that cannot be reached, views that say nothing."""
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from dirl.scenes.rooms.description import Piece, RoomDescription
@@ -138,11 +139,23 @@ def check_views(thumbnails: Array, contrasts: Array, way: Walk) -> list[str]:
     likeness = correlation(thumbnails)
     turns = len(way.headings)
     positions, headings = np.repeat(way.places, turns, 0), np.tile(way.headings, len(way.places))
-    apart = np.abs((headings[:, None] - headings + 180) % 360 - 180)
-    near = (apart < 90) & (np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1)) <= NEAR)
-    for a, b in np.argwhere(np.triu((likeness > ALIKE) & ~near, 1)):
+    for a, b in np.argwhere(np.triu((likeness > ALIKE) & far_apart(positions, headings), 1)):
         found.append(f"states {a} and {b} look alike (correlation {likeness[a, b]:.2f}) but are far apart")
     return found
+
+
+def far_apart(positions: Array, headings: Array) -> NDArray[np.bool_]:
+    """Which pairs of states should not look alike: more than a metre apart, or facing at least 90 degrees apart.
+
+    Args:
+        positions: metres, float64 ``[N, 2]``.
+        headings: degrees, float64 ``[N]``.
+
+    Returns:
+        bool ``[N, N]``
+    """
+    apart = np.abs((headings[:, None] - headings + 180) % 360 - 180)
+    return (apart >= 90) | (np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1)) > NEAR)
 
 
 def correlation(thumbnails: Array) -> Array:

@@ -44,7 +44,7 @@ def preview(room: RoomDescription, *, views: int = 2) -> Preview:
 
 def draw_sheet(previews: list[Preview], file: Path, *, columns: int = 3) -> None:
     """Draw rooms side by side, each with its name; the ending of the file says which format."""
-    count = max(len(one.views) for one in previews)
+    count, columns = max(len(one.views) for one in previews), min(columns, len(previews))
     width, height = VIEW[0] + count * (VIEW[1] + 4) + 12, VIEW[0] + CAPTION + 8
     rows = -(-len(previews) // columns)
     sheet = Image.new("RGB", (columns * width, rows * height), "white")

@@ -162,8 +162,9 @@ class Style:
             made = Material(kind, options, rough=0.25, size=1.4, resolution=1024)
         else:
             light, dark = self.color(saturation=0.12, value=0.88), self.color(saturation=0.4, value=0.5)
-            calm = (dark, *[self.color(saturation=0.3, value=value) for value in (0.58, 0.66, 0.74)])
-            colors = (light, dark) if kind == "checker" else calm
+            colors: tuple[str, ...] = (light, dark)
+            if kind == "tile":
+                colors = (dark, *[self.color(saturation=0.3, value=value) for value in (0.58, 0.66, 0.74)])
             n = 2 * int(self.rng.integers(2, 4))
             options = {"colors": colors, "checker": kind == "checker", "nx": n, "ny": n, "grout": light}
             made = Material("tile", options, rough=0.25, size=size, resolution=1024)
