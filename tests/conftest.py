@@ -1,11 +1,13 @@
 """What all tests share."""
 
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"  # here and in every program that a test starts: they are small, and side by side
+
 import pytest
-import torch
 from hypothesis import settings
 from rooms import grid_scene, published_dump
 
-torch.set_num_threads(1)
 # The machine may be busy, so no example is timed; the same examples every time, so a red test stays red.
 settings.register_profile("dirl", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("dirl")
