@@ -23,22 +23,20 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from dirl.commandline import SCHEMAS, check_overrides, choose_command, one_line_errors, register
-from dirl.config import (
+from dirl.config import ConfigError, Match, typed
+from dirl.inspection import THRESHOLDS, Inspection, inspect_scene
+from dirl.models import ViewEncoder, encode_scene, encode_views, load_encoder
+from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
+from dirl.scene_options import (
     BuildConfig,
-    ConfigError,
     EncodeConfig,
     ExportConfig,
     ImportConfig,
     InspectConfig,
-    Match,
     PhotosConfig,
     SampleConfig,
     ThorConfig,
-    typed,
 )
-from dirl.inspection import THRESHOLDS, Inspection, inspect_scene
-from dirl.models import ViewEncoder, encode_scene, encode_views, load_encoder
-from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, load_scenes, write_dump
 from dirl.scenes.interchange import export_icra17
 from dirl.scenes.photos import encoded_photos, read_photos

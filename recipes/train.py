@@ -38,7 +38,8 @@ from dirl.models import actor_critic
 from dirl.objectives import ImitationLoss
 from dirl.pictures import draw_scene
 from dirl.reporting import draw_learning_curve, run_title, summary_table
-from dirl.runs import EpisodeMeter, Run, interruptible, open_run
+from dirl.runs import Run, interruptible, open_run
+from dirl.stability import EpisodeMeter
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""

@@ -8,8 +8,6 @@ from commands import train_config
 from rooms import grid_scene
 
 from dirl.runs import (
-    WINDOW,
-    EpisodeMeter,
     Run,
     RunError,
     load_checkpoint,
@@ -19,6 +17,7 @@ from dirl.runs import (
     write_json,
 )
 from dirl.scenes import make_world
+from dirl.stability import WINDOW, EpisodeMeter
 
 
 def config(*options):

@@ -18,20 +18,16 @@ from hydra.errors import OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config import (
-    BenchmarkConfig,
+from dirl.config import BenchmarkConfig, ConfigError, EvaluateConfig, ReportConfig, TrainConfig
+from dirl.scene_options import (
     BuildConfig,
-    ConfigError,
     EncodeConfig,
-    EvaluateConfig,
     ExportConfig,
     ImportConfig,
     InspectConfig,
     PhotosConfig,
-    ReportConfig,
     SampleConfig,
     ThorConfig,
-    TrainConfig,
 )
 
 SCHEMAS = {

@@ -22,7 +22,7 @@ from dirl.experiments.results import (
 )
 from dirl.reporting.curves import BLUE, GREEN, PURPLE, SKY, VERMILION, common_frames
 from dirl.reporting.statistics import FloatArray, bootstrap_interval, iqm
-from dirl.runs import NEAR, STABLE_ATL, WINDOW
+from dirl.stability import NEAR, STABLE_ATL, WINDOW
 
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY)
 

@@ -14,7 +14,7 @@ from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from dirl.reporting.tables import run_title
-from dirl.runs import STABLE_ATL, WINDOW
+from dirl.stability import STABLE_ATL, WINDOW
 
 # Of the Okabe-Ito palette, which colour-blind readers can tell apart.
 BLUE, SKY, VERMILION, GREEN, PURPLE = "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#CC79A7"
