@@ -1,4 +1,4 @@
-"""The page of all options, from the types in src/dirl/config.py and the values and comments in conf/."""
+"""The page of all options, from the types in `dirl.commandline.SCHEMAS` and the values and comments in conf/."""
 
 import re
 from dataclasses import fields, is_dataclass
@@ -6,7 +6,7 @@ from enum import EnumMeta
 from pathlib import Path
 from typing import Any, get_args
 
-import dirl.config
+from dirl.commandline import SCHEMAS
 from dirl.config import TrainConfig
 
 CHOICES = ("system", "preset", "objective", "source", "logger")
@@ -23,8 +23,8 @@ ROWS = "```{rst-class} rows\n```\n"
 INTRODUCTION = """\
 An option is given as `name=value` behind the recipe: `python recipes/train.py scene=all network.width=256`. Where a
 value follows the word *fast* or *paper*, the preset of that name sets it (`preset=paper`; `fast` is the default); both
-can be overridden one by one. This page is written by `docs/options.py` from `src/dirl/config.py` and `conf/` when the
-site is built.
+can be overridden one by one. This page is written by `docs/options.py` from the types in `src/dirl` and the values in
+`conf/` when the site is built.
 """
 
 
@@ -97,9 +97,8 @@ def choices(conf: Path) -> list[str]:
 
 
 def recipe_table(file: Path) -> list[str]:
-    """The table of options that are all in one file; the type that belongs to `evaluate.yaml` is `EvaluateConfig`."""
-    schema = getattr(dirl.config, f"{file.stem.capitalize()}Config")
-    return table(groups(schema)[""][1], {"": [file]})
+    """The table of options that are all in one file."""
+    return table(groups(SCHEMAS[file.stem])[""][1], {"": [file]})
 
 
 def write_page(conf: Path, page: Path) -> None:
