@@ -99,9 +99,10 @@ def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Up
     """What there is to tell of an update: its rollout ``[B, T]`` and the losses of its last pass."""
     # In the order they ended.
     over = batch["next"].select("goal", "step_count").transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
+    values = {key: value.detach().float().reshape(()) for key, value in sorted(losses.items()) if value.numel() == 1}
     return Update(
         frames=batch.numel(),
         goal_index=env.base_env.goal_index[over["goal"]].tolist(),
         steps=over["step_count"].squeeze(-1).tolist(),
-        values={key: value.item() for key, value in sorted(losses.items()) if value.numel() == 1},
+        values=dict(zip(values, torch.stack(list(values.values())).tolist(), strict=True)),  # all in one question
     )
