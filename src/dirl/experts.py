@@ -104,9 +104,7 @@ def label(world: World, visited: TensorDictBase) -> TensorDict:
     Returns:
         ``[M]`` rows of the same and ``expert_action``. Left out are states that do not reach their goal.
     """
-    goal_index = torch.full((len(world),), -1, device=world.device)
-    goal_index[world.goals] = torch.arange(len(world.goals), device=world.device)
-    wanted = goal_index[visited["goal"]]
+    wanted = world.goal_index[visited["goal"]]
     reaches = world.distances[wanted, visited["state"]] > 0
     rows = visited.select("state", "goal", "scene", "views", "goal_views")[reaches].clone()
     return rows.set("expert_action", expert_action(world, wanted[reaches], rows["state"]))

@@ -13,7 +13,7 @@ from dirl.reporting import draw_policy, draw_trajectories, run_title, write_gif
 def draw_scene(parts: Parts, index: int, folder: Path, count: int = 5) -> None:
     """Pictures of a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy."""
     world, scene = parts.world, parts.world.scenes[index]
-    goal_index = int(torch.nonzero(world.scene_of[world.goals] == index)[0])
+    goal_index = world.goals_in(index)[0]
     distances = world.distances[goal_index]
     order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())]
     starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(count, len(order))).long()]

@@ -64,8 +64,7 @@ class NavigationEnv(EnvBase):
             stop = torch.zeros_like(world.distances, dtype=torch.bool)
             stop[goals, world.goals] = True
         self.stop = stop.to(self.device)
-        self.goal_index = torch.full((states,), -1, device=self.device)
-        self.goal_index[world.goals] = goals
+        self.goal_index = world.goal_index
         # The starts of a goal are the first `start_count` entries of its row.
         reaches = world.distances > 0
         self.starts = torch.argsort(~reaches, dim=1, stable=True)

@@ -20,11 +20,10 @@ from dirl.experiments.results import (
     save_figure,
     write_tables,
 )
-from dirl.reporting.curves import BLUE, GREEN, PURPLE, SKY, VERMILION, common_frames
+from dirl.reporting.curves import common_frames
 from dirl.reporting.statistics import FloatArray, bootstrap_interval, iqm
+from dirl.reporting.style import COLORS, plain
 from dirl.stability import NEAR, STABLE_ATL, WINDOW
-
-COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY)
 
 RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}
 
@@ -150,8 +149,6 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_major_formatter(EngFormatter())
-    axes.grid(color="0.9")
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain(axes)
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     save_figure(figure, out, name)

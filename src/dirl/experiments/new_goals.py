@@ -11,8 +11,8 @@ from dirl.assemble import Parts, run_policy, run_trajectories
 from dirl.evaluation import metrics
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
-from dirl.reporting.curves import BLUE, GREEN, SKY, VERMILION
 from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.reporting.style import BLUE, GREEN, SKY, VERMILION, plain
 from dirl.runs import RunError
 from dirl.scenes import World
 
@@ -43,7 +43,7 @@ def new_goals(world: World, distance: int, seed: int = 0) -> dict[str, list[int]
     generator = np.random.default_rng(seed)
     chosen = {}
     for index, scene in enumerate(world.scenes):
-        trained = [goal - world.offsets[index] for goal in world.goals.tolist() if world.scene_of[goal] == index]
+        trained = [int(world.goals[row]) - world.offsets[index] for row in world.goals_in(index)]
         to_trained = scene.distances[:, trained]
         nearest = np.where(to_trained < 0, np.iinfo(np.int64).max, to_trained).min(1)
         reached = (scene.distances >= 0).sum(0) == (scene.distances >= 0).sum(0).max()
@@ -73,10 +73,11 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     for system, runs in by_system(results).items():
         if system not in SYSTEMS:
             continue
+        worlds = [run.parts().world for run in runs]
         for distance in DISTANCES:
             sampled, greedy, goals = [], [], 0
-            for run in runs:
-                chosen = new_goals(run.parts().world, distance)
+            for run, world in zip(runs, worlds, strict=True):
+                chosen = new_goals(world, distance)
                 if not chosen:
                     continue
                 goals = sum(map(len, chosen.values()))
@@ -125,9 +126,7 @@ def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None
             axes.plot([at, at], [low, high], color="black", linewidth=1.2)
     axes.set_xticks(range(len(DISTANCES)), [f"{d} step{'' if d == 1 else 's'}" for d in DISTANCES])
     axes.set(xlabel="from the nearest trained goal", ylabel="SR, sampled policy", ylim=(0, 1.03))
-    axes.grid(axis="y", color="0.9")
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain(axes, "y")
     figure.legend(loc="outside upper center", ncols=3, frameon=False)
     save_figure(figure, out, "fig5")
 
@@ -164,12 +163,12 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
             continue
         walked, every = [], []
         for run in runs:
-            names = run.parts().world.names
-            if scene not in names:
-                raise RunError(f"scene={scene}: the runs are of {', '.join(names)}; choose one of them")
+            if scene not in run.scenes:
+                raise RunError(f"scene={scene}: the runs are of {', '.join(run.scenes)}; choose one of them")
             changes = {"goals": {scene: [goal]}, "evaluation.max_steps": MAX_STEPS, "evaluation.starts": "every"}
             parts = run.parts(changes)
-            steps, episodes = _walk(parts, scene, goal, run, out, pictures, draws=run is runs[0])
+            index = parts.world.names.index(scene)
+            steps, episodes = _walk(parts, index, goal, run, out, pictures, draws=run is runs[0])
             walked.append(float(steps))
             every.append(episodes)
         table.add(
@@ -179,7 +178,7 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
             walked,
             [found["atl"] for found in every],
             [found["sr"] for found in every],
-            int(parts.world.distances[_goal_index(parts, scene)].max()),
+            int(parts.world.distances[parts.world.goals_in(index)[0]].max()),
         )
     text = (
         f"{note}\n\nSampled policies on the way to state {goal} of {scene}, which was not trained, from the farthest "
@@ -188,26 +187,21 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
     return write_tables(out, "Figure 6: the control process", text, {"fig6": table}, pictures)
 
 
-def _goal_index(parts: Parts, scene: str) -> int:
-    world = parts.world
-    return int(torch.nonzero(world.scene_of[world.goals] == world.names.index(scene))[0])
-
-
 def _walk(
-    parts: Parts, scene: str, goal: int, run: Result, out: Path, pictures: list[str], *, draws: bool
+    parts: Parts, index: int, goal: int, run: Result, out: Path, pictures: list[str], *, draws: bool
 ) -> tuple[int, dict[str, float]]:
     """Walk from the farthest start, and for the measures from every one; draw the former."""
-    world, goal_index = parts.world, _goal_index(parts, scene)
+    world = parts.world
+    goal_index, room, offset = world.goals_in(index)[0], world.scenes[index], world.offsets[index]
     start = int(world.distances[goal_index].argmax())
     starts = torch.tensor([goal_index], device=world.device), torch.tensor([start], device=world.device)
     walked, (path,) = run_trajectories(parts, starts, greedy=False)
     success, steps = bool(walked.success), int(walked.steps)
-    room, offset = world.scenes[world.names.index(scene)], world.offsets[world.names.index(scene)]
     if draws:
         system = run.config.system
         local = [state - offset for state in path]
         ended = f"{steps} steps" if success else "failed"
-        title = f"{run_title({**run.summary, 'scene': scene, 'source': room.source})}, new goal {goal}: {ended}"
+        title = f"{run_title({**run.summary, 'scene': room.name, 'source': room.source})}, new goal {goal}: {ended}"
         name = f"fig6_{system}"
         for kind in ("png", "svg"):
             draw_trajectories(room, goal, [local], out / f"{name}.{kind}", success=[success], title=title)

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
-from dirl.reporting.curves import BLUE, VERMILION
 from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.reporting.style import BLUE, VERMILION, plain
 
 MEASURES = {
     "atl": (".2f", "ATL"),
@@ -86,9 +86,7 @@ def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Mapping[str, Any
         axes.set(xlabel=MEASURES[measure][1] + (" (steps)" if measure == "atl" else ""), yticks=places)
         axes.set_yticks(places, [NAMES.get(system, system) for system in ours])
         axes.set_xlim(*((0, 208) if measure == "atl" else (-0.04, 1.04)))
-        axes.grid(color="0.9")
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain(axes)
     handles, labels = panels[0].get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
     figure.legend(unique.values(), unique.keys(), loc="outside upper center", ncols=2, frameon=False)

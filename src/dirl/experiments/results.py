@@ -44,6 +44,12 @@ class Result:
         """Frames that it was to train."""
         return int(self.summary["frames"])
 
+    @property
+    def scenes(self) -> list[str]:
+        """The names of the scenes it was made in."""
+        names = self.summary["scene"]
+        return [names] if isinstance(names, str) else names
+
     def parts(self, changes: Mapping[str, Any] | None = None) -> Parts:
         """Its parts with the weights it ended with; ``changes`` are options to replace, by dotted name."""
         return trained_parts(load_checkpoint(self.folder), str(self.folder), changes)

@@ -17,7 +17,7 @@ from dirl.experiments.results import Column, Result, Table, published, save_figu
 from dirl.models import make_network
 from dirl.models.encoders import ViewEncoder, encode_views
 from dirl.models.matching import ncc, template_vectors
-from dirl.reporting.curves import BLUE, GREEN, PURPLE, VERMILION
+from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain
 from dirl.runs import RunError
 from dirl.scenes import Scene
 
@@ -191,7 +191,7 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
             walked = [success(parts, scene, clean, features, limit) for parts in runs]
             cells += [[one[name] for one in walked] for name in ("sr", "false_stop_rate")]
         table.add(*cells)
-    _draw(pairs, curves, best, out)
+    _draw(pairs, curves, paper["threshold"], best, out)
     units = "; ".join(f"{kind}: {unit}" for kind, (unit, _) in DISTURBANCES.items())
     text = (
         f"{note}\n\n{scene_name}, {len(scene)} states, each of them once as the goal for coefficients, precision and "
@@ -209,6 +209,7 @@ MEASURED = ("precision", "recall", "SR", "false stops")
 def _draw(
     pairs: Mapping[tuple[str, float], tuple[Tensor, Tensor]],
     curves: Mapping[tuple[str, float], tuple[NDArray[np.float64], NDArray[np.float64]]],
+    used: float,
     best: float,
     out: Path,
 ) -> None:
@@ -222,7 +223,7 @@ def _draw(
             ranges = np.array([np.quantile(pairs[key][part].numpy(), [0.01, 0.5, 0.99]) for key in keys])
             upper.fill_between(at, ranges[:, 0], ranges[:, 2], color=color, alpha=0.2, linewidth=0)
             upper.plot(at, ranges[:, 1], "o-", color=color, markersize=3.5, label=f"{label}, median and 98 %")
-        upper.axhline(0.9, color="0.3", linestyle="--", linewidth=1, label="the paper's threshold, 0.9")
+        upper.axhline(used, color="0.3", linestyle="--", linewidth=1, label=f"the paper's threshold, {used:g}")
         upper.axhline(best, color="0.3", linestyle=":", linewidth=1.5, label=f"recommended, {best:g}")
         upper.set_xticks(at, [f"{key[1]:g}" for key in keys])
         upper.set(title=kind, xlabel=unit, ylim=(-0.05, 1.05))
@@ -232,13 +233,11 @@ def _draw(
             lower.plot(THRESHOLDS, curves[key][1], color=GREEN, alpha=weight, linewidth=1.3)
         lower.plot([], [], color=PURPLE, label="precision (paler: weaker)")
         lower.plot([], [], color=GREEN, label="recall (paler: weaker)")
-        lower.axvline(0.9, color="0.3", linestyle="--", linewidth=1)
+        lower.axvline(used, color="0.3", linestyle="--", linewidth=1)
         lower.axvline(best, color="0.3", linestyle=":", linewidth=1.5)
         lower.set(xlabel="threshold", ylim=(-0.05, 1.05))
         for axes in (upper, lower):
-            axes.grid(color="0.9")
-            axes.set_axisbelow(True)
-            axes.spines[["top", "right"]].set_visible(False)
+            plain(axes)
     grid[0, 0].set_ylabel("matching coefficient")
     grid[1, 0].set_ylabel("precision, recall")
     handles = [one for axes in grid[:, 0] for one in axes.get_legend_handles_labels()[0]]

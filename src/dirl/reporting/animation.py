@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dirl.reporting.rooms import COLORS, GOAL_COLOR, WALL_COLOR
+from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR
+from dirl.reporting.style import COLORS
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length

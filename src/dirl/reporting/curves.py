@@ -13,11 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
+from dirl.reporting.style import BLUE, GREEN, PURPLE, SKY, VERMILION, plain
 from dirl.reporting.tables import run_title
 from dirl.stability import STABLE_ATL, WINDOW
-
-# Of the Okabe-Ito palette, which colour-blind readers can tell apart.
-BLUE, SKY, VERMILION, GREEN, PURPLE = "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#CC79A7"
 
 FloatArray = NDArray[np.float64]
 
@@ -44,9 +42,7 @@ def draw_learning_curve(folder: Path, file: Path) -> None:
     else:
         _draw_reinforcement(upper, lower, folder, summary)
     for axes in (upper, lower):
-        axes.grid(color="0.9")
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain(axes)
     figure.align_ylabels()
     FigureCanvasAgg(figure).print_figure(file, dpi=120)
 
@@ -84,9 +80,7 @@ def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> No
             plural = "" if len(folders) == 1 else "s"
             axes.fill_between(frames, values.min(0), values.max(0), color=color, alpha=0.2, linewidth=0)
             axes.plot(frames, values.mean(0), color=color, linewidth=1.5, label=f"{label}, {len(folders)} run{plural}")
-        axes.grid(color="0.9")
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain(axes)
     upper, lower = panels
     upper.set(yscale="log", ylabel=f"training ATL (steps),\nlast {WINDOW} episodes of a goal")
     upper.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))

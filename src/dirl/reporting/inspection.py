@@ -11,7 +11,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from dirl.reporting.rooms import COLORS, GOAL_COLOR, WALL_COLOR, draw_room
+from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
+from dirl.reporting.style import COLORS
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle

@@ -15,7 +15,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
-from dirl.reporting.rooms import COLORS, GOAL_COLOR, WALL_COLOR, draw_room
+from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
+from dirl.reporting.style import COLORS
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, shortest_distances, turns_per_circle

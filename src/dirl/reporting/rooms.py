@@ -1,4 +1,4 @@
-"""The map of a room that pictures are drawn on, and the colours that they share."""
+"""The map of a room that pictures are drawn on, and its colours."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,8 +8,6 @@ from matplotlib.ticker import MultipleLocator
 
 from dirl.scenes import Scene
 
-# The Okabe-Ito palette, which colour-blind readers can tell apart; its yellow is the goal's.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 GOAL_COLOR = "#F0E442"
 WALL_COLOR = "#C9CDD3"
 

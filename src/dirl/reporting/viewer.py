@@ -68,7 +68,7 @@ def viewer_pages(
     for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
         states = slice(offset, offset + len(scene))
         goals = []
-        for row in torch.nonzero(world.scene_of[world.goals] == index).flatten().tolist():
+        for row in world.goals_in(index):
             goal = int(world.goals[row]) - offset
             goals.append(
                 {

@@ -53,6 +53,17 @@ class World:
         """Where the tensors are."""
         return self.graph.device
 
+    @property
+    def goal_index(self) -> Tensor:
+        """The place in ``goals`` of each state, int64 ``[N]``; -1 where it is none."""
+        index = torch.full((len(self),), -1, device=self.device)
+        index[self.goals] = torch.arange(len(self.goals), device=self.device)
+        return index
+
+    def goals_in(self, scene: int) -> list[int]:
+        """The places in ``goals`` of those in one scene, given by its place in ``scenes``."""
+        return torch.nonzero(self.scene_of[self.goals] == scene).flatten().tolist()
+
     def to(self, device: torch.device | str) -> "World":
         """The same world with its tensors on a device."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
