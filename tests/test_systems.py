@@ -50,6 +50,12 @@ def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp
     assert summary["greedy"]["sr"] > 0.8
 
 
+@pytest.mark.parametrize("system", ["il", "dagger"])
+def test_frames_for_a_system_that_only_imitates_are_refused(system):
+    with pytest.raises(ConfigError, match=rf"system={system}: it learns by imitation alone.*frames_per_scene=5;"):
+        build_parts(train_config("scene=bathroom_02", f"system={system}", "reinforcement.frames_per_scene=5"))
+
+
 def test_labels_are_the_experts_and_doubles_are_dropped():
     world = make_world([grid_scene(goals=(0, 13))])
     parts = build_parts(train_config("scene=bathroom_02", "network.width=8"))
