@@ -1,12 +1,15 @@
-"""Each way of learning, alone, must solve a small room; either test goes red if its loss points the wrong way."""
+"""Each way of learning, alone, must solve a small room (red if its loss points the wrong way); what updates tell."""
 
 import pytest
 import torch
 from commands import room_file, train_config
 from train import imitate, reinforce
 
-from dirl.assemble import learning_parts, run_policy
+from dirl.assemble import build_env, learning_parts, run_policy
+from dirl.collection import collect
 from dirl.evaluation import metrics
+from dirl.learning import make_gradients, summarise
+from dirl.models import actor_critic
 from dirl.runs import Run
 
 
@@ -40,3 +43,22 @@ def test_reinforcement_alone_finds_every_goal(tmp_path, objective):
     assert before["sr"] < 0.5
     assert after["sr"] == 1
     assert after["spl"] > 0.85
+
+
+def test_an_update_tells_the_episodes_that_ended_in_it_in_their_order(tmp_path):
+    sizes = ["reinforcement.agents_per_scene=30", "reinforcement.max_steps=9", "network.width=8"]
+    parts = learning_parts(train_config(f"scene={room_file(tmp_path)}", *sizes))
+    env = build_env(parts)
+    batch, _ = collect(env, actor_critic(parts.network), env.reset(), 20)
+    (losses,) = make_gradients(parts, parts.network)(batch, 1.0)
+    update = summarise(env, batch, losses)
+    goals, steps = [], []
+    for step in range(20):
+        for agent in range(30):
+            if batch[agent, step]["next", "done"]:
+                goals.append(parts.world.goals.tolist().index(batch[agent, step]["goal"]))
+                steps.append(batch[agent, step]["next", "step_count"].item())
+    assert update.frames == 600
+    assert len(set(goals)) > 1
+    assert (update.goal_index, update.steps) == (goals, steps)
+    assert update.values["loss_objective"] == losses["loss_objective"].item()
