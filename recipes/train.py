@@ -30,7 +30,7 @@ from dirl.assemble import Parts, assess, build_env, build_optimiser, describe, l
 from dirl.asynchronous import asynchronous_updates, fetch, share
 from dirl.collection import collect
 from dirl.commandline import check_overrides, job_errors, one_line_errors, register
-from dirl.config import PolicyName, Precision, TrainConfig, typed
+from dirl.config import Objective, PolicyName, Precision, TrainConfig, typed
 from dirl.evaluation import mean_shortest, metrics
 from dirl.experts import label, merge_demonstrations
 from dirl.learning import Update, make_gradients, set_learning_rate, summarise
@@ -148,6 +148,10 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
     config, world, network = parts.config, parts.world, parts.network
     options = config.reinforcement
+    if run.saved is None:
+        test(parts, run, 0)
+    if config.objective.name == Objective.none:
+        return {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
     optimiser = build_optimiser(parts)
     operator, gradients = actor_critic(network), make_gradients(parts, network)
     rounds = config.precision == Precision.bfloat16
@@ -169,9 +173,7 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
             "random": random_state(env),
         }
 
-    if run.saved is None:
-        test(parts, run, frames)
-    else:
+    if run.saved is not None:
         frames, seconds = run.saved["frames"], run.saved["training_seconds"]
         network.load_state_dict(run.saved["learning"])
         optimiser.load_state_dict(run.saved["optimiser"])
@@ -203,7 +205,7 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
             began = time.perf_counter()
 
     often = 0.2 if sys.stderr.isatty() else 10.0
-    bar = tqdm(total=total, initial=frames, unit=" frames", unit_scale=True, mininterval=often, disable=total == 0)
+    bar = tqdm(total=total, initial=frames, unit=" frames", unit_scale=True, mininterval=often)
     began = time.perf_counter()
     with interruptible() as interrupted, bar:
         if options.workers > 1 and frames < total:
@@ -224,9 +226,8 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
             run.save(state())
             bar.close()
             raise SystemExit(f"interrupted; go on with: python recipes/train.py resume={run.folder}")
-    rate = frames / seconds if seconds else None
     stable = {"stable_at_frame": meter.stable_at, "near_shortest_at_frame": meter.near_at}
-    return {"frames": frames, "frames_per_second": rate, **stable}
+    return {"frames": frames, "frames_per_second": frames / seconds, **stable}
 
 
 def due(before: int, now: int, total: int, times: int) -> bool:

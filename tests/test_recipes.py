@@ -72,7 +72,7 @@ def test_products_can_be_rounded_to_bfloat16_but_not_the_weights(tmp_path):
 @pytest.mark.parametrize(
     "options",
     [
-        ["system=il", "reinforcement.frames_per_scene=0"],
+        ["system=il"],
         ["system=td_drl", "objective=ppo", "objective.minibatches=2", "stop.training=match"],
         ["preset=paper", "reinforcement.max_steps=50", "evaluation.starts=sampled", "evaluation.episodes_per_goal=5"],
         ["network.heads=shared", "imitation.keep=0", "logger=wandb", "goals=[5]"],

@@ -33,10 +33,19 @@ def test_a_system_that_learns_nothing_is_measured_like_the_others(tmp_path, syst
     assert "| greedy " in printed
 
 
+def test_a_clone_is_not_reinforced_whatever_frames_a_grid_is_given(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "reinforcement.frames_per_scene=600"]
+    status, _, errors = run_recipe(tmp_path, "train", *options, "hydra.run.dir=run")
+    assert status == 0, errors
+    assert summary_of(tmp_path / "run")["frames"] == 0
+    assert (tmp_path / "run" / "imitation.csv").exists()
+    assert not (tmp_path / "run" / "reinforcement.csv").exists()
+
+
 def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp_path):
     sizes = ["reinforcement.agents_per_scene=20", "imitation.share=0.1", "imitation.rounds=3", "imitation.lr=3e-3"]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=dagger", *sizes, "hydra.run.dir=run"]
-    status, _, errors = run_recipe(tmp_path, "train", *options, "reinforcement.frames_per_scene=0")
+    status, _, errors = run_recipe(tmp_path, "train", *options)
     assert status == 0, errors
     lines = [line.split(",") for line in (tmp_path / "run" / "dagger.csv").read_text().splitlines()]
     rows = [dict(zip(lines[0], map(float, line), strict=True)) for line in lines[1:]]
@@ -48,12 +57,6 @@ def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp
     assert summary["demonstrations"] == labels[-1]
     assert summary["frames"] == 1200
     assert summary["greedy"]["sr"] > 0.8
-
-
-@pytest.mark.parametrize("system", ["il", "dagger"])
-def test_frames_for_a_system_that_only_imitates_are_refused(system):
-    with pytest.raises(ConfigError, match=rf"system={system}: it learns by imitation alone.*frames_per_scene=5;"):
-        build_parts(train_config("scene=bathroom_02", f"system={system}", "reinforcement.frames_per_scene=5"))
 
 
 def test_labels_are_the_experts_and_doubles_are_dropped():

@@ -29,9 +29,6 @@ from dirl.objectives import TFRMSprop
 from dirl.runs import RunError
 from dirl.scenes import World, load_scenes, make_world
 
-IMITATION_ONLY = ("il", "dagger")
-"""Systems that reinforcement, as when a whole grid is given more frames, would make something else of."""
-
 
 @dataclass(frozen=True)
 class Parts:
@@ -65,11 +62,6 @@ def build_parts(config: TrainConfig) -> Parts:
         raise ConfigError(f"reinforcement.workers={workers}: there are only {agents} agents to share among them")
     if workers > 1 and config.device != Device.cpu:
         raise ConfigError(f"reinforcement.workers={workers}: several workers learn on the CPU only; use device=cpu")
-    if config.system in IMITATION_ONLY and config.reinforcement.frames_per_scene:
-        raise ConfigError(
-            f"system={config.system}: it learns by imitation alone, without reinforcement.frames_per_scene="
-            f"{config.reinforcement.frames_per_scene}; leave that out, or use system=dirl"
-        )
     world = make_world(scenes, config.goals).to(config.device)
     sight = OBSERVATIONS[config.observation](world).to(world.device)
     network = make_network(

@@ -16,7 +16,7 @@ Axes = StrEnum("Axes", ["features", "principal"])
 Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Heads = StrEnum("Heads", ["scene", "shared"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
-Objective = StrEnum("Objective", ["a2c", "ppo"])
+Objective = StrEnum("Objective", ["a2c", "ppo", "none"])
 PolicyName = StrEnum("PolicyName", ["network", "random", "shortest_path"])
 ExperimentName = StrEnum("ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop"])
 Existing = StrEnum("Existing", ["refuse", "keep"])
@@ -236,7 +236,7 @@ LIMITS: Mapping[str, tuple[float, float | None]] = {
     "objective.minibatches": (1, None),
     "optimiser.lr": (0, None),
     "optimiser.max_norm": (0, None),
-    "reinforcement.frames_per_scene": (0, None),
+    "reinforcement.frames_per_scene": (1, None),
     "reinforcement.agents_per_scene": (1, None),
     "reinforcement.workers": (1, None),
     "reinforcement.steps": (1, None),

@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from dirl.envs import SurroundingViews
+from dirl.envs.transforms import VIEWS
 from dirl.models import Network
-from dirl.models.rows import pack
+from dirl.models.rows import Memory, pack, unpack
 from dirl.scenes import ACTIONS, World
 
 Policy = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -139,7 +140,7 @@ def _asking(policy: Policy, world: World, sight: SurroundingViews) -> Callable[[
     """State, views and goal index of B agents to the policy's logits ``[B, 4]``, asking as little as possible.
 
     Where the history does not matter there are only so many pairs of state and goal, and all are asked beforehand;
-    else, at each step, every distinct pair of views and goal.
+    else every distinct pair of views and goal is asked once, when it comes up.
     """
     goal_views = sight.begin(world.goals)
     goals = len(world.goals)
@@ -149,11 +150,17 @@ def _asking(policy: Policy, world: World, sight: SurroundingViews) -> Callable[[
             table[wanted, seen] = policy(sight.begin(seen), goal_views[wanted], world.scene_of[seen])
         return lambda state, views, wanted: table[wanted, state]
 
+    states, sights, answered = len(world), Memory(), Memory()
+
     def ask(state: Tensor, views: Tensor, wanted: Tensor) -> Tensor:
-        _, row = torch.unique(pack(views, len(world)), return_inverse=True)
-        cases, case = torch.unique(row * goals + wanted, return_inverse=True)
-        first = torch.empty_like(cases).scatter_(0, case, torch.arange(len(case), device=case.device))
-        return policy(views[first], goal_views[wanted[first]], world.scene_of[state[first]])[case]
+        row = sights.places(pack(views, states), lambda keys: (unpack(keys, states, VIEWS),))
+
+        def answer(cases: Tensor) -> tuple[Tensor]:
+            goal = cases % goals
+            return (policy(sights.rows[0][cases // goals], goal_views[goal], world.scene_of[world.goals[goal]]),)
+
+        case = answered.places(row * goals + wanted, answer)
+        return answered.rows[0][case]
 
     return ask
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from tqdm import tqdm
 
 from dirl.assemble import Parts, run_policy, run_trajectories
 from dirl.evaluation import metrics
@@ -70,34 +71,36 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     columns += [Column("SR, sampled", ".3f"), Column("SPL, sampled", ".3f"), Column("SR, greedy", ".3f")]
     table = Table(*columns, Column("shortest", ".2f"))
     bars: dict[str, dict[int, list[float]]] = {}
-    for system, runs in by_system(results).items():
-        if system not in SYSTEMS:
-            continue
-        worlds = [run.parts().world for run in runs]
-        for distance in DISTANCES:
-            sampled, greedy, goals = [], [], 0
-            for run, world in zip(runs, worlds, strict=True):
-                chosen = new_goals(world, distance)
-                if not chosen:
+    compared = {system: runs for system, runs in by_system(results).items() if system in SYSTEMS}
+    total = len(DISTANCES) * sum(map(len, compared.values()))
+    with tqdm(total=total, desc="new goals", unit=" runs x distances", disable=None) as bar:
+        for system, runs in compared.items():
+            worlds = [run.parts().world for run in runs]
+            for distance in DISTANCES:
+                sampled, greedy, goals = [], [], 0
+                for run, world in zip(runs, worlds, strict=True):
+                    bar.update()
+                    chosen = new_goals(world, distance)
+                    if not chosen:
+                        continue
+                    goals = sum(map(len, chosen.values()))
+                    conditions = {"evaluation.starts": "sampled", "evaluation.episodes_per_goal": starts}
+                    parts = run.parts({"goals": chosen, "evaluation.max_steps": MAX_STEPS, **conditions})
+                    sampled.append(_measured(parts, list(chosen), greedy=False))
+                    greedy.append(_measured(parts, list(chosen), greedy=True))
+                if not sampled:
                     continue
-                goals = sum(map(len, chosen.values()))
-                conditions = {"evaluation.starts": "sampled", "evaluation.episodes_per_goal": starts}
-                parts = run.parts({"goals": chosen, "evaluation.max_steps": MAX_STEPS, **conditions})
-                sampled.append(_measured(parts, list(chosen), greedy=False))
-                greedy.append(_measured(parts, list(chosen), greedy=True))
-            if not sampled:
-                continue
-            table.add(
-                NAMES[system],
-                len(runs),
-                distance,
-                goals,
-                [found["sr"] for found in sampled],
-                [found["spl"] for found in sampled],
-                [found["sr"] for found in greedy],
-                sampled[0]["shortest"],
-            )
-            bars.setdefault(NAMES[system], {})[distance] = [found["sr"] for found in sampled]
+                table.add(
+                    NAMES[system],
+                    len(runs),
+                    distance,
+                    goals,
+                    [found["sr"] for found in sampled],
+                    [found["spl"] for found in sampled],
+                    [found["sr"] for found in greedy],
+                    sampled[0]["shortest"],
+                )
+                bars.setdefault(NAMES[system], {})[distance] = [found["sr"] for found in sampled]
     _draw_bars(bars, out)
     text = (
         f"{note}\n\n{PER_SCENE} new goals for each scene and distance, {starts} starts each, at most {MAX_STEPS} "

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from dirl.config import Objective, PolicyName, TrainConfig
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, VERMILION, plain
@@ -19,9 +20,14 @@ MEASURES = {
 }
 
 
+def is_reinforced(config: TrainConfig) -> bool:
+    """Whether a system has a half-way: the others imitate at most, and are what they are."""
+    return config.policy == PolicyName.network and config.objective.name != Objective.none
+
+
 def halfway(result: Result) -> dict[str, float]:
     """The greedy measures after half of the frames; of a system without reinforcement those at its end."""
-    if result.config.reinforcement.frames_per_scene == 0 or result.config.policy != "network":
+    if not is_reinforced(result.config):
         return measures(result, "greedy")
     rows = result.table("evaluation")
     row = int(np.searchsorted(rows["frames"], result.total / 2))
@@ -58,7 +64,8 @@ def report_performance(experiment: str, results: Sequence[Result], out: Path, no
             found = [halfway(run) if experiment == "table1" else measures(run, mode) for run in runs]
             values = {name: [run[name] for run in found] for name in MEASURES}
             told: Mapping[str, Any] = paper.get(system, {})
-            frames = max(run.total for run in runs) // (2 if experiment == "table1" else 1)
+            half = experiment == "table1" and is_reinforced(runs[0].config)
+            frames = max(run.total for run in runs) // (2 if half else 1)
             cells: list[Any] = [NAMES.get(system, system), len(runs), frames]
             for name in MEASURES:
                 cells += [values[name]] if name == "atl_success" else [told.get(name), values[name]]
