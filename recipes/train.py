@@ -27,7 +27,7 @@ from torchrl.envs import EnvBase
 from tqdm import tqdm
 
 from dirl.assemble import Parts, assess, build_env, build_optimiser, describe, learning_parts, run_policy
-from dirl.asynchronous import asynchronous_updates, fetch, share
+from dirl.asynchronous import asynchronous_updates, fetch, share, waiting
 from dirl.collection import collect
 from dirl.commandline import check_overrides, job_errors, one_line_errors, register
 from dirl.config import Objective, PolicyName, Precision, TrainConfig, typed
@@ -195,14 +195,15 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
             progress |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
             run.write("reinforcement", frames, progress | update.values)
         tests, saves = due(before, frames, total, config.evaluation.times), run.save_due() or frames >= total
-        if shared is not None and (tests or saves):
-            fetch(shared, network)
-        if tests:
-            test(parts, run, frames)
-        if saves:
-            run.save(state())
-        if shared is None:  # workers have not waited
-            began = time.perf_counter()
+        if tests or saves:
+            with waiting(shared):
+                if shared is not None:
+                    fetch(shared, network)
+                if tests:
+                    test(parts, run, frames)
+                if saves:
+                    run.save(state())
+        began = time.perf_counter()
 
     often = 0.2 if sys.stderr.isatty() else 10.0
     bar = tqdm(total=total, initial=frames, unit=" frames", unit_scale=True, mininterval=often)

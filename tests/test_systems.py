@@ -10,8 +10,8 @@ import torch
 from commands import TINY, recipe_command, room_file, run_recipe, train_config
 from rooms import grid_scene
 
-from dirl.assemble import build_optimiser, build_parts
-from dirl.asynchronous import fetch, share
+from dirl.assemble import build_optimiser, build_parts, learning_parts
+from dirl.asynchronous import asynchronous_updates, fetch, share, waiting
 from dirl.config import ConfigError
 from dirl.experts import label, merge_demonstrations
 from dirl.scenes import make_world
@@ -98,6 +98,24 @@ def test_workers_that_cannot_be_are_refused(tmp_path, wrong, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     with pytest.raises(ConfigError, match=r"reinforcement\.workers=4: "):
         build_parts(train_config(f"scene={room_file(tmp_path)}", "system=a3c", *wrong))
+
+
+def test_workers_wait_while_their_policy_is_tested(tmp_path):
+    sizes = ["network.width=8", "reinforcement.workers=2", "reinforcement.agents_per_scene=4"]
+    parts = learning_parts(train_config(f"scene={room_file(tmp_path)}", "system=a3c", *sizes))
+    shared, interrupted = share(parts.network, build_optimiser(parts), 0), []
+    updates = asynchronous_updates(parts.config, shared, 10**9, interrupted)
+    for _ in range(3):
+        next(updates)
+    with waiting(shared):
+        time.sleep(1)  # more than an update takes
+        frames = shared.claimed.value
+        time.sleep(1)
+        assert shared.claimed.value == frames
+    time.sleep(1)
+    assert shared.claimed.value > frames
+    interrupted.append(2)
+    assert all(update.frames == 10 for update in updates)
 
 
 def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):

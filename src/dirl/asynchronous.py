@@ -10,6 +10,7 @@ Who writes first is up to the machine, so that no two such runs are equal, whate
 import copy
 import signal
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -35,6 +36,8 @@ class Shared:
     """The optimiser's, of each weight."""
     claimed: Any
     """Frames that workers have set out to walk, a ``multiprocessing.Value``, which has a lock."""
+    going: Any
+    """Cleared to let the workers wait, as while their policy is tested, a ``multiprocessing.Event``."""
     stopped: Any
     """Ask the workers to end, a ``multiprocessing.Event``."""
 
@@ -48,6 +51,8 @@ def share(network: Network, optimiser: Optimizer, frames: int) -> Shared:
         frames: that the training has taken so far.
     """
     context = torch.multiprocessing.get_context("spawn")
+    going = context.Event()
+    going.set()
     for parameter in network.parameters():
         if not optimiser.state[parameter]:
             optimiser.state[parameter].update(_first_statistics(optimiser, parameter))
@@ -57,6 +62,7 @@ def share(network: Network, optimiser: Optimizer, frames: int) -> Shared:
         weights=[parameter.detach().clone().share_memory_() for parameter in network.parameters()],
         statistics=[optimiser.state[parameter] for parameter in network.parameters()],
         claimed=context.Value("q", frames),
+        going=going,
         stopped=context.Event(),
     )
 
@@ -67,6 +73,19 @@ def _first_statistics(optimiser: Optimizer, parameter: Tensor) -> dict[str, Tens
         moments = {name: torch.zeros_like(parameter) for name in ("exp_avg", "exp_avg_sq")}
         return {"step": torch.zeros(()), **moments}
     return {"mean_square": torch.ones_like(parameter)}
+
+
+@contextmanager
+def waiting(shared: Shared | None) -> Iterator[None]:
+    """Within this context the workers, if there are any, wait; each may end the update that it is at."""
+    if shared is None:
+        yield
+        return
+    shared.going.clear()
+    try:
+        yield
+    finally:
+        shared.going.set()
 
 
 @torch.no_grad()
@@ -146,6 +165,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
     rounds = config.precision == Precision.bfloat16
     operator, gradients = actor_critic(network), make_gradients(parts, network)
     while not shared.stopped.is_set():
+        shared.going.wait()
         with shared.claimed.get_lock():
             claimed = shared.claimed.value
             if claimed >= total:
