@@ -143,7 +143,8 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
         axes.plot(frames, iqm(values), color=color, linewidth=1.6, label=f"{label}: {when}")
         if np.isfinite(stable):
             axes.axvline(stable, color=color, linestyle=":", linewidth=1.2)
-    axes.axhline(STABLE_ATL, color="0.3", linestyle="--", linewidth=1, label=f"stability limit, {STABLE_ATL:g} steps")
+    limit = f"stable: every goal stays at or under {STABLE_ATL:g}"
+    axes.axhline(STABLE_ATL, color="0.3", linestyle="--", linewidth=1, label=limit)
     axes.set(yscale="log", xlabel="frames", ylabel=f"training ATL (steps),\nlast {WINDOW} episodes of each goal")
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_minor_locator(NullLocator())
