@@ -194,8 +194,8 @@ def test_bootstrap_interval_holds_the_true_mean_about_as_often_as_it_says():
 
 def test_numbers_of_several_runs_as_text():
     assert summarised([2.0], ".1f") == "2.0"
-    assert summarised([2.0, 2.0, 2.0], ".1f") == "2.0 [2.0, 2.0]"
-    assert summarised([1.0, 3.0, math.inf], ".0f") == "never [1, never]"
+    assert summarised([2.0, 2.0, 2.0], ".1f") == "2.0"
+    assert summarised([1.0, 3.0, math.inf], ".0f") == "never [1,\N{NO-BREAK SPACE}never]"
     assert summarised([math.inf, math.inf], ".1f") == "never"
     assert summarised([], ".1f") == "-"
 

@@ -158,6 +158,12 @@ def run_policy(parts: Parts, *, greedy: bool = True) -> Episodes:
     return evaluate(parts.network, parts.world, parts.starts, greedy=greedy, **_conditions(parts))
 
 
+def run_random(parts: Parts) -> Episodes:
+    """The same for a random walker, which the environment stops: it shall only be lost, not also misled."""
+    conditions = {**_conditions(parts), "stop": None}
+    return run_episodes(random_policy, parts.world, parts.starts, greedy=False, **conditions)
+
+
 def run_trajectories(
     parts: Parts, starts: tuple[Tensor, Tensor], *, greedy: bool = True
 ) -> tuple[Episodes, list[list[int]]]:
@@ -183,12 +189,10 @@ def assess(parts: Parts) -> dict[str, dict[str, Any]]:
 
     Where the policy is one of the latter two, greedy and sampled are the same.
     """
-    world, starts, policy = parts.world, parts.starts, parts.config.policy
-    # The random walker is stopped by the environment: it shall only be lost, not also misled.
-    conditions = {**_conditions(parts), "stop": None}
+    world, policy = parts.world, parts.config.policy
     baselines = {
-        "shortest_path": report(shortest_episodes(world, starts), world),
-        "random": report(run_episodes(random_policy, world, starts, greedy=False, **conditions), world),
+        "shortest_path": report(shortest_episodes(world, parts.starts), world),
+        "random": report(run_random(parts), world),
     }
     if policy != PolicyName.network:
         return {**baselines, "greedy": baselines[policy], "sampled": baselines[policy]}

@@ -8,12 +8,12 @@ import torch
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from dirl.assemble import Parts, run_policy, run_trajectories
-from dirl.evaluation import metrics
+from dirl.assemble import Parts, run_policy, run_random, run_trajectories
+from dirl.evaluation import Episodes, metrics
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import BLUE, GREEN, SKY, VERMILION, plain
+from dirl.reporting.style import BLUE, SKY, VERMILION, plain
 from dirl.runs import RunError
 from dirl.scenes import World
 
@@ -72,6 +72,8 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     table = Table(*columns, Column("shortest", ".2f"))
     bars: dict[str, dict[int, list[float]]] = {}
     compared = {system: runs for system, runs in by_system(results).items() if system in SYSTEMS}
+    # Those that hardly learn succeed by chance as well: how often, a random walker tells.
+    compared = {"random": list(compared.values())[-1], **compared}
     total = len(DISTANCES) * sum(map(len, compared.values()))
     with tqdm(total=total, desc="new goals", unit=" runs x distances", disable=None) as bar:
         for system, runs in compared.items():
@@ -86,8 +88,11 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
                     goals = sum(map(len, chosen.values()))
                     conditions = {"evaluation.starts": "sampled", "evaluation.episodes_per_goal": starts}
                     parts = run.parts({"goals": chosen, "evaluation.max_steps": MAX_STEPS, **conditions})
-                    sampled.append(_measured(parts, list(chosen), greedy=False))
-                    greedy.append(_measured(parts, list(chosen), greedy=True))
+                    if system == "random":
+                        sampled.append(_measured(run_random(parts), parts.world, list(chosen)))
+                        continue
+                    sampled.append(_measured(run_policy(parts, greedy=False), parts.world, list(chosen)))
+                    greedy.append(_measured(run_policy(parts), parts.world, list(chosen)))
                 if not sampled:
                     continue
                 table.add(
@@ -97,7 +102,7 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
                     goals,
                     [found["sr"] for found in sampled],
                     [found["spl"] for found in sampled],
-                    [found["sr"] for found in greedy],
+                    [found["sr"] for found in greedy] or None,
                     sampled[0]["shortest"],
                 )
                 bars.setdefault(NAMES[system], {})[distance] = [found["sr"] for found in sampled]
@@ -109,11 +114,10 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     return write_tables(out, "Figure 5: new goals", text, {"fig5": table}, ["fig5"])
 
 
-def _measured(parts: Parts, scenes: Sequence[str], *, greedy: bool) -> dict[str, float]:
+def _measured(episodes: Episodes, world: World, scenes: Sequence[str]) -> dict[str, float]:
     """The measures of the goals in these scenes; the others have only trained goals."""
-    episodes = run_policy(parts, greedy=greedy)
-    wanted = torch.tensor([parts.world.names.index(name) for name in scenes], device=parts.world.device)
-    return metrics(episodes.select(torch.isin(parts.world.scene_of[episodes.start], wanted)))
+    wanted = torch.tensor([world.names.index(name) for name in scenes], device=world.device)
+    return metrics(episodes.select(torch.isin(world.scene_of[episodes.start], wanted)))
 
 
 def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None:
@@ -125,12 +129,12 @@ def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None
             at = DISTANCES.index(distance) + (number - (len(bars) - 1) / 2) * width
             middle, (low, high) = float(iqm(values)), bootstrap_interval(values)
             name = label if distance == min(rates) else None
-            axes.bar(at, middle, 0.92 * width, color=(SKY, BLUE, VERMILION, GREEN)[number % 4], label=name)
+            axes.bar(at, middle, 0.92 * width, color=("0.75", SKY, BLUE, VERMILION)[number], label=name)
             axes.plot([at, at], [low, high], color="black", linewidth=1.2)
     axes.set_xticks(range(len(DISTANCES)), [f"{d} step{'' if d == 1 else 's'}" for d in DISTANCES])
     axes.set(xlabel="from the nearest trained goal", ylabel="SR, sampled policy", ylim=(0, 1.03))
     plain(axes, "y")
-    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    figure.legend(loc="outside upper center", ncols=4, frameon=False)
     save_figure(figure, out, "fig5")
 
 

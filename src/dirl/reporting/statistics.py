@@ -49,7 +49,10 @@ def bootstrap_interval(values: ArrayLike, confidence: float = 0.95, seed: int = 
 
 
 def summarised(values: Sequence[float], form: str) -> str:
-    """Interquartile mean and 95 % interval as text, e.g. "13.51 [13.20, 14.02]"; infinity is "never"."""
+    """Interquartile mean and 95 % interval as text, e.g. "13.51 [13.20, 14.02]"; infinity is "never".
+
+    An interval whose ends read as the mean does is left out; lines are not broken within one.
+    """
 
     def text(number: float) -> str:
         return "never" if np.isinf(number) else format(number, form)
@@ -57,7 +60,5 @@ def summarised(values: Sequence[float], form: str) -> str:
     if len(values) == 0 or np.isnan(values).any():
         return "-"
     middle = text(float(iqm(values)))
-    if len(values) == 1 or np.isinf(values).all():
-        return middle
     low, high = (text(float(limit)) for limit in bootstrap_interval(values))
-    return f"{middle} [{low}, {high}]"
+    return middle if low == middle == high else f"{middle} [{low},\N{NO-BREAK SPACE}{high}]"
