@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from dirl.assemble import Parts, run_policy, run_random, run_trajectories
-from dirl.evaluation import Episodes, metrics
+from dirl.evaluation import metrics
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
@@ -79,33 +79,25 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
         for system, runs in compared.items():
             worlds = [run.parts().world for run in runs]
             for distance in DISTANCES:
-                sampled, greedy, goals = [], [], 0
+                found = []
                 for run, world in zip(runs, worlds, strict=True):
-                    bar.update()
                     chosen = new_goals(world, distance)
-                    if not chosen:
-                        continue
-                    goals = sum(map(len, chosen.values()))
-                    conditions = {"evaluation.starts": "sampled", "evaluation.episodes_per_goal": starts}
-                    parts = run.parts({"goals": chosen, "evaluation.max_steps": MAX_STEPS, **conditions})
-                    if system == "random":
-                        sampled.append(_measured(run_random(parts), parts.world, list(chosen)))
-                        continue
-                    sampled.append(_measured(run_policy(parts, greedy=False), parts.world, list(chosen)))
-                    greedy.append(_measured(run_policy(parts), parts.world, list(chosen)))
-                if not sampled:
-                    continue
-                table.add(
-                    NAMES[system],
-                    len(runs),
-                    distance,
-                    goals,
-                    [found["sr"] for found in sampled],
-                    [found["spl"] for found in sampled],
-                    [found["sr"] for found in greedy] or None,
-                    sampled[0]["shortest"],
-                )
-                bars.setdefault(NAMES[system], {})[distance] = [found["sr"] for found in sampled]
+                    if chosen:
+                        found.append(_measured(run, chosen, starts, by_chance=system == "random"))
+                    bar.update()
+                if found:
+                    sampled, greedy = zip(*found, strict=True)
+                    table.add(
+                        NAMES[system],
+                        len(runs),
+                        distance,
+                        sum(map(len, chosen.values())),
+                        [measures["sr"] for measures in sampled],
+                        [measures["spl"] for measures in sampled],
+                        None if system == "random" else [measures["sr"] for measures in greedy],
+                        sampled[0]["shortest"],
+                    )
+                    bars.setdefault(NAMES[system], {})[distance] = [measures["sr"] for measures in sampled]
     _draw_bars(bars, out)
     text = (
         f"{note}\n\n{PER_SCENE} new goals for each scene and distance, {starts} starts each, at most {MAX_STEPS} "
@@ -114,10 +106,17 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     return write_tables(out, "Figure 5: new goals", text, {"fig5": table}, ["fig5"])
 
 
-def _measured(episodes: Episodes, world: World, scenes: Sequence[str]) -> dict[str, float]:
-    """The measures of the goals in these scenes; the others have only trained goals."""
-    wanted = torch.tensor([world.names.index(name) for name in scenes], device=world.device)
-    return metrics(episodes.select(torch.isin(world.scene_of[episodes.start], wanted)))
+def _measured(
+    run: Result, chosen: Mapping[str, list[int]], starts: int, *, by_chance: bool
+) -> tuple[dict[str, float], dict[str, float]]:
+    """The measures of a run's policy on its way to new goals, sampled and greedy; or a random walker's, twice."""
+    changes = {"goals": chosen, "evaluation.starts": "sampled", "evaluation.episodes_per_goal": starts}
+    parts = run.parts({**changes, "evaluation.max_steps": MAX_STEPS})
+    walked = [run_random(parts)] * 2 if by_chance else [run_policy(parts, greedy=greedy) for greedy in (False, True)]
+    # The scenes that have no new goal have their trained ones.
+    scenes = torch.tensor([parts.world.names.index(name) for name in chosen], device=parts.world.device)
+    inside = [episodes.select(torch.isin(parts.world.scene_of[episodes.start], scenes)) for episodes in walked]
+    return metrics(inside[0]), metrics(inside[1])
 
 
 def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None:
