@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from dirl.commandline import check_overrides, one_line_errors, register
 from dirl.config import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
 from dirl.experiments.efficiency import report_efficiency
-from dirl.experiments.new_goals import report_control, report_new_goals
+from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
@@ -60,6 +60,9 @@ def chosen(options: ReportConfig, runs: list[Result], hint: str) -> list[Result]
 
     def belongs(config: TrainConfig) -> bool:
         match options.experiment:
+            case ExperimentName.fig5 | ExperimentName.fig6:
+                if config.system not in SYSTEMS:
+                    return False
             case ExperimentName.fig7:
                 return config.system in ("dirl", "td_drl") and config.imitation.share == 0
             case ExperimentName.fig8:

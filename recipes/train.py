@@ -13,6 +13,7 @@ All options with their values: conf/train.yaml and the groups beside it.
 import resource
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +187,6 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
         nonlocal frames, seconds, began
         before, frames = frames, frames + update.frames
         seconds += time.perf_counter() - began
-        began = time.perf_counter()
         meter.add(update.goal_index, update.steps, frames)
         bar.update(update.frames)
         bar.set_postfix_str(f"ATL {meter.atl:.1f}", refresh=False)
@@ -196,9 +196,7 @@ def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
             run.write("reinforcement", frames, progress | update.values)
         tests, saves = due(before, frames, total, config.evaluation.times), run.save_due() or frames >= total
         if tests or saves:
-            with waiting(shared):
-                if shared is not None:
-                    fetch(shared, network)
+            with nullcontext() if shared is None else waiting(shared, network):
                 if tests:
                     test(parts, run, frames)
                 if saves:

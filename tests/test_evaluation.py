@@ -231,6 +231,12 @@ def test_agents_that_see_the_same_are_asked_once(world):
     assert sizes == [2, 2, 1]
 
 
+def test_who_walks_in_a_circle_is_asked_once_for_each_sight_of_it(world):
+    policy, sizes = counting(always(RIGHT))
+    run_episodes(policy, world, from_states(0, 5), sight=SequentialViews(world), max_steps=100)
+    assert sizes == [1] * 7  # three while the start is still in sight twice or more, and four
+
+
 def test_watching_shows_the_episodes_still_going_on_after_each_step(world):
     seen = []
     options = {"sight": SurroundingViews(world), "max_steps": 3}

@@ -105,15 +105,14 @@ def test_workers_wait_while_their_policy_is_tested(tmp_path):
     parts = learning_parts(train_config(f"scene={room_file(tmp_path)}", "system=a3c", *sizes))
     shared, interrupted = share(parts.network, build_optimiser(parts), 0), []
     updates = asynchronous_updates(parts.config, shared, 10**9, interrupted)
-    for _ in range(3):
-        next(updates)
-    with waiting(shared):
-        time.sleep(1)  # more than an update takes
-        frames = shared.claimed.value
+    walked = sum(next(updates).frames for _ in range(3))
+    with waiting(shared, parts.network):
+        while walked < shared.claimed.value:  # those that they are at
+            walked += next(updates).frames
         time.sleep(1)
-        assert shared.claimed.value == frames
-    time.sleep(1)
-    assert shared.claimed.value > frames
+        assert shared.claimed.value == walked
+    assert next(updates).frames == 10
+    assert shared.claimed.value > walked
     interrupted.append(2)
     assert all(update.frames == 10 for update in updates)
 

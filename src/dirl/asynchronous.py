@@ -75,24 +75,22 @@ def _first_statistics(optimiser: Optimizer, parameter: Tensor) -> dict[str, Tens
     return {"mean_square": torch.ones_like(parameter)}
 
 
-@contextmanager
-def waiting(shared: Shared | None) -> Iterator[None]:
-    """Within this context the workers, if there are any, wait; each may end the update that it is at."""
-    if shared is None:
-        yield
-        return
-    shared.going.clear()
-    try:
-        yield
-    finally:
-        shared.going.set()
-
-
 @torch.no_grad()
 def fetch(shared: Shared, network: Network) -> None:
     """Copy the shared weights into a network."""
     for own, common in zip(network.parameters(), shared.weights, strict=True):
         own.copy_(common)
+
+
+@contextmanager
+def waiting(shared: Shared, network: Network) -> Iterator[None]:
+    """Within this context the workers wait, each once it has ended its update; the network has the shared weights."""
+    shared.going.clear()
+    try:
+        fetch(shared, network)
+        yield
+    finally:
+        shared.going.set()
 
 
 def asynchronous_updates(

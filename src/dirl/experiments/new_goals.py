@@ -27,6 +27,7 @@ MAX_STEPS = 500
 """An episode that has not arrived by then has failed."""
 
 SYSTEMS = ("dirl", "td_drl", "a3c")
+"""Those that are compared."""
 
 
 def new_goals(world: World, distance: int, seed: int = 0) -> dict[str, list[int]]:
@@ -71,7 +72,7 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     columns += [Column("SR, sampled", ".3f"), Column("SPL, sampled", ".3f"), Column("SR, greedy", ".3f")]
     table = Table(*columns, Column("shortest", ".2f"))
     bars: dict[str, dict[int, list[float]]] = {}
-    compared = {system: runs for system, runs in by_system(results).items() if system in SYSTEMS}
+    compared = by_system(results)
     # Those that hardly learn succeed by chance as well: how often, a random walker tells.
     compared = {"random": list(compared.values())[-1], **compared}
     total = len(DISTANCES) * sum(map(len, compared.values()))
@@ -165,8 +166,6 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
     )
     pictures: list[str] = []
     for system, runs in by_system(results).items():
-        if system not in SYSTEMS:
-            continue
         walked, every = [], []
         for run in runs:
             if scene not in run.scenes:
