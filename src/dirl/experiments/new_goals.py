@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from dirl.assemble import Parts, run_policy, run_random, run_trajectories
-from dirl.evaluation import metrics
+from dirl.evaluation import Episodes, metrics
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
@@ -164,7 +164,7 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
         Column("SR of every start", ".3f"),
         Column("shortest", "d"),
     )
-    pictures: list[str] = []
+    pictures = []
     for system, runs in by_system(results).items():
         walked, every = [], []
         for run in runs:
@@ -172,10 +172,14 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
                 raise RunError(f"scene={scene}: the runs are of {', '.join(run.scenes)}; choose one of them")
             changes = {"goals": {scene: [goal]}, "evaluation.max_steps": MAX_STEPS, "evaluation.starts": "every"}
             parts = run.parts(changes)
-            index = parts.world.names.index(scene)
-            steps, episodes = _walk(parts, index, goal, run, out, pictures, draws=run is runs[0])
-            walked.append(float(steps))
-            every.append(episodes)
+            episodes, paths = _walks(parts, scene)
+            farthest = int(episodes.shortest.argmax())
+            walked.append(episodes.steps[farthest].item())
+            every.append(metrics(episodes))
+            if run is runs[0]:
+                pictures.append(f"fig6_{system}")
+                arrived = bool(episodes.success[farthest])
+                _draw_walk(parts, run, goal, paths[farthest], out / pictures[-1], success=arrived)
         table.add(
             NAMES[system],
             len(runs),
@@ -183,7 +187,7 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
             walked,
             [found["atl"] for found in every],
             [found["sr"] for found in every],
-            int(parts.world.distances[parts.world.goals_in(index)[0]].max()),
+            int(episodes.shortest.max()),
         )
     text = (
         f"{note}\n\nSampled policies on the way to state {goal} of {scene}, which was not trained, from the farthest "
@@ -192,25 +196,19 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
     return write_tables(out, "Figure 6: the control process", text, {"fig6": table}, pictures)
 
 
-def _walk(
-    parts: Parts, index: int, goal: int, run: Result, out: Path, pictures: list[str], *, draws: bool
-) -> tuple[int, dict[str, float]]:
-    """Walk from the farthest start, and for the measures from every one; draw the former."""
-    world = parts.world
-    goal_index, room, offset = world.goals_in(index)[0], world.scenes[index], world.offsets[index]
-    start = int(world.distances[goal_index].argmax())
-    starts = torch.tensor([goal_index], device=world.device), torch.tensor([start], device=world.device)
-    walked, (path,) = run_trajectories(parts, starts, greedy=False)
-    success, steps = bool(walked.success), int(walked.steps)
-    if draws:
-        system = run.config.system
-        local = [state - offset for state in path]
-        ended = f"{steps} steps" if success else "failed"
-        title = f"{run_title({**run.summary, 'scene': room.name, 'source': room.source})}, new goal {goal}: {ended}"
-        name = f"fig6_{system}"
-        for kind in ("png", "svg"):
-            draw_trajectories(room, goal, [local], out / f"{name}.{kind}", success=[success], title=title)
-        write_gif(room, goal, local, out / f"{name}.gif", title=title, success=success)
-        pictures.append(name)
-    episodes = run_policy(parts, greedy=False)
-    return steps, metrics(episodes.select(episodes.goal_index == goal_index))
+def _walks(parts: Parts, scene: str) -> tuple[Episodes, list[list[int]]]:
+    """An episode from every start of a scene to its first goal, and the states that each passed."""
+    goal_index, start = parts.starts
+    chosen = goal_index == parts.world.goals_in(parts.world.names.index(scene))[0]
+    return run_trajectories(parts, (goal_index[chosen], start[chosen]), greedy=False)
+
+
+def _draw_walk(parts: Parts, run: Result, goal: int, path: list[int], file: Path, *, success: bool) -> None:
+    """Draw the states of an episode; the file's name gets the endings png, svg and gif."""
+    room = parts.world.local(path[0])[0]
+    local = [parts.world.local(state)[1] for state in path]
+    ended = f"{len(path) - 1} steps" if success else "failed"
+    title = f"{run_title({**run.summary, 'scene': room.name, 'source': room.source})}, new goal {goal}: {ended}"
+    for kind in ("png", "svg"):
+        draw_trajectories(room, goal, [local], file.with_suffix(f".{kind}"), success=[success], title=title)
+    write_gif(room, goal, local, file.with_suffix(".gif"), title=title, success=success)
