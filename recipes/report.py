@@ -100,11 +100,10 @@ def describe_runs(runs: list[Result]) -> str:
     scene = summary["scene"]
     names = scene if isinstance(scene, str) else ", ".join(scene)
     kind = "built-in rooms, **synthetic, not AI2-THOR**" if summary["source"] == "rooms" else summary["source"]
-    seeds = ", ".join(map(str, sorted({run.config.seed for run in runs})))
-    return (
-        f"Scenes: {names} ({kind}). Preset `{config.preset}`, seeds {seeds}. Of several runs: interquartile "
-        "mean and, in brackets, its 95 % bootstrap interval over seeds."
-    )
+    seeds = sorted({run.config.seed for run in runs})
+    several = "Of several runs: interquartile mean and, in brackets, its 95 % bootstrap interval over seeds."
+    told = f"seed {seeds[0]} alone." if len(seeds) == 1 else f"seeds {', '.join(map(str, seeds))}. {several}"
+    return f"Scenes: {names} ({kind}). Preset `{config.preset}`, {told}"
 
 
 if __name__ == "__main__":

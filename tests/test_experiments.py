@@ -64,6 +64,7 @@ def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
     assert status == 0, errors
     text = (grid / experiment / "README.md").read_text()
     assert text.strip() in printed
+    assert "seeds 0, 1. Of several runs" in text
     for figure in [line[2:].split("]")[0] for line in text.splitlines() if line.startswith("![")]:
         assert all((grid / experiment / f"{figure}.{kind}").stat().st_size > 1000 for kind in ("png", "svg"))
     tables = {file.stem: rows_of(file) for file in (grid / experiment).glob("*.csv")}
@@ -80,7 +81,10 @@ def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
         assert [row["frames, paper"] for row in rows] == ["2300000"] * 2 + ["6100000"] * 2
     elif experiment == "fig8":
         assert [row["setting"] for row in rows][::2] == ["no expert", "5%, drawn states", "50%, drawn states"]
+    elif experiment == "fig5":
+        assert list(dict.fromkeys(row["system"] for row in rows)) == ["random", "TD-DRL", "DIRL"]
     elif experiment == "fig6":
+        assert [row["system"] for row in rows] == ["TD-DRL", "TD-DRL", "DIRL", "DIRL"]
         assert (grid / "fig6" / "fig6_dirl.gif").stat().st_size > 1000
 
 
@@ -90,6 +94,14 @@ def test_table_1_is_half_of_the_way(grid):
     tests = rows_of(grid / "runs/experiments/fast/dirl_random_0.05_0/evaluation.csv")
     (half,) = [test for test in tests if test["frames"] == "1200"]
     assert float(row["ATL, ours"]) == pytest.approx(float(half["atl"]))
+
+
+def test_a_report_of_one_seed_says_so(grid, tmp_path):
+    (tmp_path / "fast").mkdir()
+    (tmp_path / "fast/dirl").symlink_to(grid / "runs/experiments/fast/dirl_random_0.05_1")
+    status, printed, errors = run_recipe(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
+    assert status == 0, errors
+    assert "Preset `fast`, seed 1 alone.\n" in printed
 
 
 def test_a_report_without_runs_says_how_to_make_them(tmp_path):
