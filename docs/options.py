@@ -1,4 +1,4 @@
-"""The page of all options, from the types in `dirl.commandline.SCHEMAS` and the values and comments in conf/."""
+"""The page of all options, from the types in `dirl.config` and the values and comments in conf/."""
 
 import re
 from dataclasses import fields, is_dataclass
@@ -6,8 +6,8 @@ from enum import EnumMeta
 from pathlib import Path
 from typing import Any, get_args
 
-from dirl.commandline import SCHEMAS
-from dirl.config import TrainConfig
+from dirl.config.command_line import SCHEMAS
+from dirl.config.schemas import TrainConfig
 
 CHOICES = ("system", "preset", "objective", "source", "logger")
 """The folders of conf/ that hold files to choose from."""

@@ -14,12 +14,12 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from dirl.assemble import Parts, assess, describe, trained_parts
-from dirl.commandline import check_overrides, one_line_errors, register
-from dirl.config import EvaluateConfig, typed
-from dirl.models import TemplateStop
+from dirl.config.command_line import check_overrides, one_line_errors, register
+from dirl.config.schemas import EvaluateConfig, typed
 from dirl.reporting import run_title, summary_table, viewer_pages
-from dirl.runs import RunError, load_checkpoint, write_json
+from dirl.runs.folder import RunError, load_checkpoint, write_json
+from dirl.scenes.matching import TemplateStop
+from dirl.training.build import Parts, assess, describe, trained_parts
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="evaluate")

@@ -14,15 +14,15 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from dirl.commandline import check_overrides, one_line_errors, register
-from dirl.config import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
+from dirl.backbones.registry import load_encoder
+from dirl.config.command_line import check_overrides, one_line_errors, register
+from dirl.config.schemas import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
 from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
-from dirl.models.encoders import load_encoder
-from dirl.runs import RunError
+from dirl.runs.folder import RunError
 
 CONF = Path(__file__).resolve().parent.parent / "conf"
 

@@ -22,12 +22,9 @@ import hydra
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from dirl.commandline import SCHEMAS, check_overrides, choose_command, one_line_errors, register
-from dirl.config import ConfigError, Match, typed
-from dirl.inspection import THRESHOLDS, Inspection, inspect_scene
-from dirl.models import ViewEncoder, encode_scene, encode_views, load_encoder
-from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
-from dirl.scene_options import (
+from dirl.backbones import ViewEncoder, encode_scene, encode_views, load_encoder
+from dirl.config.command_line import SCHEMAS, check_overrides, choose_command, one_line_errors, register
+from dirl.config.scene_schemas import (
     BuildConfig,
     EncodeConfig,
     ExportConfig,
@@ -37,16 +34,19 @@ from dirl.scene_options import (
     SampleConfig,
     ThorConfig,
 )
+from dirl.config.schemas import ConfigError, Match, typed
+from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
+from dirl.rooms import KINDS, RoomDescription, build_room, built_in_rooms, sample_room, write_description
+from dirl.rooms.checks import far_apart
+from dirl.rooms.sheet import draw_sheet, preview
 from dirl.scenes import Scene, load_scenes, write_dump
-from dirl.scenes.interchange import export_icra17
-from dirl.scenes.photos import encoded_photos, read_photos
-from dirl.scenes.rooms import KINDS, RoomDescription, build_room, built_in_rooms, sample_room, write_description
-from dirl.scenes.rooms.checks import far_apart
-from dirl.scenes.rooms.sheet import draw_sheet, preview
-from dirl.scenes.thor import start_simulator, take_views
+from dirl.scenes.diagnostics import THRESHOLDS, Inspection, inspect_scene
+from dirl.scenes.io.icra17 import export_icra17
+from dirl.scenes.io.write import replace_features
+from dirl.scenes.sources.photos import encoded_photos, read_photos
+from dirl.scenes.sources.thor import start_simulator, take_views
 from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
-from dirl.scenes.writing import replace_features
 
 SHOWN_PAIRS = 10
 """Of the ambiguous ones."""

@@ -27,20 +27,20 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from tqdm import tqdm
 
-from dirl.assemble import Parts, assess, build_env, build_optimiser, describe, learning_parts, run_policy
-from dirl.asynchronous import asynchronous_updates, fetch, share, waiting
-from dirl.collection import collect
-from dirl.commandline import check_overrides, job_errors, one_line_errors, register
-from dirl.config import Objective, PolicyName, Precision, TrainConfig, typed
+from dirl.config.command_line import check_overrides, job_errors, one_line_errors, register
+from dirl.config.schemas import Objective, PolicyName, Precision, TrainConfig, typed
 from dirl.evaluation import mean_shortest, metrics
 from dirl.experts import label, merge_demonstrations
-from dirl.learning import Update, make_gradients, set_learning_rate, summarise
 from dirl.models import actor_critic
 from dirl.objectives import ImitationLoss
-from dirl.pictures import draw_scene
 from dirl.reporting import draw_learning_curve, run_title, summary_table
-from dirl.runs import Run, interruptible, open_run
-from dirl.stability import EpisodeMeter
+from dirl.reporting.pictures import draw_scene
+from dirl.runs.folder import Run, interruptible, open_run
+from dirl.training.build import Parts, assess, build_env, build_optimiser, describe, learning_parts, run_policy
+from dirl.training.hogwild import asynchronous_updates, fetch, share, waiting
+from dirl.training.losses import Update, make_gradients, set_learning_rate, summarise
+from dirl.training.progress import EpisodeMeter
+from dirl.training.rollout import collect
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""

@@ -12,14 +12,14 @@ from PIL import Image
 from rooms import grid_scene
 from train import draw_scene, imitate, reinforce
 
-from dirl.assemble import build_parts, run_policy
+from dirl.deploy.navigator import Navigator
 from dirl.evaluation import metrics
-from dirl.models import TemplateStop
-from dirl.navigator import Navigator
 from dirl.reporting import viewer_pages
-from dirl.runs import Run
+from dirl.runs.folder import Run
 from dirl.scenes import write_dump
+from dirl.scenes.matching import TemplateStop
 from dirl.scenes.views import encode
+from dirl.training.build import build_parts, run_policy
 
 GOAL = 19
 """In the second place, headed 210 degrees, along no axis."""

@@ -7,8 +7,8 @@ import gymnasium
 # Entry points are strings, so that `import dirl` stays light.
 gymnasium.register(
     id="dirl/Navigation-v0",
-    entry_point="dirl.envs.gym:NavigationGym",
-    vector_entry_point="dirl.envs.gym:NavigationVector",
+    entry_point="dirl.envs.gymnasium:NavigationGym",
+    vector_entry_point="dirl.envs.gymnasium:NavigationVector",
     max_episode_steps=200,
 )
 
@@ -16,7 +16,7 @@ gymnasium.register(
 def __getattr__(name: str) -> Any:
     # Imported when asked for, so that `import dirl` stays light.
     if name == "Navigator":
-        from dirl.navigator import Navigator
+        from dirl.deploy.navigator import Navigator
 
         return Navigator
     raise AttributeError(f"module 'dirl' has no attribute '{name}'")

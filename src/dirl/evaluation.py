@@ -10,7 +10,7 @@ from torch import Tensor
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.models import Network
-from dirl.models.rows import Memory, pack, unpack
+from dirl.models.fast.caching import Memory, pack, unpack
 from dirl.scenes import ACTIONS, World
 
 Policy = Callable[[Tensor, Tensor, Tensor], Tensor]

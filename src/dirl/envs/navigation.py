@@ -40,7 +40,8 @@ class NavigationEnv(EnvBase):
         world: the scenes and goals; the environment runs on its device.
         num_agents: how many agents, B.
         reward: what a step earns.
-        stop: where an agent stops on its way to each goal, bool ``[G, N]`` (see `dirl.models.TemplateStop`). A stop
+        stop: where an agent stops on its way to each goal, bool ``[G, N]``, see
+            `dirl.scenes.matching.TemplateStop`. A stop
             anywhere but at the goal ends the episode with the reward of an ordinary step.
         seed: of the generator that draws goals and starts; actions are drawn by the policy.
     """

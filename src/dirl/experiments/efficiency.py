@@ -23,7 +23,7 @@ from dirl.experiments.results import (
 from dirl.reporting.curves import common_frames
 from dirl.reporting.statistics import FloatArray, bootstrap_interval, iqm
 from dirl.reporting.style import COLORS, plain
-from dirl.stability import NEAR, STABLE_ATL, WINDOW
+from dirl.training.progress import NEAR, STABLE_ATL, WINDOW
 
 RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}
 

@@ -8,14 +8,14 @@ import torch
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from dirl.assemble import Parts, run_policy, run_random, run_trajectories
 from dirl.evaluation import Episodes, metrics
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, SKY, VERMILION, plain
-from dirl.runs import RunError
+from dirl.runs.folder import RunError
 from dirl.scenes import World
+from dirl.training.build import Parts, run_policy, run_random, run_trajectories
 
 DISTANCES = (1, 2, 4, 8)
 """Steps from a new goal to the nearest trained one."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from dirl.config import Objective, PolicyName, TrainConfig
+from dirl.config.schemas import Objective, PolicyName, TrainConfig
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, VERMILION, plain

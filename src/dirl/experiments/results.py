@@ -13,10 +13,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dirl.assemble import Parts, trained_parts
-from dirl.config import TrainConfig, parse_config
+from dirl.config.schemas import TrainConfig, parse_config
 from dirl.reporting.statistics import summarised
-from dirl.runs import RunError, is_finished, load_checkpoint
+from dirl.runs.folder import RunError, is_finished, load_checkpoint
+from dirl.training.build import Parts, trained_parts
 
 NAMES = {
     "shortest_path": "shortest path",

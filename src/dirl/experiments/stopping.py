@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from PIL import Image, ImageEnhance, ImageFilter
 from torch import Tensor
 
-from dirl.assemble import Parts
+from dirl.backbones.registry import ViewEncoder, encode_views
 from dirl.evaluation import metrics, run_episodes
 from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
 from dirl.models import make_network
-from dirl.models.encoders import ViewEncoder, encode_views
-from dirl.models.matching import ncc, template_vectors
 from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain
-from dirl.runs import RunError
+from dirl.runs.folder import RunError
 from dirl.scenes import Scene
+from dirl.scenes.matching import ncc, template_vectors
+from dirl.training.build import Parts
 
 DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "noise": ("deviation, grey levels", (8, 16, 32, 64)),

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.models.rows import answers_late
+from dirl.models.fast.caching import answers_late
 
 
 class SceneLayers(nn.Module):

@@ -8,9 +8,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.envs.transforms import VIEWS
-from dirl.models.axes import PrincipalAxes
+from dirl.models.fast.caching import KnownLinear, Memory, answers_late, pack, unpack
+from dirl.models.fast.principal_axes import PrincipalAxes
 from dirl.models.features import FeatureTable
-from dirl.models.rows import KnownLinear, Memory, answers_late, pack, unpack
 
 
 class SiameseEncoder(nn.Module):

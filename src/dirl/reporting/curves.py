@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dirl.reporting.style import BLUE, GREEN, PURPLE, SKY, VERMILION, plain
 from dirl.reporting.tables import run_title
-from dirl.stability import STABLE_ATL, WINDOW
+from dirl.training.progress import STABLE_ATL, WINDOW
 
 FloatArray = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
 
     Args:
         scene: N states.
-        parts: which part each state is in, see `dirl.inspection.Inspection`; those but the largest are coloured.
+        parts: which part each state is in, see `Inspection`; those but the largest are coloured.
         file: the image to write.
     """
     side, place = step_length(scene), places(scene.graph)

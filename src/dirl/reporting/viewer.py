@@ -11,9 +11,10 @@ from torch import Tensor
 
 from dirl.envs import SurroundingViews
 from dirl.evaluation import answers
-from dirl.models import Network, TemplateStop
+from dirl.models import Network
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
+from dirl.scenes.matching import TemplateStop
 from dirl.scenes.views import encode
 
 

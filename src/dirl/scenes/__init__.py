@@ -1,12 +1,12 @@
 """What an agent walks in: scenes, the worlds made of them, and the files that hold them."""
 
-from dirl.scenes.catalog import PUBLISHED_GOALS, load_scenes
-from dirl.scenes.dump import SceneWarning, read_dump
+from dirl.scenes.catalogue import PUBLISHED_GOALS, load_scenes
 from dirl.scenes.graph import ACTIONS, GraphError
+from dirl.scenes.io.read import SceneWarning, read_dump
+from dirl.scenes.io.write import write_dump
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import Views
 from dirl.scenes.world import World, make_world
-from dirl.scenes.writing import write_dump
 
 __all__ = [
     "ACTIONS",

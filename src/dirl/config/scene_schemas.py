@@ -1,0 +1,112 @@
+"""What can be set for the commands of ``recipes/scenes.py``, with its type; the values are in ``conf/scenes/``."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from omegaconf import MISSING
+
+from dirl.config.schemas import Device, Match
+
+Layout = StrEnum("Layout", ["icra17"])
+
+
+@dataclass
+class ThorConfig:
+    """Everything ``recipes/scenes.py thor`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    step: float = MISSING
+    height: int = MISSING
+    width: int = MISSING
+    field_of_view: float = MISSING
+    headless: bool = MISSING
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class PhotosConfig:
+    """Everything ``recipes/scenes.py photos`` takes."""
+
+    folder: str | None = None
+    out: str | None = None
+    name: str | None = None
+    height: int = MISSING
+    width: int = MISSING
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class BuildConfig:
+    """Everything ``recipes/scenes.py build`` takes."""
+
+    description: str | None = None
+    out: str | None = None
+    height: int = MISSING
+    width: int = MISSING
+    turn: float = MISSING
+    fine: bool = MISSING
+    quality: int = MISSING
+    workers: int | None = None
+    encoder: str | None = None
+    provenance: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class SampleConfig:
+    """Everything ``recipes/scenes.py sample`` takes."""
+
+    kind: str | None = None
+    seed: int = MISSING
+    count: int = MISSING
+    out: str | None = None
+    height: int = MISSING
+    width: int = MISSING
+    turn: float = MISSING
+    fine: bool = MISSING
+    workers: int | None = None
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class EncodeConfig:
+    """Everything ``recipes/scenes.py encode`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class ExportConfig:
+    """Everything ``recipes/scenes.py export`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    layout: Layout = MISSING
+
+
+@dataclass
+class ImportConfig:
+    """Everything ``recipes/scenes.py import`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    name: str | None = None
+    source: str | None = None
+    goals: list[int] | None = None
+
+
+@dataclass
+class InspectConfig:
+    """Everything ``recipes/scenes.py inspect`` takes."""
+
+    scene: str | None = None
+    out: str | None = None
+    threshold: float = MISSING
+    match: Match = MISSING

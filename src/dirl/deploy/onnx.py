@@ -1,0 +1,63 @@
+"""A trained agent as an ONNX file, for machines without torch."""
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import torch
+
+from dirl.deploy.navigator import Navigator, NavigatorError
+from dirl.envs.transforms import VIEWS
+from dirl.runs.folder import VIEW_ORDER
+
+
+def export_onnx(navigator: Navigator, file: str | Path) -> None:
+    """Write the policy as ONNX: features to logits, value and matching coefficient, of any number of agents.
+
+    Inputs are ``features`` and ``goal_features``, float32 ``[B, 4, D]`` as the backbone gave them; outputs ``logits``
+    ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. The layers are those of the navigator's scene. The file's
+    metadata holds ``scene``, ``extractor``, ``views`` (their order) and ``threshold``; the encoder is not in it.
+
+    Raises:
+        NavigatorError: the packages for it are not installed.
+    """
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise NavigatorError(
+            f"ONNX needs packages that are not installed ({error}): pip install 'dirl[onnx]'"
+        ) from None
+    # Two rows, because torch takes a dimension of one for a constant; two tensors, because it takes one for one input.
+    features, goal_features = (torch.zeros(2, VIEWS, navigator.width, device=navigator.device) for _ in range(2))
+    batch = {0: torch.export.Dim("batch")}
+    with _quiet():
+        program = torch.onnx.export(
+            navigator.policy,
+            (features, goal_features),
+            input_names=["features", "goal_features"],
+            output_names=["logits", "value", "matching"],
+            dynamic_shapes=(batch, batch),
+            dynamo=True,
+            verbose=False,
+        )
+    assert program is not None
+    views = ",".join(VIEW_ORDER[navigator.observation])
+    program.model.metadata_props.update(navigator.facts | {"views": views, "threshold": str(navigator.threshold)})
+    program.save(str(file), external_data=False)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Within this context torch does not tell of its own deprecated functions, nor that torchvision is not there."""
+    log = logging.getLogger("torch.onnx")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(level)

@@ -1,0 +1,123 @@
+"""Draw random rooms until one passes every check."""
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dirl.rooms.build import poses, take_views
+from dirl.rooms.checks import check_room, check_views
+from dirl.rooms.description import Grid, RoomDescription
+from dirl.rooms.layout import assemble
+from dirl.rooms.navigation import walk
+from dirl.rooms.options import check_keys
+from dirl.rooms.sampling import furnishing
+from dirl.rooms.sampling.draft import Draft
+from dirl.rooms.sampling.styles import Style
+from dirl.rooms.view import Renderer
+from dirl.scenes.scene import SceneError
+
+ATTEMPTS = 60
+"""Rooms that are drawn before giving up. About one in three passes."""
+
+LOOK = (48, 64)
+"""Height and width of the views that are checked, pixels."""
+
+GOALS = 5
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of room: how it is furnished, how wide and deep it may be in metres, the fewest places, what it needs."""
+
+    furnish: Callable[[Draft], None]
+    extent: tuple[float, float]
+    places: int
+    needs: tuple[str, ...]
+    wet: bool = False
+
+
+KINDS = {
+    "bathroom": Kind(furnishing.bathroom, (3.6, 5.0), 20, ("toilet", "vanity"), wet=True),
+    "bedroom": Kind(furnishing.bedroom, (4.4, 6.8), 30, ("bed",)),
+    "kitchen": Kind(furnishing.kitchen, (4.6, 7.4), 35, ("counter", "table"), wet=True),
+    "living_room": Kind(furnishing.living_room, (5.0, 7.4), 40, ("sofa", "tv")),
+}
+
+
+def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True) -> RoomDescription:
+    """A random room that passes `check_room` and, seen in small, `check_views`; a kind and a seed fix it.
+
+    Args:
+        kind: bathroom, bedroom, kitchen or living_room.
+        seed: any number from 0 on; every one gives another room.
+        attempts: rooms to draw before giving up.
+        look: check the views too, which takes some ten seconds an attempt; else only the furniture and the places.
+
+    Raises:
+        SceneError: there is no such kind, the seed is negative, or no attempt passed; the message says why the last
+            one did not.
+    """
+    check_keys({kind: 0}, KINDS, "kind")
+    if seed < 0:
+        raise SceneError(f"seed={seed}: must not be negative")
+    problems = ["attempts must be at least 1"]
+    for attempt in range(attempts):
+        room = draw_room(kind, seed, attempt)
+        problems = problems_of(room, KINDS[kind], look=look)
+        if not problems:
+            return room
+    raise SceneError(f"kind={kind} seed={seed}: none of {attempts} rooms passed the checks; the last: {problems[0]}")
+
+
+def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
+    """A random room, unchecked."""
+    rng = np.random.default_rng([zlib.crc32(kind.encode()), seed, attempt])
+    made = KINDS[kind]
+    width, depth = (round(float(rng.uniform(*made.extent)), 1) for _ in range(2))
+    size = (width, depth, round(float(rng.uniform(2.5, 2.9)), 2))
+    style = Style(rng, wet=made.wet)
+    walls, floor = style.walls(size[2]), style.floor()
+    skirting = "white_paint" if rng.random() < 0.6 else style.wood()
+    draft = Draft(size, style, rng)
+    made.furnish(draft)
+    pieces = tuple(placed.piece for placed in draft.placed)
+    origin = tuple(round(0.25 + (length - 0.5) % 0.5 / 2, 2) for length in size[:2])
+    room = RoomDescription(
+        name=f"{kind}_{seed}",
+        size=size,
+        floor=floor,
+        walls=walls,
+        furniture=pieces,
+        skirting=skirting,
+        rail=skirting,
+        grid=Grid(origin=(origin[0], origin[1])),
+    )
+    room = replace(room, materials=style.materials)
+    used = {part.material for part in assemble(room)}
+    room = replace(room, materials={name: one for name, one in style.materials.items() if name in used})
+    try:
+        places = len(walk(room).places)
+    except SceneError:  # no place at all: what the checks will say
+        return room
+    chosen = rng.choice(places, min(GOALS, places), replace=False)
+    goals = tuple(sorted(int(4 * place + rng.integers(4)) for place in chosen))
+    return replace(room, goals=goals, grid=Grid(origin=room.grid.origin, places=places))
+
+
+def problems_of(room: RoomDescription, kind: Kind, *, look: bool) -> list[str]:
+    """What keeps a room from being used, one line each."""
+    try:
+        way = walk(room)
+    except SceneError as error:
+        return [str(error)]
+    if len(way.places) < kind.places:
+        return [f"only {len(way.places)} places; at least {kind.places} are wanted"]
+    kinds = {piece.kind for piece in room.furniture} | {"table" for piece in room.furniture if "table" in piece.kind}
+    problems = [f"there was no room for a {need}" for need in kind.needs if need not in kinds] + check_room(room)
+    if problems or not look:
+        return problems
+    renderer = Renderer.of(room, fine=False)
+    views = list(take_views(renderer, room.camera, poses(way), LOOK, progress=False))
+    return check_views(np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views]), way)

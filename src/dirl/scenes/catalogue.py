@@ -1,0 +1,82 @@
+"""Which scenes there are and how a user names them: the built-in rooms, published dumps, any file."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from dirl.scenes.io.read import read_dump
+from dirl.scenes.scene import Scene, SceneError
+
+PUBLISHED_GOALS: Mapping[str, tuple[int, ...]] = {
+    "bathroom_02": (26, 37, 43, 53, 69),
+    "bedroom_04": (134, 264, 320, 384, 387),
+    "kitchen_02": (90, 136, 157, 207, 329),
+    "living_room_08": (92, 135, 193, 228, 254),
+}
+"""The four scenes of the paper with the goals of the published target-driven navigation code, five each."""
+
+SOURCES = ("rooms", "thor")
+
+ROOMS = Path(__file__).parent / "data"
+"""The built-in rooms: synthetic, with the names, state counts and goals of the published scenes."""
+
+
+def load_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Scene]:
+    """Read the scenes a user asks for.
+
+    Args:
+        scene: a name, several names, ``all`` (the four of the paper), or paths of dump files.
+        source: ``rooms`` for the built-in rooms, ``thor`` for the published dumps a user owns.
+        root: the folder of the published dumps, one ``<name>.h5`` a scene; required for ``thor``.
+
+    Raises:
+        SceneError: no such scene (the message lists the choices), or a file that cannot be used.
+    """
+    folder = _folder(source, root)
+    names = [scene] if isinstance(scene, str) else list(scene)
+    if not names:
+        raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
+    if "all" in names:
+        if len(names) > 1:
+            raise SceneError(f"'all' already stands for {list(PUBLISHED_GOALS)}; name it alone")
+        names = list(PUBLISHED_GOALS)
+    scenes = []
+    for name in names:
+        is_file = Path(name).suffix in (".h5", ".hdf5")
+        path = Path(name) if is_file else folder / f"{name}.h5"
+        if not path.is_file():
+            raise SceneError(_no_such_scene(name, is_file, folder))
+        made = read_dump(
+            path,
+            name=None if is_file else name,
+            source=source if source == "thor" or not is_file else None,
+        )
+        scenes.append(made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())))
+    return scenes
+
+
+def _folder(source: str, root: str | Path | None) -> Path:
+    if source not in SOURCES:
+        raise SceneError(f"there is no source '{source}'; choose one of {list(SOURCES)}")
+    if source == "rooms":
+        return ROOMS
+    if root is None:
+        raise SceneError("source=thor needs the folder of your dumps: source.root=/path/to/dumps")
+    if not Path(root).is_dir():
+        raise SceneError(f"source.root={root}: there is no such folder")
+    return Path(root)
+
+
+def _no_such_scene(name: str, is_file: bool, folder: Path) -> str:
+    if is_file:
+        return f"{name}: there is no such file"
+    choices = sorted(path.stem for path in folder.glob("*.h5"))
+    if not choices:
+        return f"{folder}: holds no dump files; expected {name}.h5"
+    near = difflib.get_close_matches(name, [*choices, "all"], n=1)
+    hint = f" (did you mean '{near[0]}'?)" if near else ""
+    return (
+        f"there is no scene '{name}'{hint}; choose from {[*choices, 'all']}, a list of them such as "
+        f"[{','.join(choices[:2])}], or the path of a dump file (.h5)"
+    )

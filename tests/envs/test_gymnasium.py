@@ -1,0 +1,165 @@
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+import dirl  # noqa: F401  registers dirl/Navigation-v0
+from dirl.envs import Reward
+from dirl.scenes import SceneError
+
+NAME = "dirl/Navigation-v0"
+
+
+@pytest.fixture
+def room(dump):
+    return {"scene": str(dump), "goal": 0}
+
+
+@pytest.mark.parametrize("observation", ["features", "views", "both"])
+def test_gymnasiums_checker_finds_nothing(room, observation):
+    env = gymnasium.make(NAME, **room, observation=observation, render_mode="rgb_array")
+    check_env(env.unwrapped)
+
+
+def test_the_built_in_room_renders_view_goal_and_map():
+    env = gymnasium.make(NAME, scene="bathroom_02", goal=26, render_mode="rgb_array")
+    env.reset(options={"state": 3})
+    picture = env.render()
+    views = env.unwrapped.task.scene.views
+    assert picture.dtype == np.uint8
+    assert picture.shape[0] == 300
+    assert picture.shape[1] > 800
+    np.testing.assert_array_equal(picture[:, :400], views[3])
+    np.testing.assert_array_equal(picture[:, 400:800], views[26])
+    env.step(1)
+    assert (env.render()[:, 800:] != picture[:, 800:]).any()  # the agent turned on the map
+
+
+def test_an_observation_is_what_surrounds_the_agent_and_the_goal(room, scene):
+    env = gymnasium.make(NAME, **room, observation="both")
+    seen, info = env.reset(options={"state": 13})
+    assert info["state"] == 13
+    assert info["distance"] == scene.distances[13, 0]
+    np.testing.assert_array_equal(seen["features"], scene.features[scene.surrounding[13]])
+    np.testing.assert_array_equal(seen["goal_features"], scene.features[scene.surrounding[0]])
+    # Every pixel of a view of the dump is its state's number.
+    np.testing.assert_array_equal(seen["views"][:, 0, 0, 0], scene.surrounding[13])
+    np.testing.assert_array_equal(seen["goal_views"][:, 0, 0, 0], scene.surrounding[0])
+
+
+def test_steps_follow_the_graph_and_earn_the_reward(room, scene):
+    env = gymnasium.make(NAME, **room, reward=Reward(goal=5.0, step=-0.5, collision=-2.0))
+    for state in np.flatnonzero(scene.distances[:, 0] > 0):
+        for action in range(4):
+            env.reset(options={"state": int(state)})
+            _, reward, terminated, truncated, info = env.step(action)
+            after = scene.graph[state, action]
+            assert info["collision"] == (after < 0)
+            assert info["state"] == (state if after < 0 else after)
+            assert info["success"] == terminated == (after == 0)
+            assert reward == (-2.0 if after < 0 else 5.0 if after == 0 else -0.5)
+            assert not truncated
+
+
+def test_a_seed_decides_the_draws_and_goals_are_drawn_among_the_scenes_own():
+    env = gymnasium.make(NAME, scene="bathroom_02")
+    drawn = []
+    for _ in range(2):
+        infos = [env.reset(seed=3 if number == 0 else None)[1] for number in range(60)]
+        drawn.append([(info["goal"], info["state"]) for info in infos])
+    assert drawn[0] == drawn[1]
+    assert {goal for goal, _ in drawn[0]} == {26, 37, 43, 53, 69}
+
+
+def test_one_agent_of_the_vector_version_walks_as_the_single_one(room):
+    single = gymnasium.make(NAME, **room, max_episode_steps=7)
+    vector = gymnasium.make_vec(NAME, num_envs=1, **room, max_episode_steps=7)
+    seen, info = single.reset(seed=5)
+    batch, infos = vector.reset(seed=5)
+    ends, done = 0, False
+    for action in np.random.default_rng(0).integers(4, size=300):
+        assert infos["state"][0] == info["state"]
+        for key in seen:
+            np.testing.assert_array_equal(batch[key][0], seen[key])
+        if done:  # the vector version begins the next episode in this step
+            seen, info = single.reset()
+            outcome = (0.0, False, False)
+        else:
+            seen, *outcome, info = single.step(action)
+        batch, reward, terminated, truncated, infos = vector.step(np.array([action]))
+        assert (reward[0], terminated[0], truncated[0]) == tuple(outcome)
+        assert {key: infos[key][0] for key in info} == info
+        done = terminated[0] or truncated[0]
+        ends += done
+    assert ends > 20
+
+
+def test_many_agents_step_as_single_ones_would(room):
+    vector = gymnasium.make_vec(NAME, num_envs=16, **room)
+    single = gymnasium.make(NAME, **room)
+    assert vector.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    _, infos = vector.reset(seed=1)
+    rng, ended = np.random.default_rng(2), np.zeros(16, bool)
+    for _ in range(30):
+        actions, before = rng.integers(4, size=16), infos["state"]
+        seen, reward, terminated, truncated, infos = vector.step(actions)
+        assert seen in vector.observation_space
+        for quiet in (reward, terminated, infos["collision"]):
+            assert not quiet[ended].any()
+        for agent in np.flatnonzero(~ended):
+            single.reset(options={"state": int(before[agent])})
+            one, *outcome, info = single.step(actions[agent])
+            assert outcome[:2] == [reward[agent], terminated[agent]]
+            assert info == {key: infos[key][agent] for key in info}
+            np.testing.assert_array_equal(seen["features"][agent], one["features"])
+        ended = terminated | truncated
+
+
+def test_gymnasiums_vector_wrappers_find_what_they_need(room):
+    env = RecordEpisodeStatistics(gymnasium.make_vec(NAME, num_envs=4, **room, max_episode_steps=5))
+    env.reset(seed=0)
+    assert any("episode" in env.step(env.action_space.sample())[-1] for _ in range(6))
+
+
+def test_no_warning_is_logged_for_making_and_walking(room):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for env in (gymnasium.make(NAME, **room), gymnasium.make_vec(NAME, num_envs=2, **room)):
+            env.reset(seed=0)
+            env.step(env.action_space.sample())
+            env.close()
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "said"),
+    [
+        ({"observation": "feature"}, ValueError, "features"),
+        ({"scene": "all"}, SceneError, "name one"),
+        ({"goal": 999}, SceneError, "999"),
+        ({"render_mode": "human"}, ValueError, "rgb_array"),
+    ],
+)
+def test_a_wrong_argument_is_named(room, given, error, said):
+    from dirl.envs.gymnasium import NavigationGym
+
+    with pytest.raises(error, match=said):
+        NavigationGym(**{**room, **given})
+
+
+def test_wrong_actions_and_options_are_refused(room):
+    single = gymnasium.make(NAME, **room).unwrapped
+    vector = gymnasium.make_vec(NAME, num_envs=2, **room)
+    vector.reset()
+    single.reset()
+    with pytest.raises(ValueError, match="action -1"):
+        single.step(-1)
+    for actions in ([0, 4], [0], [0.0, 1.0]):
+        with pytest.raises(ValueError, match="expected 2 integers"):
+            vector.step(np.array(actions))
+    for options in ({"state": 0}, {"goal": 5}, {"start": 1}):
+        with pytest.raises(ValueError, match="reset"):
+            single.reset(options=options)

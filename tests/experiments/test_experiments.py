@@ -1,0 +1,289 @@
+"""The paper's tables and figures: the grids of runs, what is computed from them, and the reports."""
+
+import csv
+import json
+import math
+import signal
+import subprocess
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from commands import TINY, recipe_command, room_file, run_recipe
+from rooms import grid_scene
+
+from dirl.backbones.registry import ViewEncoder, encode_views
+from dirl.experiments.new_goals import new_goals
+from dirl.experiments.results import published
+from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
+from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
+from dirl.scenes import load_scenes, make_world, write_dump
+from dirl.scenes.views import encode
+
+SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.share="))]
+
+EXPERIMENTS = ("table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop")
+
+
+def rows_of(file):
+    """The rows of a CSV file, as texts by column."""
+    with file.open(newline="") as lines:
+        return list(csv.DictReader(lines))
+
+
+def summaries(folder):
+    """The summary of every run of a grid, by the name of its folder."""
+    return {file.parent.name: json.loads(file.read_text()) for file in folder.glob("runs/experiments/*/*/summary.json")}
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory):
+    """A folder with the runs of a small grid: every kind of system, and the expert's share."""
+    folder = tmp_path_factory.mktemp("grid")
+    options = [f"scene={room_file(folder)}", *SMALL, "evaluation.times=4", "reinforcement.frames_per_scene=2400"]
+    for given in (["table2", "system=random,il,td_drl,dirl"], ["fig8", "imitation={share:0.0},{share:0.5}"]):
+        status, _, errors = run_recipe(folder, "train", "-m", f"experiment={given[0]}", *options, given[1], "seed=0,1")
+        assert status == 0, errors
+    return folder
+
+
+def test_experiments_share_runs_and_what_is_finished_is_not_made_again(grid):
+    made = {f"{system}_random_0.05_{seed}" for system in ("random", "il", "dirl") for seed in (0, 1)}
+    made |= {f"td_drl_random_0.0_{seed}" for seed in (0, 1)}
+    made |= {f"dirl_random_{share}_{seed}" for share in (0.0, 0.5) for seed in (0, 1)}
+    assert set(summaries(grid)) == made
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS[:-1])
+def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
+    status, printed, errors = run_recipe(
+        grid, "report", f"experiment={experiment}", "scene=grid", "goal=7", "starts=20", f"out={experiment}"
+    )
+    assert status == 0, errors
+    text = (grid / experiment / "README.md").read_text()
+    assert text.strip() in printed
+    assert "seeds 0, 1. Of several runs" in text
+    for figure in [line[2:].split("]")[0] for line in text.splitlines() if line.startswith("![")]:
+        assert all((grid / experiment / f"{figure}.{kind}").stat().st_size > 1000 for kind in ("png", "svg"))
+    tables = {file.stem: rows_of(file) for file in (grid / experiment).glob("*.csv")}
+    rows = tables.get(experiment) or tables[f"{experiment}_greedy"]
+    runs = summaries(grid)
+    if experiment == "table2":
+        dirl = [row for row in rows if row["system"] == "DIRL"]
+        assert [float(row["SPL, ours"]) for row in dirl] == pytest.approx(
+            [runs[f"dirl_random_0.05_{seed}"]["greedy"]["spl"] for seed in (0, 1)]
+        )
+        assert {row["SPL, paper"] for row in dirl} == {"0.76"}
+    elif experiment == "fig7":
+        assert [row["setting"] for row in rows] == ["surrounding views"] * 2 + ["sequential views"] * 2
+        assert [row["frames, paper"] for row in rows] == ["2300000"] * 2 + ["6100000"] * 2
+    elif experiment == "fig8":
+        assert [row["setting"] for row in rows][::2] == ["no expert", "5%, drawn states", "50%, drawn states"]
+    elif experiment == "fig5":
+        assert list(dict.fromkeys(row["system"] for row in rows)) == ["random", "TD-DRL", "DIRL"]
+    elif experiment == "fig6":
+        assert [row["system"] for row in rows] == ["TD-DRL", "TD-DRL", "DIRL", "DIRL"]
+        assert (grid / "fig6" / "fig6_dirl.gif").stat().st_size > 1000
+
+
+def test_table_1_is_half_of_the_way(grid):
+    run_recipe(grid, "report", "experiment=table1", "out=half")
+    (row, *_) = [row for row in rows_of(grid / "half" / "table1_greedy.csv") if row["system"] == "DIRL"]
+    tests = rows_of(grid / "runs/experiments/fast/dirl_random_0.05_0/evaluation.csv")
+    (half,) = [test for test in tests if test["frames"] == "1200"]
+    assert float(row["ATL, ours"]) == pytest.approx(float(half["atl"]))
+
+
+def test_a_report_of_one_seed_says_so(grid, tmp_path):
+    (tmp_path / "fast").mkdir()
+    (tmp_path / "fast/dirl").symlink_to(grid / "runs/experiments/fast/dirl_random_0.05_1")
+    status, printed, errors = run_recipe(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
+    assert status == 0, errors
+    assert "Preset `fast`, seed 1 alone.\n" in printed
+
+
+def test_a_report_without_runs_says_how_to_make_them(tmp_path):
+    status, _, errors = run_recipe(tmp_path, "report", "experiment=fig8")
+    assert status == 1
+    assert "recipes/train.py -m experiment=fig8" in errors
+    assert "Traceback" not in errors
+
+
+def test_a_failed_job_is_told_and_the_others_are_not_lost_and_are_not_made_again(tmp_path):
+    options = [
+        f"scene={room_file(tmp_path)}",
+        *SMALL,
+        "system=il",
+        "seed=0",
+        "hydra.sweep.subdir=${reinforcement.gamma}",
+    ]
+    command = ["-m", "experiment=table2", *options, "reinforcement.gamma=1.5,0.9"]
+    status, _, errors = run_recipe(tmp_path, "train", *command)
+    assert status == 1
+    assert "failed: runs/experiments/1.5: reinforcement.gamma=1.5: must be between 0 and 1" in errors
+    summary = tmp_path / "runs" / "experiments" / "0.9" / "summary.json"
+    before = summary.stat().st_mtime_ns
+    status, printed, _ = run_recipe(tmp_path, "train", *command)
+    assert status == 1
+    assert "finished before: runs/experiments/0.9" in printed
+    assert summary.stat().st_mtime_ns == before
+
+
+def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_again(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *SMALL, "reinforcement.frames_per_scene=3000", "experiment=fig4"]
+    command = ["-m", *options, "system=dirl", "seed=0,1"]
+    process = subprocess.Popen(
+        recipe_command("train", *command), cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    first, second = (tmp_path / f"runs/experiments/fast/dirl_random_0.05_{seed}" for seed in (0, 1))
+    waited = time.monotonic()
+    while not list(second.glob("checkpoints/*[1-9]???.pt")) and time.monotonic() - waited < 120:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert (first / "summary.json").exists()
+    assert not (second / "summary.json").exists(), "it was not killed in time"
+    status, printed, errors = run_recipe(tmp_path, "train", *command)
+    assert status == 0, errors
+    assert "finished before: runs/experiments/fast/dirl_random_0.05_0" in printed
+    whole = [*options, "system=dirl", "seed=1", "hydra.run.dir=whole"]
+    status, _, errors = run_recipe(tmp_path, "train", *whole)
+    assert status == 0, errors
+    ours, theirs = (
+        torch.load(run / "network.pt", weights_only=True)["network"] for run in (second, tmp_path / "whole")
+    )
+    assert all(torch.equal(ours[key], theirs[key]) for key in ours)
+
+
+def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_one_loses_none(tmp_path, monkeypatch):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # sums depend on the number of threads
+    options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
+    options += ["reinforcement.gamma=1.5,0.9,0.95", "hydra.sweep.subdir=${reinforcement.gamma}"]
+    for folder, launcher in (("alone", "basic"), ("together", "cores")):
+        status, _, errors = run_recipe(
+            tmp_path, "train", *options, f"hydra/launcher={launcher}", f"hydra.sweep.dir={folder}"
+        )
+        assert status == 1
+        assert f"failed: {folder}/1.5: reinforcement.gamma=1.5" in errors
+    for job in ("0.9", "0.95"):
+        ours, theirs = (tmp_path / folder / job / "network.pt" for folder in ("alone", "together"))
+        ours, theirs = (torch.load(file, weights_only=True)["network"] for file in (ours, theirs))
+        assert all(torch.equal(ours[key], theirs[key]) for key in ours)
+
+
+def test_a_folder_with_a_run_of_other_options_is_left_alone(tmp_path):
+    options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=random", "seed=0"]
+    assert run_recipe(tmp_path, "train", *options)[0] == 0
+    status, _, errors = run_recipe(tmp_path, "train", *options, "evaluation.max_steps=49")
+    assert status == 1
+    assert "evaluation.max_steps=50 instead of 49" in errors
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_every_experiment_has_what_the_paper_says_of_it(experiment):
+    assert published(experiment)["source"]
+
+
+def test_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter():
+    assert iqm([1, 2, 3, 4, 100]) == 3
+    assert iqm([5.0, 7.0]) == 6
+    assert iqm([[1, 10], [2, 20], [3, 30], [9, 90]]).tolist() == [2.5, 25]
+    assert iqm([1, 2, 3, math.inf]) == 2.5
+    assert math.isinf(iqm([1, 2, math.inf, math.inf]))
+
+
+def test_bootstrap_interval_holds_the_true_mean_about_as_often_as_it_says():
+    rng = np.random.default_rng(1)
+    held = 0
+    for number in range(200):
+        low, high = bootstrap_interval(rng.normal(3, 1, 40), seed=number)
+        held += low <= 3 <= high
+    assert 180 <= held <= 198
+
+
+def test_numbers_of_several_runs_as_text():
+    assert summarised([2.0], ".1f") == "2.0"
+    assert summarised([2.0, 2.0, 2.0], ".1f") == "2.0"
+    assert summarised([1.0, 3.0, math.inf], ".0f") == "never [1,\N{NO-BREAK SPACE}never]"
+    assert summarised([math.inf, math.inf], ".1f") == "never"
+    assert summarised([], ".1f") == "-"
+
+
+def test_new_goals_are_as_far_from_the_nearest_trained_one_as_is_asked():
+    scene = grid_scene(width=5, depth=4, goals=(0, 30))
+    for distance in (1, 2, 4):
+        chosen = new_goals(make_world([scene]), distance)
+        assert len(chosen["grid"]) == 2
+        for goal in chosen["grid"]:
+            assert min(scene.distances[goal, trained] for trained in scene.goals) == distance
+
+
+@pytest.mark.parametrize(("kind", "strength"), [("noise", 30), ("darkness", 0.5), ("blur", 3), ("occlusion", 0.3)])
+def test_a_disturbance_does_what_its_strength_says(kind, strength):
+    view = np.full((30, 40, 3), 100, np.uint8)
+    view[:, :20] = 200
+    seen = disturb(view, kind, strength, np.random.default_rng(0))
+    change = seen.astype(float) - view
+    assert seen.shape == view.shape
+    assert seen.dtype == np.uint8
+    if kind == "noise":
+        assert abs(change[:, 20:].std() - 30) < 1.5
+    elif kind == "darkness":
+        assert seen.mean() == pytest.approx(75, abs=0.5)
+    elif kind == "blur":
+        assert np.abs(change[:, [0, 39]]).max() <= 1
+        assert 0 < change[:, 20].mean() < 50
+    else:
+        assert (seen == 128).all(-1).mean() == pytest.approx(0.3, abs=0.03)
+
+
+def test_precision_and_recall_of_thresholds():
+    precision, recall = precision_recall(torch.tensor([0.95, 0.65]), torch.tensor([0.75, 0.1, 0.2]))
+    at = {threshold: round((threshold - 0.3) * 100) for threshold in (0.5, 0.7, 0.9, 0.99)}
+    assert [precision[at[one]] for one in at] == pytest.approx([2 / 3, 1 / 2, 1, 1])
+    assert [recall[at[one]] for one in at] == pytest.approx([1, 1 / 2, 1 / 2, 0])
+    clear, blurred = ((torch.tensor([0.8]), torch.tensor([highest])) for highest in (0.545, 0.645))
+    assert recommended_threshold([precision_recall(*clear)]) == 0.55
+    assert recommended_threshold([precision_recall(*clear), precision_recall(*blurred)]) == 0.65
+    assert recommended_threshold([precision_recall(torch.tensor([0.1]), torch.tensor([0.1]))]) == 0.3
+
+
+def test_the_coefficient_is_one_at_the_goal_if_nothing_is_disturbed():
+    scene = grid_scene()
+    features = torch.tensor(scene.features)
+    at_goal, away = coefficients(features, features, scene, "views")
+    assert torch.allclose(at_goal, torch.ones(24), atol=1e-5)
+    assert len(away) == 24 * 23
+    assert away.max() < 0.99
+    at_goal, _ = coefficients(features, features + torch.rand(features.shape), scene, "views")
+    assert at_goal.max() < 0.99
+
+
+def test_stopping_is_reported_for_disturbed_views(tmp_path):
+    from dirl.experiments.results import finished_runs
+
+    rng = np.random.default_rng(0)
+    views = rng.integers(0, 256, (24, 30, 40, 3), np.uint8)
+    mixing = torch.from_numpy(rng.normal(size=(3600, 32))).float()
+    encoder = ViewEncoder(lambda batch: (batch.flatten(1).float() / 255) @ mixing, {"extractor": "mixed pixels"})
+    features = encode_views(encoder, views, 24, "test")
+    scene = replace(grid_scene(goals=(0, 13)), features=features, extractor=encoder.extractor)
+    write_dump(tmp_path / "room.h5", scene, [encode(view, quality=None) for view in views])
+    options = [f"scene={tmp_path / 'room.h5'}", *SMALL, "experiment=fig4", "system=dirl", "seed=0"]
+    status, _, errors = run_recipe(tmp_path, "train", "-m", *options)
+    assert status == 0, errors
+    runs = finished_runs(tmp_path / "runs/experiments/fast", "")
+    text = report_stopping(runs, tmp_path, "note", load_scenes(str(tmp_path / "room.h5"))[0].name, encoder)
+    assert "Recommended threshold" in text
+    rows = {(row["disturbance"], row["strength"]): row for row in rows_of(tmp_path / "stop.csv")}
+    clean, noisy = rows["none", "0.0"], rows["noise", "64"]
+    assert float(clean["at the goal, mean"]) == pytest.approx(1)
+    assert float(clean["precision at 0.9"]) == float(clean["recall at 0.9"]) == 1
+    assert float(noisy["at the goal, mean"]) < 0.99
+    assert float(rows["darkness", "0.8"]["SR at 0.9"]) <= float(clean["SR at 0.9"])
+    other = ViewEncoder(lambda batch: (batch.flatten(1).float() / 255) @ mixing.flip(0), {"extractor": "other"})
+    with pytest.raises(ValueError, match="name the same"):
+        report_stopping(runs, tmp_path, "note", scene.name, other)

@@ -1,0 +1,50 @@
+"""The smallest room that has everything, for the tests of what builds rooms."""
+
+from dirl.rooms.description import parse_description
+
+CLOSET = """
+name = "closet"
+goals = [3]
+
+[room]
+size = [2.0, 1.5, 2.4]
+floor = "boards"
+skirting = "white_paint"
+
+[room.walls]
+north = [[1.0, "tiles"], [2.4, "paper"]]
+south = "paper"
+east = "brick"
+west = "wood"
+
+[grid]
+origin = [0.4, 0.4]
+places = 5
+
+[materials]
+boards = { kind = "planks", rows = 4, resolution = 64 }
+tiles = { kind = "tile", colors = ["#3d6f95", "#e2e8e6"], nx = 4, ny = 4, resolution = 64 }
+paper = { kind = "dots", motif = "#c8553d", resolution = 64 }
+
+[[furniture]]
+kind = "stool"
+at = [1.5, 1.2]
+size = [0.3, 0.3, 0.45]
+
+[[furniture]]
+kind = "door"
+wall = "south"
+along = 0.7
+size = [0.7, 0.08, 2.0]
+
+[[furniture]]
+kind = "ceiling_lamp"
+at = [1.0, 0.8]
+size = [0.4, 0.4, 0.3]
+"""
+
+
+def closet(old="", new=""):
+    """The room, or one that differs in a piece of its text."""
+    assert old in CLOSET
+    return parse_description(CLOSET.replace(old, new, 1) if old else CLOSET)

@@ -1,0 +1,296 @@
+import pytest
+import torch
+import torch.nn.functional as F
+from rooms import grid_scene
+from tensordict import TensorDict
+from torchrl.envs import Compose, StepCounter, TransformedEnv
+
+from dirl.envs import NavigationEnv, SurroundingViews
+from dirl.models import actor_critic, make_network
+from dirl.objectives import ImitationLoss, TFRMSprop, bootstrap, clip_each, make_advantages, make_loss
+from dirl.scenes import make_world
+from dirl.training.rollout import collect
+
+STATES, SCENES, ROWS = 20, ("a", "b"), 12
+
+
+@pytest.fixture
+def network():
+    return make_network(torch.randn(STATES, 6, generator=torch.Generator().manual_seed(0)), SCENES, width=16)
+
+
+@pytest.fixture
+def demonstrations():
+    torch.manual_seed(0)
+    return TensorDict(
+        {
+            "views": torch.randint(STATES, (ROWS, 4)),
+            "goal_views": torch.randint(STATES, (ROWS, 4)),
+            "scene": torch.randint(2, (ROWS,)),
+            "expert_action": torch.randint(4, (ROWS,)),
+        },
+        [ROWS],
+    )
+
+
+def logits_of(network, batch):
+    return network(batch["views"], batch["goal_views"], batch["scene"])[0]
+
+
+def imitation(network, **options):
+    return ImitationLoss(actor_critic(network).get_policy_operator(), **options)
+
+
+def gradients(network, loss):
+    network.zero_grad()
+    loss.backward()
+    return {name: parameter.grad for name, parameter in network.named_parameters()}
+
+
+@pytest.mark.parametrize("reduction", [{}, {"reduction": "sum"}, {"reduction": "none"}])
+def test_imitation_is_cross_entropy(network, demonstrations, reduction):
+    found = imitation(network, **reduction)(demonstrations)["loss_imitation"]
+    expected = F.cross_entropy(logits_of(network, demonstrations), demonstrations["expert_action"], **reduction)
+    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(gradients(network, found.sum()), gradients(network, expected.sum()))
+
+
+def test_imitation_trains_everything_but_the_value_head(network, demonstrations):
+    found = gradients(network, imitation(network)(demonstrations)["loss_imitation"])
+    assert {name for name, gradient in found.items() if gradient is None} == {
+        f"value.scenes.{scene}.{kind}" for scene in SCENES for kind in ("weight", "bias")
+    }
+
+
+def test_the_coefficient_scales_the_loss_and_can_be_changed(network, demonstrations):
+    plain = imitation(network)(demonstrations)["loss_imitation"]
+    loss = imitation(network, coeff=0.5)
+    torch.testing.assert_close(loss(demonstrations)["loss_imitation"], 0.5 * plain)
+    loss.coeff = 3.0
+    torch.testing.assert_close(loss(demonstrations)["loss_imitation"], 3 * plain)
+
+
+def test_accuracy_is_the_share_of_expert_actions_that_are_the_most_probable(network, demonstrations):
+    best = logits_of(network, demonstrations).argmax(-1)
+    demonstrations["expert_action"] = torch.where(torch.arange(ROWS) < 9, best, (best + 1) % 4)
+    assert imitation(network)(demonstrations)["accuracy"] == 0.75
+
+
+def test_imitation_has_the_keys_of_a_torchrl_loss(network, demonstrations):
+    loss = imitation(network)
+    assert set(loss.in_keys) == {"views", "goal_views", "scene", "expert_action"}
+    assert set(loss(demonstrations).keys()) == set(loss.out_keys) == {"loss_imitation", "accuracy"}
+    value, _ = loss(**{key: demonstrations[key] for key in loss.in_keys})
+    loss.set_keys(expert_action="label")
+    renamed = demonstrations.rename_key_("expert_action", "label")
+    torch.testing.assert_close(value, loss(renamed)["loss_imitation"])
+
+
+@pytest.fixture
+def frames():
+    """What the heads need of a batch: the trunk's output and what the rollout and the advantages left."""
+    torch.manual_seed(0)
+    return TensorDict(
+        {
+            "hidden": torch.randn(ROWS, 16),
+            "scene": torch.randint(2, (ROWS,)),
+            "action": torch.randint(4, (ROWS,)),
+            "advantage": torch.randn(ROWS, 1),
+            "value_target": torch.randn(ROWS, 1),
+        },
+        [ROWS],
+    )
+
+
+def heads_of(network, frames):
+    """Log-probabilities of the actions taken, entropies and values, ``[B]`` each."""
+    log_probs = network.policy(frames["hidden"], frames["scene"]).log_softmax(-1)
+    value = network.value(frames["hidden"], frames["scene"]).squeeze(-1)
+    taken = log_probs[torch.arange(ROWS), frames["action"]]
+    return taken, -(log_probs.exp() * log_probs).sum(-1), value
+
+
+def check_losses(network, loss, frames, objective, entropy, value, reduce):
+    """Losses and gradients against the formulas: a gain for each frame, an entropy bonus and squared errors."""
+    found = loss(frames)
+    taken, entropies, values = heads_of(network, frames)
+    expected = {
+        "loss_objective": -reduce(objective(taken, frames["advantage"].squeeze(-1))),
+        "loss_entropy": -entropy * reduce(entropies),
+        "loss_critic": value * reduce((values - frames["value_target"].squeeze(-1)) ** 2),
+    }
+    losses = {key: found[key] for key in found.keys() if key.startswith("loss_")}  # noqa: SIM118
+    torch.testing.assert_close(losses, expected)
+    total = gradients(network, sum(losses.values()))
+    torch.testing.assert_close(total, gradients(network, sum(expected.values())))
+
+
+@pytest.mark.parametrize("reduction", ["mean", "sum"])
+def test_a2c_is_the_papers_formula(network, frames, reduction):
+    loss = make_loss("a2c", actor_critic(network), entropy=0.02, value=0.25, reduction=reduction)
+    gain = lambda taken, advantage: taken * advantage  # noqa: E731
+    check_losses(network, loss, frames, gain, 0.02, 0.25, getattr(torch, reduction))
+
+
+@pytest.mark.parametrize("reduction", ["mean", "sum"])
+def test_ppo_clips_the_ratio(network, frames, reduction):
+    old = heads_of(network, frames)[0].detach() + torch.linspace(-0.6, 0.6, ROWS)
+    frames["action_log_prob"] = old
+
+    def gain(taken, advantage):
+        ratio = (taken - old).exp()
+        return torch.minimum(ratio * advantage, ratio.clamp(0.7, 1.3) * advantage)
+
+    loss = make_loss("ppo", actor_critic(network), entropy=0.02, value=0.25, clip=0.3, reduction=reduction)
+    check_losses(network, loss, frames, gain, 0.02, 0.25, getattr(torch, reduction))
+
+
+def test_ppos_first_step_is_a2cs(network, frames):
+    frames["action_log_prob"] = heads_of(network, frames)[0].detach()
+    ppo = make_loss("ppo", actor_critic(network), entropy=0, value=0)(frames)
+    a2c = make_loss("a2c", actor_critic(network), entropy=0, value=0)(frames)
+    torch.testing.assert_close(ppo["loss_objective"], -frames["advantage"].mean())
+    first, same = (gradients(network, losses["loss_objective"]) for losses in (ppo, a2c))
+    torch.testing.assert_close(first, same)
+
+
+def test_an_unknown_objective_is_refused(network):
+    with pytest.raises(ValueError, match="no objective 'a3c'; choose a2c or ppo"):
+        make_loss("a3c", actor_critic(network), entropy=0, value=0)
+
+
+@pytest.fixture(scope="module")
+def rollout():
+    """Steps with ends of both kinds, at goals and at the limit of 6 steps, with the value of each state."""
+    world = make_world([grid_scene(2, 1, goals=(1,))])
+    env = TransformedEnv(NavigationEnv(world, 10), Compose(StepCounter(6), SurroundingViews(world)))
+    operators = actor_critic(make_network(world.features, world.names, width=8))
+    torch.manual_seed(1)
+    return operators, collect(env, operators, env.reset(), 15)[0]
+
+
+@torch.no_grad()
+def next_values(rollout):
+    """The value of the state behind each step, asked for one by one, ``[B, T, 1]``."""
+    operators, batch = rollout
+    return operators.get_value_operator()(batch["next"].reshape(-1))["state_value"].view(10, 15, 1)
+
+
+def test_bootstrap_gives_the_critics_value_of_each_next_state(rollout):
+    operators, batch = rollout
+    values = bootstrap(batch.clone(), operators.get_value_operator())["next", "state_value"]
+    # What stands behind a goal is never used.
+    going = ~batch["next", "terminated"]
+    torch.testing.assert_close(values[going], next_values(rollout)[going])
+    assert not values.requires_grad
+    assert values.shape == (10, 15, 1)
+
+
+def test_bootstrap_asks_the_critic_only_behind_the_last_step_and_where_an_episode_was_cut_off(rollout):
+    operators, batch = rollout
+    critic, sizes = operators.get_value_operator(), []
+    critic.register_forward_hook(lambda module, inputs, output: sizes.append(len(output)))
+    bootstrap(batch.clone(), critic)
+    truncated = batch["next", "truncated"]
+    assert truncated[:, :-1].any()
+    assert sizes == [truncated[:, :-1].sum() + 10]
+
+
+@pytest.mark.parametrize(("gamma", "lmbda"), [(0.9, 1.0), (0.99, 0.95), (0.9, 0.0)])
+def test_advantages_equal_the_sum_over_time(rollout, gamma, lmbda):
+    operators, batch = rollout
+    following = next_values(rollout)
+    batch = make_advantages(gamma, lmbda)(bootstrap(batch.clone(), operators.get_value_operator()))
+    flags = [batch["next", key].squeeze(-1) for key in ("terminated", "truncated")]
+    assert all(flag[:, :-1].any() for flag in flags)
+    for agent in range(10):
+        advantage = 0.0
+        for time in reversed(range(15)):
+            terminated, truncated = (flag[agent, time].item() for flag in flags)
+            value = batch["state_value"][agent, time].item()
+            # An episode that ended has no future; one that was cut off has, but its advantages end here too.
+            future = 0.0 if terminated else gamma * following[agent, time].item()
+            error = batch["next", "reward"][agent, time].item() + future - value
+            advantage = error + (0.0 if terminated or truncated else gamma * lmbda * advantage)
+            assert batch["advantage"][agent, time].item() == pytest.approx(advantage, abs=1e-4)
+            assert batch["value_target"][agent, time].item() == pytest.approx(advantage + value, abs=1e-4)
+
+
+def by_formula(weight, gradient_steps, lr, alpha=0.99, eps=0.1):
+    """TensorFlow's update, written out."""
+    square = 1.0
+    for gradient in gradient_steps:
+        square = alpha * square + (1 - alpha) * gradient**2
+        weight = weight - lr * gradient / (square + eps) ** 0.5
+    return weight
+
+
+@pytest.mark.parametrize("steps", [1, 2, 30])
+def test_rmsprop_is_tensorflows(steps):
+    torch.manual_seed(0)
+    weights, gradient_steps = torch.randn(3, dtype=torch.float64), torch.randn(steps, 3, dtype=torch.float64) * 5
+    parameter = torch.nn.Parameter(weights.clone())
+    optimiser = TFRMSprop([parameter], lr=0.1)
+    for gradient in gradient_steps:
+        parameter.grad = gradient.clone()
+        optimiser.step()
+    torch.testing.assert_close(parameter.data, by_formula(weights, gradient_steps, 0.1))
+
+
+def test_rmsprop_takes_each_groups_own_options_and_a_changed_rate():
+    parameters = [torch.nn.Parameter(torch.ones(1, dtype=torch.float64)) for _ in range(2)]
+    optimiser = TFRMSprop([{"params": parameters[:1]}, {"params": parameters[1:], "alpha": 0.5, "eps": 2.0}], lr=1.0)
+    optimiser.param_groups[0]["lr"] = 0.25
+    for parameter in parameters:
+        parameter.grad = torch.full((1,), 3.0, dtype=torch.float64)
+    optimiser.step()
+    assert parameters[0].item() == pytest.approx(by_formula(1, [3], 0.25))
+    assert parameters[1].item() == pytest.approx(by_formula(1, [3], 1.0, 0.5, 2.0))
+
+
+def test_rmsprop_leaves_what_has_no_gradient_and_starts_its_mean_square_late():
+    first, late = (torch.nn.Parameter(torch.ones(1, dtype=torch.float64)) for _ in range(2))
+    optimiser = TFRMSprop([{"params": [first]}, {"params": [late]}], lr=0.1)
+    first.grad = torch.ones(1, dtype=torch.float64)
+    optimiser.step()
+    assert late.item() == 1
+    first.grad, late.grad = None, torch.full((1,), 2.0, dtype=torch.float64)
+    optimiser.step()
+    assert first.item() == pytest.approx(by_formula(1, [1], 0.1))
+    assert late.item() == pytest.approx(by_formula(1, [2], 0.1))
+
+
+def test_rmsprop_goes_on_from_a_state_dict():
+    parameter = torch.nn.Parameter(torch.ones(2, dtype=torch.float64))
+    optimiser = TFRMSprop([parameter], lr=0.1)
+    for gradient in (1.0, -4.0):
+        parameter.grad = torch.full((2,), gradient, dtype=torch.float64)
+        optimiser.step()
+        state = optimiser.state_dict()
+        optimiser = TFRMSprop([parameter])
+        optimiser.load_state_dict(state)
+    assert parameter.tolist() == pytest.approx([by_formula(1, [1, -4], 0.1)] * 2)
+
+
+def test_rmsprop_evaluates_a_closure_with_gradients():
+    parameter = torch.nn.Parameter(torch.ones(1, dtype=torch.float64))
+    optimiser = TFRMSprop([parameter], lr=0.1)
+
+    def closure():
+        loss = parameter.square().sum()
+        loss.backward()
+        return loss.item()
+
+    assert optimiser.step(closure) == 1
+    assert parameter.item() == pytest.approx(by_formula(1, [2], 0.1))
+
+
+def test_each_variable_is_clipped_by_its_own_norm():
+    parameters = [torch.nn.Parameter(torch.zeros(2)) for _ in range(4)]
+    for parameter, gradient in zip(parameters, ([30.0, 40.0], [3.0, 4.0], [0.0, 0.0]), strict=False):
+        parameter.grad = torch.tensor(gradient)
+    clip_each(parameters, 10)
+    assert parameters[0].grad.tolist() == pytest.approx([6, 8])
+    assert parameters[1].grad.tolist() == [3, 4]
+    assert parameters[2].grad.tolist() == [0, 0]
+    assert parameters[3].grad is None

@@ -1,0 +1,194 @@
+"""recipes/scenes.py as a user runs it."""
+
+import shlex
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from closet import closet
+from commands import ROOT, run_recipe
+from hydra import compose, initialize_config_dir
+from PIL import Image
+from rooms import grid_scene, published_dump
+from scenes import COMMANDS
+from simulator import Simulator
+
+from dirl.backbones import ResNet50
+from dirl.config.command_line import SCHEMAS, check_overrides, choose_command, register
+from dirl.config.schemas import ConfigError, Match, typed
+from dirl.rooms.checks import far_apart
+from dirl.scenes import read_dump, write_dump
+from dirl.scenes.diagnostics import inspect_scene
+from dirl.scenes.views import encode
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Relative names are in the test's own folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def room(here):
+    """A dump with views."""
+    rng = np.random.default_rng(0)
+    views = [encode(rng.integers(0, 256, (30, 40, 3), np.uint8)) for _ in range(24)]
+    write_dump(here / "room.h5", grid_scene(goals=(0, 13)), views)
+
+
+def run(line):
+    """What the recipe does with a command line, without a process of its own."""
+    register()
+    command, arguments = choose_command(
+        {name: meaning for name, (meaning, _) in COMMANDS.items()}, shlex.split(line), ""
+    )
+    check_overrides(SCHEMAS[command], arguments)
+    with initialize_config_dir(str(ROOT / "conf" / "scenes"), version_base="1.3"):
+        options = typed(compose(command, arguments))
+    COMMANDS[command][1](options)
+
+
+def test_help_lists_the_commands_and_each_has_its_own(tmp_path):
+    _, printed, _ = run_recipe(tmp_path, "scenes", "--help")
+    assert all(f"  {command:<8} " in printed for command in COMMANDS)
+    status, printed, _ = run_recipe(tmp_path, "scenes", "photos", "--help")
+    assert status == 0
+    assert "python recipes/scenes.py photos folder=my_office" in printed
+    assert all(f"{name}:" in printed for name in SCHEMAS["photos"].__dataclass_fields__)
+
+
+def test_the_program_ends_with_one_line_or_with_the_work_done(room, here):
+    status, _, errors = run_recipe(here, "scenes", "inpect")
+    assert (status, errors) == (1, "error: there is no command 'inpect'; did you mean inspect?\n")
+    status, _, errors = run_recipe(here, "scenes", "encode", "scene=room.h5", "out=room.h5", "encoder=x")
+    assert (status, errors) == (1, "error: out=room.h5: there is such a file already; it is not overwritten\n")
+    status, printed, errors = run_recipe(here, "scenes", "export", "scene=room.h5", "out=out.h5")
+    assert (status, printed.split(":")[0]) == (0, "out.h5"), errors
+    assert sorted(path.name for path in here.iterdir()) == ["out.h5", "room.h5"]
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("inpect", "did you mean inspect?"), ("phtos", "did you mean photos?"), ("xyz", "choose from thor, photos")],
+)
+def test_a_mistyped_command_is_told_its_neighbour(name, says):
+    commands = dict.fromkeys(COMMANDS, "")
+    with pytest.raises(ConfigError, match=f"^there is no command '{name}'; {says.replace('?', r'[?]')}"):
+        choose_command(commands, [name, "a=b"], "")
+    assert choose_command(commands, ["inspect", "a=b"], "") == ("inspect", ["a=b"])
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("encode sceen=a.h5", "there is no option 'sceen'; did you mean scene?"),
+        ("encode scene=room.h5 out=new.h5", "name the encoder: encoder=<"),
+        ("encode scene=room.h5 out=room.h5 encoder=x", "out=room.h5: there is such a file already"),
+        ("export scene=bathrom_02 out=new.h5", "there is no scene 'bathrom_02' (did you mean 'bathroom_02'?)"),
+        ("export scene=room.h5 out=new.zip", "out=new.zip: the name must end in .h5"),
+        ("import out=new.h5", "name a scene: scene=<a dump"),
+        ("photos folder=. out=new.h5", "holds no states.csv"),
+        ("thor out=new.h5", "name a scene of AI2-THOR"),
+        ("thor scene=FloorPlan1 out=new.h5 step=0", "step=0.0: must be between 0.05 and 10"),
+    ],
+)
+def test_a_mistake_is_told_before_anything_is_written(room, here, line, says):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        run(line)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert sorted(path.name for path in here.iterdir()) == ["room.h5"]
+
+
+def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
+    folder = here / "office"
+    folder.mkdir()
+    lines = ["image,location,heading,x,z,ahead,goal"]
+    rng = np.random.default_rng(0)
+    for location, x in (("hall", 0), ("door", 1)):
+        for turn in range(8):
+            name = f"{location}{turn}.jpg"
+            Image.fromarray(rng.integers(0, 256, (90, 160, 3), np.uint8)).save(folder / name)
+            ahead = {("hall", 2): "door", ("door", 6): "hall"}.get((location, turn), "")
+            lines.append(f"{name},{location},{45 * turn},{x},0,{ahead},{'yes' if name == 'door2.jpg' else ''}")
+    (folder / "states.csv").write_text("\n".join(lines))
+    run("photos folder=office out=office.h5 height=60 width=80")
+    assert "office.h5: 16 states (source: photos)" in capsys.readouterr().out
+    torch.save(ResNet50().state_dict(), here / "weights.pth")
+    run("encode scene=office.h5 encoder=weights.pth out=encoded.h5")
+    assert "extractor: ResNet-50, global average pool; RGB resized to 224x224" in capsys.readouterr().out
+    scene = read_dump("encoded.h5")
+    assert (scene.name, scene.goals, scene.features.shape) == ("office", (10,), (16, 2048))
+    assert scene.views[0].shape == (60, 80, 3)
+    run("photos folder=office out=at_once.h5 height=60 width=80 encoder=weights.pth")
+    assert read_dump("at_once.h5").extractor == scene.extractor
+    np.testing.assert_allclose(read_dump("at_once.h5").features, scene.features, rtol=1e-4, atol=1e-6)
+    run("inspect scene=encoded.h5 out=pictures")
+    assert "| turn | 45 degrees |" in capsys.readouterr().out
+    names = {"map.png", "contact_sheet.jpg", "distances.png", "false_stops.png"}
+    assert {path.name for path in (here / "pictures").iterdir()} == names
+
+
+def test_live_thor_becomes_a_dump(here, monkeypatch, capsys):
+    simulator = Simulator([(0, 0), (1, 0), (1, 1)], nowhere=[(1, 1)], shape=(60, 80))
+    monkeypatch.setattr(sys.modules["scenes"], "start_simulator", lambda scene, **asked: simulator)
+    run("thor scene=FloorPlan401 out=dumps/401.h5 height=60 width=80")
+    printed = capsys.readouterr().out
+    assert "left out: 0.50_0.50: Collided with: Sink_3." in printed
+    assert "dumps/401.h5: 8 states (source: thor)" in printed
+    scene = read_dump("dumps/401.h5")
+    assert (scene.name, scene.source, scene.features) == ("FloorPlan401", "thor", None)
+    assert scene.views[3].shape == (60, 80, 3)
+
+
+def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch):
+    pytest.importorskip("embreex")
+    torch.save(ResNet50().state_dict(), here / "weights.pth")
+
+    def room(kind, seed):
+        return replace(closet(), name=f"{kind}_{seed}")
+
+    monkeypatch.setattr(sys.modules["scenes"], "sample_room", room)
+    run("sample kind=bedroom seed=3 count=2 out=many height=24 width=32 fine=false workers=1 encoder=weights.pth")
+    table = capsys.readouterr().out.splitlines()
+    assert len(table) == 6
+    scene = read_dump("many/bedroom_4.h5")
+    apart = far_apart(scene.positions, scene.headings)
+    alike = {match: inspect_scene(scene, match=match).ambiguous for match in Match}
+    far = [sum(apart[a, b] for a, b, *_ in alike[match]) for match in (Match.front, Match.views)]
+    assert 0 < far[1] < len(alike[Match.views])  # weights at random tell little apart
+    assert table[3].startswith(f"| bedroom_4 | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | {far[0]} | {far[1]} | states ")
+    assert table[-1] == "2 rooms: many"
+    names = ["bedroom_3.h5", "bedroom_3.toml", "bedroom_4.h5", "bedroom_4.toml", "rooms.png"]
+    assert sorted(path.name for path in (here / "many").iterdir()) == names
+
+
+def test_a_dump_goes_out_and_comes_back_as_it_was(room, capsys):
+    run("export scene=room.h5 out=icra/out.h5")
+    run("import scene=icra/out.h5 out=back.h5 source=thor goals=[3,4] name=hall")
+    assert "back.h5: 24 states (source: thor)" in capsys.readouterr().out
+    before, between, after = (read_dump(name) for name in ("room.h5", "icra/out.h5", "back.h5"))
+    for part in ("graph", "positions", "headings", "distances", "features"):
+        assert (getattr(after, part) == getattr(before, part)).all(), part
+    assert (after.name, after.goals) == ("hall", (3, 4))
+    for state in range(24):
+        assert (after.views[state] == between.views[state]).all()
+
+
+def test_a_published_dump_is_imported(here):
+    published_dump(here / "bathroom_01.h5", grid_scene())
+    run("import scene=bathroom_01.h5 out=new.h5 source=thor")
+    scene = read_dump("new.h5")
+    assert (scene.source, scene.name) == ("thor", "bathroom_01")
+    assert (scene.graph == grid_scene().graph).all()
+
+
+def test_inspect_prints_what_it_finds(room, capsys):
+    run("inspect scene=room.h5 threshold=0.2 match=front")
+    printed = capsys.readouterr().out
+    for words in ("| states | 24 |", "ambiguous pairs (match=front above 0.2)", "| 0.90 | 0.0000% | 0.0000% |"):
+        assert words in printed
+    assert "problems:\n- states " in printed

@@ -1,0 +1,287 @@
+"""The viewer's pages: what they hold, and in headless Chromium what they do."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from commands import run_recipe, train_config
+from rooms import grid_scene
+from train import imitate
+
+from dirl.evaluation import every_start
+from dirl.reporting import viewer_pages
+from dirl.runs.folder import Run
+from dirl.scenes import write_dump
+from dirl.scenes.matching import TemplateStop
+from dirl.scenes.views import encode
+from dirl.training.build import build_parts, run_trajectories
+
+CHROMIUM = Path("/usr/bin/chromium")
+LIMIT = 30
+
+
+def room_parts(folder, *options):
+    """A small room with views, and an untrained network."""
+    scene = grid_scene(4, 3, goals=(0, 13), blocked=[(1, 1)])
+    file = folder / "room.h5"
+    write_dump(file, scene, [encode(np.full((6, 8, 3), 5 * state, np.uint8)) for state in range(len(scene))])
+    limits = [f"evaluation.max_steps={LIMIT}", "network.width=64", "seed=1"]
+    return build_parts(train_config(f"scene={file}", *limits, *options))
+
+
+def clone(parts, folder):
+    """Train the network by imitation, so that it arrives."""
+    run = Run(folder, parts.config)
+    run.begin(parts.world)
+    torch.manual_seed(0)
+    imitate(parts, run, parts.demos)
+    return parts
+
+
+def pages_of(parts):
+    return viewer_pages(
+        parts.network,
+        parts.world,
+        parts.sight,
+        matching=TemplateStop(parts.config.stop.threshold, parts.config.stop.match),
+        stop=parts.stop,
+        max_steps=parts.config.evaluation.max_steps,
+        title="a test",
+    )
+
+
+def data_in(page):
+    return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
+
+
+def floats(text):
+    return torch.from_numpy(np.frombuffer(base64.b64decode(text), "<f4").copy())
+
+
+def test_a_page_holds_the_networks_exact_answers_and_the_matching(tmp_path):
+    parts = room_parts(tmp_path)
+    (page,) = pages_of(parts).values()
+    data = data_in(page)
+    states = torch.arange(len(parts.world))
+    views, scene = parts.sight.begin(states), torch.zeros_like(states)
+    scores = TemplateStop(0.9, "views").scores(parts.world)
+    for index, (goal, state) in enumerate(zip(data["goals"], (0, 13), strict=True)):
+        goal_views = parts.sight.begin(torch.full_like(states, state))
+        logits, values = parts.network(views, goal_views, scene)
+        assert goal["state"] == state
+        torch.testing.assert_close(floats(goal["logits"]).view(-1, 4), logits.detach(), atol=1e-5, rtol=0)
+        torch.testing.assert_close(floats(goal["values"]), values.detach().squeeze(-1), atol=1e-5, rtol=0)
+        assert torch.equal(floats(goal["scores"]), scores[index])
+        assert goal["stops"] == [state]
+        assert goal["distances"] == parts.world.distances[index].tolist()
+
+
+def test_a_page_holds_the_stored_views_and_the_room(tmp_path):
+    parts = room_parts(tmp_path)
+    (page,) = pages_of(parts).values()
+    data, (scene,) = data_in(page), parts.world.scenes
+    assert base64.b64decode(data["views"][7]) == scene.views.encoded(7)
+    assert data["graph"] == scene.graph.tolist()
+    assert data["surrounding"] == scene.surrounding.tolist()
+    assert data["directions"][:4] == [[0, 1], [1, 0], [0, -1], [-1, 0]]
+
+
+def test_raw_views_are_encoded_and_a_room_without_views_has_none(dump):
+    options = ["network.width=32", "goals=[0]"]
+    (page,) = pages_of(build_parts(train_config(f"scene={dump}", *options))).values()
+    assert base64.b64decode(data_in(page)["views"][0])[8:12] == b"WEBP"
+    write_dump(dump, grid_scene())
+    (page,) = pages_of(build_parts(train_config(f"scene={dump}", *options))).values()
+    assert data_in(page)["views"] is None
+
+
+def test_several_scenes_get_a_page_each_which_name_each_other():
+    parts = build_parts(train_config("scene=[bathroom_02,bedroom_04]", "network.width=16"))
+    pages = pages_of(parts)
+    assert list(pages) == ["viewer_bathroom_02.html", "viewer_bedroom_04.html"]
+    second = data_in(pages["viewer_bedroom_04.html"])
+    assert [scene["file"] for scene in second["scenes"]] == list(pages)
+    assert [goal["state"] for goal in second["goals"]] == [134, 264, 320, 384, 387]
+    assert max(max(goal["distances"]) for goal in second["goals"]) == parts.world.distances[5:].max()
+    assert len(floats(second["goals"][0]["scores"])) == 408
+
+
+def test_a_scenes_name_can_neither_leave_its_script_nor_the_folder(tmp_path):
+    name = "</script><img src=x>/../é"
+    parts = room_parts(tmp_path)
+    (scene,) = parts.world.scenes
+    parts = replace(parts, world=replace(parts.world, scenes=(replace(scene, name=name),)))  # no file may hold it
+    ((file, page),) = pages_of(parts).items()
+    assert "/" not in file
+    assert "<img" not in page
+    assert data_in(page)["scene"] == name
+
+
+def test_a_page_asks_nothing_of_any_other_host(tmp_path):
+    (page,) = pages_of(room_parts(tmp_path)).values()
+    assert "default-src 'none'" in page
+    assert set(re.findall(r"https?://[^\s\"']+", page)) == {"http://www.w3.org/2000/svg"}
+    assert not re.search(r"\{\{\w+\}\}", page)
+
+
+def test_policies_of_sequential_views_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"observation=sequential.*leave out viewer=true"):
+        pages_of(room_parts(tmp_path, "observation=sequential"))
+
+
+def test_evaluate_writes_the_viewer_into_the_runs_folder_and_says_when_it_replaces_one(tmp_path):
+    parts = room_parts(tmp_path)
+    (tmp_path / "run").mkdir()
+    run = Run(tmp_path / "run", parts.config)
+    run.begin(parts.world)
+    run.finish({"frames": 0, "network": parts.network.state_dict()}, {})
+    command = ["checkpoint=run/network.pt", "viewer=true", "max_steps=9"]
+    status, printed, errors = run_recipe(tmp_path, "evaluate", *command)
+    assert status == 0, errors
+    assert "viewer: run/viewer_grid.html" in printed
+    assert "in place of" not in printed
+    data = data_in((tmp_path / "run" / "viewer_grid.html").read_text())
+    assert data["max_steps"] == 9
+    assert "DIRL, grid (source: synthetic), seed 1" in data["title"]
+    assert "in place of the one before" in run_recipe(tmp_path, "evaluate", *command)[1]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if not CHROMIUM.exists():
+        pytest.skip(f"there is no {CHROMIUM}")
+    quiet = ["disable-quic", "no-first-run", "disable-background-networking", "disable-component-update"]
+    arguments = ["--no-sandbox", "--disable-gpu", "--disable-sync", *(f"--{name}" for name in quiet)]
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=str(CHROMIUM), args=arguments)
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def open_page(browser, tmp_path):
+    """Open a room's page from its file; whatever goes wrong in it, or asks for a thing outside, fails the test."""
+    wrong = []
+
+    def opened(parts):
+        ((name, text),) = pages_of(parts).items()
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        address = (tmp_path / name).as_uri()
+        tab = browser.new_page()
+        tab.on("console", lambda message: wrong.append(message.text))
+        tab.on("pageerror", lambda error: wrong.append(str(error)))
+        tab.on("request", lambda asked: wrong.extend({asked.url} - {address} if asked.url[:5] != "data:" else ()))
+        tab.goto(address)
+        return tab
+
+    yield opened
+    assert not wrong
+
+
+def shown(tab):
+    """The step and state that the page shows."""
+    return tuple(int(tab.evaluate(f"document.body.dataset.{name}")) for name in ("step", "state"))
+
+
+def choose(tab, goal_index, start):
+    tab.select_option("#goal", index=goal_index)
+    tab.fill("#start", str(start))
+    tab.press("#start", "Enter")
+
+
+@pytest.mark.parametrize(
+    ("options", "trained", "ends"),
+    [
+        (["imitation.share=1"], True, {"Stopped"}),
+        (["stop.threshold=0.02"], False, {"Stopped", "False", "Failed:"}),
+        (["stop.evaluation=goal"], False, {"Stopped", "Failed:"}),
+    ],
+    ids=["trained", "false stops", "stopped by the environment"],
+)
+def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page, options, trained, ends):
+    parts = room_parts(tmp_path, *options)
+    if trained:
+        clone(parts, tmp_path)
+    goal_index, start = every_start(parts.world)
+    episodes, paths = run_trajectories(parts, (goal_index, start))
+    tab = open_page(parts)
+    found = tab.evaluate(
+        """cases => cases.map(([goal, start]) => {
+            for (const [id, value] of [["goal", goal], ["start", start]]) {
+                document.getElementById(id).value = value;
+                document.getElementById(id).dispatchEvent(new Event("change"));
+            }
+            document.getElementById("end").click();
+            const { step, state } = document.body.dataset;
+            return [Number(step), Number(state), document.getElementById("outcome").textContent.split(" ")[0]];
+        })""",
+        torch.stack([goal_index, start], 1).tolist(),
+    )
+    expected = [
+        [len(path) - 1, path[-1], "Stopped" if success else "False" if false_stop else "Failed:"]
+        for path, success, false_stop in zip(paths, episodes.success, episodes.false_stop, strict=True)
+    ]
+    assert {end for _, _, end in expected} == ends
+    assert found == expected
+
+
+def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
+    parts = clone(room_parts(tmp_path, "imitation.share=1"), tmp_path)
+    episodes, ((*path,),) = run_trajectories(parts, (torch.tensor([1]), torch.tensor([8])))
+    tab = open_page(parts)
+    choose(tab, 1, 8)
+    assert tab.locator("#actions .chosen").count() == 1
+    seen = [shown(tab)]
+    while tab.locator("#step").is_enabled():
+        tab.press("body", "n")
+        seen.append(shown(tab))
+    assert seen == list(enumerate(path))
+    assert f"Stopped at the goal after {int(episodes.steps)} steps" in tab.inner_text("#outcome")
+    assert tab.inner_text("#verdict") == "stop"
+    assert tab.inner_text("#score") == "1.000"
+    tab.press("body", "b")
+    assert shown(tab) == seen[-2]
+    tab.press("body", "r")
+    assert shown(tab) == (0, 8)
+    tab.select_option("#speed", "10")
+    tab.press("body", " ")
+    assert tab.inner_text("#play") == "Pause"
+    tab.locator("#play:text-is('Play')").wait_for()
+    assert shown(tab) == seen[-1]
+
+
+@pytest.mark.parametrize("keys", [["ArrowUp", "ArrowRight", "ArrowLeft", "ArrowDown"], list("wdas")])
+def test_keys_walk_the_room_and_the_views_follow(tmp_path, open_page, keys):
+    parts = room_parts(tmp_path)
+    scene, data = parts.world.scenes[0], data_in(*pages_of(parts).values())
+    tab = open_page(parts)
+    choose(tab, 0, 20)
+    state = 20
+    for step, action in enumerate([1, 3, 0, 0, 2, 2, 0, 1, 3, 3, 3, 0], start=1):
+        tab.press("body", keys[action])
+        blocked = scene.graph[state, action] < 0
+        state = state if blocked else int(scene.graph[state, action])
+        assert shown(tab) == (step, state)
+        assert ("blocked" in tab.inner_text("#outcome")) == bool(blocked)
+        sources = [image.get_attribute("src") for image in tab.locator("#views img").all()]
+        expected = [data["views"][scene.surrounding[state, column]] for column in (3, 0, 1, 2)]
+        assert sources == [f"data:image/webp;base64,{view}" for view in expected]
+    assert "12 by hand" in tab.inner_text("#outcome")
+
+
+def test_the_bars_show_the_policys_probabilities(tmp_path, open_page):
+    parts = room_parts(tmp_path)
+    tab = open_page(parts)
+    choose(tab, 1, 8)
+    views, goal_views = (parts.sight.begin(torch.tensor([state])) for state in (8, 13))
+    logits, value = parts.network(views, goal_views, torch.tensor([0]))
+    bars = tab.locator("#actions .number").all_inner_texts()
+    assert [float(text.rstrip("%")) for text in bars] == pytest.approx((100 * logits.softmax(-1))[0].tolist(), abs=0.06)
+    assert float(tab.inner_text("#value").split()[-1]) == pytest.approx(value.item(), abs=0.001)
+    assert tab.evaluate("[...document.images].every((image) => image.complete && image.naturalWidth === 8)")

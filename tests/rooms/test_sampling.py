@@ -1,0 +1,80 @@
+"""Random rooms: fixed by kind and seed, all different, all usable."""
+
+import numpy as np
+import pytest
+
+from dirl.rooms import check_room
+from dirl.rooms.build import scene_of
+from dirl.rooms.description import Piece, description_text, parse_description
+from dirl.rooms.navigation import walk
+from dirl.rooms.sampling import KINDS, sample_room
+from dirl.rooms.sampling.draft import Draft
+from dirl.rooms.sampling.styles import Style
+from dirl.scenes import SceneError
+
+
+@pytest.fixture
+def draft():
+    rng = np.random.default_rng(0)
+    return Draft((4.0, 4.0, 2.5), Style(rng, wet=False), rng)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", [0, 123456])
+def test_a_random_room_can_be_walked_in_and_written_down(kind, seed):
+    room = sample_room(kind, seed, look=False)
+    assert room.name == f"{kind}_{seed}"
+    assert check_room(room) == []
+    assert parse_description(description_text(room)) == room
+    scene = scene_of(room, walk(room))
+    assert len(scene) >= 4 * KINDS[kind].places
+    assert len(scene.goals) == 5
+    assert (scene.distances >= 0).all()
+
+
+def test_a_seed_fixes_the_room_and_another_gives_another():
+    rooms = [sample_room("bedroom", seed, look=False) for seed in (5, 5, 6, 7)]
+    assert rooms[0] == rooms[1]
+    kinds = [sorted(piece.kind for piece in room.furniture) for room in rooms[1:]]
+    assert kinds[0] != kinds[1] != kinds[2]
+    assert len({room.size for room in rooms}) == 3
+
+
+def test_what_belongs_in_a_room_is_in_it():
+    holds = {kind: {piece.kind for piece in sample_room(kind, 1, look=False).furniture} for kind in KINDS}
+    assert {"toilet", "vanity", "door"} <= holds["bathroom"]
+    assert {"bed", "door"} <= holds["bedroom"]
+    assert {"counter", "door"} <= holds["kitchen"]
+    assert {"sofa", "tv", "door"} <= holds["living_room"]
+
+
+def test_an_unknown_kind_and_a_negative_seed_are_refused():
+    with pytest.raises(SceneError, match="kind: there is no 'bathrom'; did you mean 'bathroom'"):
+        sample_room("bathrom", 0)
+    with pytest.raises(SceneError, match="seed=-1: must not be negative"):
+        sample_room("bathroom", -1)
+
+
+def test_giving_up_says_why(monkeypatch):
+    monkeypatch.setattr("dirl.rooms.sampling.sample.check_room", lambda room: ["it is ugly"])
+    with pytest.raises(SceneError, match="none of 2 rooms passed the checks; the last: it is ugly"):
+        sample_room("bathroom", 0, attempts=2)
+
+
+def test_nothing_is_put_where_something_stands_or_before_the_door(draft):
+    wall = draft.door()
+    (door,) = draft.placed
+    blocked = Piece("cabinet", (0.8, 0.5, 1.0), wall=wall, along=door.piece.along)
+    assert not draft.put(blocked)
+    assert draft.put(Piece("table", (1.0, 1.0, 0.7), at=(2.0, 2.0)))
+    assert not draft.put(Piece("stool", (0.4, 0.4, 0.4), at=(2.2, 2.2)))
+    assert not draft.put(Piece("stool", (0.4, 0.4, 0.4), at=(3.95, 2.0)))
+    assert draft.put(Piece("bowl", (0.3, 0.3, 0.1), at=(2.0, 2.0), options={"z": 0.7}))
+    assert draft.put(Piece("rug", (2.0, 2.0, 0.01), at=(2.0, 2.0)))
+    assert len(draft.placed) == 4
+
+
+def test_no_wall_stays_bare(draft):
+    draft.dress_walls(towels=False)
+    for wall in ("north", "east", "south", "west"):
+        assert all(end - start < 1.0 for start, end in draft._bare(wall))

@@ -1,0 +1,112 @@
+"""Export to the published layout, and import of it: nothing is lost."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rooms import grid_scene
+
+from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
+from dirl.scenes.io.icra17 import export_icra17
+from dirl.scenes.views import encode
+
+PARTS = ("graph", "positions", "headings", "distances", "features")
+
+
+def with_views(folder, scene, height=300, width=400):
+    views = [encode(np.full((height, width, 3), 3 * state, np.uint8)) for state in range(len(scene))]
+    write_dump(folder / "views.h5", scene, views)
+    return read_dump(folder / "views.h5")
+
+
+def test_the_layout_is_the_published_one(tmp_path, scene):
+    export_icra17(with_views(tmp_path, scene), tmp_path / "out.h5")
+    with h5py.File(tmp_path / "out.h5") as file:
+        layout = {name: (dataset.shape, dataset.dtype.str) for name, dataset in file.items()}
+        assert layout == {
+            "graph": ((24, 4), "<i8"),
+            "location": ((24, 2), "<f8"),
+            "observation": ((24, 300, 400, 3), "|u1"),
+            "resnet_feature": ((24, 10, 16), "<f4"),
+            "rotation": ((24,), "<i8"),
+            "shortest_path_distance": ((24, 24), "<i8"),
+        }
+        assert all(dataset.chunks is None for dataset in file.values())
+        assert set(np.unique(file["rotation"])) == {0, 90, 180, 270}
+        assert (file["graph"][:] == scene.graph).all()
+        assert file["graph"][:].min() == -1
+        assert (file["resnet_feature"][:] == scene.features[:, None]).all()  # each crop, as public code may draw one
+
+
+def walk_as_public_code_does(path, start, actions):
+    """The published environment, in short: it reads the file afresh and knows nothing of attributes."""
+    with h5py.File(path) as file:
+        state, seen = start, []
+        for action in actions:
+            after = file["graph"][state][action]
+            state = state if after == -1 else after
+            seen.append((int(state), file["resnet_feature"][state][0]))
+        return seen, file["shortest_path_distance"][state][0]
+
+
+def test_code_of_the_published_line_walks_in_an_exported_room(tmp_path):
+    (room,) = load_scenes("bathroom_02")
+    export_icra17(room, tmp_path / "bathroom_02.h5")
+    actions = [0, 1, 0, 0, 3, 2, 2, 0, 1, 0]
+    seen, distance = walk_as_public_code_does(tmp_path / "bathroom_02.h5", 5, actions)
+    state = 5
+    for action, (reached, feature) in zip(actions, seen, strict=True):
+        state = room.graph[state, action] if room.graph[state, action] >= 0 else state
+        assert reached == state
+        assert (feature == room.features[state].astype(np.float32)).all()
+    assert distance == room.distances[state, 0]
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4"])
+@pytest.mark.parametrize("headings", [4, 12])
+def test_an_export_is_read_back_equal(tmp_path, dtype, headings):
+    room = grid_scene(3, 2, goals=(3, 1), headings=headings, blocked=[(1, 0)], name="hall", extractor="net; 1; 2")
+    room = with_views(tmp_path, replace(room, features=room.features.astype(dtype), source="photos"))
+    export_icra17(room, tmp_path / "out.h5")
+    read = read_dump(tmp_path / "out.h5")
+    for part in PARTS:
+        assert (getattr(read, part) == getattr(room, part)).all(), part
+    assert (read.name, read.goals, read.source, read.extractor) == ("hall", (3, 1), "photos", "net; 1; 2")
+    for state in range(len(room)):
+        assert (read.views[state] == room.views[state]).all()
+
+
+@settings(max_examples=15)
+@given(width=st.integers(1, 3), depth=st.integers(1, 2), seed=st.integers(0, 99), headings=st.sampled_from([4, 8]))
+def test_any_room_survives_export_and_import(tmp_path_factory, width, depth, seed, headings):
+    folder = tmp_path_factory.mktemp("any")
+    room = with_views(folder, grid_scene(width, depth, seed=seed, headings=headings, goals=()), 3, 4)
+    export_icra17(room, folder / "out.h5")
+    read = read_dump(folder / "out.h5")
+    write_dump(folder / "in.h5", read)
+    again = read_dump(folder / "in.h5")
+    for part in PARTS:
+        assert (getattr(read, part) == getattr(room, part)).all(), part
+        assert (getattr(again, part) == getattr(room, part)).all(), part
+
+
+def test_views_of_another_shape_are_scaled(tmp_path, scene):
+    export_icra17(with_views(tmp_path, scene, 60, 80), tmp_path / "out.h5")
+    assert read_dump(tmp_path / "out.h5").views[7].shape == (300, 400, 3)
+
+
+def test_what_the_layout_cannot_hold_is_refused(tmp_path, scene):
+    whole = with_views(tmp_path, scene)
+    odd = grid_scene(headings=16)
+    cases = [
+        (replace(whole, views=None), "has no views"),
+        (replace(whole, features=None), "has no features .*; encode its views first"),
+        (replace(odd, views=replace(whole.views, states=len(odd))), "rotation: state 1 is headed 22.5 degrees"),
+    ]
+    for room, says in cases:
+        with pytest.raises(SceneError, match=says):
+            export_icra17(room, tmp_path / "out.h5")
+        assert not (tmp_path / "out.h5").exists()

@@ -1,0 +1,156 @@
+import pytest
+import torch
+from rooms import grid_scene
+from tensordict.nn import TensorDictModule
+from torch.distributions import Categorical
+from torch.utils._python_dispatch import TorchDispatchMode
+from torchrl.envs import Compose, StepCounter, TransformedEnv
+from torchrl.modules import ProbabilisticActor
+
+from dirl.envs import OBSERVATIONS, NavigationEnv
+from dirl.models import actor_critic, heads, make_network, siamese
+from dirl.scenes import make_world
+from dirl.training.rollout import INTERMEDIATE, collect
+
+AGENTS, STEPS = 12, 20
+
+
+@pytest.fixture
+def world():
+    return make_world([grid_scene(3, 2, name="a", goals=(0, 13)), grid_scene(2, 2, name="b", goals=(9,))])
+
+
+def make_env(world, views="surrounding", agents=AGENTS):
+    transforms = Compose(StepCounter(7), OBSERVATIONS[views](world))
+    return TransformedEnv(NavigationEnv(world, agents, seed=3), transforms)
+
+
+@pytest.fixture
+def policy(world):
+    return actor_critic(make_network(world.features, world.names, width=8))
+
+
+def always(*probabilities):
+    """An actor with the same probabilities everywhere."""
+    logits = torch.tensor(probabilities).log()
+    module = TensorDictModule(lambda state: logits.expand(len(state), 4), ["state"], ["logits"])
+    return ProbabilisticActor(module, in_keys=["logits"], distribution_class=Categorical)
+
+
+def test_every_agent_takes_the_steps(world, policy):
+    env = make_env(world)
+    batch, agents = collect(env, policy, env.reset(), STEPS)
+    assert batch.batch_size == (AGENTS, STEPS)
+    assert batch.names == [None, "time"]
+    assert agents.batch_size == (AGENTS,)
+    assert torch.equal(batch["next", "state"], world.graph[batch["state"], batch["action"]])
+
+
+def test_a_step_holds_what_the_losses_need_and_no_intermediate_result(world, policy):
+    env = make_env(world)
+    batch, _ = collect(env, policy, env.reset(), 3)
+    assert {"views", "goal_views", "scene", "action", "action_log_prob", "state_value"} <= set(batch.keys())
+    assert {"views", "goal_views", "scene", "reward", "done", "terminated", "truncated"} <= set(batch["next"].keys())
+    for part in (batch, batch["next"]):
+        assert not set(INTERMEDIATE) & set(part.keys())
+    assert not batch["action_log_prob"].requires_grad
+    assert not batch["state_value"].requires_grad
+
+
+@pytest.mark.parametrize("views", OBSERVATIONS)
+def test_agents_walk_on_unless_done(world, policy, views):
+    env = make_env(world, views)
+    batch, agents = collect(env, policy, env.reset(), STEPS)
+    going = ~batch["next", "done"].squeeze(-1)
+    assert not going.all()
+    for key in ("state", "goal", "scene", "views", "goal_views", "step_count"):
+        following = torch.cat([batch[key][:, 1:], agents[key].unsqueeze(1)], 1)
+        assert torch.equal(following[going], batch["next", key][going]), key
+
+
+def test_agents_that_are_done_start_anew(world, policy):
+    env = make_env(world)
+    batch, agents = collect(env, policy, env.reset(), STEPS)
+    done = batch["next", "done"].squeeze(-1)
+    assert batch["next", "terminated"].any()
+    assert batch["next", "truncated"].any()
+    begun = batch[:, 1:][done[:, :-1]]
+    assert (begun["step_count"] == 0).all()
+    assert (begun["state"] != begun["goal"]).all()
+    assert not torch.equal(begun["goal"], batch["next"][:, :-1][done[:, :-1]]["goal"])
+    assert not batch["done"].any()
+    assert not agents["done"].any()
+
+
+@pytest.mark.parametrize("views", OBSERVATIONS)
+def test_two_short_calls_are_one_long_call(world, policy, views):
+    def in_calls_of(*lengths):
+        env = make_env(world, views)
+        torch.manual_seed(0)
+        agents, batches = env.reset(), []
+        for steps in lengths:
+            batch, agents = collect(env, policy, agents, steps)
+            batches.append(batch)
+        return torch.cat(batches, 1), agents
+
+    whole, parts = in_calls_of(15), in_calls_of(4, 1, 10)
+    assert (whole[0] == parts[0]).all()
+    assert (whole[1] == parts[1]).all()
+
+
+def test_actions_are_sampled(world):
+    env = make_env(world, agents=500)
+    torch.manual_seed(0)
+    batch, _ = collect(env, always(0.1, 0.2, 0.4, 0.3), env.reset(), 20)
+    share = batch["action"].flatten().bincount() / 10_000
+    assert share.tolist() == pytest.approx([0.1, 0.2, 0.4, 0.3], abs=0.02)
+
+
+class Questions(TorchDispatchMode):
+    """Notes every operation whose answer Python, or a size, waits for."""
+
+    def __init__(self):
+        super().__init__()
+        self.asked = []
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        name = function.overloadpacket.__name__
+        indices = args[1] if name in ("index", "index_put_", "_index_put_impl_") else []
+        masks = any(index is not None and index.dtype == torch.bool for index in indices)
+        if masks or name in ("_local_scalar_dense", "nonzero", "masked_select", "_unique2", "equal", "bincount"):
+            self.asked.append(name)
+        return function(*args, **(kwargs or {}))
+
+
+def test_a_gpu_is_asked_nothing(world, monkeypatch):
+    """It would have to finish its work before it answers; what an agent does is decided without."""
+    for module in (heads, siamese):
+        monkeypatch.setattr(module, "answers_late", lambda tensor: True)
+    env = make_env(world)
+    network = make_network(world.features, world.names, width=8)
+    network.encoder.use_principal_axes(world.surrounding)
+    policy = actor_critic(network)
+    with network.encoder.remembering():
+        _, agents = collect(env, policy, env.reset(), 1)  # sets up what is set up once
+        monkeypatch.setattr(torch.Tensor, "tolist", None, raising=False)  # of which the dispatcher does not hear
+        with Questions() as questions:
+            collect(env, policy, agents, STEPS)
+    assert questions.asked == []
+
+
+def test_what_a_gpu_computes_is_the_same(world, monkeypatch):
+    network = make_network(world.features, world.names, width=8)
+    network.encoder.use_principal_axes(world.surrounding)
+    batch, _ = collect(make_env(world), actor_critic(network), make_env(world).reset(), STEPS)
+    rows = [batch.reshape(-1)[key] for key in ("views", "goal_views", "scene")]
+
+    def outputs_and_gradients():
+        network.zero_grad()
+        logits, value = network(*rows)
+        (logits.square().sum() + value.sum()).backward()
+        return [logits.detach(), value.detach(), *(weight.grad.clone() for weight in network.parameters())]
+
+    here = outputs_and_gradients()
+    for module in (heads, siamese):
+        monkeypatch.setattr(module, "answers_late", lambda tensor: True)
+    torch.testing.assert_close(outputs_and_gradients(), here)
