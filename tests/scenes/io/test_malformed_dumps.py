@@ -7,8 +7,8 @@ import pytest
 from malformed import ABSURD, MALFORMED, PAGE, make, page
 from spoil import hollow, refused
 
-from dirl.scenes import dump as dump_module
 from dirl.scenes import read_dump
+from dirl.scenes.io import read as dump_module
 
 
 @pytest.mark.parametrize("what", MALFORMED)
