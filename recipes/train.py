@@ -3,7 +3,7 @@
     python recipes/train.py scene=bathroom_02
     python recipes/train.py scene=all seed=1 logger=wandb
     python recipes/train.py scene=kitchen_02 preset=paper system=td_drl
-    python recipes/train.py -m scene=bathroom_02 imitation.share=0,0.05,0.5 seed=0,1,2
+    python recipes/train.py -m scene=bathroom_02 imitation.fraction=0,0.05,0.5 seed=0,1,2
     python recipes/train.py -m experiment=fig8
     python recipes/train.py resume=runs/dirl_bathroom_02/2026-01-31_12-00-00
 
@@ -12,8 +12,8 @@ All options with their values: conf/train.yaml and the groups beside it.
 
 import resource
 import sys
-import time
-from contextlib import nullcontext
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -22,25 +22,46 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
-from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
-from torchrl.envs import EnvBase
+from tensordict import TensorDictBase
+from torch import nn
 from tqdm import tqdm
 
-from dirl.config.command_line import check_overrides, job_errors, one_line_errors, register
-from dirl.config.schemas import Objective, PolicyName, Precision, TrainConfig, typed
-from dirl.evaluation import mean_shortest, metrics
+from dirl.config.command_line import job_errors, one_line_errors, prepare, register
+from dirl.config.components import check_components
+from dirl.config.schemas import Precision, TrainConfig, typed
+from dirl.evaluation import EvaluationProtocol, assess, mean_shortest, metrics
 from dirl.experts import label, merge_demonstrations
-from dirl.models import actor_critic
+from dirl.models import caching, count_parameters, plain_weights, recurrent_keys
 from dirl.objectives import ImitationLoss
-from dirl.reporting import draw_learning_curve, run_title, summary_table
-from dirl.reporting.pictures import draw_scene
+from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.folder import Run, interruptible, open_run
-from dirl.training.build import Parts, assess, build_env, build_optimiser, describe, learning_parts, run_policy
-from dirl.training.hogwild import asynchronous_updates, fetch, share, waiting
-from dirl.training.losses import Update, make_gradients, set_learning_rate, summarise
+from dirl.training import hogwild
+from dirl.training.build import (
+    build_demonstrations,
+    build_env,
+    build_expert,
+    build_losses,
+    build_observation,
+    build_optimiser,
+    build_protocol,
+    build_world,
+    describe,
+    learning_policy,
+    matching,
+    trained_parameters,
+)
+from dirl.training.losses import (
+    Advantages,
+    Losses,
+    as_first_steps,
+    clip_gradients,
+    minibatches,
+    set_learning_rate,
+    total_loss,
+)
 from dirl.training.progress import EpisodeMeter
-from dirl.training.rollout import collect
+from dirl.training.rollout import Update, collect, summarise
+from dirl.training.state import Record, TrainState
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -53,180 +74,184 @@ def main(composed: DictConfig) -> None:
     folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         with job_errors(folder):
-            train(*set_up(composed, folder))
+            train(composed, folder, nullcontext())
     else:
-        with one_line_errors(folder):
-            run, parts = set_up(composed, folder)
-        train(run, parts)
+        train(composed, folder, one_line_errors(folder))
 
 
-def set_up(composed: DictConfig, folder: Path) -> tuple[Run, Parts | None]:
-    """The run and its parts, made before anything is written; no parts if it was finished before."""
-    run = open_run(typed(composed), folder, HydraConfig.get().overrides.task)
-    if run.finished:
-        return run, None
-    parts = learning_parts(run.config)
-    run.begin(parts.world)
-    return run, parts
-
-
-def train(run: Run, parts: Parts | None) -> None:
-    """Run the stages one after the other, and show what came out."""
-    if parts is None:
-        print(f"finished before: {run.folder}")
-        return
-    torch.manual_seed(run.config.seed)
-    print(f"{run_title(describe(parts))}: {run.folder}")
-    if run.config.policy != PolicyName.network:
-        measure(parts, run)
+def train(composed: DictConfig, folder: Path, errors: AbstractContextManager[Any]) -> None:
+    """Make the parts of the run, before anything is written; run its stages one after the other; show what came out."""
+    with errors:
+        config: TrainConfig = typed(composed)
+        check_components(config, config.trust)
+        run = open_run(config, folder, HydraConfig.get().overrides.task)
+        if run.finished:
+            print(f"finished before: {run.folder}")
+            return
+        config = run.config
+        world = build_world(config)
+        observation = build_observation(config, world)
+        policy = learning_policy(config, world, observation)
+        demos = build_demonstrations(config, world, observation)
+        losses = build_losses(config, policy, world, demos) if count_parameters(policy) else None
+        protocol = build_protocol(config, world, observation)
+        run.begin(world, observation.order)
+    torch.manual_seed(config.seed)
+    facts = describe(config, world, len(demos))
+    print(f"{run_title(facts)}: {run.folder}")
+    if losses is None:
+        summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
+        run.write_summary(summary)
+        print(summary_table(summary))
         return
     walked = {}
-    if run.saved is None and len(parts.demos):
-        step = imitate(parts, run, parts.demos)
-        walked = aggregate(parts, run, step)
-    conclude(parts, run, reinforce(parts, run) | walked)
+    if run.saved is None and len(demos):
+        step = imitate(config, run, policy, demos)
+        walked = aggregate(config, run, policy, protocol, demos, step)
+    trained = reinforce(config, run, policy, losses, protocol) | walked
+    conclude(config, run, policy, protocol, facts | trained)
 
 
-def measure(parts: Parts, run: Run) -> None:
-    """Evaluate a policy that learns nothing."""
-    summary = describe(parts) | {"frames": 0, "seconds": run.seconds} | assess(parts)
-    run.write_summary(summary)
-    print(summary_table(summary))
-
-
-def imitate(parts: Parts, run: Run, demos: TensorDictBase, done: int = 0) -> int:
+def imitate(config: TrainConfig, run: Run, policy: Any, demos: TensorDictBase, done: int = 0) -> int:
     """Clone the expert, by full-batch steps until its actions are learnt (paper section 3.3).
 
     Args:
-        parts: of the run.
+        config: of the run.
         run: gets a row of ``imitation.csv`` a step.
-        demos: what the expert did, ``[M]``, with views.
+        policy: whose encoder and policy head are trained.
+        demos: what the expert did, ``[M]``, with view ids.
         done: steps so far.
 
     Returns:
         Steps so far.
     """
-    options = parts.config.imitation
-    operator = actor_critic(parts.network)
-    trunk = operator.module[0]
-    loss = ImitationLoss(operator.get_policy_head())
-    optimiser = torch.optim.Adam(parts.network.parameters(), lr=options.lr)  # the value head gets no gradient
+    options = config.imitation
+    rows, trunk = as_first_steps(policy, demos), policy.trunk()
+    loss = ImitationLoss(policy.operator().get_policy_head())
+    optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)  # the value head gets no gradient
     for step in range(done + 1, done + options.max_steps + 1):
-        result = loss(trunk(demos.copy()))
+        result = loss(trunk(rows.copy()))
         optimiser.zero_grad()
         result["loss_imitation"].backward()
         optimiser.step()
         row = {"step": step, "loss": result["loss_imitation"].item(), "accuracy": result["accuracy"].item()}
         run.write("imitation", step, row)
-        if row["loss"] < options.enough:
+        if row["loss"] < options.loss_threshold:
             break
     print(f"{len(demos)} demonstrations, {step} steps of imitation: {row['accuracy']:.1%} of the actions learnt")
     return step
 
 
-def aggregate(parts: Parts, run: Run, done: int) -> dict[str, Any]:
+def aggregate(
+    config: TrainConfig, run: Run, policy: Any, protocol: EvaluationProtocol, demos: TensorDictBase, done: int
+) -> dict[str, Any]:
     """DAgger (Ross et al. 2011): the learner walks, the expert labels the states it came to, all is cloned again.
 
-    Writes a row of ``dagger.csv`` a round: frames walked so far, states and goals labelled so far, and what the clone
-    is worth. Returns what the summary says of it.
+    Writes a row of ``dagger.csv`` a round: frames walked so far, states and goals labelled so far, and the metrics of
+    the clone. Returns what the summary says of it.
     """
-    options, world = parts.config.imitation, parts.world
+    options, world = config.imitation, protocol.world
     if options.rounds == 0:
         return {}
-    env, operator = build_env(parts), actor_critic(parts.network)
-    agents, demos, frames = env.reset(), parts.demos, 0
+    env, operator = build_env(config, world, protocol.observation, policy), policy.operator()
+    expert = build_expert(config, world)
+    agents, frames = env.reset(), 0
     for number in range(1, options.rounds + 1):
-        batch, agents = collect(env, operator, agents, options.walk)
+        batch, agents = collect(env, operator, agents, options.walk_steps)
         frames += batch.numel()
-        demos = merge_demonstrations(demos, label(world, batch.reshape(-1)))
-        done = imitate(parts, run, demos, done)
+        demos = merge_demonstrations(demos, label(expert, batch.reshape(-1)))
+        done = imitate(config, run, policy, demos, done)
         row = {"round": number, "frames": frames, "labels": len(demos)}
-        run.write("dagger", number, row | metrics(run_policy(parts)))
+        run.write("dagger", number, row | metrics(protocol.run(policy)))
     return {"frames": frames, "demonstrations": len(demos)}
 
 
-def reinforce(parts: Parts, run: Run) -> dict[str, Any]:
+def reinforce(
+    config: TrainConfig, run: Run, policy: nn.Module, losses: Losses, protocol: EvaluationProtocol
+) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
-    config, world, network = parts.config, parts.world, parts.network
-    options = config.reinforcement
     if run.saved is None:
-        test(parts, run, 0)
-    if config.objective.name == Objective.none:
+        evaluate(run, policy, protocol, 0)
+    if not losses.on_rollouts:
         return {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
-    optimiser = build_optimiser(parts)
-    operator, gradients = actor_critic(network), make_gradients(parts, network)
-    rounds = config.precision == Precision.bfloat16
-    env = build_env(parts)
-    agents = env.reset()
-    meter = EpisodeMeter(mean_shortest(world))
-    total = options.frames_per_scene * len(world.scenes)
-    frames, seconds, began, shared = 0, 0.0, 0.0, None
-
-    def state() -> dict[str, Any]:
-        return {
-            "frames": frames,
-            "training_seconds": seconds,
-            "network": network.weights_on_features(),
-            "learning": network.state_dict(),
-            "optimiser": optimiser.state_dict(),
-            "agents": agents.to_dict(),
-            "meter": meter.state_dict(),
-            "random": random_state(env),
-        }
-
+    state = begin(config, policy, losses, protocol)
     if run.saved is not None:
-        frames, seconds = run.saved["frames"], run.saved["training_seconds"]
-        network.load_state_dict(run.saved["learning"])
-        optimiser.load_state_dict(run.saved["optimiser"])
-        agents = TensorDict(run.saved["agents"], batch_size=env.batch_size, device=env.device)
-        meter.load_state_dict(run.saved["meter"])
-        restore_random_state(env, run.saved["random"])
-
-    def record(update: Update) -> None:
-        """Count an update; write, test and save where it is time to."""
-        nonlocal frames, seconds, began
-        before, frames = frames, frames + update.frames
-        seconds += time.perf_counter() - began
-        meter.add(update.goal_index, update.steps, frames)
-        bar.update(update.frames)
-        bar.set_postfix_str(f"ATL {meter.atl:.1f}", refresh=False)
-        if due(before, frames, total, ROWS):
-            progress = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
-            progress |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
-            run.write("reinforcement", frames, progress | update.values)
-        tests, saves = due(before, frames, total, config.evaluation.times), run.save_due() or frames >= total
-        if tests or saves:
-            with nullcontext() if shared is None else waiting(shared, network):
-                if tests:
-                    test(parts, run, frames)
-                if saves:
-                    run.save(state())
-        began = time.perf_counter()
-
+        state.load_state_dict(run.saved)
+    total = config.reinforcement.frames_per_scene * len(protocol.world.scenes)
     often = 0.2 if sys.stderr.isatty() else 10.0
-    bar = tqdm(total=total, initial=frames, unit=" frames", unit_scale=True, mininterval=often)
-    began = time.perf_counter()
+    bar = tqdm(total=total, initial=state.frames, unit=" frames", unit_scale=True, mininterval=often)
+
+    def record(update: Update, paused: AbstractContextManager[None]) -> None:
+        after_update(run, state, update, protocol, total, paused)
+        bar.update(update.frames)
+        bar.set_postfix_str(f"ATL {state.meter.atl:.1f}", refresh=False)
+
     with interruptible() as interrupted, bar:
-        if options.workers > 1 and frames < total:
-            shared = share(network, optimiser, frames)
-            for update in asynchronous_updates(config, shared, total, interrupted):
-                record(update)
-        while frames < total and not interrupted:
-            left = 1 - frames / total
-            set_learning_rate(optimiser, config.optimiser.lr * left)
-            with network.encoder.remembering(), torch.autocast(env.device.type, torch.bfloat16, enabled=rounds):
-                batch, agents = collect(env, operator, agents, options.steps)
-                for result in gradients(batch, left):  # noqa: B007
-                    optimiser.step()
-            record(summarise(env, batch, result))
-        if interrupted and frames < total:
-            if shared is not None:
-                fetch(shared, network)
-            run.save(state())
+        state.start_clock()
+        chosen = hogwild.learn if config.reinforcement.workers > 1 else learn
+        chosen(config, state, total, record, interrupted)
+        if interrupted and state.frames < total:
+            run.save(state.state_dict())
             bar.close()
             raise SystemExit(f"interrupted; go on with: python recipes/train.py resume={run.folder}")
-    stable = {"stable_at_frame": meter.stable_at, "near_shortest_at_frame": meter.near_at}
-    return {"frames": frames, "frames_per_second": frames / seconds, **stable}
+    stable = {"stable_at_frame": state.meter.stable_at, "near_shortest_at_frame": state.meter.near_at}
+    return {"frames": state.frames, "frames_per_second": state.frames / state.seconds, **stable}
+
+
+def begin(config: TrainConfig, policy: nn.Module, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
+    """The state of the training before its first update."""
+    optimiser = build_optimiser(config, policy, losses)
+    env = build_env(config, protocol.world, protocol.observation, policy)
+    return TrainState(policy, losses, optimiser, env, env.reset(), EpisodeMeter(mean_shortest(protocol.world)))
+
+
+def learn(config: TrainConfig, state: TrainState, total: int, record: Record, interrupted: Sequence[int]) -> None:
+    """Collect, losses, backward, clip, step; until ``total`` frames or until there is anything in ``interrupted``."""
+    options, optimiser, policy = config.reinforcement, state.optimiser, state.policy
+    operator, advantages = policy.operator(), Advantages(policy, options.gamma, options.lmbda)
+    parameters, rate = trained_parameters(policy, state.losses), optimiser.defaults["lr"]
+    by_agent = bool(recurrent_keys(policy))
+    bfloat16 = config.precision == Precision.bfloat16
+    while state.frames < total and not interrupted:
+        left = 1 - state.frames / total
+        set_learning_rate(optimiser, rate * left)
+        with caching(policy), torch.autocast(state.env.device.type, torch.bfloat16, enabled=bfloat16):
+            batch, state.agents = collect(state.env, operator, state.agents, options.n_steps)
+            batch = advantages(batch)
+            for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
+                losses = state.losses(part, left)
+                optimiser.zero_grad()
+                total_loss(losses).backward()
+                clip_gradients(parameters, options.max_grad_norm, per_variable=options.clip_per_variable)
+                optimiser.step()
+        record(summarise(state.env, batch, losses), nullcontext())
+
+
+def after_update(
+    run: Run,
+    state: TrainState,
+    update: Update,
+    protocol: EvaluationProtocol,
+    total: int,
+    paused: AbstractContextManager[None],
+) -> None:
+    """Count an update; write, evaluate and save where it is time to, the latter two within ``paused``."""
+    before = state.frames
+    state.count(update)
+    frames, meter = state.frames, state.meter
+    if due(before, frames, total, ROWS):
+        row = {"frames": frames, "seconds": state.seconds, "frames_per_second": frames / state.seconds}
+        row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
+        run.write("reinforcement", frames, row | update.values)
+    evaluates = due(before, frames, total, run.config.evaluation.times)
+    saves = run.save_due() or frames >= total
+    if evaluates or saves:
+        with paused:
+            if evaluates:
+                evaluate(run, state.policy, protocol, frames)
+            if saves:
+                run.save(state.state_dict())
+    state.start_clock()
 
 
 def due(before: int, now: int, total: int, times: int) -> bool:
@@ -234,39 +259,24 @@ def due(before: int, now: int, total: int, times: int) -> bool:
     return before * times // total < now * times // total
 
 
-def test(parts: Parts, run: Run, frames: int) -> None:
+def evaluate(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:
     """Evaluate the policy as it is, greedily."""
-    result = metrics(run_policy(parts))
-    run.write("evaluation", frames, {"frames": frames, **result})
+    run.write("evaluation", frames, {"frames": frames, **metrics(protocol.run(policy))})
 
 
-def conclude(parts: Parts, run: Run, trained: dict[str, Any]) -> None:
+def conclude(config: TrainConfig, run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> None:
     """Evaluate, write the summary, show it as a table and in pictures."""
-    parts.network.encoder.use_features()
-    measures = assess(parts)
-    costs = {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()}
-    summary = describe(parts) | trained | costs | measures
-    run.finish({"frames": trained["frames"], "network": parts.network.state_dict()}, summary)
+    if hasattr(policy, "restore"):
+        policy.restore()
+    measures = assess(policy, protocol)
+    summary = summary | {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()} | measures
+    run.finish({"frames": summary["frames"], "network": plain_weights(policy)}, summary)
     print(summary_table(summary))
     draw_learning_curve(run.folder, run.folder / "learning_curve.png")
-    for index in range(len(parts.world.scenes)):
-        draw_scene(parts, index, run.folder)
+    for index in range(len(protocol.world.scenes)):
+        draw_scene(policy, protocol, index, run.folder, matching=matching(config), facts=summary)
     run.clean_up()
     print(f"pictures, metrics and weights: {run.folder}")
-
-
-def random_state(env: EnvBase) -> dict[str, Tensor]:
-    """The state of everything that draws random numbers during training."""
-    state = {"env": env.base_env.generator.get_state(), "cpu": torch.get_rng_state()}
-    return state | ({"cuda": torch.cuda.get_rng_state()} if env.device.type == "cuda" else {})
-
-
-def restore_random_state(env: EnvBase, state: dict[str, Tensor]) -> None:
-    """Undo what has been drawn since `random_state`."""
-    env.base_env.generator.set_state(state["env"])
-    torch.set_rng_state(state["cpu"])
-    if "cuda" in state:
-        torch.cuda.set_rng_state(state["cuda"])
 
 
 def peak_memory_mb() -> float:
@@ -280,5 +290,5 @@ def peak_memory_mb() -> float:
 if __name__ == "__main__":
     register()
     with one_line_errors():
-        check_overrides(TrainConfig, sys.argv[1:], groups=["experiment"])
+        sys.argv[1:] = prepare(TrainConfig, sys.argv[1:], Path(__file__).parent.parent / "conf")
     main()

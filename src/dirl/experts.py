@@ -1,13 +1,69 @@
-"""The shortest-path expert and the demonstrations taken from it (paper sections 3.3 and 4.2)."""
+"""Experts, the demonstrations taken from them, and policies that learn nothing (paper sections 3.3 and 4.2)."""
+
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from dirl.scenes import World
+from dirl.envs import SurroundingViews
+from dirl.scenes import ACTIONS, World
 from dirl.scenes.graph import places
 
 RULES = ("interval", "interval_pos", "random")
+
+DEMONSTRATED = ("state", "goal", "scene", "view_ids", "goal_view_ids", "expert_action")
+"""The keys of a demonstration."""
+
+
+class ShortestPathExpert(TensorDictModuleBase):
+    """Takes a first action of a shortest path: of several the first in the order of `ACTIONS`.
+
+    An expert is any module that reads ``state`` and ``goal``, int64 ``[B]``, and writes ``expert_action``, int64
+    ``[B]``: -1 where it has no advice, here at the goal and where the goal cannot be reached.
+
+    Args:
+        world: where to walk.
+    """
+
+    in_keys: ClassVar = ["state", "goal"]
+    out_keys: ClassVar = ["expert_action"]
+
+    def __init__(self, world: World) -> None:
+        super().__init__()
+        self.world = world
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``expert_action``."""
+        goal_index, state = self.world.goal_index[tensordict["goal"]], tensordict["state"]
+        action = optimal_actions(self.world, goal_index, state).int().argmax(-1)
+        advises = self.world.distance(goal_index, state) > 0
+        return tensordict.set("expert_action", torch.where(advises, action, -1))
+
+
+class ShortestPathPolicy(ShortestPathExpert):
+    """The expert as a policy: writes ``logits``, float32 ``[B, 4]``, 0 for its action and -inf for the others."""
+
+    out_keys: ClassVar = ["expert_action", "logits"]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``logits``; without advice every action is as good."""
+        action = super().forward(tensordict)["expert_action"].unsqueeze(-1)
+        chosen = torch.arange(len(ACTIONS), device=action.device) == action
+        return tensordict.set("logits", torch.where(chosen | (action < 0), 0.0, -torch.inf))
+
+
+class RandomPolicy(TensorDictModuleBase):
+    """Each action with the same probability, whatever is observed: writes ``logits``, float32 ``[B, 4]``."""
+
+    in_keys: ClassVar = ["state"]
+    out_keys: ClassVar = ["logits"]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``logits``."""
+        state = tensordict["state"]
+        return tensordict.set("logits", torch.zeros((*state.shape, len(ACTIONS)), device=state.device))
 
 
 def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
@@ -16,106 +72,107 @@ def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
     Args:
         world: where to walk.
         goal_index: int64 ``[B]``, the goals by their place in ``world.goals``.
-        state: int64 ``[B]``, states that reach them and are not the goals themselves.
+        state: int64 ``[B]``, states of the goals' scenes.
 
     Returns:
-        bool ``[B, 4]``.
+        bool ``[B, 4]``; not meaningful at a goal, and where it cannot be reached.
     """
-    after = world.distances[goal_index.unsqueeze(-1), world.graph[state]]
-    return after == world.distances[goal_index, state].unsqueeze(-1) - 1
+    after = world.distance(goal_index.unsqueeze(-1), world.graph[state])
+    return after == world.distance(goal_index, state).unsqueeze(-1) - 1
 
 
-def expert_action(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
-    """The expert's choice, int64 ``[B]``: of several optimal actions the first in the order of `ACTIONS`."""
-    return optimal_actions(world, goal_index, state).int().argmax(-1)
-
-
-def demonstration_states(place: Tensor, share: float, rule: str, generator: torch.Generator) -> Tensor:
+def demonstration_states(place: Tensor, fraction: float, rule: str, generator: torch.Generator) -> Tensor:
     """Which states of a scene the expert shows.
 
     Args:
         place: the place of each state, int64 ``[N]``, numbered from 0.
-        share: of the states to show, 0 to 1.
+        fraction: of the states to show, 0 to 1.
         rule: ``interval``, every k-th state by its number, as the paper says (with four headings a place and an
             even k that is only ever one or two headings); ``interval_pos``, every k-th place with all its headings;
-            ``random``, drawn without replacement. k is 1/share, rounded.
+            ``random``, drawn without replacement. k is 1/fraction, rounded.
         generator: for ``random``.
 
     Returns:
         bool ``[N]``.
 
     Raises:
-        ValueError: the share is not in [0, 1], or there is no such rule.
+        ValueError: the fraction is not in [0, 1], or there is no such rule.
     """
-    if not 0 <= share <= 1:
-        raise ValueError(f"the share of demonstrated states is between 0 and 1, not {share}")
+    if not 0 <= fraction <= 1:
+        raise ValueError(f"the fraction of demonstrated states is between 0 and 1, not {fraction}")
     if rule not in RULES:
         raise ValueError(f"there is no rule '{rule}' to choose demonstrations; choose one of {list(RULES)}")
     states = len(place)
-    if share == 0:
+    if fraction == 0:
         return torch.zeros(states, dtype=torch.bool)
     if rule == "random":
         shown = torch.zeros(states, dtype=torch.bool)
-        shown[torch.randperm(states, generator=generator)[: max(1, round(share * states))]] = True
+        shown[torch.randperm(states, generator=generator)[: max(1, round(fraction * states))]] = True
         return shown
-    every = round(1 / share)
+    every = round(1 / fraction)
     return (torch.arange(states) if rule == "interval" else place) % every == 0
 
 
-def demonstrations(world: World, share: float, rule: str = "interval", seed: int = 0) -> TensorDict:
-    """The expert's actions in a share of each scene's states, for every goal of the scene.
-
-    States that do not reach a goal, and the goal itself, are left out for that goal.
+def demonstrations(
+    world: World,
+    expert: TensorDictModuleBase,
+    observation: SurroundingViews,
+    fraction: float,
+    rule: str = "interval",
+    seed: int = 0,
+) -> TensorDict:
+    """The expert's actions in a fraction of each scene's states, for every goal of the scene.
 
     Args:
         world: where to walk.
-        share: of the states, 0 to 1.
+        expert: see `ShortestPathExpert`; states in which it has no advice on the way to a goal are left out for it.
+        observation: what is observed. A demonstrated state has no history: it is observed as the start of an episode.
+        fraction: of the states, 0 to 1.
         rule: how they are chosen, see `demonstration_states`.
         seed: of the choice.
 
     Returns:
-        ``[M]`` rows of ``state``, ``goal``, ``scene`` and ``expert_action``, all int64.
+        ``[M]`` rows of `DEMONSTRATED`, all int64.
     """
     generator = torch.Generator().manual_seed(seed)
     shown = [
-        demonstration_states(torch.from_numpy(places(scene.graph)), share, rule, generator) for scene in world.scenes
+        demonstration_states(torch.from_numpy(places(scene.graph)), fraction, rule, generator) for scene in world.scenes
     ]
-    shows = (world.distances > 0) & torch.cat(shown).to(world.device)
-    goal_index, state = torch.nonzero(shows, as_tuple=True)
-    return TensorDict(
+    goal_index, state = world.pairs()
+    chosen = torch.cat(shown).to(world.device)[state]
+    goal, state = world.goals[goal_index[chosen]], state[chosen]
+    rows = TensorDict(
         {
             "state": state,
-            "goal": world.goals[goal_index],
+            "goal": goal,
             "scene": world.scene_of[state],
-            "expert_action": expert_action(world, goal_index, state),
+            "view_ids": observation.begin(state),
+            "goal_view_ids": observation.begin(goal),
         },
         batch_size=[len(state)],
         device=world.device,
     )
+    return label(expert, rows)
 
 
-def label(world: World, visited: TensorDictBase) -> TensorDict:
-    """What the expert would do where a learner has come to.
+def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBase:
+    """What the expert would do in given states.
 
     Args:
-        world: where it walks.
-        visited: ``[B]`` rows of ``state``, ``goal`` and ``scene``, and the views of both.
+        expert: see `ShortestPathExpert`.
+        visited: ``[B]`` rows of ``state``, ``goal``, ``scene`` and the view ids of both.
 
     Returns:
-        ``[M]`` rows of the same and ``expert_action``. Left out are states that do not reach their goal.
+        ``[M]`` rows of `DEMONSTRATED`. Left out are those for which the expert has no advice.
     """
-    wanted = world.goal_index[visited["goal"]]
-    reaches = world.distances[wanted, visited["state"]] > 0
-    rows = visited.select("state", "goal", "scene", "views", "goal_views")[reaches].clone()
-    return rows.set("expert_action", expert_action(world, wanted[reaches], rows["state"]))
+    rows = expert(visited.select(*DEMONSTRATED[:-1]).clone())
+    return rows[rows["expert_action"] >= 0].select(*DEMONSTRATED)
 
 
 def merge_demonstrations(*parts: TensorDictBase) -> TensorDictBase:
-    """All demonstrations, one of each that see the same on the way to the same goal; in order of these."""
-    rows = TensorDict.cat(
-        [part.select("state", "goal", "scene", "views", "goal_views", "expert_action") for part in parts]
-    )
-    seen = torch.cat([rows["views"], rows["goal"].unsqueeze(-1)], -1)
+    """All demonstrations, one of each that observe the same on the way to the same goal; in order of these."""
+    rows = TensorDict.cat([part.select(*DEMONSTRATED) for part in parts])
+    seen = torch.cat([rows["view_ids"], rows["goal"].unsqueeze(-1)], -1)
     _, which = torch.unique(seen, dim=0, return_inverse=True)
     first = torch.full((int(which.max()) + 1,), len(which), device=which.device)
     first.scatter_reduce_(0, which, torch.arange(len(which), device=which.device), "amin")

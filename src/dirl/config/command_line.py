@@ -1,4 +1,4 @@
-"""The manners of the recipes on the command line: names for Hydra, and errors of one line."""
+"""The command-line interface of the recipes: names for Hydra, and errors of one line."""
 
 import difflib
 import os
@@ -6,10 +6,9 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
-from enum import Enum
+from itertools import pairwise
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, get_args, get_origin
+from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -18,6 +17,8 @@ from hydra.errors import OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from dirl.config.components import GROUPS, in_words
+from dirl.config.saved import RENAMED
 from dirl.config.scene_schemas import (
     BuildConfig,
     EncodeConfig,
@@ -28,7 +29,7 @@ from dirl.config.scene_schemas import (
     SampleConfig,
     ThorConfig,
 )
-from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, ReportConfig, TrainConfig
+from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, ReportConfig, Schedule, TrainConfig
 
 SCHEMAS = {
     "train": TrainConfig,
@@ -96,65 +97,114 @@ def choose_command(commands: Mapping[str, str], arguments: Sequence[str], text: 
     return name, rest
 
 
-def check_overrides(schema: type, arguments: Sequence[str], groups: Sequence[str] = ()) -> None:
-    """Check a command line's ``name=value`` arguments; Hydra's own messages take many lines and list no choices.
+def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) -> list[str]:
+    """Check a command line's ``name=value`` arguments, and write them as Hydra takes them.
+
+    Hydra's own messages take many lines and list no choices. The options of components are checked later, against the
+    constructor of the class that is chosen (`dirl.config.components`); here they only get the ``++`` by which Hydra
+    takes options that the class has and its YAML does not list.
 
     Args:
         schema: what the recipe takes.
         arguments: the command line after the program.
-        groups: folders of ``conf/`` that can be chosen from besides.
+        conf: the folder of configurations; its folders are groups to choose from.
+
+    Returns:
+        The arguments for Hydra.
 
     Raises:
-        ConfigError: there is no such option, or its value is of another type.
+        ConfigError: there is no such option or choice, or its value is of another type.
     """
-    known = option_types(schema) | dict.fromkeys(groups, schema)
-    given = [text for text in arguments if "=" in text and not text.startswith("-")]
-    try:
-        overrides = OverridesParser.create().parse_overrides(given)
-    except OverrideParseException:
-        return  # Hydra says what is wrong with the form
-    for override in overrides:
-        name = override.key_or_group
-        if name.split("/")[0].split(".")[0] == "hydra":
-            continue
-        if name in known:
+    known = option_types(schema)
+    folders = [] if conf is None else [conf, *_config_dirs(arguments)]
+    prepared = []
+    for text in arguments:
+        override = _parsed(text)
+        name = "" if override is None else override.key_or_group
+        if override is None or name.split("/")[0].split(".")[0] == "hydra":
+            prepared.append(text)
+        elif any((folder / name).is_dir() for folder in folders):
+            _check_choice(name, override, folders)
+            prepared.append(text)
+        elif conf is not None and "." in name and name.split(".")[0] in GROUPS and name not in RENAMED:
+            prepared.append(text if text.startswith(("+", "~")) else f"++{text}")
+        else:
+            _check_name(known, name)
+            prepared.append(_constant(name, override) if known[name] is Schedule else text)
             _check_value(schema, name, known[name], override)
-            continue
-        level, _, last = name.rpartition(".")
-        inside = {
-            known_name.split(".")[-1]: known_name for known_name in known if known_name.rpartition(".")[0] == level
-        }
-        near = [known_name for known_name in known if known_name.split(".")[-1] == last]
-        near = near or [inside[match] for match in difflib.get_close_matches(last, inside, n=3)]
-        choices = ", ".join(inside.values() or (option for option in known if "." not in option))
-        hint = f"did you mean {' or '.join(near)}?" if near else f"choose from {choices}"
-        raise ConfigError(f"there is no option '{name}'; {hint}")
+    return prepared
+
+
+def _parsed(text: str) -> Override | None:
+    """An argument as an override; None if it is none, or one whose form Hydra itself refuses."""
+    if "=" not in text or text.startswith("-"):
+        return None
+    try:
+        return OverridesParser.create().parse_override(text)
+    except OverrideParseException:
+        return None
+
+
+def _config_dirs(arguments: Sequence[str]) -> list[Path]:
+    """The folders that ``--config-dir`` names."""
+    joined = [text.partition("=")[2] for text in arguments if text.startswith("--config-dir=")]
+    apart = [after for text, after in pairwise(arguments) if text in ("--config-dir", "-cd")]
+    return [Path(folder) for folder in joined + apart]
+
+
+def _check_choice(group: str, override: Override, folders: Sequence[Path]) -> None:
+    """Raise `ConfigError` unless a group has what is chosen from it."""
+    choices = sorted({file.stem for folder in folders for file in (folder / group).glob("*.yaml")})
+    for one in _values(override):
+        for choice in one if isinstance(one, list) else [one]:
+            if choice is not None and str(choice) not in choices:
+                near = difflib.get_close_matches(str(choice), choices, n=1)
+                hint = f"did you mean {group}={near[0]}?" if near else f"choose from {', '.join(choices)}"
+                raise ConfigError(f"there is no {group}={choice}; {hint}")
+
+
+def _check_name(known: Mapping[str, Any], name: str) -> None:
+    """Raise `ConfigError` unless there is such an option."""
+    if name in known:
+        return
+    if name in RENAMED:
+        raise ConfigError(f"the option '{name}' has a new name: {RENAMED[name]}")
+    level, _, last = name.rpartition(".")
+    inside = {other.split(".")[-1]: other for other in known if other.rpartition(".")[0] == level}
+    near = [other for other in known if other.split(".")[-1] == last]
+    near = near or [inside[match] for match in difflib.get_close_matches(last, inside, n=3)]
+    choices = ", ".join(inside.values() or (option for option in known if "." not in option))
+    hint = f"did you mean {' or '.join(near)}?" if near else f"choose from {choices}"
+    raise ConfigError(f"there is no option '{name}'; {hint}")
+
+
+def _constant(name: str, override: Override) -> str:
+    """A number for a schedule as the constant schedule that it means; the argument itself if it is none."""
+    values = _values(override)
+    if not values or any(isinstance(value, dict | str | bool) for value in values):
+        return str(override.input_line)
+    return f"{name}=" + ",".join(f"{{start:{value},end:{value}}}" for value in values)
+
+
+def _values(override: Override) -> list[Any]:
+    """The value of an override, or each of a sweep's list; none of another sweep, or of a deletion."""
+    if override.is_delete():
+        return []
+    value = override.value()
+    several = value.list if isinstance(value, ChoiceSweep) else [] if isinstance(value, Sweep) else [value]
+    return [one.text if isinstance(one, QuotedString) else one for one in several]
 
 
 def _check_value(schema: type, name: str, kind: Any, override: Override) -> None:
     """Raise `ConfigError` unless OmegaConf can make the value, or each of a sweep's list, what the option wants."""
-    if is_dataclass(kind) or override.is_delete():  # a choice of Hydra's config groups
+    if is_dataclass(kind):
         return
-    value = override.value()
-    for one in value.list if isinstance(value, ChoiceSweep) else [] if isinstance(value, Sweep) else [value]:
-        given = one.text if isinstance(one, QuotedString) else one
+    for given in _values(override):
         try:
             OmegaConf.update(OmegaConf.structured(schema), name, given)
         except OmegaConfBaseException:
             shown = "null" if given is None else given
-            raise ConfigError(f"{name}={shown}: must be {_wanted(kind)}") from None
-
-
-def _wanted(kind: Any) -> str:
-    """A type in words."""
-    if get_origin(kind) is UnionType:
-        return " or ".join(map(_wanted, get_args(kind)))
-    if get_origin(kind) is list:
-        (each,) = get_args(kind)
-        return "a list" if each is Any else f"a list, each {_wanted(each)}"
-    if issubclass(kind, Enum):
-        return f"one of {', '.join(kind)}"
-    return {int: "a whole number", float: "a number", bool: "true or false", str: "text", NoneType: "null"}[kind]
+            raise ConfigError(f"{name}={shown}: must be {in_words(kind)}") from None
 
 
 @contextmanager

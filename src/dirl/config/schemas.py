@@ -1,5 +1,6 @@
 """What can be set, with its type; the values are in ``conf/``. The rest of the package takes plain arguments."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -7,25 +8,26 @@ from typing import Any
 
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError  # PyYAML comes with OmegaConf
+
+from dirl.config.bounds import Bounds
 
 Device = StrEnum("Device", ["cpu", "cuda"])
 SourceName = StrEnum("SourceName", ["rooms", "thor"])
-Observation = StrEnum("Observation", ["surrounding", "sequential"])
 Axes = StrEnum("Axes", ["features", "principal"])
+Cache = StrEnum("Cache", ["auto", "off"])
 Precision = StrEnum("Precision", ["float32", "bfloat16"])
-Heads = StrEnum("Heads", ["scene", "shared"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
-Objective = StrEnum("Objective", ["a2c", "ppo", "none"])
-PolicyName = StrEnum("PolicyName", ["network", "random", "shortest_path"])
 ExperimentName = StrEnum("ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop"])
 Existing = StrEnum("Existing", ["refuse", "keep"])
-Optimiser = StrEnum("Optimiser", ["adam", "tf_rmsprop"])
 Reduction = StrEnum("Reduction", ["mean", "sum"])
 Stop = StrEnum("Stop", ["goal", "match"])
 Match = StrEnum("Match", ["views", "front"])
 Starts = StrEnum("Starts", ["every", "sampled"])
 LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
+
+
+COMPONENTS = ("observation", "encoder", "memory", "heads", "policy", "expert", "losses", "optimiser")
+"""Options whose values name a class and its arguments, see `dirl.config.components`."""
 
 
 class ConfigError(ValueError):
@@ -41,12 +43,23 @@ class SourceConfig:
 
 
 @dataclass
-class NetworkConfig:
-    """The network."""
+class Schedule:
+    """A coefficient that changes linearly from the first frame to the last; constant if both are equal."""
 
-    heads: Heads = MISSING
-    width: int = MISSING
+    start: float = MISSING
+    end: float = MISSING
+
+    def __call__(self, left: float) -> float:
+        """The value when a share ``left`` of the training, 1 to 0, is still to come."""
+        return self.end + (self.start - self.end) * left
+
+
+@dataclass
+class NetworkConfig:
+    """How the network sees features."""
+
     standardise: bool = MISSING
+    cache: Cache = MISSING
     axes: Axes = MISSING
 
 
@@ -54,35 +67,14 @@ class NetworkConfig:
 class ImitationConfig:
     """Behaviour cloning."""
 
-    share: float = MISSING
+    fraction: float = MISSING
     rule: Rule = MISSING
     lr: float = MISSING
     max_steps: int = MISSING
-    enough: float = MISSING
-    keep: float = MISSING
+    loss_threshold: float = MISSING
+    bc_coef: Schedule = field(default_factory=Schedule)
     rounds: int = MISSING
-    walk: int = MISSING
-
-
-@dataclass
-class ObjectiveConfig:
-    """The actor-critic loss."""
-
-    name: Objective = MISSING
-    epochs: int = MISSING
-    minibatches: int = MISSING
-    clip: float = MISSING
-
-
-@dataclass
-class OptimiserConfig:
-    """How reinforcement changes the weights."""
-
-    name: Optimiser = MISSING
-    lr: float = MISSING
-    eps: float = MISSING
-    max_norm: float = MISSING
-    clip_each: bool = MISSING
+    walk_steps: int = MISSING
 
 
 @dataclass
@@ -92,14 +84,17 @@ class ReinforcementConfig:
     frames_per_scene: int = MISSING
     agents_per_scene: int = MISSING
     workers: int = MISSING
-    steps: int = MISSING
+    n_steps: int = MISSING
     max_steps: int = MISSING
+    epochs: int = MISSING
+    minibatches: int = MISSING
     gamma: float = MISSING
     lmbda: float = MISSING
-    entropy: float = MISSING
-    final_entropy: float = MISSING
-    value: float = MISSING
+    entropy_coef: Schedule = field(default_factory=Schedule)
+    critic_coef: float = MISSING
     reduction: Reduction = MISSING
+    max_grad_norm: float = MISSING
+    clip_per_variable: bool = MISSING
 
 
 @dataclass
@@ -159,15 +154,20 @@ class TrainConfig:
     precision: Precision = MISSING
     resume: str | None = None
     existing: Existing = MISSING
+    trust: list[str] | None = None
     system: str = MISSING
     preset: str = MISSING
-    policy: PolicyName = MISSING
-    observation: Observation = MISSING
+    observation: Any = MISSING
+    encoder: Any = MISSING
+    memory: Any = MISSING
+    heads: Any = MISSING
+    policy: Any = MISSING
+    expert: Any = MISSING
+    losses: Any = MISSING
+    optimiser: Any = MISSING
     source: SourceConfig = field(default_factory=SourceConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
-    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
-    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     reinforcement: ReinforcementConfig = field(default_factory=ReinforcementConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     stop: StopConfig = field(default_factory=StopConfig)
@@ -181,7 +181,9 @@ class EvaluateConfig:
     """Everything ``recipes/evaluate.py`` takes."""
 
     checkpoint: str | None = None
+    scene: Any = None
     goals: Any = None
+    trust: list[str] = field(default_factory=list)
     root: str | None = None
     device: Device | None = None
     seed: int | None = None
@@ -223,41 +225,43 @@ class BenchmarkConfig:
     out: str | None = None
 
 
-# The least and the most a number may be; None = no upper limit.
-LIMITS: Mapping[str, tuple[float, float | None]] = {
-    "seed": (0, 2**63 - 1),
-    "network.width": (1, None),
-    "imitation.share": (0, 1),
-    "imitation.max_steps": (1, None),
-    "imitation.keep": (0, None),
-    "imitation.rounds": (0, None),
-    "imitation.walk": (1, None),
-    "objective.epochs": (1, None),
-    "objective.minibatches": (1, None),
-    "optimiser.lr": (0, None),
-    "optimiser.max_norm": (0, None),
-    "reinforcement.frames_per_scene": (1, None),
-    "reinforcement.agents_per_scene": (1, None),
-    "reinforcement.workers": (1, None),
-    "reinforcement.steps": (1, None),
-    "reinforcement.max_steps": (1, None),
-    "reinforcement.gamma": (0, 1),
-    "reinforcement.lmbda": (0, 1),
-    "evaluation.episodes_per_goal": (1, None),
-    "evaluation.max_steps": (1, None),
-    "evaluation.times": (0, None),
-    "checkpoint.keep": (1, None),
-    "episodes_per_goal": (1, None),
-    "max_steps": (1, None),
-    "frames_per_scene": (1, None),
-    "repeats": (1, None),
-    "goal": (0, None),
-    "count": (1, None),
-    "step": (0.05, 10),
-    "height": (16, 4096),
-    "width": (16, 4096),
-    "field_of_view": (10, 150),
-    "threshold": (-1, 1),
+LIMITS: Mapping[str, Bounds] = {
+    "seed": Bounds(0, 2**63 - 1),
+    "imitation.fraction": Bounds(0, 1),
+    "imitation.lr": Bounds(0),
+    "imitation.max_steps": Bounds(1),
+    "imitation.loss_threshold": Bounds(0),
+    "imitation.bc_coef.start": Bounds(0),
+    "imitation.bc_coef.end": Bounds(0),
+    "imitation.rounds": Bounds(0),
+    "imitation.walk_steps": Bounds(1),
+    "reinforcement.frames_per_scene": Bounds(1, 10**12),
+    "reinforcement.agents_per_scene": Bounds(1, 10**6),
+    "reinforcement.workers": Bounds(1, 1024),
+    "reinforcement.n_steps": Bounds(1, 10**6),
+    "reinforcement.max_steps": Bounds(1),
+    "reinforcement.epochs": Bounds(1),
+    "reinforcement.minibatches": Bounds(1),
+    "reinforcement.gamma": Bounds(0, 1),
+    "reinforcement.lmbda": Bounds(0, 1),
+    "reinforcement.max_grad_norm": Bounds(0),
+    "stop.threshold": Bounds(-1, 1),
+    "evaluation.episodes_per_goal": Bounds(1, 10**7),
+    "evaluation.max_steps": Bounds(1, 10**7),
+    "evaluation.times": Bounds(0, 10**6),
+    "checkpoint.every_seconds": Bounds(0),
+    "checkpoint.keep": Bounds(1),
+    "episodes_per_goal": Bounds(1, 10**7),
+    "max_steps": Bounds(1, 10**7),
+    "frames_per_scene": Bounds(1, 10**12),
+    "repeats": Bounds(1),
+    "goal": Bounds(0),
+    "count": Bounds(1),
+    "step": Bounds(0.05, 10),
+    "height": Bounds(16, 4096),
+    "width": Bounds(16, 4096),
+    "field_of_view": Bounds(10, 150),
+    "threshold": Bounds(-1, 1),
 }
 
 
@@ -269,33 +273,25 @@ def typed(config: DictConfig) -> Any:
     """
     try:
         made = OmegaConf.to_object(config)
+        for name, value in config.items():
+            if name in COMPONENTS and isinstance(value, DictConfig):  # plain, also what was interpolated
+                setattr(made, name, OmegaConf.to_container(value, resolve=True, enum_to_str=True))
     except OmegaConfBaseException as error:
         raise ConfigError(str(error)) from None
-    for name, (least, most) in LIMITS.items():
+    for name, bounds in LIMITS.items():
         value = OmegaConf.select(config, name)
-        if value is None:
-            continue
-        if value < least or (most is not None and value > most):
-            wanted = f"at least {least}" if most is None else f"between {least} and {most}"
-            raise ConfigError(f"{name}={value}: must be {wanted}")
+        if value is not None and value not in bounds:
+            raise ConfigError(f"{name}={value}: must be {bounds}")
+    for name, value in leaves(OmegaConf.to_container(config)).items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"{name}={value}: must be a finite number")
     return made
 
 
-def parse_config(text: str, origin: str, changes: Mapping[str, Any] | None = None) -> TrainConfig:
-    """A configuration that a run saved.
-
-    Args:
-        text: YAML.
-        origin: where it stood, for the error.
-        changes: values to replace in it, by dotted name.
-
-    Raises:
-        ConfigError: it is not one of this version, or cannot be changed so.
-    """
-    try:
-        config = OmegaConf.merge(OmegaConf.structured(TrainConfig), OmegaConf.create(text))
-        for name, value in (changes or {}).items():
-            OmegaConf.update(config, name, value)
-        return typed(config)  # type: ignore[arg-type]
-    except (OmegaConfBaseException, YAMLError, ConfigError) as error:
-        raise ConfigError(f"{origin}: holds no configuration of this version of dirl: {error}") from None
+def leaves(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values of a nested configuration by dotted name; goals and lists are values."""
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        inside = isinstance(value, Mapping) and name != "goals"
+        found |= leaves(value, f"{prefix}{name}.") if inside else {f"{prefix}{name}": value}
+    return found

@@ -1,6 +1,6 @@
-"""The navigation task and what an agent sees in it."""
+"""The navigation task and what an agent observes in it."""
 
 from dirl.envs.navigation import NavigationEnv, Reward
-from dirl.envs.transforms import OBSERVATIONS, SequentialViews, SurroundingViews
+from dirl.envs.transforms import SequentialViews, SurroundingViews, ViewFeatures
 
-__all__ = ["OBSERVATIONS", "NavigationEnv", "Reward", "SequentialViews", "SurroundingViews"]
+__all__ = ["NavigationEnv", "Reward", "SequentialViews", "SurroundingViews", "ViewFeatures"]

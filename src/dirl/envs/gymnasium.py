@@ -68,8 +68,8 @@ class Task:
             self.scene = replace(self.scene, features=np.zeros((len(self.scene), 1), np.float32))
         world = make_world([self.scene], goal)
         states, actions, goals = len(world), len(ACTIONS), len(world.goals)
+        self.distances: Ints = world.distances.view(goals, states).long().numpy()
         self.goals: Ints = world.goals.numpy()
-        self.distances: Ints = world.distances.numpy()
         self.surrounding: Ints = world.surrounding.numpy()
         self.features: NDArray[np.float32] = world.features.numpy()
         self.graph: Ints = world.graph.numpy()
@@ -81,8 +81,8 @@ class Task:
         answer = env.step(TensorDict(asked, batch_size=env.batch_size))["next"]
         self.reward = answer["reward"].view(size).double().numpy()
         self.terminated = answer["terminated"].view(size).numpy()
-        self.starts: Ints = env.starts.numpy()
         self.start_count: Ints = env.start_count.numpy()
+        self.starts: list[Ints] = np.split(env.starts.numpy(), self.start_count.cumsum()[:-1])
         self.decoded: dict[int, NDArray[np.uint8]] = {}
 
     def space(self) -> spaces.Space[Any]:
@@ -100,7 +100,8 @@ class Task:
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Ints, Ints]:
         """Goals (their index) and starts of new episodes, int64 ``[count]`` each, drawn as `NavigationEnv` does."""
         goal = rng.integers(len(self.goals), size=count)
-        return goal, self.starts[goal, rng.integers(self.start_count[goal])]
+        start = rng.integers(self.start_count[goal])
+        return goal, np.array([self.starts[one][at] for one, at in zip(goal, start, strict=True)], np.int64)
 
     def chosen(self, options: dict[str, Any], goal: int, state: int) -> tuple[int, int]:
         """The goal's index and the start, where ``options`` name other ones than those drawn."""
@@ -111,8 +112,8 @@ class Task:
             if options["goal"] not in self.goals:
                 raise ValueError(f"reset: goal {options['goal']!r} is not among the goals {self.goals.tolist()}")
             goal = int(np.flatnonzero(self.goals == options["goal"])[0])
-            state = int(self.starts[goal, state % self.start_count[goal]])
-        starts = self.starts[goal, : self.start_count[goal]]
+            state = int(self.starts[goal][state % self.start_count[goal]])
+        starts = self.starts[goal]
         if "state" in options:
             state = options["state"]
             if state not in starts:

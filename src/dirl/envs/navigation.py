@@ -40,7 +40,7 @@ class NavigationEnv(EnvBase):
         world: the scenes and goals; the environment runs on its device.
         num_agents: how many agents, B.
         reward: what a step earns.
-        stop: where an agent stops on its way to each goal, bool ``[G, N]``, see
+        stop: where an agent stops on its way to each goal, bool ``[P]``, see
             `dirl.scenes.matching.TemplateStop`. A stop
             anywhere but at the goal ends the episode with the reward of an ordinary step.
         seed: of the generator that draws goals and starts; actions are drawn by the policy.
@@ -60,16 +60,14 @@ class NavigationEnv(EnvBase):
         self.world = world
         self.reward = reward or Reward()
         states, agents = len(world), self.batch_size
-        goals = torch.arange(len(world.goals), device=self.device)
-        if stop is None:
-            stop = torch.zeros_like(world.distances, dtype=torch.bool)
-            stop[goals, world.goals] = True
-        self.stop = stop.to(self.device)
+        self.stop = (world.distances == 0 if stop is None else stop).to(self.device)
         self.goal_index = world.goal_index
-        # The starts of a goal are the first `start_count` entries of its row.
+        # The starts of a goal lie one behind the other, from `first_start` on.
+        goal_index, state = world.pairs()
         reaches = world.distances > 0
-        self.starts = torch.argsort(~reaches, dim=1, stable=True)
-        self.start_count = reaches.sum(1)
+        self.starts = state[reaches]
+        self.start_count = torch.bincount(goal_index[reaches], minlength=len(world.goals))
+        self.first_start = self.start_count.cumsum(0) - self.start_count
         self.generator = torch.Generator(self.device)
         self.observation_spec = Composite(
             state=Categorical(states, shape=agents),
@@ -92,7 +90,7 @@ class NavigationEnv(EnvBase):
         draw = torch.rand((2, *self.batch_size), generator=self.generator, device=self.device)
         goal = (draw[0] * len(self.world.goals)).long()
         start = (draw[1] * self.start_count[goal]).long()
-        state = self.starts[goal, start]
+        state = self.starts[self.first_start[goal] + start]
         done = torch.zeros((*self.batch_size, 1), dtype=torch.bool, device=self.device)
         return TensorDict(
             {
@@ -109,7 +107,7 @@ class NavigationEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state, goal = tensordict["state"], tensordict["goal"]
         next_state = self.world.graph[state, tensordict["action"]]
-        stopped = self.stop[self.goal_index[goal], next_state]
+        stopped = self.stop[self.world.pair(self.goal_index[goal], next_state)]
         reward = torch.where(next_state == state, self.reward.collision, self.reward.step)
         reward = torch.where(stopped & (next_state == goal), self.reward.goal, reward)
         done = stopped.unsqueeze(-1)

@@ -1,13 +1,14 @@
 """What an agent sees: four views, of its surroundings or of its last four steps, as the states they belong to.
 
-Both transforms turn ``state`` and ``goal`` into ``views`` and ``goal_views``, int64 ``[..., 4]``. The views stay
-state numbers: only the encoder looks up the features behind them. Both work on an environment and on a replay buffer.
+`SurroundingViews` and `SequentialViews` turn ``state`` and ``goal`` into ``view_ids`` and ``goal_view_ids``, int64
+``[..., 4]``: the states that the views belong to. The network looks up the features behind them. `ViewFeatures` looks
+them up in the environment instead, for networks that read features. All work on an environment and on a replay buffer.
 """
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Categorical, TensorSpec
+from torchrl.data import Categorical, TensorSpec, Unbounded
 from torchrl.envs import Transform
 
 from dirl.scenes import World
@@ -23,10 +24,13 @@ class SurroundingViews(Transform):
     """
 
     history = False
-    """Whether what is seen depends on more than where the agent is."""
+    """Whether what is observed depends on more than where the agent is."""
+
+    order: tuple[str, ...] = ("ahead", "right", "back", "left")
+    """What the four views are; a checkpoint says it."""
 
     def __init__(self, world: World) -> None:
-        super().__init__(in_keys=["state", "goal"], out_keys=["views", "goal_views"])
+        super().__init__(in_keys=["state", "goal"], out_keys=["view_ids", "goal_view_ids"])
         self.states = len(world)
         self.register_buffer("surrounding", world.surrounding)
 
@@ -34,8 +38,8 @@ class SurroundingViews(Transform):
         """What is seen at the start of an episode, and of a goal, int64 ``[...]`` to ``[..., 4]``."""
         return self.surrounding[state]
 
-    def follow(self, views: Tensor, state: Tensor) -> Tensor:
-        """What is seen after a step to ``state``, int64 ``[...]``, where ``views`` ``[..., 4]`` were seen before it."""
+    def follow(self, view_ids: Tensor, state: Tensor) -> Tensor:
+        """What is seen after a step to ``state``, int64 ``[...]``, where ``view_ids`` were seen before it."""
         return self.begin(state)
 
     def _apply_transform(self, state: Tensor) -> Tensor:
@@ -45,12 +49,12 @@ class SurroundingViews(Transform):
         return self._call(tensordict_reset)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        next_tensordict["views"] = self.follow(tensordict["views"], next_tensordict["state"])
-        next_tensordict["goal_views"] = tensordict["goal_views"]
+        next_tensordict["view_ids"] = self.follow(tensordict["view_ids"], next_tensordict["state"])
+        next_tensordict["goal_view_ids"] = tensordict["goal_view_ids"]
         return next_tensordict
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Add ``views`` and ``goal_views``."""
+        """Add ``view_ids`` and ``goal_view_ids``."""
         shape = (*observation_spec.shape, VIEWS)
         for key in self.out_keys:
             observation_spec[key] = Categorical(self.states, shape=shape, device=observation_spec.device)
@@ -68,27 +72,49 @@ class SequentialViews(SurroundingViews):
     """
 
     history = True
+    order = ("three steps ago", "two steps ago", "one step ago", "now")
 
     def begin(self, state: Tensor) -> Tensor:
         """The state four times, int64 ``[...]`` to ``[..., 4]``."""
         return state.unsqueeze(-1).expand(*state.shape, VIEWS).clone()
 
-    def follow(self, views: Tensor, state: Tensor) -> Tensor:
-        """``views`` without the oldest, and the new state, int64 ``[..., 4]``."""
-        return torch.cat([views[..., 1:], state.unsqueeze(-1)], -1)
+    def follow(self, view_ids: Tensor, state: Tensor) -> Tensor:
+        """``view_ids`` without the oldest, and the new state, int64 ``[..., 4]``."""
+        return torch.cat([view_ids[..., 1:], state.unsqueeze(-1)], -1)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``views`` and ``goal_views`` of a replayed batch, see the class."""
+        """Write ``view_ids`` and ``goal_view_ids`` of a replayed batch, see the class."""
         state = tensordict["state"]
-        views = self.begin(state)
+        view_ids = self.begin(state)
         for time in range(1, state.shape[-1]):
             begins = tensordict["next", "done"][..., time - 1, :]
-            longer = self.follow(views[..., time - 1, :], state[..., time])
-            views[..., time, :] = torch.where(begins, views[..., time, :], longer)
-        tensordict["views"] = views
-        tensordict["goal_views"] = self.begin(tensordict["goal"])
+            longer = self.follow(view_ids[..., time - 1, :], state[..., time])
+            view_ids[..., time, :] = torch.where(begins, view_ids[..., time, :], longer)
+        tensordict["view_ids"] = view_ids
+        tensordict["goal_view_ids"] = self.begin(tensordict["goal"])
         return tensordict
 
 
-OBSERVATIONS = {"surrounding": SurroundingViews, "sequential": SequentialViews}
-"""The transforms by the names they have in a configuration."""
+class ViewFeatures(Transform):
+    """The features behind view ids, as ``observation`` and ``goal_observation``, float32 ``[..., 4, D]``.
+
+    Args:
+        table: features of all states, float32 ``[N, D]``.
+    """
+
+    def __init__(self, table: Tensor) -> None:
+        super().__init__(in_keys=["view_ids", "goal_view_ids"], out_keys=["observation", "goal_observation"])
+        self.register_buffer("table", table)
+
+    def _apply_transform(self, view_ids: Tensor) -> Tensor:
+        return self.table[view_ids]
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Add ``observation`` and ``goal_observation``."""
+        shape = (*observation_spec.shape, VIEWS, self.table.shape[1])
+        for key in self.out_keys:
+            observation_spec[key] = Unbounded(shape, device=observation_spec.device, dtype=self.table.dtype)
+        return observation_spec

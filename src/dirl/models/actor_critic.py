@@ -1,6 +1,8 @@
-"""The whole network, and its view as TorchRL actor and critic."""
+"""The whole network (paper figure 2), and its view as TorchRL's actor and critic."""
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -8,52 +10,25 @@ from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
+from torchrl.modules.utils import get_primers_from_module
 
+from dirl.models.fast.caching import CachedEncoder
+from dirl.models.fast.siamese import CachedSiamese
 from dirl.models.features import FeatureTable
-from dirl.models.heads import SceneHeads, SceneLayers
+from dirl.models.heads import ActorCriticHeads
 from dirl.models.siamese import SiameseEncoder
-from dirl.scenes import ACTIONS
 
-
-class Network(nn.Module):
-    """Siamese encoder, scene-specific layer, policy and value (paper figure 2).
-
-    Weights and biases start uniform in ``+-1/sqrt(fan_in)``, which is both torch's default for linear layers and the
-    published code's.
-
-    Args:
-        table: the features of the states.
-        scenes: the scenes' names; each has its own layer, policy and value. Pass one name to share them.
-        width: of every layer.
-    """
-
-    def __init__(self, table: FeatureTable, scenes: Sequence[str], width: int = 512) -> None:
-        super().__init__()
-        self.encoder = SiameseEncoder(table, width)
-        self.hidden = SceneLayers(scenes, lambda: nn.Sequential(nn.Linear(width, width), nn.ReLU()))
-        self.policy = SceneHeads(scenes, width, len(ACTIONS))
-        self.value = SceneHeads(scenes, width, 1)
-
-    def forward(self, views: Tensor, goal_views: Tensor, scene: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits ``[B, 4]`` and state value ``[B, 1]`` of states seen, int64 ``[B, 4]``, in scenes int64 ``[B]``."""
-        hidden = self.hidden(self.encoder(views, goal_views), scene)
-        return self.policy(hidden, scene), self.value(hidden, scene)
-
-    def weights_on_features(self) -> dict[str, Tensor]:
-        """The state_dict that the network would have without principal axes."""
-        state = self.state_dict()
-        if state.pop("encoder.axes.table", None) is not None:
-            state["encoder.embedding.weight"] = self.encoder.weight_on_features()
-        return state
+VIEW_IDS = ("view_ids", "goal_view_ids")
+OBSERVATIONS = ("observation", "goal_observation")
 
 
 class KeyedModule(TensorDictModuleBase):
-    """A module that reads its arguments from a tensordict and writes its one result there.
+    """A module that reads its arguments from a tensordict of any batch size and writes its one result there.
 
     Each call of tensordict 0.14's own ``TensorDictModule`` searches the disk for pandas, a third of a rollout's time.
 
     Args:
-        module: takes one tensor for each of ``in_keys``.
+        module: takes one tensor ``[B, ...]`` for each of ``in_keys``.
         in_keys: what it reads.
         out_key: what it writes.
     """
@@ -66,27 +41,105 @@ class KeyedModule(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Call the module."""
-        result = self.module(*(tensordict.get(key) for key in self.in_keys))
-        return tensordict.set(self.out_keys[0], result)
+        arguments = [tensordict.get(key) for key in self.in_keys]
+        dims = tensordict.batch_dims
+        if dims <= 1:
+            return tensordict.set(self.out_keys[0], self.module(*arguments))
+        result = self.module(*(argument.flatten(0, dims - 1) for argument in arguments))
+        return tensordict.set(self.out_keys[0], result.unflatten(0, tensordict.batch_size))
 
 
-def actor_critic(network: Network) -> ActorValueOperator:
-    """The network as TorchRL's operators: a common trunk to ``hidden``, and two small heads on it.
+class ActorCritic(TensorDictModuleBase):
+    """Encoder, memory if any, and heads, on the features of the states that view ids stand for.
 
-    The losses are given the heads only, so that the trunk runs once an update for actor and critic together.
+    Reads ``view_ids``, ``goal_view_ids`` (int64 ``[B, 4]``) and ``scene`` (int64 ``[B]``); with a memory also
+    ``is_init`` and its recurrent state. Writes ``hidden``, ``logits`` ``[B, A]`` and ``state_value`` ``[B, 1]``.
+    What is trained is `operator`, which draws actions as well.
+
+    Args:
+        features: of the states.
+        encoder: features of observation and goal, float32 ``[B, 4, D]`` each, to ``fused`` ``[B, width]``.
+        heads: ``trunk``, ``policy`` and ``value``, see `ActorCriticHeads`.
+        memory: reads ``fused`` and writes ``memory``, as TorchRL's ``GRUModule`` and ``LSTMModule`` do.
     """
-    trunk = TensorDictSequential(
-        KeyedModule(network.encoder, ["views", "goal_views"], "fused"),
-        KeyedModule(network.hidden, ["fused", "scene"], "hidden"),
-    )
-    actor = ProbabilisticActor(
-        KeyedModule(network.policy, ["hidden", "scene"], "logits"),
-        in_keys=["logits"],
-        distribution_class=Categorical,
-        distribution_kwargs={"validate_args": False},
-        return_log_prob=True,
-    )
-    return ActorValueOperator(trunk, actor, KeyedModule(network.value, ["hidden", "scene"], "state_value"))
+
+    def __init__(
+        self,
+        features: FeatureTable,
+        encoder: nn.Module,
+        heads: ActorCriticHeads,
+        memory: TensorDictModuleBase | None = None,
+    ) -> None:
+        super().__init__()
+        self.features = features
+        self.encoder = encoder
+        self.memory = memory
+        self.heads = heads
+        self.cached: CachedEncoder | None = None
+        self.in_keys = [*VIEW_IDS, "scene", *([] if memory is None else memory.in_keys[1:])]
+        self.out_keys = ["hidden", "logits", "state_value", *([] if memory is None else memory.out_keys[1:])]
+
+    def cache(self, surrounding: Tensor | None, *, principal: bool = False) -> None:
+        """Embed each distinct observation once, if the encoder can be cached; see `dirl.models.fast`.
+
+        Args:
+            surrounding: as for `CachedEncoder`.
+            principal: learn a Siamese encoder's embedding in principal axes, see `CachedSiamese`; to be called before
+                an optimiser is made.
+        """
+        # A subclass may embed or fuse otherwise, which the specialised form would not know.
+        if type(self.encoder) is SiameseEncoder:
+            self.cached = CachedSiamese(self.encoder, self.features, surrounding, principal=principal)
+        elif hasattr(self.encoder, "embed") and hasattr(self.encoder, "fuse"):
+            self.cached = CachedEncoder(self.encoder, self.features, surrounding)
+
+    def restore(self) -> None:
+        """Make the embedding a layer on features again if it was learnt in principal axes."""
+        if isinstance(self.cached, CachedSiamese):
+            self.cached.restore()
+
+    def plain_state_dict(self) -> dict[str, Tensor]:
+        """The state_dict that the network has without `cache`, which any other instance can load."""
+        state = {name: value for name, value in self.state_dict().items() if not name.startswith("cached.")}
+        if isinstance(self.cached, CachedSiamese):
+            state["encoder.embedding.weight"] = self.cached.weight_on_features()
+        return state
+
+    def trunk(self) -> TensorDictSequential:
+        """From view ids to ``hidden``."""
+        if self.cached is not None:
+            modules: list[Any] = [KeyedModule(self.cached, VIEW_IDS, "fused")]
+        else:
+            pairs = zip(VIEW_IDS, OBSERVATIONS, strict=True)
+            modules = [KeyedModule(self.features, [ids], observation) for ids, observation in pairs]
+            modules.append(KeyedModule(self.encoder, OBSERVATIONS, "fused"))
+        if self.memory is not None:
+            modules.append(self.memory)
+        encoded = "fused" if self.memory is None else "memory"
+        return TensorDictSequential(*modules, KeyedModule(self.heads.trunk, [encoded, "scene"], "hidden"))
+
+    def operator(self) -> ActorValueOperator:
+        """TorchRL's operators on these weights: a common trunk to ``hidden``, and two small heads on it.
+
+        The losses are given the heads only, so that the trunk runs once an update for actor and critic together.
+        """
+        actor = ProbabilisticActor(
+            KeyedModule(self.heads.policy, ["hidden", "scene"], "logits"),
+            in_keys=["logits"],
+            distribution_class=Categorical,
+            distribution_kwargs={"validate_args": False},
+            return_log_prob=True,
+        )
+        critic = KeyedModule(self.heads.value, ["hidden", "scene"], "state_value")
+        return ActorValueOperator(self.trunk(), actor, critic)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``hidden``, ``logits`` and ``state_value``, see the class."""
+        self.trunk()(tensordict)
+        hidden, scene = tensordict["hidden"].flatten(0, -2), tensordict["scene"].flatten()
+        for key, head in (("logits", self.heads.policy), ("state_value", self.heads.value)):
+            tensordict.set(key, head(hidden, scene).unflatten(0, tensordict.batch_size))
+        return tensordict
 
 
 def count_parameters(network: nn.Module) -> int:
@@ -94,27 +147,33 @@ def count_parameters(network: nn.Module) -> int:
     return sum(parameter.numel() for parameter in network.parameters() if parameter.requires_grad)
 
 
-def make_network(
-    features: Tensor,
-    scenes: Sequence[str],
-    *,
-    statistics: tuple[Tensor, Tensor] | None = None,
-    heads: str = "scene",
-    width: int = 512,
-    seed: int = 0,
-) -> Network:
-    """A network with its initial weights, decided by the seed alone.
+def caching(policy: nn.Module) -> AbstractContextManager[None]:
+    """A context in which no observation is embedded twice between two changes of the weights, if the policy can."""
+    cached = getattr(policy, "cached", None)
+    return nullcontext() if cached is None else cached.caching()
 
-    Args:
-        features: the backbone's output for each state of the world, float32 ``[N, D]``.
-        scenes: the names of the world's scenes.
-        statistics: mean and deviation to standardise features with, float32 ``[D]`` each; raw features if left out.
-        heads: ``scene`` for layers of each scene's own, ``shared`` for one set of them.
-        width: of every layer.
-        seed: of the initial weights.
-    """
-    names = {"scene": list(scenes), "shared": ["shared"]}[heads]
-    mean, std = statistics or (None, None)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return Network(FeatureTable(features, mean, std), names, width)
+
+def frozen(policy: nn.Module) -> AbstractContextManager[None]:
+    """A context for evaluation, in which the weights must not change, so that a policy may compute things once."""
+    cached = getattr(policy, "cached", None)
+    return nullcontext() if cached is None else cached.frozen()
+
+
+def plain_weights(policy: nn.Module) -> dict[str, Tensor]:
+    """A policy's state_dict, without what only makes its training faster."""
+    weights: dict[str, Tensor] = getattr(policy, "plain_state_dict", policy.state_dict)()
+    return weights
+
+
+def recurrent_keys(policy: nn.Module) -> list[str]:
+    """The keys of a policy's recurrent state; empty for a policy without memory."""
+    written = [key for key in getattr(policy, "out_keys", []) if isinstance(key, tuple) and key[0] == "next"]
+    return [key[1] for key in written]
+
+
+def initial_state(policy: nn.Module, batch: int, device: torch.device) -> dict[str, Tensor]:
+    """A policy's recurrent state at the beginning of an episode, ``[batch, ...]`` by key; empty without memory."""
+    if not recurrent_keys(policy):
+        return {}
+    primer = get_primers_from_module(policy)
+    return {key: primer.primers[key].zero([batch]).to(device) for key in recurrent_keys(policy)}

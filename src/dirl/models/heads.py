@@ -1,20 +1,48 @@
 """Scene-specific layers: each scene has weights of its own, and each row goes through those of its scene."""
 
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.models.fast.caching import answers_late
+from dirl.config.bounds import Bounds
+from dirl.models.fast.caching import avoid_host_sync
 
 
-class SceneLayers(nn.Module):
+class ActorCriticHeads(nn.Module):
+    """What follows the encoder: a hidden layer, policy and value, one set for each scene or one for all (figure 2).
+
+    Args:
+        scenes: the scenes' names, in the order of the world.
+        in_features: of the encoder's output, or the memory's.
+        num_actions: outputs of the policy.
+        width: of the hidden layer.
+        shared: one set of layers for all scenes.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[str],
+        in_features: int,
+        num_actions: int,
+        width: Annotated[int, Bounds(1)] = 512,
+        shared: bool = False,
+    ) -> None:
+        super().__init__()
+        names = ["shared"] if shared else list(scenes)
+        self.trunk = SceneTrunks(names, lambda: nn.Sequential(nn.Linear(in_features, width), nn.ReLU()))
+        self.policy = SceneLinear(names, width, num_actions)
+        self.value = SceneLinear(names, width, 1)
+
+
+class SceneTrunks(nn.Module):
     """One module for each scene; row by row the one that ``scene`` names is applied.
 
-    Rows are sorted by scene, split, and put back; on a GPU, which would have to tell how many there are of each, every
-    layer is applied to all of them. (A stacked parameter would lose the scenes' names in the state_dict, and with them
-    adding or freezing a scene.)
+    Rows are sorted by scene, split, and put back. On a GPU every layer is applied to all of them, because counting the
+    rows of each scene would be a host-device synchronisation. (A stacked parameter would lose the scenes' names in the
+    state_dict, and with them adding or freezing a scene.)
 
     Args:
         scenes: the scenes' names, in the order of the world; a single name serves every scene.
@@ -33,7 +61,7 @@ class SceneLayers(nn.Module):
         layers = list(self.scenes.values())
         if len(layers) == 1:
             return layers[0](rows)
-        if answers_late(rows):
+        if avoid_host_sync(rows):
             return _pick(torch.stack([layer(rows) for layer in layers], 1), scene)
         sizes = torch.bincount(scene, minlength=len(layers)).tolist()
         order = torch.argsort(scene, stable=True)
@@ -42,14 +70,14 @@ class SceneLayers(nn.Module):
         return done.index_select(0, torch.argsort(order))
 
 
-class SceneHeads(nn.Module):
+class SceneLinear(nn.Module):
     """One small linear layer for each scene; row by row the one that ``scene`` names is applied.
 
     All of them are applied to all rows at once and the right outputs picked: for a handful of outputs that is faster
     than to sort the rows.
 
     Args:
-        scenes: as for `SceneLayers`.
+        scenes: as for `SceneTrunks`.
         width: F, of the rows.
         outputs: F', of each layer.
     """

@@ -2,6 +2,6 @@
 
 from dirl.objectives.imitation import ImitationLoss
 from dirl.objectives.optim import TFRMSprop, clip_each
-from dirl.objectives.reinforcement import bootstrap, make_advantages, make_loss
+from dirl.objectives.reinforcement import bootstrap, make_advantages
 
-__all__ = ["ImitationLoss", "TFRMSprop", "bootstrap", "clip_each", "make_advantages", "make_loss"]
+__all__ = ["ImitationLoss", "TFRMSprop", "bootstrap", "clip_each", "make_advantages"]

@@ -14,7 +14,6 @@ class ImitationLoss(LossModule):
 
     Args:
         actor: anything with ``get_dist``, as ``ProbabilisticActor`` has.
-        coeff: multiplies the loss; can be changed later by assigning to it.
         reduction: ``mean``, ``sum`` or ``none``.
 
     Returns of ``forward``: ``loss_imitation`` (scalar) and ``accuracy``, the share of rows in which the most probable
@@ -28,16 +27,12 @@ class ImitationLoss(LossModule):
     default_keys = _AcceptedKeys
     tensor_keys: _AcceptedKeys
     out_keys = ("loss_imitation", "accuracy")
-    _schedulable_buffers = frozenset({"coeff"})
     functional = False
 
-    def __init__(
-        self, actor: ProbabilisticTensorDictSequential, *, coeff: float = 1.0, reduction: str = "mean"
-    ) -> None:
+    def __init__(self, actor: ProbabilisticTensorDictSequential, *, reduction: str = "mean") -> None:
         super().__init__()
         self.actor_network = actor
         self.reduction = reduction
-        self.register_coeff_buffer("coeff", coeff, device=None)
 
     @property
     def in_keys(self) -> list[NestedKey]:
@@ -54,4 +49,4 @@ class ImitationLoss(LossModule):
         expert = tensordict.get(self.tensor_keys.expert_action)
         loss = self._reduce_loss(-dist.log_prob(expert), tensordict)
         accuracy = (dist.mode == expert).float().mean()
-        return TensorDict({"loss_imitation": self.coeff * loss, "accuracy": accuracy})
+        return TensorDict({"loss_imitation": loss, "accuracy": accuracy})

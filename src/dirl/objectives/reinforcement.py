@@ -1,10 +1,8 @@
-"""Advantage actor-critic and PPO: TorchRL's losses on the heads of the network (paper section 3.2)."""
+"""Advantages of rollouts, which TorchRL's actor-critic losses read (paper section 3.2)."""
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.modules import ActorValueOperator
-from torchrl.objectives import A2CLoss, ClipPPOLoss, LossModule
 from torchrl.objectives.value import GAE
 
 
@@ -34,40 +32,3 @@ def bootstrap(batch: TensorDictBase, critic: TensorDictModuleBase) -> TensorDict
     values[unknown] = critic(batch["next"].select(*critic.in_keys)[unknown])["state_value"]
     batch["next", "state_value"] = values
     return batch
-
-
-def make_loss(
-    objective: str,
-    network: ActorValueOperator,
-    *,
-    entropy: float,
-    value: float,
-    clip: float = 0.2,
-    reduction: str = "mean",
-) -> LossModule:
-    """The loss over the heads; the trunk must have written ``hidden``.
-
-    Args:
-        objective: ``a2c`` or ``ppo``.
-        network: the actor-critic whose heads are trained.
-        entropy: weight of the entropy bonus, beta of paper equation 7.
-        value: weight of the squared error of the value.
-        clip: how far PPO's ratio may go from one.
-        reduction: ``mean`` or ``sum`` over the frames of a batch.
-
-    Raises:
-        ValueError: there is no such objective.
-    """
-    heads = network.get_policy_head(), network.get_value_head()
-    common = {
-        "entropy_coeff": entropy,
-        "critic_coeff": value,
-        "loss_critic_type": "l2",
-        "functional": False,
-        "reduction": reduction,
-    }
-    if objective == "a2c":
-        return A2CLoss(*heads, **common)
-    if objective == "ppo":
-        return ClipPPOLoss(*heads, clip_epsilon=clip, **common)
-    raise ValueError(f"there is no objective '{objective}'; choose a2c or ppo")

@@ -4,6 +4,7 @@ from dirl.reporting.animation import write_gif
 from dirl.reporting.curves import draw_learning_curve, draw_learning_curves
 from dirl.reporting.inspection import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.reporting.maps import draw_policy
+from dirl.reporting.pictures import draw_scene
 from dirl.reporting.tables import result_table, run_title, summary_table
 from dirl.reporting.trajectories import draw_trajectories
 from dirl.reporting.viewer import viewer_pages
@@ -15,6 +16,7 @@ __all__ = [
     "draw_learning_curve",
     "draw_learning_curves",
     "draw_policy",
+    "draw_scene",
     "draw_scene_map",
     "draw_trajectories",
     "result_table",

@@ -1,39 +1,60 @@
-"""Pictures of a trained policy, from the parts of its run."""
+"""Pictures of a trained policy in one scene."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
+from torch import nn
 
-from dirl.evaluation import action_values
-from dirl.reporting import draw_policy, draw_trajectories, run_title, write_gif
+from dirl.evaluation import EvaluationProtocol, action_values
+from dirl.reporting.animation import write_gif
+from dirl.reporting.maps import draw_policy
+from dirl.reporting.tables import run_title
+from dirl.reporting.trajectories import draw_trajectories
 from dirl.scenes.matching import TemplateStop
-from dirl.training.build import Parts, describe, run_trajectories
 
 
-def draw_scene(parts: Parts, index: int, folder: Path, count: int = 5) -> None:
-    """Pictures of a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy."""
-    world, scene = parts.world, parts.world.scenes[index]
-    goal_index = world.goals_in(index)[0]
-    distances = world.distances[goal_index]
-    order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())]
+def draw_scene(
+    policy: nn.Module,
+    protocol: EvaluationProtocol,
+    index: int,
+    folder: Path,
+    *,
+    matching: TemplateStop,
+    facts: Mapping[str, Any],
+    count: int = 5,
+) -> None:
+    """Pictures of a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy.
+
+    Args:
+        policy: trained.
+        protocol: how it is evaluated, and where.
+        index: of the scene in the world.
+        folder: where the files go.
+        matching: what the map of matching scores is computed by.
+        facts: of the run, see `dirl.training.build.describe`.
+        count: episodes of the picture.
+    """
+    world, scene = protocol.world, protocol.world.scenes[index]
+    goal_index, offset = world.goals_in(index)[0], world.offsets[index]
+    distances = world.block(world.distances, goal_index).long()
+    order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())] + offset
     starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(count, len(order))).long()]
-    episodes, paths = run_trajectories(parts, (torch.full_like(starts, goal_index), starts))
-    goal = int(world.goals[goal_index]) - world.offsets[index]
-    facts = describe(parts) | {"scene": scene.name, "source": scene.source}
-    title = f"{run_title(facts)}, goal {goal}"
-    walked = [[state - world.offsets[index] for state in path] for path in paths]
+    episodes, paths = protocol.trajectories(policy, (torch.full_like(starts, goal_index), starts))
+    goal = int(world.goals[goal_index]) - offset
+    title = f"{run_title({**facts, 'scene': scene.name, 'source': scene.source})}, goal {goal}"
+    walked = [[state - offset for state in path] for path in paths]
     success = episodes.success.tolist()
     draw_trajectories(scene, goal, walked, folder / f"trajectories_{scene.name}.png", success=success, title=title)
     write_gif(scene, goal, walked[0], folder / f"episode_{scene.name}.gif", title=title, success=success[0])
-    matching = TemplateStop(parts.config.stop.threshold, parts.config.stop.match)
-    probabilities, value = action_values(parts.network, world, parts.sight, goal_index)
-    scores = matching.scores(world)[goal_index, world.scene_of == index]
+    probabilities, value = action_values(policy, world, protocol.observation, goal_index)
     draw_policy(
         scene,
         goal,
         probabilities.cpu(),
         value.cpu(),
-        scores.cpu(),
+        world.block(matching.scores(world), goal_index).cpu(),
         folder / f"maps_{scene.name}.png",
         title=title,
         threshold=matching.threshold,

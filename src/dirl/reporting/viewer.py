@@ -7,11 +7,11 @@ from typing import Any
 from urllib.parse import quote
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from dirl.envs import SurroundingViews
-from dirl.evaluation import answers
-from dirl.models import Network
+from dirl.episodes import answers
+from dirl.models import recurrent_keys
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.matching import TemplateStop
@@ -19,9 +19,9 @@ from dirl.scenes.views import encode
 
 
 def viewer_pages(
-    network: Network,
+    policy: nn.Module,
     world: World,
-    sight: SurroundingViews,
+    observation: SurroundingViews,
     *,
     matching: TemplateStop,
     stop: Tensor | None,
@@ -34,11 +34,11 @@ def viewer_pages(
     any episode as `dirl.evaluation.run_episodes` would.
 
     Args:
-        network: the policy, as it is now.
+        policy: as it is now.
         world: the scenes and goals to choose from.
-        sight: what the policy sees.
+        observation: what the policy observes.
         matching: what the shown matching scores and threshold are taken from.
-        stop: where an agent stops on its way to each goal, bool ``[G, N]``; at the goal itself if None.
+        stop: where an agent stops on its way to each goal, bool ``[P]``; at the goal itself if None.
         max_steps: an episode that has not arrived by then has failed.
         title: says whose episodes these are; the same for all scenes.
 
@@ -47,14 +47,14 @@ def viewer_pages(
         belong into one folder.
 
     Raises:
-        ValueError: what the policy sees depends on more than where it is, so that it has no one answer for a state.
+        ValueError: what the policy decides by depends on more than where it is, so that a state has no one answer.
     """
-    if sight.history:
+    if observation.history or recurrent_keys(policy):
         raise ValueError(
-            "the viewer shows policies that see their surroundings; with observation=sequential the answer depends on "
-            "the states before, which no table of states can hold: leave out viewer=true"
+            "the viewer shows policies that decide by their surroundings; with observation=sequential or a memory the "
+            "answer depends on the states before, which no table of states can hold: leave out viewer=true"
         )
-    logits, values = answers(network, world, sight)
+    logits, values = answers(policy, world, observation)
     scores = matching.scores(world)
     common = {
         "title": title,
@@ -67,18 +67,17 @@ def viewer_pages(
     }
     pages = {}
     for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
-        states = slice(offset, offset + len(scene))
         goals = []
         for row in world.goals_in(index):
             goal = int(world.goals[row]) - offset
             goals.append(
                 {
                     "state": goal,
-                    "logits": _base64(logits[row, states]),
-                    "values": _base64(values[row, states]),
-                    "scores": _base64(scores[row, states]),
-                    "distances": world.distances[row, states].tolist(),
-                    "stops": [goal] if stop is None else torch.nonzero(stop[row, states]).flatten().tolist(),
+                    "logits": _base64(world.block(logits, row)),
+                    "values": _base64(world.block(values, row)),
+                    "scores": _base64(world.block(scores, row)),
+                    "distances": world.block(world.distances, row).tolist(),
+                    "stops": [goal] if stop is None else torch.nonzero(world.block(stop, row)).flatten().tolist(),
                 }
             )
         pages[file_name(scene.name)] = _page({**common, **_room(scene), "goals": goals})

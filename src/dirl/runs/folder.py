@@ -16,14 +16,12 @@ import torch
 from omegaconf import OmegaConf
 from torchrl.record.loggers import Logger, get_logger
 
-from dirl.config.schemas import ConfigError, Existing, LoggerConfig, LoggerName, TrainConfig, parse_config
+from dirl.config.saved import config_text, read_config
+from dirl.config.schemas import ConfigError, Existing, LoggerConfig, LoggerName, TrainConfig, leaves
 from dirl.scenes import World
 
-VIEW_ORDER = {
-    "surrounding": ["ahead", "right", "back", "left"],
-    "sequential": ["three steps ago", "two steps ago", "one step ago", "now"],
-}
-"""What the four views of a network's input are, by ``config.observation``; every checkpoint says it."""
+SCHEMA = 2
+"""Of configurations and checkpoints; 1 was dirl 0.1."""
 
 
 class RunError(ValueError):
@@ -51,16 +49,16 @@ class Run:
         self._last_save = time.perf_counter()
         self._facts: dict[str, Any] = {}
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: World, view_order: Sequence[str]) -> None:
         """Write the configuration, and forget metrics that are younger than the checkpoint. Nothing is written before.
 
         Raises:
             ConfigError: the logger's package is not installed.
         """
         self.logger = make_logger(self.config.logger, self.folder)
-        text = OmegaConf.to_yaml(OmegaConf.structured(self.config))
+        text = config_text(self.config)
         self._facts = {"config": text, "scenes": list(world.names), "extractor": world.scenes[0].extractor}
-        self._facts["views"] = VIEW_ORDER[self.config.observation]
+        self._facts |= {"views": list(view_order), "schema": SCHEMA}
         (self.folder / "config.yaml").write_text(text)
         sizes = self.saved["tables"] if self.saved else {}
         for file in self.folder.glob("*.csv"):
@@ -145,19 +143,19 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
             return Run(folder, config)
         if config.existing == Existing.refuse:
             raise RunError(f"{folder}: holds a run already; go on with it by resume={folder}, or choose another folder")
-        changed = _changes(config, parse_config(file.read_text(), origin=str(file)))
+        changed = _changes(config, read_config(file.read_text(), origin=str(file), trust=None))
         if changed:
             raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
         checkpoints = training_checkpoints(folder)
         return Run(folder, config, load_checkpoint(checkpoints[-1]) if checkpoints else None)
-    others = [text for text in overrides if not text.startswith("resume=")]
+    others = [text for text in overrides if not text.startswith(("resume=", "trust="))]
     if others:
         raise RunError(f"resume goes on with the saved configuration; leave out {' '.join(others)}")
     folder = Path(config.resume)
     file = folder / "config.yaml"
     if not file.is_file():
         raise RunError(f"{folder}: is not the folder of a run; it has no {file.name}")
-    saved_config = parse_config(file.read_text(), origin=str(file))
+    saved_config = read_config(file.read_text(), origin=str(file), trust=config.trust or [])
     checkpoints = training_checkpoints(folder)
     if is_finished(folder):
         raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
@@ -171,22 +169,13 @@ def is_finished(folder: Path) -> bool:
 
 def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:
     """What is asked for and is not what was saved, as ``name=saved, not asked``; of what changes a result."""
-    asked, before = (options_of(OmegaConf.to_container(OmegaConf.structured(one))) for one in (config, saved))
-    same = ("resume", "existing", "source.root", "checkpoint.", "logger.")
+    asked, before = (leaves(OmegaConf.to_container(OmegaConf.structured(one))) for one in (config, saved))
+    same = ("resume", "trust", "existing", "source.root", "checkpoint.", "logger.")
     return [
         f"{name}={before.get(name)} instead of {value}"
         for name, value in asked.items()
         if before.get(name) != value and not name.startswith(same)
     ]
-
-
-def options_of(config: Any, prefix: str = "") -> dict[str, Any]:
-    """The values of a nested configuration by dotted name."""
-    found: dict[str, Any] = {}
-    for name, value in config.items():
-        inside = isinstance(value, dict) and name != "goals"
-        found |= options_of(value, f"{prefix}{name}.") if inside else {prefix + name: value}
-    return found
 
 
 def make_logger(options: LoggerConfig, folder: Path) -> Logger | None:

@@ -57,20 +57,25 @@ class TemplateStop:
             raise ValueError(f"match is 'views' or 'front', not '{self.match}'")
 
     def scores(self, world: World) -> Tensor:
-        """The coefficient of every goal with every state, float32 ``[G, N]``."""
+        """The coefficient of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`."""
         vectors = template_vectors(world.features, world.surrounding, self.match)
-        return vectors[world.goals] @ vectors.T
+        found = []
+        for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
+            of_scene = vectors[offset : offset + len(scene)]
+            goals = world.goals[world.goals_in(index)] - offset
+            found.append((of_scene[goals] @ of_scene.T).flatten())
+        return torch.cat(found)
 
     def __call__(self, world: World) -> Tensor:
-        """Where an agent stops on its way to each goal, bool ``[G, N]``; only within the goal's scene."""
+        """Where an agent stops on its way to each goal, bool ``[P]``; not where it cannot be reached from."""
         return (self.scores(world) > self.threshold) & (world.distances >= 0)
 
 
 def stop_errors(stop: Tensor, world: World) -> dict[str, float]:
     """How often a stop rule errs, over states: ``false`` of those that are not the goal, ``missed`` of the goals."""
-    goals = torch.arange(len(world.goals), device=world.device)
+    at_goal = world.pair(torch.arange(len(world.goals), device=world.device), world.goals)
     elsewhere = world.distances > 0
     return {
         "false": float((stop & elsewhere).sum() / elsewhere.sum()),
-        "missed": float((~stop[goals, world.goals]).float().mean()),
+        "missed": float((~stop[at_goal]).float().mean()),
     }

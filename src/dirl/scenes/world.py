@@ -32,7 +32,12 @@ class World:
     goals: Tensor
     """The goal states, int64 ``[G]``."""
     distances: Tensor
-    """Fewest actions to each goal, int64 ``[G, N]``; -1 where it cannot be reached."""
+    """Fewest actions for each pair of a goal and a state of its scene, int16 ``[P]``; -1 where it cannot be reached.
+
+    A block a scene, goal by goal: P is the sum over the scenes of goals x states, so that memory is linear in scenes.
+    """
+    row: Tensor
+    """Of each goal, int64 ``[G]``: its pair with a state is ``row[goal_index] + state``, see `pair`."""
 
     def __len__(self) -> int:
         """The number of states."""
@@ -59,6 +64,32 @@ class World:
         index = torch.full((len(self),), -1, device=self.device)
         index[self.goals] = torch.arange(len(self.goals), device=self.device)
         return index
+
+    def pair(self, goal_index: Tensor, state: Tensor) -> Tensor:
+        """The place of pairs in ``distances`` and every other table of pairs, int64 ``[...]``.
+
+        Args:
+            goal_index: goals by their place in ``goals``, int64 ``[...]``.
+            state: states of the goals' scenes, int64 ``[...]``; states of other scenes are not noticed.
+        """
+        return self.row[goal_index] + state
+
+    def distance(self, goal_index: Tensor, state: Tensor) -> Tensor:
+        """Fewest actions from states of the goals' scenes, int64 ``[...]``; -1 where the goal cannot be reached."""
+        return self.distances[self.pair(goal_index, state)].long()
+
+    def pairs(self) -> tuple[Tensor, Tensor]:
+        """Goal index and state of every pair, int64 ``[P]`` each, in the order of ``distances``."""
+        sizes = torch.tensor([len(scene) for scene in self.scenes], device=self.device)
+        of_goal = sizes[self.scene_of[self.goals]]
+        goal_index = torch.repeat_interleave(torch.arange(len(self.goals), device=self.device), of_goal)
+        return goal_index, torch.arange(len(goal_index), device=self.device) - self.row[goal_index]
+
+    def block(self, table: Tensor, goal_index: int) -> Tensor:
+        """What a table of pairs ``[P, ...]`` says of one goal, for the states of its scene in their order."""
+        scene = int(self.scene_of[self.goals[goal_index]])
+        first = int(self.row[goal_index]) + self.offsets[scene]
+        return table[first : first + len(self.scenes[scene])]
 
     def goals_in(self, scene: int) -> list[int]:
         """The places in ``goals`` of those in one scene, given by its place in ``scenes``."""
@@ -110,12 +141,11 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
     chosen = _goals(scenes, goals)
     sizes = [len(scene) for scene in scenes]
     offsets = tuple(int(offset) for offset in np.cumsum([0, *sizes[:-1]]))
-    distances = torch.full((sum(map(len, chosen)), sum(sizes)), -1)
-    row = 0
+    blocks, rows, pairs = [], [], 0
     for scene, offset, states in zip(scenes, offsets, chosen, strict=True):
-        found = shortest_distances(scene.graph, np.array(states))
-        distances[row : row + len(states), offset : offset + len(scene)] = torch.from_numpy(found.T).long()
-        row += len(states)
+        blocks.append(shortest_distances(scene.graph, np.array(states)).T.astype(np.int16).ravel())
+        rows += [pairs + place * len(scene) - offset for place in range(len(states))]
+        pairs += len(states) * len(scene)
     parts = list(zip(scenes, offsets, strict=True))
     graphs = [np.where(s.graph < 0, np.arange(len(s))[:, None], s.graph) + offset for s, offset in parts]
     return World(
@@ -126,7 +156,8 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         features=torch.from_numpy(np.concatenate([s.features for s in scenes]).astype(np.float32)),
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         goals=torch.tensor([g + offset for goal, offset in zip(chosen, offsets, strict=True) for g in goal]),
-        distances=distances,
+        distances=torch.from_numpy(np.concatenate(blocks)),
+        row=torch.tensor(rows),
     )
 
 

@@ -1,69 +1,35 @@
-"""From a configuration to the parts of a run: the one place where they are put together, for every recipe."""
+"""From a configuration to the parts of a run, one function each."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import torch
-from tensordict import TensorDict
-from torch import Tensor
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
 from torch.optim import Optimizer
-from torchrl.envs import Compose, EnvBase, StepCounter, TransformedEnv
+from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
+from torchrl.modules.utils import get_primers_from_module
 
-from dirl.config.schemas import (
-    Axes,
-    ConfigError,
-    Device,
-    Optimiser,
-    PolicyName,
-    Starts,
-    Stop,
-    TrainConfig,
-    parse_config,
-)
-from dirl.envs import OBSERVATIONS, NavigationEnv, Reward, SurroundingViews
-from dirl.evaluation import (
-    Episodes,
-    evaluate,
-    every_start,
-    random_policy,
-    report,
-    run_episodes,
-    sampled_starts,
-    shortest_episodes,
-    trajectories,
-)
+from dirl.config.components import components, make, schedules
+from dirl.config.schemas import Axes, Cache, ConfigError, Device, Starts, Stop, TrainConfig
+from dirl.envs import NavigationEnv, Reward, SurroundingViews
+from dirl.envs.transforms import VIEWS
+from dirl.episodes import every_start, sampled_starts
+from dirl.evaluation import EvaluationProtocol
 from dirl.experts import demonstrations
-from dirl.models import Network, feature_statistics, make_network
-from dirl.objectives import TFRMSprop
-from dirl.runs.folder import RunError
-from dirl.scenes import World, load_scenes, make_world
+from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys
+from dirl.scenes import ACTIONS, World, load_scenes, make_world
 from dirl.scenes.matching import TemplateStop
+from dirl.training.losses import Losses, ScheduledLoss
 
 
-@dataclass(frozen=True)
-class Parts:
-    """What the stages of a run work on."""
-
-    config: TrainConfig
-    world: World
-    sight: SurroundingViews
-    """What agents see."""
-    network: Network
-    demos: TensorDict
-    """The expert's, ``[M]``, with views."""
-    starts: tuple[Tensor, Tensor]
-    """Goal index and start state of each episode of an evaluation, int64 ``[E]`` each."""
-    stop: Tensor | None
-    """Where an evaluated agent stops on its way to each goal, bool ``[G, N]``; None = exactly at the goal."""
-
-
-def build_parts(config: TrainConfig) -> Parts:
-    """Read the scenes and make everything that a run needs; decided by the configuration alone.
+def build_world(config: TrainConfig) -> World:
+    """Read the scenes and join them, on the device of the configuration.
 
     Raises:
         SceneError: a scene or goal that does not exist or cannot be used.
-        ValueError: an option that no part accepts, or a device that is not there.
+        ConfigError: a device that is not there, or workers that cannot be.
     """
     if config.device == Device.cuda and not torch.cuda.is_available():
         raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
@@ -73,148 +39,249 @@ def build_parts(config: TrainConfig) -> Parts:
         raise ConfigError(f"reinforcement.workers={workers}: there are only {agents} agents to share among them")
     if workers > 1 and config.device != Device.cpu:
         raise ConfigError(f"reinforcement.workers={workers}: several workers learn on the CPU only; use device=cpu")
-    world = make_world(scenes, config.goals).to(config.device)
-    sight = OBSERVATIONS[config.observation](world).to(world.device)
-    network = make_network(
-        world.features,
-        world.names,
-        statistics=feature_statistics(world.features) if config.network.standardise else None,
-        heads=config.network.heads,
-        width=config.network.width,
-        seed=config.seed,
-    )
-    # A demonstrated state has no history: the expert is seen there as at the start of an episode.
-    demos = demonstrations(world, config.imitation.share, config.imitation.rule, config.seed)
-    testing = config.evaluation
-    return Parts(
-        config=config,
-        world=world,
-        sight=sight,
-        network=network.to(world.device),
-        demos=demos.update({"views": sight.begin(demos["state"]), "goal_views": sight.begin(demos["goal"])}),
-        starts=every_start(world)
-        if testing.starts == Starts.every
-        else sampled_starts(world, testing.episodes_per_goal, config.seed),
-        stop=_stop_table(config, config.stop.evaluation, world),
-    )
+    return make_world(scenes, config.goals).to(config.device)
 
 
-def learning_parts(config: TrainConfig) -> Parts:
-    """`build_parts`, with the network in the axes it shall learn in."""
-    parts = build_parts(config)
-    world = parts.world
-    # With more states than features of a view there is next to nothing to save.
-    if config.network.axes == Axes.principal and len(world) <= world.features.shape[1]:
-        parts.network.encoder.use_principal_axes(None if parts.sight.history else world.surrounding)
-    return parts
+def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
+    """The transform that says what agents observe."""
+    made: SurroundingViews = make("observation", config.observation, config.trust, world=world)
+    return made.to(world.device)
 
 
-def trained_parts(saved: Mapping[str, Any], origin: str, changes: Mapping[str, Any] | None = None) -> Parts:
-    """The parts of a run with the weights of a checkpoint.
+def build_policy(
+    config: TrainConfig,
+    features: FeatureTable,
+    scenes: Collection[str],
+    *,
+    world: World | None = None,
+) -> nn.Module:
+    """The policy with its initial weights, which the seed decides alone.
 
     Args:
-        saved: see `dirl.runs.folder.load_checkpoint`.
-        origin: where it stood, for errors.
-        changes: options to replace in its configuration, by dotted name.
+        config: of the run.
+        features: of the world's states.
+        scenes: the scenes' names.
+        world: where it walks; a policy that is loaded outside of its scenes has none.
 
     Raises:
-        RunError: the scenes' features are of another extractor than those it was trained on.
-        ConfigError, SceneError: see `build_parts`.
+        ConfigError: components that do not fit together.
     """
-    parts = build_parts(parse_config(saved["config"], origin=origin, changes=changes))
-    extractor = parts.world.scenes[0].extractor
+    trust, width = config.trust, features.width
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        encoder = make("encoder", config.encoder, trust, num_features=width)
+        fused = _output_width("encoder", lambda: encoder(*torch.zeros(2, 1, VIEWS, width)))
+        memory = make("memory", config.memory, trust, input_size=fused, in_key="fused", out_key="memory")
+        encoded = fused if memory is None else _output_width("memory", lambda: _remember(memory, fused))
+        heads = make("heads", config.heads, trust, scenes=list(scenes), in_features=encoded, num_actions=len(ACTIONS))
+        parts = {"encoder": encoder, "memory": memory, "heads": heads, "features": features, "world": world}
+        policy: nn.Module = make("policy", config.policy, trust, **parts)
+    return policy.to(features.table.device)
+
+
+def _output_width(name: str, call: Any) -> int:
+    """The width of what a component gives for one row."""
+    try:
+        with torch.no_grad():
+            result = call()
+    except (RuntimeError, TypeError, ValueError, KeyError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ConfigError(f"{name}: cannot be called as it should, on [1, 4, D] features: {reason}") from None
+    if not isinstance(result, Tensor) or result.ndim != 2 or len(result) != 1:
+        found = list(result.shape) if isinstance(result, Tensor) else type(result).__name__
+        raise ConfigError(f"{name}: gives {found} for one row; expected [1, width]")
+    return result.shape[1]
+
+
+def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
+    row = TensorDict({"fused": torch.zeros(1, width), "is_init": torch.ones(1, 1, dtype=torch.bool)}, batch_size=[1])
+    result: Tensor = memory(row.update(initial_state(memory, 1, torch.device("cpu"))))["memory"]
+    return result
+
+
+def feature_table(config: TrainConfig, world: World) -> FeatureTable:
+    """The features of the world's states, standardised if the configuration says so."""
+    statistics = feature_statistics(world.features) if config.network.standardise else ()
+    return FeatureTable(world.features, *statistics).to(world.device)
+
+
+def learning_policy(config: TrainConfig, world: World, observation: SurroundingViews) -> nn.Module:
+    """`build_policy` for training: with ``network.cache=auto`` each distinct observation is embedded once."""
+    policy = build_policy(config, feature_table(config, world), world.names, world=world)
+    return cached(policy, config, world, observation, principal=config.network.axes == Axes.principal)
+
+
+def cached(
+    policy: nn.Module, config: TrainConfig, world: World, observation: SurroundingViews, *, principal: bool = False
+) -> nn.Module:
+    """The policy, which embeds each distinct observation once if the configuration lets it."""
+    if config.network.cache == Cache.auto and hasattr(policy, "cache"):
+        # With more states than features of a view there is next to nothing to save by principal axes.
+        principal = principal and len(world) <= world.features.shape[1]
+        policy.cache(None if observation.history else world.surrounding, principal=principal)
+    return policy
+
+
+def trained_policy(
+    saved: Mapping[str, Any], origin: str, config: TrainConfig, world: World, observation: SurroundingViews
+) -> nn.Module:
+    """The policy of a checkpoint.
+
+    Args:
+        saved: see `dirl.runs.checkpoints.load_checkpoint`.
+        origin: where it stood, for errors.
+        config: its configuration, or one with other goals or conditions of evaluation.
+        world: of that configuration.
+        observation: what it observes there.
+
+    Raises:
+        ConfigError: the scenes' features are of another extractor, or the weights do not fit the configuration.
+    """
+    extractor = world.scenes[0].extractor
     if extractor != saved["extractor"]:
-        raise RunError(
+        raise ConfigError(
             f"the scenes' features are of another extractor than those {origin} was trained on: "
             f"'{extractor}', not '{saved['extractor']}'"
         )
-    parts.network.load_state_dict(saved["network"])
-    return parts
+    policy = build_policy(config, feature_table(config, world), world.names, world=world)
+    load_weights(policy, saved["network"], origin)
+    return cached(policy, config, world, observation)
 
 
-def _stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
-    return TemplateStop(config.stop.threshold, config.stop.match)(world) if rule == Stop.match else None
+def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str) -> None:
+    """Load a checkpoint's weights, also those of schema 1.
+
+    Raises:
+        ConfigError: they do not fit.
+    """
+    try:
+        policy.load_state_dict(_renamed(weights))
+    except (RuntimeError, KeyError, AttributeError) as error:
+        reason = " ".join(str(error).split())[:300]
+        raise ConfigError(f"{origin}: the weights do not fit the network of its configuration ({reason})") from None
 
 
-def build_env(parts: Parts, *, agents: int | None = None, seed: int | None = None) -> EnvBase:
-    """The environment of training, with step limit, reward scale and views.
+def _renamed(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights by the names they have today."""
+    if "encoder.table.mean" not in weights:
+        return dict(weights)
+    heads = {"hidden.": "heads.trunk.", "policy.": "heads.policy.", "value.": "heads.value."}
+    names = {"encoder.table.": "features.", **heads}
+    found = {}
+    for name, value in weights.items():
+        old = next((prefix for prefix in names if name.startswith(prefix)), "")
+        found[names.get(old, "") + name.removeprefix(old)] = value
+    return found
+
+
+def build_env(
+    config: TrainConfig,
+    world: World,
+    observation: SurroundingViews,
+    policy: nn.Module,
+    *,
+    agents: int | None = None,
+    seed: int | None = None,
+) -> EnvBase:
+    """The environment of training, with step limit, reward scale, view ids, and the policy's recurrent state if any.
 
     Args:
-        parts: of the run.
-        agents: how many walk in it; all of them if left out.
+        config: of the run.
+        world: where agents walk.
+        observation: what they observe.
+        policy: whose recurrent state begins anew with every episode.
+        agents: how many walk; all of the configuration if left out.
         seed: of goals and starts; the configuration's if left out.
     """
-    config, world = parts.config, parts.world
     reward, scale = config.reward, config.reward.scale
     env = NavigationEnv(
         world,
         agents or config.reinforcement.agents_per_scene * len(world.scenes),
         reward=Reward(reward.goal * scale, reward.step * scale, reward.collision * scale),
-        stop=_stop_table(config, config.stop.training, world),
+        stop=stop_table(config, config.stop.training, world),
         seed=config.seed if seed is None else seed,
     )
-    return TransformedEnv(env, Compose(StepCounter(max_steps=config.reinforcement.max_steps), parts.sight))
+    transforms = [StepCounter(max_steps=config.reinforcement.max_steps), observation]
+    if recurrent_keys(policy):
+        transforms += [InitTracker(), get_primers_from_module(policy)]
+    return TransformedEnv(env, Compose(*transforms))
 
 
-def build_optimiser(parts: Parts) -> Optimizer:
-    """The optimiser of reinforcement."""
-    options, weights = parts.config.optimiser, parts.network.parameters()
-    if options.name == Optimiser.adam:
-        return torch.optim.Adam(weights, lr=options.lr, eps=options.eps, fused=True)
-    return TFRMSprop(weights, lr=options.lr, eps=options.eps)
+def build_demonstrations(config: TrainConfig, world: World, observation: SurroundingViews) -> TensorDictBase:
+    """What the expert shows, ``[M]``; see `dirl.experts.demonstrations`."""
+    options = config.imitation
+    return demonstrations(world, build_expert(config, world), observation, options.fraction, options.rule, config.seed)
 
 
-def run_policy(parts: Parts, *, greedy: bool = True) -> Episodes:
-    """One episode from each of the evaluation's starts, with the network as it is now."""
-    return evaluate(parts.network, parts.world, parts.starts, greedy=greedy, **_conditions(parts))
+def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
+    """The expert."""
+    made: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
+    return made
 
 
-def run_random(parts: Parts) -> Episodes:
-    """The same for a random walker, which the environment stops: it shall only be lost, not also misled."""
-    conditions = {**_conditions(parts), "stop": None}
-    return run_episodes(random_policy, parts.world, parts.starts, greedy=False, **conditions)
+def build_losses(config: TrainConfig, policy: nn.Module, world: World, demos: TensorDictBase) -> Losses:
+    """The losses of an update; those on demonstrations, where there are none or they have no weight, are left out."""
+    operator = policy.operator()  # type: ignore[operator]
+    actor, critic = operator.get_policy_head(), operator.get_value_head()
+    offered = {"policy": policy, "actor": actor, "actor_network": actor, "critic_network": critic, "world": world}
+    found = {}
+    for name, options in components(config).items():
+        if name.startswith("losses."):
+            changing = schedules(name, options)
+            module = make(name, options, config.trust, **offered)
+            loss = ScheduledLoss(module.to(world.device), changing)
+            weight = changing["weight"]
+            if not loss.on_demonstrations or (len(demos) and (weight.start or weight.end)):
+                found[name.removeprefix("losses.")] = loss
+    # Of equal losses those on demonstrations come last, whatever the order of the configuration.
+    return Losses(policy, dict(sorted(found.items(), key=lambda item: item[1].on_demonstrations)), demos)
 
 
-def run_trajectories(
-    parts: Parts, starts: tuple[Tensor, Tensor], *, greedy: bool = True
-) -> tuple[Episodes, list[list[int]]]:
-    """Episodes from given starts, and the states that each passed."""
-    return trajectories(parts.network, parts.world, starts, greedy=greedy, **_conditions(parts))
+def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | None = None) -> Optimizer:
+    """The optimiser of the policy's weights, and of the losses' own."""
+    made: Optimizer = make("optimiser", config.optimiser, config.trust, params=trained_parameters(policy, losses))
+    return made
 
 
-def describe(parts: Parts) -> dict[str, Any]:
+def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> list[nn.Parameter]:
+    """The parameters of the policy, then the losses' own; each once."""
+    both = [*policy.parameters(), *(losses.parameters() if losses is not None else [])]
+    return list(dict.fromkeys(parameter for parameter in both if parameter.requires_grad))
+
+
+def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
+    """Where an agent stops on its way to each goal, bool ``[P]``; None = at the goal."""
+    return matching(config)(world) if rule == Stop.match else None
+
+
+def matching(config: TrainConfig) -> TemplateStop:
+    """The stop by template matching."""
+    return TemplateStop(config.stop.threshold, config.stop.match)
+
+
+def build_protocol(config: TrainConfig, world: World, observation: SurroundingViews) -> EvaluationProtocol:
+    """The conditions of an evaluation."""
+    options = config.evaluation
+    return EvaluationProtocol(
+        world,
+        observation,
+        starts=every_start(world)
+        if options.starts == Starts.every
+        else sampled_starts(world, options.episodes_per_goal, config.seed),
+        stop=stop_table(config, config.stop.evaluation, world),
+        max_steps=options.max_steps,
+        seed=config.seed,
+    )
+
+
+def describe(config: TrainConfig, world: World, demos: int) -> dict[str, Any]:
     """What a table or picture of a run must say of it."""
-    names = parts.world.names
+    names = world.names
     return {
         "scene": names[0] if len(names) == 1 else list(names),
-        "source": parts.world.source,
-        "system": parts.config.system,
-        "preset": parts.config.preset,
-        "seed": parts.config.seed,
-        "demonstrations": len(parts.demos),
+        "source": world.source,
+        "system": config.system,
+        "preset": config.preset,
+        "seed": config.seed,
+        "demonstrations": demos,
     }
-
-
-def assess(parts: Parts) -> dict[str, dict[str, Any]]:
-    """The measures of the policy, greedy and sampled, and of shortest path and random, from the same starts.
-
-    Where the policy is one of the latter two, greedy and sampled are the same.
-    """
-    world, policy = parts.world, parts.config.policy
-    baselines = {
-        "shortest_path": report(shortest_episodes(world, parts.starts), world),
-        "random": report(run_random(parts), world),
-    }
-    if policy != PolicyName.network:
-        return {**baselines, "greedy": baselines[policy], "sampled": baselines[policy]}
-    return {
-        **baselines,
-        "greedy": report(run_policy(parts), world),
-        "sampled": report(run_policy(parts, greedy=False), world),
-    }
-
-
-def _conditions(parts: Parts) -> dict[str, Any]:
-    config = parts.config
-    limit = config.evaluation.max_steps
-    return {"sight": parts.sight, "stop": parts.stop, "max_steps": limit, "seed": config.seed}

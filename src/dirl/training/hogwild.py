@@ -17,14 +17,24 @@ from typing import Any
 
 import torch
 import torch.multiprocessing
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from dirl.config.schemas import Precision, TrainConfig
-from dirl.models import Network, actor_critic
-from dirl.training.build import build_env, build_optimiser, learning_parts
-from dirl.training.losses import Update, make_gradients, set_learning_rate, summarise
-from dirl.training.rollout import collect
+from dirl.config.schemas import ConfigError, Precision, TrainConfig
+from dirl.models import caching, recurrent_keys
+from dirl.objectives import TFRMSprop
+from dirl.training.build import (
+    build_demonstrations,
+    build_env,
+    build_losses,
+    build_observation,
+    build_optimiser,
+    build_world,
+    learning_policy,
+)
+from dirl.training.losses import Advantages, clip_gradients, minibatches, set_learning_rate, total_loss
+from dirl.training.rollout import Update, collect, summarise
+from dirl.training.state import Record, TrainState
 
 
 @dataclass
@@ -42,25 +52,25 @@ class Shared:
     """Ask the workers to end, a ``multiprocessing.Event``."""
 
 
-def share(network: Network, optimiser: Optimizer, frames: int) -> Shared:
+def share(policy: nn.Module, optimiser: Optimizer, frames: int) -> Shared:
     """Copy the weights to shared memory, and move the optimiser's statistics there.
 
     Args:
-        network: it stays on its own; see `fetch`.
+        policy: it stays on its own; see `fetch`.
         optimiser: of its parameters; its statistics are from now on those that the workers write.
         frames: that the training has taken so far.
     """
     context = torch.multiprocessing.get_context("spawn")
     going = context.Event()
     going.set()
-    for parameter in network.parameters():
+    for parameter in policy.parameters():
         if not optimiser.state[parameter]:
             optimiser.state[parameter].update(_first_statistics(optimiser, parameter))
         for value in optimiser.state[parameter].values():
             value.share_memory_()
     return Shared(
-        weights=[parameter.detach().clone().share_memory_() for parameter in network.parameters()],
-        statistics=[optimiser.state[parameter] for parameter in network.parameters()],
+        weights=[parameter.detach().clone().share_memory_() for parameter in policy.parameters()],
+        statistics=[optimiser.state[parameter] for parameter in policy.parameters()],
         claimed=context.Value("q", frames),
         going=going,
         stopped=context.Event(),
@@ -72,25 +82,37 @@ def _first_statistics(optimiser: Optimizer, parameter: Tensor) -> dict[str, Tens
     if isinstance(optimiser, torch.optim.Adam):
         moments = {name: torch.zeros_like(parameter) for name in ("exp_avg", "exp_avg_sq")}
         return {"step": torch.zeros(()), **moments}
-    return {"mean_square": torch.ones_like(parameter)}
+    if isinstance(optimiser, TFRMSprop):
+        return {"mean_square": torch.ones_like(parameter)}
+    raise ConfigError(f"reinforcement.workers: workers share Adam's or TFRMSprop's statistics, not {type(optimiser)}'s")
 
 
 @torch.no_grad()
-def fetch(shared: Shared, network: Network) -> None:
-    """Copy the shared weights into a network."""
-    for own, common in zip(network.parameters(), shared.weights, strict=True):
+def fetch(shared: Shared, policy: nn.Module) -> None:
+    """Copy the shared weights into a policy."""
+    for own, common in zip(policy.parameters(), shared.weights, strict=True):
         own.copy_(common)
 
 
 @contextmanager
-def waiting(shared: Shared, network: Network) -> Iterator[None]:
-    """Within this context the workers wait, each once it has ended its update; the network has the shared weights."""
+def waiting(shared: Shared, policy: nn.Module) -> Iterator[None]:
+    """Within this context the workers wait, each once it has ended its update; the policy has the shared weights."""
     shared.going.clear()
     try:
-        fetch(shared, network)
+        fetch(shared, policy)
         yield
     finally:
         shared.going.set()
+
+
+def learn(config: TrainConfig, state: TrainState, total: int, record: Record, interrupted: Sequence[int]) -> None:
+    """Train with several workers, until ``total`` frames are walked or there is anything in ``interrupted``."""
+    if state.frames >= total:
+        return
+    shared = share(state.policy, state.optimiser, state.frames)
+    for update in asynchronous_updates(config, shared, total, interrupted):
+        record(update, waiting(shared, state.policy))
+    fetch(shared, state.policy)
 
 
 def asynchronous_updates(
@@ -147,37 +169,54 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
         sender: an `Update` is sent there after each.
     """
     torch.set_num_threads(1)
-    parts = learning_parts(config)
-    options, network = config.reinforcement, copy.deepcopy(parts.network)
-    for parameter, common in zip(parts.network.parameters(), shared.weights, strict=True):
-        parameter.data = common
-    optimiser = build_optimiser(parts)
-    for parameter, statistics in zip(parts.network.parameters(), shared.statistics, strict=True):
+    world = build_world(config)
+    observation = build_observation(config, world)
+    options, common = config.reinforcement, learning_policy(config, world, observation)
+    policy: Any = copy.deepcopy(common)
+    for parameter, weight in zip(common.parameters(), shared.weights, strict=True):
+        parameter.data = weight
+    optimiser = build_optimiser(config, common)
+    for parameter, statistics in zip(common.parameters(), shared.statistics, strict=True):
         optimiser.state[parameter].update(statistics)
-    agents_in_all = options.agents_per_scene * len(parts.world.scenes)
+    agents_in_all = options.agents_per_scene * len(world.scenes)
     # Not the same draws again in a run that goes on.
     seed = config.seed + 1_000_003 * (1 + number) + shared.claimed.value
     torch.manual_seed(seed)
-    env = build_env(parts, agents=len(range(number, agents_in_all, options.workers)), seed=seed)
+    count = len(range(number, agents_in_all, options.workers))
+    env = build_env(config, world, observation, policy, agents=count, seed=seed)
     agents = env.reset()
-    rounds = config.precision == Precision.bfloat16
-    operator, gradients = actor_critic(network), make_gradients(parts, network)
+    operator, advantages = policy.operator(), Advantages(policy, options.gamma, options.lmbda)
+    compute_losses = build_losses(config, policy, world, build_demonstrations(config, world, observation))
+    own, rate = list(policy.parameters()), optimiser.defaults["lr"]
+    by_agent, several = bool(recurrent_keys(policy)), options.epochs * options.minibatches > 1
     while not shared.stopped.is_set():
         shared.going.wait()
-        with shared.claimed.get_lock():
-            claimed = shared.claimed.value
-            if claimed >= total:
-                break
-            shared.claimed.value += env.batch_size.numel() * options.steps
-        left = 1 - claimed / total
-        set_learning_rate(optimiser, config.optimiser.lr * left)
-        fetch(shared, network)
-        with network.encoder.remembering(), torch.autocast("cpu", torch.bfloat16, enabled=rounds):
-            batch, agents = collect(env, operator, agents, options.steps)
-            for result in gradients(batch, left):  # noqa: B007
-                for parameter, own in zip(parts.network.parameters(), network.parameters(), strict=True):
-                    parameter.grad = own.grad
+        left = claim(shared, env.batch_size.numel() * options.n_steps, total)
+        if left is None:
+            break
+        set_learning_rate(optimiser, rate * left)
+        fetch(shared, policy)
+        with caching(policy), torch.autocast("cpu", torch.bfloat16, enabled=config.precision == Precision.bfloat16):
+            batch, agents = collect(env, operator, agents, options.n_steps)
+            batch = advantages(batch)
+            for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
+                losses = compute_losses(part, left)
+                policy.zero_grad()
+                total_loss(losses).backward()
+                clip_gradients(own, options.max_grad_norm, per_variable=options.clip_per_variable)
+                for parameter, mine in zip(common.parameters(), own, strict=True):
+                    parameter.grad = mine.grad
                 optimiser.step()
-                if config.objective.epochs * config.objective.minibatches > 1:
-                    fetch(shared, network)
-        sender.send(summarise(env, batch, result))
+                if several:
+                    fetch(shared, policy)
+        sender.send(summarise(env, batch, losses))
+
+
+def claim(shared: Shared, frames: int, total: int) -> float | None:
+    """Set out to walk some frames; the share of the training that is left before them, or None if there is none."""
+    with shared.claimed.get_lock():
+        claimed = shared.claimed.value
+        if claimed >= total:
+            return None
+        shared.claimed.value += frames
+    return float(1 - claimed / total)

@@ -1,108 +1,165 @@
-"""From a rollout to gradients: what agents that take turns and workers side by side have in common."""
+"""The losses of an update: one pass through the trunk, then every loss on the heads."""
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_
 from torch.optim import Optimizer
-from torchrl.envs import EnvBase
+from torchrl.modules import set_recurrent_mode
 
-from dirl.config.schemas import ObjectiveConfig
-from dirl.models import Network, actor_critic
-from dirl.objectives import ImitationLoss, bootstrap, clip_each, make_advantages, make_loss
-from dirl.training.build import Parts
+from dirl.config.schemas import Schedule
+from dirl.models import initial_state, recurrent_keys
+from dirl.objectives import bootstrap, clip_each
+from dirl.objectives.reinforcement import make_advantages
 
-Gradients = Callable[[TensorDictBase, float], Iterator[TensorDictBase]]
-"""A rollout ``[B, T]`` and the share of the training that is left, 1 to 0, to the losses of each update."""
-
-
-class Update(NamedTuple):
-    """What is told of an update."""
-
-    frames: int
-    """Walked for it."""
-    goal_index: list[int]
-    """The goals of the episodes that ended, in the order they ended."""
-    steps: list[int]
-    """How long these were."""
-    values: dict[str, float]
-    """Losses."""
+EXPERT = "expert_action"
+"""A loss that reads this key is computed on demonstrations; every other one on rollouts."""
 
 
-def make_gradients(parts: Parts, network: Network) -> Gradients:
-    """A function that computes the clipped gradients of a network from rollouts (paper section 3.2).
+@dataclass(frozen=True)
+class ScheduledLoss:
+    """A loss and what of it changes linearly over the training."""
 
-    It yields once for each update that a rollout is good for, when the network's parameters hold their gradients, and
-    the values of the losses with it. The caller then lets an optimiser step.
+    module: nn.Module
+    """Reads a batch and writes ``loss_*`` entries, as TorchRL's ``LossModule`` does."""
+    schedules: Mapping[str, Schedule]
+    """``weight``, which multiplies the loss, and attributes of the module by name."""
+
+    @property
+    def on_demonstrations(self) -> bool:
+        """Whether it is computed on demonstrations."""
+        return EXPERT in self.module.in_keys
+
+    def set_schedules(self, left: float) -> None:
+        """Set the module's attributes for a share ``left`` of the training, 1 to 0, that is still to come."""
+        for name, schedule in self.schedules.items():
+            if name != "weight":
+                setattr(self.module, name, schedule(left))
+
+
+class Losses(nn.Module):
+    """All losses of an update, by name.
+
+    The policy's trunk is computed once for all rows, and writes ``hidden`` with gradients; the losses read it. Losses
+    that have parameters of their own are trained with the policy.
 
     Args:
-        parts: of the run; its demonstrations are imitated alongside where ``imitation.keep`` says so.
-        network: whose gradients; the one of the parts, or a copy.
+        policy: with a ``trunk`` from observations to ``hidden``, see `dirl.models.ActorCritic`.
+        losses: by name.
+        demonstrations: ``[M]``, of an expert.
     """
-    config, demos = parts.config, parts.demos
-    options = config.reinforcement
-    operator = actor_critic(network)
-    trunk, critic = operator.module[0], operator.get_value_operator()
-    advantages = make_advantages(options.gamma, options.lmbda)
-    objective = make_loss(
-        config.objective.name,
-        operator,
-        entropy=options.entropy,
-        value=options.value,
-        clip=config.objective.clip,
-        reduction=options.reduction,
-    )
-    imitation = ImitationLoss(operator.get_policy_head(), coeff=config.imitation.keep)
-    imitates = config.imitation.keep > 0 and len(demos) > 0
-    clip = clip_each if config.optimiser.clip_each else clip_grad_norm_
 
-    def losses(batch: TensorDictBase) -> TensorDictBase:
-        rows = batch.select(*trunk.in_keys)
-        if imitates:
-            rows = torch.cat([rows, demos.select(*trunk.in_keys)])
-        hidden = trunk(rows)["hidden"]
-        result = objective(batch.set("hidden", hidden[: len(batch)]))
-        return result.update(imitation(demos.copy().set("hidden", hidden[len(batch) :]))) if imitates else result
+    def __init__(self, policy: nn.Module, losses: Mapping[str, ScheduledLoss], demonstrations: TensorDictBase) -> None:
+        super().__init__()
+        self.trunk: Any = policy.trunk()  # type: ignore[operator]
+        self.modules_by_name = nn.ModuleDict({name: loss.module for name, loss in losses.items()})
+        self.losses = dict(losses)
+        self.recurrent = recurrent_keys(policy)
+        self.demonstrations = as_first_steps(policy, demonstrations)
 
-    def gradients(batch: TensorDictBase, left: float) -> Iterator[TensorDictBase]:
-        objective.entropy_coeff = options.final_entropy + (options.entropy - options.final_entropy) * left
-        imitation.coeff = config.imitation.keep * left
-        advantages(bootstrap(batch, critic))
-        for part in passes(batch.reshape(-1), config.objective):
-            result = losses(part)
-            network.zero_grad()
-            sum(value for key, value in result.items() if key.startswith("loss_")).backward()
-            clip(network.parameters(), config.optimiser.max_norm)
-            yield result
+    @property
+    def on_rollouts(self) -> bool:
+        """Whether any loss needs rollouts."""
+        return any(not loss.on_demonstrations for loss in self.losses.values())
 
-    return gradients
+    def forward(self, batch: TensorDictBase, left: float) -> TensorDict:
+        """The weighted losses of a batch.
+
+        Args:
+            batch: steps with advantages, ``[B]``; ``[B, T]`` for a policy with memory.
+            left: the share of the training that is still to come, 1 to 0.
+
+        Returns:
+            ``loss_*`` entries, scalars that carry gradients, and what else the losses report.
+        """
+        demonstrated = any(loss.on_demonstrations for loss in self.losses.values())
+        batch, rows = self._with_hidden(batch, self.demonstrations if demonstrated else None)
+        result = TensorDict()
+        for loss in self.losses.values():
+            loss.set_schedules(left)
+            values = loss.module(rows if loss.on_demonstrations else batch)
+            weight = loss.schedules["weight"](left)
+            result.update({key: weight * value if key.startswith("loss_") else value for key, value in values.items()})
+        return result
+
+    def _with_hidden(
+        self, batch: TensorDictBase, rows: TensorDictBase | None
+    ) -> tuple[TensorDictBase, TensorDictBase | None]:
+        """The batch, flat, and the demonstrations, both with ``hidden``."""
+        keys = self.trunk.in_keys
+        if self.recurrent:
+            with set_recurrent_mode(True):
+                batch = self.trunk(batch.copy()).reshape(-1)
+            return batch, None if rows is None else self.trunk(rows.copy())
+        if rows is None:
+            return batch.set("hidden", self.trunk(batch.select(*keys))["hidden"]), None
+        hidden = self.trunk(torch.cat([batch.select(*keys), rows.select(*keys)]))["hidden"]
+        batch.set("hidden", hidden[: len(batch)])
+        return batch, rows.copy().set("hidden", hidden[len(batch) :])
 
 
-def passes(batch: TensorDictBase, options: ObjectiveConfig) -> Iterator[TensorDictBase]:
-    """The batches of the updates that follow one rollout: all of it, or shuffled shares of it."""
-    for _ in range(options.epochs):
-        if options.minibatches == 1:
-            yield batch
+def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorDictBase:
+    """Demonstrations as the first steps of episodes, with the recurrent state that a policy with memory reads."""
+    count, device = len(demonstrations), demonstrations["state"].device
+    if not recurrent_keys(policy) or not count:
+        return demonstrations
+    begins = torch.ones((count, 1), dtype=torch.bool, device=device)
+    return demonstrations.copy().update({"is_init": begins, **initial_state(policy, count, device)})
+
+
+def total_loss(losses: TensorDictBase) -> Tensor:
+    """The sum of the ``loss_*`` entries."""
+    return sum(value for key, value in losses.items() if key.startswith("loss_"))  # type: ignore[return-value]
+
+
+class Advantages:
+    """Writes advantages and value targets into rollouts by generalised advantage estimation (paper equations 5, 6).
+
+    Args:
+        policy: whose critic; one without has no advantages.
+        gamma: discount.
+        lmbda: of the estimation; 1 gives the paper's n-step return minus the value.
+    """
+
+    def __init__(self, policy: nn.Module, gamma: float, lmbda: float) -> None:
+        self.critic = policy.operator().get_value_operator()  # type: ignore[operator]
+        self.estimator = make_advantages(gamma, lmbda)
+
+    def __call__(self, batch: TensorDictBase) -> TensorDictBase:
+        """Of a rollout ``[B, T]`` with ``state_value``."""
+        return self.estimator(bootstrap(batch, self.critic))
+
+
+def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: bool = False) -> Iterator[TensorDictBase]:
+    """The batches of the updates that follow one rollout: all of it, or shuffled parts of it, several times.
+
+    Args:
+        batch: ``[B, T]``.
+        epochs: passes over it.
+        count: parts of each pass.
+        by_agent: keep the steps of an agent together and in order, ``[b, T]``, as a memory needs; else ``[b]``.
+    """
+    rows = batch if by_agent else batch.reshape(-1)
+    for _ in range(epochs):
+        if count == 1:
+            yield rows
         else:
-            yield from (batch[rows] for rows in torch.randperm(len(batch)).chunk(options.minibatches))
+            yield from (rows[part] for part in torch.randperm(len(rows)).chunk(count))
+
+
+def clip_gradients(parameters: list[nn.Parameter], max_norm: float, *, per_variable: bool) -> None:
+    """Scale gradients down to a norm: of all variables together, or of each variable as TensorFlow does."""
+    if per_variable:
+        clip_each(parameters, max_norm)
+    else:
+        clip_grad_norm_(parameters, max_norm)
 
 
 def set_learning_rate(optimiser: Optimizer, rate: float) -> None:
     """Give every group of parameters the same learning rate."""
     for group in optimiser.param_groups:
         group["lr"] = rate
-
-
-def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Update:
-    """What there is to tell of an update: its rollout ``[B, T]`` and the losses of its last pass."""
-    # In the order they ended.
-    over = batch["next"].select("goal", "step_count").transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
-    values = {key: value.detach().float().reshape(()) for key, value in sorted(losses.items()) if value.numel() == 1}
-    return Update(
-        frames=batch.numel(),
-        goal_index=env.base_env.goal_index[over["goal"]].tolist(),
-        steps=over["step_count"].squeeze(-1).tolist(),
-        values=dict(zip(values, torch.stack(list(values.values())).tolist(), strict=True)),  # all in one question
-    )

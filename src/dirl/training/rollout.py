@@ -1,4 +1,6 @@
-"""Collecting experience: agents walk on from where they stand."""
+"""Collecting rollouts: agents walk on from where they stand."""
+
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -6,26 +8,26 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-# What the policy leaves behind on its way to an action; the losses compute it again, with gradients.
-INTERMEDIATE = ("fused", "hidden", "logits")
+# What the policy computes on its way to an action; the losses compute it again, with gradients.
+INTERMEDIATE = ("observation", "goal_observation", "fused", "memory", "hidden", "logits")
 
 
 @torch.no_grad()
 def collect(
-    env: EnvBase, policy: TensorDictModuleBase, agents: TensorDictBase, steps: int
+    env: EnvBase, policy: TensorDictModuleBase, agents: TensorDictBase, n_steps: int
 ) -> tuple[TensorDictBase, TensorDictBase]:
     """Let every agent take some steps.
 
     This is what TorchRL's ``Collector`` does, without its state: where the agents stand between two calls is a
     tensordict in the caller's hand, which a checkpoint can hold. (A ``Collector`` can only start again from a reset.)
-    A new episode is drawn for every agent at every step, and used where the old one ended. ``step_and_maybe_reset``
-    would ask first whether there is any, and a GPU that is asked stands still.
+    A new episode is drawn for every agent at every step, and used where the old one ended: ``step_and_maybe_reset``
+    would first read whether any has ended, a host-device synchronisation.
 
     Args:
         env: batched, B agents.
         policy: writes ``action``.
         agents: where they stand, ``[B]``; at first ``env.reset()``.
-        steps: how many each takes, T.
+        n_steps: how many each takes, T.
 
     Returns:
         The steps, ``[B, T]``, and where the agents stand now, ``[B]``; those whose episode ended start a new one.
@@ -33,7 +35,7 @@ def collect(
     taken = []
     # Without this TorchRL's actors take the most probable action.
     with set_exploration_type(ExplorationType.RANDOM):
-        for _ in range(steps):
+        for _ in range(n_steps):
             step = env.step(policy(agents).exclude(*INTERMEDIATE))
             taken.append(step)
             fresh = env.reset()
@@ -42,3 +44,29 @@ def collect(
     batch = TensorDict.stack(taken, -1)
     batch.names = [*batch.names[:-1], "time"]
     return batch, agents
+
+
+class Update(NamedTuple):
+    """What is reported of an update."""
+
+    frames: int
+    """Of its rollout."""
+    goal_index: list[int]
+    """The goals of the episodes that ended, in the order they ended."""
+    steps: list[int]
+    """How long these were."""
+    values: dict[str, float]
+    """Losses."""
+
+
+def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Update:
+    """The report of an update, from its rollout ``[B, T]`` and the losses of its last pass."""
+    # In the order they ended.
+    over = batch["next"].select("goal", "step_count").transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
+    values = {key: value.detach().float().reshape(()) for key, value in sorted(losses.items()) if value.numel() == 1}
+    return Update(
+        frames=batch.numel(),
+        goal_index=env.base_env.goal_index[over["goal"]].tolist(),
+        steps=over["step_count"].squeeze(-1).tolist(),
+        values=dict(zip(values, torch.stack(list(values.values())).tolist(), strict=True)),  # one synchronisation
+    )

@@ -1,60 +1,68 @@
-"""Compute once what many rows share: agents in one place see the same views."""
+"""Embed once what many frames share: agents in one place have the same observation, and one goal serves many.
 
-from collections.abc import Callable
+A batch holds far fewer distinct observations than frames, and the embedding, 4 x 2048 -> 512, is most of the arithmetic
+of the network. `CachedEncoder` works with any encoder whose ``forward(o, g)`` is ``fuse(embed(o), embed(g))``.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any, Protocol
 
 import torch
-from torch import Tensor
-from torch.autograd.function import FunctionCtx
+from torch import Tensor, nn
+
+from dirl.envs.transforms import VIEWS
+from dirl.models.features import FeatureTable
 
 
-def answers_late(tensor: Tensor) -> bool:
-    """Whether Python should not ask what is in a tensor: a GPU finishes all its work first, and then has none."""
+def avoid_host_sync(tensor: Tensor) -> bool:
+    """Whether reading a tensor's values in Python would wait for a device to finish its queue."""
     return tensor.is_cuda
 
 
-def pack(views: Tensor, states: int) -> Tensor:
-    """One integer for each row of views, int64 ``[B, V]`` to ``[B]``; see `unpack`.
+def pack(view_ids: Tensor, states: int) -> Tensor:
+    """One integer for each row of view ids, int64 ``[B, V]`` to ``[B]``; see `unpack`.
 
     Args:
-        views: integers below ``states``.
+        view_ids: integers below ``states``.
         states: V integers below it must fit into one int64; for V = 4, that is up to 55,108 states.
 
     Raises:
         ValueError: the world is too large.
     """
-    slots = views.shape[1]
+    slots = view_ids.shape[1]
     if states**slots >= 2**63:
         raise ValueError(f"a world of {states} states is too large; at most 55108 can be handled together")
-    keys = views[:, 0].contiguous()
+    keys = view_ids[:, 0].contiguous()
     for slot in range(1, slots):
-        keys = keys * states + views[:, slot]
+        keys = keys * states + view_ids[:, slot]
     return keys
 
 
 def unpack(keys: Tensor, states: int, slots: int) -> Tensor:
-    """The rows of views that ``keys`` of `pack` stand for, int64 ``[R]`` to ``[R, slots]``."""
+    """The rows of view ids that ``keys`` of `pack` stand for, int64 ``[R]`` to ``[R, slots]``."""
     return torch.stack([keys // states**power % states for power in reversed(range(slots))], -1)
 
 
-class Memory:
-    """Rows computed for some keys, each once. It is valid as long as what computes them stays as it is.
+class EmbeddingCache:
+    """Rows computed for some keys, each once; valid as long as the weights that compute them do not change.
 
     Args:
-        every: compute the rows of all keys below this number at once when asked for the first time, which saves
-            looking up what is known; None to compute what is asked for.
+        every: compute the rows of all keys below this number at the first use, which saves looking up what is known
+            (and on a GPU a host-device synchronisation); None to compute what is needed.
     """
 
     def __init__(self, every: int | None = None) -> None:
         self.every = every
         self.keys = torch.empty(0, dtype=torch.int64)
-        """Of the rows, int64 ``[R]``, in the order in which they were first asked for."""
+        """Of the rows, int64 ``[R]``, in the order of their first use."""
         self.rows: tuple[Tensor, ...] = ()
         """What was computed for them, float ``[R, F]`` each."""
         self._sorted = self._places = self.keys
 
     @torch.no_grad()
     def places(self, keys: Tensor, compute: Callable[[Tensor], tuple[Tensor, ...]]) -> Tensor:
-        """Where the rows of some keys are, int64 ``[K]`` to ``[K]``; those that are not there yet are computed."""
+        """The place among the rows of each key, int64 ``[K]`` to ``[K]``; missing rows are computed."""
         if self.every is not None:
             if not self.rows:
                 self.keys = torch.arange(self.every, device=keys.device)
@@ -75,21 +83,98 @@ class Memory:
         return self._places[at]
 
 
-class KnownLinear(torch.autograd.Function):
-    """A linear layer whose output is known already: only its gradients are computed."""
+class Cacheable(Protocol):
+    """An encoder that can be cached: ``forward(o, g)`` equals ``fuse(embed(o), embed(g))``, row by row."""
 
-    @staticmethod
-    def forward(ctx: FunctionCtx, x: Tensor, weight: Tensor, bias: Tensor | None, output: Tensor) -> Tensor:  # noqa: D102
-        ctx.save_for_backward(x.to(output.dtype), weight.to(output.dtype))
-        return output.clone()
+    def embed(self, observation: Tensor) -> Tensor:
+        """Features ``[B, 4, D]`` to ``[B, E]``."""
 
-    @staticmethod
-    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor | None, ...]:  # noqa: D102
-        x, weight = ctx.saved_tensors  # type: ignore[attr-defined]
-        asked = ctx.needs_input_grad  # type: ignore[attr-defined]
-        return (
-            gradient @ weight if asked[0] else None,
-            gradient.T @ x if asked[1] else None,
-            gradient.sum(0) if asked[2] else None,
-            None,
-        )
+    def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
+        """``[B, E]`` twice, to ``[B, width]``."""
+
+    def parameters(self) -> Iterator[nn.Parameter]:
+        """As of every module."""
+
+
+class CachedEncoder(nn.Module):
+    """An encoder on view ids instead of features, which embeds each distinct observation once.
+
+    The encoder and the table are not its submodules: they belong to the network, whose state_dict has them once.
+
+    Args:
+        encoder: to wrap; see `Cacheable`.
+        table: the features of the N states that view ids stand for.
+        surrounding: the four states observed from each state, int64 ``[N, 4]``, where the observation depends on the
+            state alone; None where any four states can be observed together.
+    """
+
+    def __init__(self, encoder: Cacheable, table: FeatureTable, surrounding: Tensor | None = None) -> None:
+        super().__init__()
+        self._wrapped = (encoder, table)  # in a tuple, which torch does not register
+        self.register_buffer("surrounding", surrounding, persistent=False)
+        self._keeps = False
+        self._cache: Any = None
+        self._versions: list[int] = []
+
+    surrounding: Tensor | None
+
+    def forward(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
+        """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
+        encoder, _ = self._wrapped
+        keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
+        both = torch.cat([keys, goal_keys])
+        if torch.is_grad_enabled():
+            distinct, place = torch.unique(both, return_inverse=True)
+            embedding = self._embed(distinct)
+        else:
+            cache = self._valid_cache()
+            place = cache.places(both, lambda new: (self._embed(new),))
+            (embedding,) = cache.rows
+        fused: Tensor = encoder.fuse(embedding[place[: len(keys)]], embedding[place[len(keys) :]])
+        return fused
+
+    def _embed(self, keys: Tensor) -> Tensor:
+        encoder, table = self._wrapped
+        embedding: Tensor = encoder.embed(table(self._views(keys)))
+        return embedding
+
+    def _pack(self, view_ids: Tensor) -> Tensor:
+        """A key for each observation, int64 ``[B, 4]`` to ``[B]``."""
+        return pack(view_ids[:, : self.slots], len(self._wrapped[1]))
+
+    def _views(self, keys: Tensor) -> Tensor:
+        """The view ids of keys, int64 ``[R]`` to ``[R, 4]``."""
+        return unpack(keys, len(self._wrapped[1]), VIEWS) if self.surrounding is None else self.surrounding[keys]
+
+    @property
+    def slots(self) -> int:
+        """How many of the four view ids tell the whole observation."""
+        return VIEWS if self.surrounding is None else 1
+
+    def _valid_cache(self) -> Any:
+        """The cache, a new one if the weights have changed: each in-place change counts a tensor's version up."""
+        versions = [parameter._version for parameter in self._wrapped[0].parameters()]
+        if self._cache is None or not self._keeps or versions != self._versions:
+            self._cache, self._versions = self._new_cache(), versions
+        return self._cache
+
+    def _new_cache(self) -> Any:
+        return EmbeddingCache(self._every())
+
+    def _every(self) -> int | None:
+        """See `EmbeddingCache`."""
+        table = self._wrapped[1]
+        return len(table) if self.slots == 1 and avoid_host_sync(table.table) else None
+
+    @contextmanager
+    def caching(self) -> Iterator[None]:
+        """Within this context what is embedded without gradients is kept until the weights change."""
+        self._keeps, self._cache = True, None
+        try:
+            yield
+        finally:
+            self._keeps, self._cache = False, None
+
+    def frozen(self) -> AbstractContextManager[None]:
+        """A context for evaluation, within which the weights must not change."""
+        return self.caching()

@@ -47,9 +47,9 @@ class PrincipalAxes(nn.Module):
     beside: Tensor
     """What is multiplied with the part of any features that lies outside the axes."""
 
-    def forward(self, views: Tensor) -> Tensor:
+    def forward(self, view_ids: Tensor) -> Tensor:
         """The coordinates of what is seen, int64 ``[..., 4]`` to float32 ``[..., slots * R]``."""
-        return F.embedding(views[..., : self.slots], self.table).flatten(-2)
+        return F.embedding(view_ids[..., : self.slots], self.table).flatten(-2)
 
     def narrow(self, weight: Tensor) -> Tensor:
         """A layer's weight on features, float32 ``[F, 4 * D]``, as weight on coordinates, ``[F, slots * R]``."""

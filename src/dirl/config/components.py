@@ -1,0 +1,274 @@
+"""Components by ``_target_``: which class a configuration names, whether its options fit, and how it is made.
+
+A group of ``conf/`` (``encoder``, ``losses``, ...) names a class by its full path and gives its options. The class's
+annotated signature says what is accepted: types, and bounds by `dirl.config.bounds.Bounds`. What it needs besides (the
+world, the width of a view's features) it receives by the names of its parameters, see `GROUPS`.
+"""
+
+import difflib
+import importlib
+import inspect
+import math
+import types
+import typing
+from collections.abc import Collection, Mapping, Sequence
+from enum import Enum
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from dirl.config.bounds import Bounds
+from dirl.config.schemas import ConfigError, Schedule
+
+TARGET = "_target_"
+
+GROUPS: Mapping[str, frozenset[str]] = {
+    "observation": frozenset({"world"}),
+    "encoder": frozenset({"num_features"}),
+    "memory": frozenset({"input_size", "in_key", "out_key"}),
+    "heads": frozenset({"scenes", "in_features", "num_actions"}),
+    "policy": frozenset({"world", "features", "encoder", "heads", "memory"}),
+    "expert": frozenset({"world", "seed"}),
+    "losses": frozenset({"policy", "actor_network", "actor", "critic_network", "world"}),
+    "optimiser": frozenset({"params"}),
+}
+"""The groups, and what is offered to the constructors of their classes by name of parameter."""
+
+PUBLIC = frozenset(
+    {
+        "torch.optim.Adam",
+        "torch.optim.AdamW",
+        "torch.optim.RMSprop",
+        "torch.optim.SGD",
+        "torchrl.modules.GRUModule",
+        "torchrl.modules.LSTMModule",
+        "torchrl.objectives.A2CLoss",
+        "torchrl.objectives.ClipPPOLoss",
+    }
+)
+"""Classes of other packages that a configuration read from a file may name, besides dirl's own."""
+
+
+def components(config: Any) -> dict[str, dict[str, Any]]:
+    """The options of each component by dotted name (``encoder``, ``losses.a2c``), but for those that name no class.
+
+    Args:
+        config: a `dirl.config.schemas.TrainConfig`.
+
+    Raises:
+        ConfigError: something in the place of a component that is none.
+    """
+    found = {}
+    for group in GROUPS:
+        value = getattr(config, group)
+        for name, options in value.items() if group == "losses" else [(None, value)]:
+            full = group if name is None else f"{group}.{name}"
+            if not isinstance(options, Mapping) or TARGET not in options:
+                raise ConfigError(f"{full}: names no class; give it {full}.{TARGET}=package.module.Class")
+            if options[TARGET] is not None:
+                found[full] = dict(options)
+    return found
+
+
+def check_components(config: Any, trust: Collection[str] | None = None) -> None:
+    """Find every component's class and check its options, before anything is made.
+
+    Args:
+        config: a `dirl.config.schemas.TrainConfig`.
+        trust: see `find_class`.
+
+    Raises:
+        ConfigError: see `find_class` and `check_options`.
+    """
+    for name, options in components(config).items():
+        check_options(name, find_class(name, options[TARGET], trust), options)
+
+
+def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> type:
+    """The class that a component names.
+
+    Args:
+        name: of the component, for errors.
+        target: ``package.module.Class``.
+        trust: packages whose classes a configuration may name besides dirl's own and `PUBLIC`; None = any, for a
+            configuration that the user composed on the command line. Of other packages nothing is imported.
+
+    Raises:
+        ConfigError: there is no such class, or it is not trusted.
+    """
+    where = f"{name}.{TARGET}={target}"
+    if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")) or "." not in target:
+        raise ConfigError(f"{where}: must be the full name of a class, package.module.Class")
+    module_name, _, class_name = target.rpartition(".")
+    package = target.split(".")[0]
+    trusted = trust is None or target in PUBLIC or package == "dirl" or package in trust
+    if not trusted:
+        raise ConfigError(
+            f"{where}: a configuration from a file names a class of '{package}'; trust=[{package}] allows it"
+        )
+    try:
+        found = getattr(importlib.import_module(module_name), class_name)
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"{where}: there is no such class ({error}); is its folder on PYTHONPATH?") from None
+    if not inspect.isclass(found):
+        raise ConfigError(f"{where}: is no class")
+    # `dirl.envs.navigation.EnvBase` is a class that dirl only imports.
+    if trust is not None and target not in PUBLIC and found.__module__.split(".")[0] != package:
+        raise ConfigError(f"{where}: is not defined in '{package}' but in '{found.__module__}'; name it there")
+    return found
+
+
+def accepted(cls: type) -> dict[str, Any]:
+    """The parameters of a class's constructor and their annotations; ``**kwargs`` stands for those of its bases."""
+    found: dict[str, Any] = {}
+    for owner in cls.__mro__:
+        if "__init__" not in vars(owner):
+            continue
+        parameters = _signature(owner)
+        found = {**{name: kind for name, (kind, _) in parameters.items()}, **found}
+        if not any(p.kind is p.VAR_KEYWORD for p in inspect.signature(vars(owner)["__init__"]).parameters.values()):
+            break
+    return found
+
+
+def _signature(owner: type) -> dict[str, tuple[Any, bool]]:
+    """The named parameters of the constructor that a class defines: annotation, and whether one must be given."""
+    constructor = vars(owner)["__init__"]  # TorchRL's metaclasses hide the class's own signature
+    try:
+        hints = typing.get_type_hints(constructor, include_extras=True)
+    except (NameError, TypeError):  # a name that is only imported for type checkers
+        hints = {}
+    return {
+        name: (hints.get(name, Any), parameter.default is parameter.empty)
+        for name, parameter in list(inspect.signature(constructor).parameters.items())[1:]
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+    }
+
+
+def check_options(name: str, cls: type, options: Mapping[str, Any]) -> None:
+    """Check a component's options against its constructor.
+
+    Raises:
+        ConfigError: an unknown or missing option, or a value of the wrong type or out of bounds.
+    """
+    group = name.split(".")[0]
+    offered, parameters = GROUPS[group], accepted(cls)
+    choices = [option for option in parameters if option not in offered]
+    scheduled = ("weight",) if group == "losses" else ()
+    for option, value in options.items():
+        if option in (TARGET, *scheduled):
+            continue
+        if option not in choices:
+            near = difflib.get_close_matches(str(option), choices, n=1)
+            hint = f"did you mean {name}.{near[0]}?" if near else f"{cls.__name__} takes {', '.join(choices) or 'none'}"
+            raise ConfigError(f"there is no option '{name}.{option}'; {hint}")
+        if not (group == "losses" and is_schedule(value)):
+            check_value(f"{name}.{option}", value, parameters[option])
+    owner = next(owner for owner in cls.__mro__ if "__init__" in vars(owner))
+    for option, (_, required) in _signature(owner).items():
+        if required and option not in options and option not in offered:
+            raise ConfigError(f"{name}.{option}: {cls.__name__} needs it; give {name}.{option}=...")
+
+
+def check_value(name: str, value: Any, annotation: Any) -> None:
+    """Check one value against an annotation; what an annotation means that is none of a plain value is not checked.
+
+    Raises:
+        ConfigError: it does not fit.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{name}={value}: must be a finite number")
+    if isinstance(value, Mapping) and TARGET in value:
+        raise ConfigError(f"{name}: a component cannot hold another one")
+    bounds = [meta for meta in getattr(annotation, "__metadata__", ()) if isinstance(meta, Bounds)]
+    kind = get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
+    if not _fits(value, kind):
+        raise ConfigError(f"{name}={'null' if value is None else value}: must be {in_words(kind)}")
+    for limit in bounds:
+        if value is not None and value not in limit:
+            raise ConfigError(f"{name}={value}: must be {limit}")
+
+
+PLAIN = {int: "a whole number", float: "a number", bool: "true or false", str: "text", types.NoneType: "null"}
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    origin = get_origin(kind)
+    if origin in (types.UnionType, typing.Union):
+        return any(_fits(value, one) for one in get_args(kind))
+    if origin is Literal:
+        return value in get_args(kind)
+    if inspect.isclass(kind) and issubclass(kind, Enum):
+        return value in list(kind)
+    if kind is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    if kind in PLAIN:
+        return isinstance(value, kind) and not (kind is int and isinstance(value, bool))
+    if inspect.isclass(kind) and not issubclass(kind, Sequence | Mapping):
+        return not isinstance(value, int | float | bool | str)  # a tensor, a module: no option can hold one
+    return True
+
+
+def in_words(kind: Any) -> str:
+    """A type as errors say it."""
+    if get_origin(kind) in (types.UnionType, typing.Union):
+        return " or ".join(in_words(one) for one in get_args(kind) if one in PLAIN or get_args(one))
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}"
+    if get_origin(kind) is list:
+        (each,) = get_args(kind)
+        return "a list" if each is Any else f"a list, each {in_words(each)}"
+    if inspect.isclass(kind) and issubclass(kind, Enum):
+        return f"one of {', '.join(kind)}"
+    return PLAIN.get(kind, getattr(kind, "__name__", str(kind)))
+
+
+def is_schedule(value: Any) -> bool:
+    """Whether a value is ``{start: ..., end: ...}``."""
+    return isinstance(value, Mapping) and set(value) == {"start", "end"}
+
+
+def schedules(name: str, options: Mapping[str, Any]) -> dict[str, Schedule]:
+    """The options of a loss that change linearly over the training, and its ``weight``, constant or not.
+
+    Raises:
+        ConfigError: one is no finite number.
+    """
+    found = {"weight": options.get("weight", 1.0)} | {
+        key: value for key, value in options.items() if is_schedule(value)
+    }
+    made = {}
+    for option, value in found.items():
+        ends = value if is_schedule(value) else {"start": value, "end": value}
+        for end in ends.values():
+            check_value(f"{name}.{option}", end, float)
+        made[option] = Schedule(**{key: float(end) for key, end in ends.items()})
+    return made
+
+
+def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = None, **offered: Any) -> Any:
+    """Make a component.
+
+    Args:
+        name: ``encoder``, ``losses.a2c``, ...
+        options: with ``_target_``; None as its value makes nothing.
+        trust: see `find_class`.
+        offered: arguments for the parameters of these names, if the constructor has them.
+
+    Returns:
+        The object, or None.
+
+    Raises:
+        ConfigError: see `find_class` and `check_options`; or the constructor refuses its arguments.
+    """
+    if options[TARGET] is None:
+        return None
+    cls = find_class(name, options[TARGET], trust)
+    check_options(name, cls, options)
+    given = {key: value for key, value in options.items() if key != TARGET}
+    if name.startswith("losses."):
+        given.pop("weight", None)
+        given = {key: value["start"] if is_schedule(value) else value for key, value in given.items()}
+    wanted = {key: value for key, value in offered.items() if key in accepted(cls)}
+    try:
+        return cls(**given, **wanted)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{name}: {cls.__name__} refuses its options: {error}") from None

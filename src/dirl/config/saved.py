@@ -1,0 +1,132 @@
+"""Configurations that were saved: written whole, read without running or resolving anything in them."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import yaml  # PyYAML comes with OmegaConf
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from dirl.config.components import check_components
+from dirl.config.schemas import ConfigError, TrainConfig, leaves, typed
+
+MAX_CHARACTERS = 200_000
+"""Of a saved configuration; those that are written here have 4,000."""
+
+RENAMED: Mapping[str, str] = {
+    "network.width": "encoder.width, heads.width",
+    "network.heads": "heads",
+    "imitation.share": "imitation.fraction",
+    "imitation.enough": "imitation.loss_threshold",
+    "imitation.keep": "imitation.bc_coef.start",
+    "imitation.walk": "imitation.walk_steps",
+    "objective.name": "objective",
+    "objective.epochs": "reinforcement.epochs",
+    "objective.minibatches": "reinforcement.minibatches",
+    "objective.clip": "losses.ppo.clip_epsilon",
+    "optimiser.name": "optimiser",
+    "optimiser.max_norm": "reinforcement.max_grad_norm",
+    "optimiser.clip_each": "reinforcement.clip_per_variable",
+    "reinforcement.steps": "reinforcement.n_steps",
+    "reinforcement.entropy": "reinforcement.entropy_coef.start",
+    "reinforcement.final_entropy": "reinforcement.entropy_coef.end",
+    "reinforcement.value": "reinforcement.critic_coef",
+}
+"""Options of schema 1 (dirl 0.1) by the names they have had since."""
+
+
+def config_text(config: TrainConfig) -> str:
+    """A configuration as YAML, without interpolations and without what it was started with (``resume``, ``trust``)."""
+    values = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
+    assert isinstance(values, dict)
+    return OmegaConf.to_yaml(OmegaConf.create({**values, "resume": None, "trust": None}))
+
+
+def read_config(
+    text: str, origin: str, changes: Mapping[str, Any] | None = None, trust: Collection[str] | None = ()
+) -> TrainConfig:
+    """A configuration that a run saved. Nothing is made; its components' classes are found and checked.
+
+    Args:
+        text: YAML.
+        origin: where it stood, for errors.
+        changes: values to replace in it, by dotted name; a mapping replaces a mapping as a whole.
+        trust: packages whose classes it may name, see `dirl.config.components.find_class`.
+
+    Raises:
+        ConfigError: it is none of this version, or names what is not trusted, or cannot be changed so.
+    """
+    try:
+        values = _plain(text)
+        values = _upgraded(values) if isinstance(values.get("objective"), dict) else values
+        values = {**values, "resume": None, "trust": None if trust is None else list(trust)}
+        for name, value in (changes or {}).items():
+            _replace(values, name, value)
+        config: TrainConfig = typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), values))  # type: ignore[arg-type]
+        check_components(config, trust)
+    except (OmegaConfBaseException, yaml.YAMLError, ConfigError, KeyError, RecursionError) as error:
+        reason = " ".join(f"lacks {error}".split() if isinstance(error, KeyError) else str(error).split())
+        raise ConfigError(f"{origin}: holds no configuration of this version of dirl: {reason}") from None
+    return config
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """YAML without aliases, which could make a few lines expand to gigabytes."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.events.AliasEvent):
+            raise ConfigError("it has YAML aliases, which no configuration of dirl has")
+        return super().compose_node(parent, index)
+
+
+def _plain(text: str) -> dict[str, Any]:
+    """YAML as plain values.
+
+    Raises:
+        ConfigError: it is too long, no mapping, or has interpolations, which could read the environment.
+    """
+    if len(text) > MAX_CHARACTERS:
+        raise ConfigError(f"it has {len(text)} characters; at most {MAX_CHARACTERS} are read")
+    values = yaml.load(text, _PlainLoader)
+    if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+        raise ConfigError("it is no mapping of options")
+    if "${" in str(values):
+        raise ConfigError("it has an interpolation, ${...}, which is not resolved in a file")
+    return values
+
+
+def _replace(values: dict[str, Any], name: str, value: Any) -> None:
+    """Set a value by its dotted name."""
+    *above, last = name.split(".")
+    for part in above:
+        values = values.setdefault(part, {})
+    values[last] = value
+
+
+def _upgraded(old: dict[str, Any]) -> dict[str, Any]:
+    """A configuration of schema 1 as one of today, as far as evaluation, Navigator and reports need it."""
+    before, network = leaves(old), old["network"]
+    gone = ("objective", "network", "optimiser", "policy", "observation")
+    values = {name: value for name, value in old.items() if name not in gone}
+    for group in ("imitation", "reinforcement"):
+        values[group] = {key: value for key, value in old[group].items() if f"{group}.{key}" not in RENAMED}
+    for name, new in RENAMED.items():
+        if new.split(".")[0] in ("imitation", "reinforcement"):
+            _replace(values, new, before[name])
+    _replace(values, "imitation.bc_coef.end", 0.0)
+    views = {"surrounding": "SurroundingViews", "sequential": "SequentialViews"}
+    policies = {"network": "dirl.models.ActorCritic", "random": "dirl.experts.RandomPolicy"}
+    heads = {"width": network["width"], "shared": network["heads"] == "shared"}
+    losses = {"a2c": "torchrl.objectives.A2CLoss", "ppo": "torchrl.objectives.ClipPPOLoss"}
+    objective = before["objective.name"]
+    return values | {
+        "observation": {"_target_": f"dirl.envs.{views[old['observation']]}"},
+        "encoder": {"_target_": "dirl.models.SiameseEncoder", "width": network["width"]},
+        "memory": {"_target_": None},
+        "heads": {"_target_": "dirl.models.ActorCriticHeads", **heads},
+        "policy": {"_target_": policies.get(old["policy"], "dirl.experts.ShortestPathPolicy")},
+        "expert": {"_target_": "dirl.experts.ShortestPathExpert"},
+        "losses": {objective: {"_target_": losses[objective]}} if objective in losses else {},
+        "optimiser": {"_target_": "torch.optim.Adam", "lr": before["optimiser.lr"], "eps": before["optimiser.eps"]},
+        "network": {"standardise": network["standardise"], "cache": "auto", "axes": network["axes"]},
+    }

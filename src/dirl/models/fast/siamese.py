@@ -1,0 +1,142 @@
+"""`SiameseEncoder` with far less arithmetic: known outputs are not computed again, and few columns are multiplied."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torch.autograd.function import FunctionCtx
+
+from dirl.envs.transforms import VIEWS
+from dirl.models.fast.caching import CachedEncoder, EmbeddingCache
+from dirl.models.fast.principal_axes import PrincipalAxes
+from dirl.models.features import FeatureTable
+from dirl.models.siamese import SiameseEncoder
+
+
+class CachedSiamese(CachedEncoder):
+    """The Siamese encoder on view ids.
+
+    - Each distinct observation is embedded once, and the loss uses what the rollout embedded.
+    - The fusion of the concatenated embeddings, ``W [e, g] + b``, is computed as ``W_e e + (W_g g + b)``, each half
+      once for each distinct row as well.
+    - In principal axes the embedding has a column for each axis instead of each feature, see `PrincipalAxes`.
+
+    Args:
+        encoder: to wrap. With ``principal`` its embedding becomes a layer on coordinates until `restore`.
+        table: as for `CachedEncoder`.
+        surrounding: as for `CachedEncoder`.
+        principal: learn the embedding in principal axes.
+    """
+
+    def __init__(
+        self, encoder: SiameseEncoder, table: FeatureTable, surrounding: Tensor | None, *, principal: bool = False
+    ) -> None:
+        super().__init__(encoder, table, surrounding)
+        self.axes: PrincipalAxes | None = None
+        self._projected: Tensor | None = None
+        if principal:
+            self.axes = PrincipalAxes(table.table, surrounding, encoder.embedding.weight)
+            encoder.embedding = _linear(self.axes.narrow(encoder.embedding.weight), encoder.embedding.bias)
+
+    @torch.no_grad()
+    def restore(self) -> None:
+        """Make the encoder's embedding a layer on features again; what was learnt stays."""
+        encoder, _ = self._wrapped
+        encoder.embedding = _linear(self.weight_on_features(), encoder.embedding.bias)
+        self.axes = None
+
+    @torch.no_grad()
+    def weight_on_features(self) -> Tensor:
+        """The weight of the embedding as a layer on features, float32 ``[width, 4 * D]``."""
+        weight: Tensor = self._wrapped[0].embedding.weight.detach()
+        return weight if self.axes is None else self.axes.widen(weight)
+
+    def forward(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
+        """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
+        encoder, _ = self._wrapped
+        keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
+        weight, goal_weight = encoder.fusion.weight.chunk(2, 1)
+        known, goals = self._valid_cache()
+
+        def halves(keys: Tensor) -> tuple[Tensor, Tensor]:
+            embedded = self._embed(keys)
+            return embedded, F.linear(F.relu(embedded), weight)
+
+        def goal_halves(keys: Tensor) -> tuple[Tensor]:
+            place = known.places(keys, halves)
+            return (F.linear(F.relu(known.rows[0][place]), goal_weight, encoder.fusion.bias),)
+
+        place = known.places(torch.cat([keys, goal_keys]), halves)[: len(keys)]
+        goal_place = goals.places(goal_keys, goal_halves)
+        (embedded, half), (goal_half,) = known.rows, goals.rows
+        if torch.is_grad_enabled():
+            inputs = self._inputs(self._views(known.keys))
+            embedding = F.relu(KnownLinear.apply(inputs, encoder.embedding.weight, encoder.embedding.bias, embedded))
+            half = KnownLinear.apply(embedding, weight, None, half)
+            goal_embedding = embedding[known.places(goals.keys, halves)]
+            goal_half = KnownLinear.apply(goal_embedding, goal_weight, encoder.fusion.bias, goal_half)
+        return F.relu(half.index_select(0, place) + goal_half.index_select(0, goal_place))
+
+    def _embed(self, keys: Tensor) -> Tensor:
+        """The embedding before the ReLU, float32 ``[R, width]``, of keys int64 ``[R]``."""
+        encoder, views = self._wrapped[0], self._views(keys)
+        if self._projected is None:
+            embedded: Tensor = encoder.embedding(self._inputs(views))
+            return embedded
+        slots = self._projected.shape[1]
+        return (
+            self._projected[views[:, :slots], torch.arange(slots, device=views.device)].sum(1) + encoder.embedding.bias
+        )
+
+    def _inputs(self, view_ids: Tensor) -> Tensor:
+        """What the embedding multiplies, int64 ``[R, 4]`` to float32 ``[R, columns]``."""
+        return self._wrapped[1](view_ids).flatten(-2) if self.axes is None else self.axes(view_ids)
+
+    def _new_cache(self) -> tuple[EmbeddingCache, EmbeddingCache]:
+        every = self._every()
+        return EmbeddingCache(every), EmbeddingCache(every)
+
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
+        """A context for evaluation, within which the weights must not change: the whole world is projected once.
+
+        The embedding is a sum of projections, one for each of the four views, so that any four views are then embedded
+        by adding four rows. Equal to the plain form up to rounding.
+        """
+        table, slots = self._wrapped[1].table, VIEWS
+        if self.axes is not None:
+            table, slots = self.axes.table, self.axes.slots
+        weight = self._wrapped[0].embedding.weight.detach().unflatten(1, (slots, -1))
+        self._projected = torch.stack([F.linear(table, of_slot) for of_slot in weight.unbind(1)], 1)
+        try:
+            yield
+        finally:
+            self._projected = None
+
+
+class KnownLinear(torch.autograd.Function):
+    """A linear layer whose output is known already: only its gradients are computed."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, x: Tensor, weight: Tensor, bias: Tensor | None, output: Tensor) -> Tensor:  # noqa: D102
+        ctx.save_for_backward(x.to(output.dtype), weight.to(output.dtype))
+        return output.clone()
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor | None, ...]:  # noqa: D102
+        x, weight = ctx.saved_tensors  # type: ignore[attr-defined]
+        asked = ctx.needs_input_grad  # type: ignore[attr-defined]
+        return (
+            gradient @ weight if asked[0] else None,
+            gradient.T @ x if asked[1] else None,
+            gradient.sum(0) if asked[2] else None,
+            None,
+        )
+
+
+def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:
+    layer = nn.Linear(weight.shape[1], len(weight), device="meta")
+    layer.weight, layer.bias = nn.Parameter(weight.detach()), nn.Parameter(bias.detach())
+    return layer

@@ -1,0 +1,91 @@
+"""The state of a training: what a checkpoint holds, so that a killed run goes on to the same result."""
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torch.optim import Optimizer
+from torchrl.envs import EnvBase
+
+from dirl.models import plain_weights
+from dirl.training.losses import Losses
+from dirl.training.progress import EpisodeMeter
+from dirl.training.rollout import Update
+
+Record = Callable[[Update, AbstractContextManager[None]], None]
+"""Counts an update, and writes, evaluates and saves where it is time to, the latter two within the context."""
+
+
+@dataclass
+class TrainState:
+    """Everything that changes from update to update."""
+
+    policy: Any
+    """See `dirl.models.ActorCritic`."""
+    losses: Losses
+    optimiser: Optimizer
+    env: EnvBase
+    agents: TensorDictBase
+    """Where the agents stand, ``[B]``."""
+    meter: EpisodeMeter
+    frames: int = 0
+    seconds: float = 0.0
+    """Spent on updates, without evaluation."""
+    began: float = field(default_factory=time.perf_counter)
+    """When the current update began."""
+
+    def start_clock(self) -> None:
+        """An update begins now."""
+        self.began = time.perf_counter()
+
+    def count(self, update: Update) -> None:
+        """Count a finished update."""
+        self.seconds += time.perf_counter() - self.began
+        self.frames += update.frames
+        self.meter.add(update.goal_index, update.steps, self.frames)
+
+    def state_dict(self) -> dict[str, Any]:
+        """What `load_state_dict` takes, and under ``network`` the weights for everyone else."""
+        shared = {id(parameter) for parameter in self.policy.parameters()}
+        own = any(id(parameter) not in shared for parameter in self.losses.parameters())
+        return {
+            "frames": self.frames,
+            "training_seconds": self.seconds,
+            "network": plain_weights(self.policy),
+            "learning": self.policy.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "agents": self.agents.to_dict(),
+            "meter": self.meter.state_dict(),
+            "random": random_state(self.env),
+            **({"losses": self.losses.state_dict()} if own else {}),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from a saved state."""
+        self.frames, self.seconds = state["frames"], state["training_seconds"]
+        self.policy.load_state_dict(state["learning"])
+        if "losses" in state:
+            self.losses.load_state_dict(state["losses"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.agents = TensorDict(state["agents"], batch_size=self.env.batch_size, device=self.env.device)
+        self.meter.load_state_dict(state["meter"])
+        restore_random_state(self.env, state["random"])
+
+
+def random_state(env: EnvBase) -> dict[str, Tensor]:
+    """The state of everything that draws random numbers during training."""
+    state = {"env": env.base_env.generator.get_state(), "cpu": torch.get_rng_state()}
+    return state | ({"cuda": torch.cuda.get_rng_state()} if env.device.type == "cuda" else {})
+
+
+def restore_random_state(env: EnvBase, state: Mapping[str, Tensor]) -> None:
+    """Undo what has been drawn since `random_state`."""
+    env.base_env.generator.set_state(state["env"])
+    torch.set_rng_state(state["cpu"])
+    if "cuda" in state:
+        torch.cuda.set_rng_state(state["cuda"])
