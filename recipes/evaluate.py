@@ -9,17 +9,20 @@ All options with their values: conf/evaluate.yaml.
 """
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import hydra
 from omegaconf import DictConfig
 
-from dirl.config.command_line import check_overrides, one_line_errors, register
+from dirl.config.command_line import one_line_errors, prepare, register
 from dirl.config.schemas import EvaluateConfig, typed
+from dirl.evaluation import assess
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.folder import RunError, load_checkpoint, write_json
-from dirl.scenes.matching import TemplateStop
-from dirl.training.build import Parts, assess, describe, trained_parts
+from dirl.training.build import describe, matching
+from dirl.training.load import Trained, load_trained
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="evaluate")
@@ -33,6 +36,7 @@ def main(composed: DictConfig) -> None:
             raise RunError(f"out={options.out}: there is such a file already; it is not overwritten")
         saved = load_checkpoint(options.checkpoint)
         changes = {
+            "scene": options.scene,
             "goals": options.goals,
             "source.root": options.root,
             "device": options.device,
@@ -45,13 +49,14 @@ def main(composed: DictConfig) -> None:
             "evaluation.max_steps": options.max_steps,
         }
         changes = {name: value for name, value in changes.items() if value is not None}
-        parts = trained_parts(saved, options.checkpoint, changes)
-        pages = viewer(parts) if options.viewer else {}
+        trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
+        facts = describe(trained.config, trained.protocol.world)
+        pages = viewer(trained, facts) if options.viewer else {}
     result = {
         "checkpoint": options.checkpoint,
         "frames": saved["frames"],
-        **describe(parts),
-        **assess(parts),
+        **facts,
+        **assess(trained.policy, trained.protocol),
     }
     print(summary_table(result))
     if options.out is not None:
@@ -63,16 +68,17 @@ def main(composed: DictConfig) -> None:
         print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 
-def viewer(parts: Parts) -> dict[str, str]:
+def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
     """The pages of the policy's greedy episodes, by file name, under the conditions of the evaluation."""
+    config, policy, protocol = trained
     return viewer_pages(
-        parts.network,
-        parts.world,
-        parts.sight,
-        matching=TemplateStop(parts.config.stop.threshold, parts.config.stop.match),
-        stop=parts.stop,
-        max_steps=parts.config.evaluation.max_steps,
-        title=run_title(describe(parts)),
+        policy,
+        protocol.world,
+        protocol.observation,
+        matching=matching(config),
+        stop=protocol.stop,
+        max_steps=protocol.max_steps,
+        title=run_title(facts),
     )
 
 
@@ -86,5 +92,5 @@ def run_folder(checkpoint: str) -> Path:
 if __name__ == "__main__":
     register()
     with one_line_errors():
-        check_overrides(EvaluateConfig, sys.argv[1:])
+        sys.argv[1:] = prepare(EvaluateConfig, sys.argv[1:])
     main()

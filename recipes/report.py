@@ -15,7 +15,7 @@ import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from dirl.backbones.registry import load_encoder
-from dirl.config.command_line import check_overrides, one_line_errors, register
+from dirl.config.command_line import one_line_errors, prepare, register
 from dirl.config.schemas import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
 from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
@@ -64,13 +64,14 @@ def chosen(options: ReportConfig, runs: list[Result], hint: str) -> list[Result]
                 if config.system not in SYSTEMS:
                     return False
             case ExperimentName.fig7:
-                return config.system in ("dirl", "td_drl") and config.imitation.share == 0
+                return config.system in ("dirl", "td_drl") and config.imitation.fraction == 0
             case ExperimentName.fig8:
                 return config.system == "dirl"
             case ExperimentName.stop:
                 if config.system != "dirl":
                     return False
-        return config.system != "dirl" or (config.imitation.share, config.imitation.rule) == (usual.share, usual.rule)
+        shown = config.imitation.fraction, config.imitation.rule
+        return config.system != "dirl" or shown == (usual.fraction, usual.rule)
 
     found = [run for run in runs if belongs(run.config)]
     if not found:
@@ -109,5 +110,5 @@ def describe_runs(runs: list[Result]) -> str:
 if __name__ == "__main__":
     register()
     with one_line_errors():
-        check_overrides(ReportConfig, sys.argv[1:])
+        sys.argv[1:] = prepare(ReportConfig, sys.argv[1:])
     main()

@@ -23,7 +23,7 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_scene, encode_views, load_encoder
-from dirl.config.command_line import SCHEMAS, check_overrides, choose_command, one_line_errors, register
+from dirl.config.command_line import SCHEMAS, choose_command, one_line_errors, prepare, register
 from dirl.config.scene_schemas import (
     BuildConfig,
     EncodeConfig,
@@ -281,7 +281,7 @@ if __name__ == "__main__":
     with one_line_errors():
         meanings = {name: meaning for name, (meaning, _) in COMMANDS.items()}
         command, arguments = choose_command(meanings, sys.argv[1:], __doc__ or "")
-        check_overrides(SCHEMAS[command], arguments)
+        arguments = prepare(SCHEMAS[command], arguments)
 
     @hydra.main(version_base="1.3", config_path="../conf/scenes", config_name=command)
     def main(composed: DictConfig) -> None:

@@ -97,7 +97,7 @@ def train(composed: DictConfig, folder: Path, errors: AbstractContextManager[Any
         protocol = build_protocol(config, world, observation)
         run.begin(world, observation.order)
     torch.manual_seed(config.seed)
-    facts = describe(config, world, len(demos))
+    facts = describe(config, world) | {"demonstrations": len(demos)}
     print(f"{run_title(facts)}: {run.folder}")
     if losses is None:
         summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)

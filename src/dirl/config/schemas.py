@@ -288,7 +288,7 @@ def typed(config: DictConfig) -> Any:
     return made
 
 
-def leaves(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
     """The values of a nested configuration by dotted name; goals and lists are values."""
     found: dict[str, Any] = {}
     for name, value in config.items():

@@ -1,21 +1,24 @@
 """A trained agent outside its scenes: from camera images to actions, as a robot calls it."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tensordict import TensorDict
 from torch import Tensor, nn
 
 from dirl.backbones import encode, load_backbone
-from dirl.config.schemas import Match, Observation, TrainConfig, parse_config
+from dirl.config.saved import read_config
+from dirl.config.schemas import Match, TrainConfig
 from dirl.envs.transforms import VIEWS
-from dirl.models import Network, make_network
-from dirl.runs.folder import VIEW_ORDER, load_checkpoint
+from dirl.models import FeatureTable, initial_state, recurrent_keys
+from dirl.runs.folder import load_checkpoint
 from dirl.scenes.matching import ncc
+from dirl.training.build import build_policy, load_weights
 
 Images = Tensor | NDArray[np.uint8]
 Encoder = Callable[[Tensor], Any]
@@ -45,34 +48,48 @@ class Decision(NamedTuple):
     scores: Scores
 
 
-class ScenePolicy(nn.Module):
-    """A trained network with the layers of one scene and template matching, on raw features instead of states.
+class FeaturePolicy(nn.Module):
+    """A trained policy of one scene with template matching, on features instead of view ids.
 
     Args:
-        network: trained; its table of features is not used, its mean and deviation are.
-        scene: whose layers, by their name in the network.
-        front: which of the four views is compared with the goal's; None to compare all four.
+        policy: a `dirl.models.ActorCritic` with the layers of one scene; its table of features is not used.
+        front: which of the four views is matched with the goal's; None to match all four.
     """
 
-    def __init__(self, network: Network, scene: str, front: int | None) -> None:
+    def __init__(self, policy: Any, front: int | None) -> None:
         super().__init__()
-        self.encoder = network.encoder
-        self.hidden, self.policy, self.value = (
-            layers.scenes[scene.replace(".", "_")] for layers in (network.hidden, network.policy, network.value)
-        )
+        self.policy = policy
         self.front = front
+        self.state_keys: list[str] = recurrent_keys(policy)
+        """Of the recurrent state, in the order of arguments and results."""
 
-    def forward(self, features: Tensor, goal_features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Logits ``[B, 4]``, value ``[B, 1]`` and matching coefficient ``[B]`` of features, float32 ``[B, 4, D]``."""
-        both = self.encoder.table.standardise(torch.stack([features, goal_features]))
-        seen, wanted = self.encoder.embed(both).unbind()  # together, because reading the weights is what takes time
-        hidden = self.hidden(self.encoder.fuse(seen, wanted))
-        # As in dirl.models.TemplateStop, the features are compared as the backbone gave them.
+    def forward(self, features: Tensor, goal_features: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
+        """Decide and match.
+
+        Args:
+            features: of the four views, as the backbone gave them, float32 ``[B, 4, D]``.
+            goal_features: of the goal's.
+            state: the recurrent state, ``[B, ...]`` each; zeros at the beginning of an episode.
+
+        Returns:
+            Logits ``[B, 4]``, value ``[B, 1]``, matching coefficient ``[B]``, and the next recurrent state.
+        """
+        policy, scene = self.policy, torch.zeros(len(features), dtype=torch.int64, device=features.device)
+        encoded = policy.encoder(policy.features.standardise(features), policy.features.standardise(goal_features))
+        after: tuple[Tensor, ...] = ()
+        if self.state_keys:
+            known = dict(zip(self.state_keys, state, strict=True))
+            began = torch.zeros((len(features), 1), dtype=torch.bool, device=features.device)
+            row = TensorDict({"fused": encoded, "is_init": began, **known}, batch_size=[len(features)])
+            row = policy.memory(row)
+            encoded, after = row["memory"], tuple(row["next", key] for key in self.state_keys)
+        hidden = policy.heads.trunk(encoded, scene)
+        # As in dirl.scenes.matching, the features are matched as the backbone gave them.
         if self.front is None:
             matching = ncc(features.flatten(1), goal_features.flatten(1))
         else:
             matching = ncc(features[:, self.front], goal_features[:, self.front])
-        return self.policy(hidden), self.value(hidden), matching
+        return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene), matching, *after
 
 
 class Navigator:
@@ -82,23 +99,25 @@ class Navigator:
     with sequential views a single image, of which the navigator remembers the last four.
 
     Args:
-        policy: see `ScenePolicy`.
+        policy: see `FeaturePolicy`.
         encoder: images to features, see `Encoder`.
-        observation: ``surrounding`` or ``sequential``.
+        view_order: what the four views are; the last of a history is called ``now``.
         threshold: stop above this matching coefficient.
         facts: ``scene`` and ``extractor``, which an exported file is labelled with.
     """
 
     def __init__(
-        self, policy: ScenePolicy, encoder: Encoder, observation: str, threshold: float, facts: dict[str, str]
+        self, policy: FeaturePolicy, encoder: Encoder, view_order: list[str], threshold: float, facts: dict[str, str]
     ) -> None:
         self.policy = policy
-        self.observation = observation
+        self.view_order = view_order
+        self.sequential = view_order[-1] == "now"
         self.threshold = threshold
         self.facts = facts
         self._encoder = encoder
         self._goal: Tensor | None = None
         self._views: Tensor | None = None
+        self._state: tuple[Tensor, ...] | None = None
 
     @classmethod
     def load(
@@ -109,6 +128,7 @@ class Navigator:
         extractor: str | None = None,
         scene: str | None = None,
         device: str | torch.device = "cpu",
+        trust: Collection[str] = (),
     ) -> "Navigator":
         """A navigator from what a training left; the scenes it was trained in are not needed.
 
@@ -121,6 +141,7 @@ class Navigator:
                 does not tell where it is from: without this argument there is a warning that nothing was compared.
             scene: whose layers decide. It may be left out where there is no choice: one scene, or shared layers.
             device: ``cpu`` or ``cuda``.
+            trust: packages whose classes the checkpoint's configuration may name, besides dirl's own.
 
         Raises:
             NavigatorError: another extractor, an unknown scene, no such device, or weights that fit no network.
@@ -129,29 +150,30 @@ class Navigator:
         if torch.device(device).type == "cuda" and not torch.cuda.is_available():
             raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
         saved = load_checkpoint(checkpoint)
-        config = parse_config(saved["config"], origin=str(checkpoint))
+        config = read_config(saved["config"], str(checkpoint), trust=trust)
         _check_extractor(encoder, extractor, saved["extractor"])
-        observation = str(config.observation)
-        order = saved.get("views", VIEW_ORDER[observation])  # checkpoints of older versions name none
-        if order != VIEW_ORDER[observation]:
-            raise NavigatorError(f"{checkpoint}: was trained on the views {order}, not {VIEW_ORDER[observation]}")
-        scene = _choose_scene(scene, saved["scenes"], shared=config.network.heads == "shared")
-        network = _rebuild(saved, config, str(checkpoint))
-        policy = ScenePolicy(network, next(iter(network.hidden.scenes)) if scene is None else scene, _front(config))
+        order = saved.get("views", ["ahead", "right", "back", "left"])  # checkpoints of older versions name none
+        scene = _choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
+        policy = FeaturePolicy(_rebuild(saved, config, scene, str(checkpoint)), _front(config, order))
         if not callable(encoder):
             encoder = _backbone_encoder(encoder, device)
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
-        return cls(policy.to(device).eval(), encoder, observation, config.stop.threshold, facts)
+        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts)
+
+    @property
+    def _table(self) -> FeatureTable:
+        table: FeatureTable = self.policy.policy.features
+        return table
 
     @property
     def device(self) -> torch.device:
         """Where the weights are."""
-        return self.policy.encoder.embedding.weight.device
+        return self._table.mean.device
 
     @property
     def width(self) -> int:
         """The number of features of a view, D."""
-        return self.policy.encoder.table.mean.shape[0]
+        return self._table.width
 
     @torch.no_grad()
     def reset(self, goal_images: Images) -> None:
@@ -167,11 +189,11 @@ class Navigator:
         """
         views = self._encode(goal_images, "goal_images")[0]
         self._goal = views.expand(-1, VIEWS, -1)
-        self._views = None
+        self._views = self._state = None
 
     @torch.no_grad()
     def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
-        """Decide what to do; call it once after every step, because with sequential views it remembers them.
+        """Decide what to do; call it once after every step, because it may remember what it sees.
 
         Args:
             images: what is seen now, as `reset` takes it.
@@ -188,7 +210,9 @@ class Navigator:
         if goals not in (1, agents):
             raise NavigatorError(f"images of {agents} agents for {goals} goals; give as many, or reset with one goal")
         views = self._remember(views)
-        logits, _, matching = self.policy(views, self._goal.expand(agents, -1, -1))
+        state = self._recurrent_state(agents)
+        logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
+        self._state = tuple(after)
         probabilities = logits.softmax(-1)
         if sample:
             action = torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
@@ -199,9 +223,16 @@ class Navigator:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
 
+    def _recurrent_state(self, agents: int) -> tuple[Tensor, ...]:
+        if self._state is None:
+            return tuple(initial_state(self.policy.policy, agents, self.device).values())
+        if self._state and len(self._state[0]) != agents:
+            raise NavigatorError(f"images of {agents} agents after those of {len(self._state[0])}; call reset first")
+        return self._state
+
     def _remember(self, views: Tensor) -> Tensor:
         """The four views to decide by, ``[B, 4, D]``, see `dirl.envs.SequentialViews`."""
-        if self.observation == Observation.surrounding:
+        if not self.sequential:
             return views
         if self._views is None:
             self._views = views.expand(-1, VIEWS, -1)
@@ -217,7 +248,7 @@ class Navigator:
             raise NavigatorError(f"{name}: expected a numpy array or a torch tensor, found {type(images).__name__}")
         # Copied, because what a camera driver or an image library hands out may be read-only or flipped.
         pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.array(images, order="C"))
-        many = self.observation == Observation.surrounding
+        many = not self.sequential
         wanted = (VIEWS,) if many else ()
         shape = tuple(pixels.shape)
         dims = len(wanted) + 3
@@ -263,23 +294,23 @@ def _choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str 
     return None if shared else (scene or scenes[0])
 
 
-def _front(config: TrainConfig) -> int | None:
+def _front(config: TrainConfig, order: list[str]) -> int | None:
     """Which of the four views is matched with the goal's, None for all."""
-    if config.observation == Observation.sequential:
+    if order[-1] == "now":
         return VIEWS - 1  # the newest: there is no other of where the agent is now
     return 0 if config.stop.match == Match.front else None
 
 
-def _rebuild(saved: dict[str, Any], config: TrainConfig, origin: str) -> Network:
-    """The trained network, over a table of no states."""
-    try:
-        features = torch.empty(0, len(saved["network"]["encoder.table.mean"]))
-        network = make_network(features, saved["scenes"], heads=config.network.heads, width=config.network.width)
-        network.load_state_dict(saved["network"])
-    except (KeyError, RuntimeError) as error:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise NavigatorError(f"{origin}: the weights do not fit the network of its configuration ({reason})") from None
-    return network.requires_grad_(False)
+def _rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
+    """The trained policy of one scene, over a table of no states."""
+    weights = saved["network"]
+    mean = weights.get("features.mean", weights.get("encoder.table.mean"))
+    if mean is None:
+        raise NavigatorError(f"{origin}: its policy does not read features, as an ActorCritic does")
+    names = [scene or saved["scenes"][0]]
+    policy = build_policy(config, FeatureTable(torch.empty(0, len(mean))), names)
+    load_weights(policy, weights, origin, names)
+    return policy.requires_grad_(False)
 
 
 def _backbone_encoder(path: str | Path, device: str | torch.device) -> Encoder:

@@ -10,15 +10,17 @@ import torch
 
 from dirl.deploy.navigator import Navigator, NavigatorError
 from dirl.envs.transforms import VIEWS
-from dirl.runs.folder import VIEW_ORDER
+from dirl.models import initial_state
 
 
 def export_onnx(navigator: Navigator, file: str | Path) -> None:
     """Write the policy as ONNX: features to logits, value and matching coefficient, of any number of agents.
 
     Inputs are ``features`` and ``goal_features``, float32 ``[B, 4, D]`` as the backbone gave them; outputs ``logits``
-    ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. The layers are those of the navigator's scene. The file's
-    metadata holds ``scene``, ``extractor``, ``views`` (their order) and ``threshold``; the encoder is not in it.
+    ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. A policy with memory also takes its recurrent state, zeros
+    at the beginning of an episode, and gives the next one, called ``next_<name>``. The layers are those of the
+    navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and ``threshold``; the
+    encoder is not in it.
 
     Raises:
         NavigatorError: the packages for it are not installed.
@@ -32,19 +34,20 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
         ) from None
     # Two rows, because torch takes a dimension of one for a constant; two tensors, because it takes one for one input.
     features, goal_features = (torch.zeros(2, VIEWS, navigator.width, device=navigator.device) for _ in range(2))
+    state = initial_state(navigator.policy.policy, 2, navigator.device)
     batch = {0: torch.export.Dim("batch")}
     with _quiet():
         program = torch.onnx.export(
             navigator.policy,
-            (features, goal_features),
-            input_names=["features", "goal_features"],
-            output_names=["logits", "value", "matching"],
-            dynamic_shapes=(batch, batch),
+            (features, goal_features, *state.values()),
+            input_names=["features", "goal_features", *state],
+            output_names=["logits", "value", "matching", *(f"next_{name}" for name in state)],
+            dynamic_shapes={"features": batch, "goal_features": batch, "state": tuple(batch for _ in state)},
             dynamo=True,
             verbose=False,
         )
     assert program is not None
-    views = ",".join(VIEW_ORDER[navigator.observation])
+    views = ",".join(navigator.view_order)
     program.model.metadata_props.update(navigator.facts | {"views": views, "threshold": str(navigator.threshold)})
     program.save(str(file), external_data=False)
 

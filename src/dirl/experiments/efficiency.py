@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, NullLocator, StrMethodFormatter
 
+from dirl.config.schemas import TrainConfig
 from dirl.experiments.results import (
     NAMES,
     Column,
@@ -113,11 +114,11 @@ def _groups(experiment: str, results: Sequence[Result], paper: Mapping[str, Any]
                 found[NAMES[system]] = runs, paper.get(system)
         return found, list(found)
     if experiment == "fig7":
-        for views, runs in grouped(results, lambda config: str(config.observation)).items():
+        for views, runs in grouped(results, views_of).items():
             found[f"{views} views"] = runs, paper[views]
         return found, list(found)
     drawn = []
-    settings = grouped(results, lambda config: (config.imitation.share, str(config.imitation.rule)))
+    settings = grouped(results, lambda config: (config.imitation.fraction, str(config.imitation.rule)))
     # The paper's rule is `interval`; what learns best is drawn.
     main = "random" if any(rule == "random" and share for share, rule in settings) else "interval"
     for (share, rule), runs in sorted(settings.items(), key=lambda item: (list(RULES).index(item[0][1]), item[0][0])):
@@ -153,3 +154,9 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
     plain(axes)
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     save_figure(figure, out, name)
+
+
+def views_of(config: TrainConfig) -> str:
+    """``surrounding`` or ``sequential``."""
+    name: str = config.observation["_target_"].rpartition(".")[2]
+    return name.removesuffix("Views").lower()

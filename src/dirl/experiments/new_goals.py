@@ -6,16 +6,17 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from torch import nn
 from tqdm import tqdm
 
-from dirl.evaluation import Episodes, metrics
+from dirl.episodes import Episodes
+from dirl.evaluation import EvaluationProtocol, metrics
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, SKY, VERMILION, plain
 from dirl.runs.folder import RunError
 from dirl.scenes import World
-from dirl.training.build import Parts, run_policy, run_random, run_trajectories
 
 DISTANCES = (1, 2, 4, 8)
 """Steps from a new goal to the nearest trained one."""
@@ -78,7 +79,7 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     total = len(DISTANCES) * sum(map(len, compared.values()))
     with tqdm(total=total, desc="new goals", unit=" runs x distances", disable=None) as bar:
         for system, runs in compared.items():
-            worlds = [run.parts().world for run in runs]
+            worlds = [run.load().protocol.world for run in runs]
             for distance in DISTANCES:
                 found = []
                 for run, world in zip(runs, worlds, strict=True):
@@ -112,11 +113,15 @@ def _measured(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """The measures of a run's policy on its way to new goals, sampled and greedy; or a random walker's, twice."""
     changes = {"goals": chosen, "evaluation.starts": "sampled", "evaluation.episodes_per_goal": starts}
-    parts = run.parts({**changes, "evaluation.max_steps": MAX_STEPS})
-    walked = [run_random(parts)] * 2 if by_chance else [run_policy(parts, greedy=greedy) for greedy in (False, True)]
+    _, policy, protocol = run.load({**changes, "evaluation.max_steps": MAX_STEPS})
+    world = protocol.world
+    if by_chance:
+        walked = [protocol.run_random()] * 2
+    else:
+        walked = [protocol.run(policy, greedy=greedy) for greedy in (False, True)]
     # The scenes that have no new goal have their trained ones.
-    scenes = torch.tensor([parts.world.names.index(name) for name in chosen], device=parts.world.device)
-    inside = [episodes.select(torch.isin(parts.world.scene_of[episodes.start], scenes)) for episodes in walked]
+    scenes = torch.tensor([world.names.index(name) for name in chosen], device=world.device)
+    inside = [episodes.select(torch.isin(world.scene_of[episodes.start], scenes)) for episodes in walked]
     return metrics(inside[0]), metrics(inside[1])
 
 
@@ -171,15 +176,15 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
             if scene not in run.scenes:
                 raise RunError(f"scene={scene}: the runs are of {', '.join(run.scenes)}; choose one of them")
             changes = {"goals": {scene: [goal]}, "evaluation.max_steps": MAX_STEPS, "evaluation.starts": "every"}
-            parts = run.parts(changes)
-            episodes, paths = _walks(parts, scene)
+            _, policy, protocol = run.load(changes)
+            episodes, paths = _walks(policy, protocol, scene)
             farthest = int(episodes.shortest.argmax())
             walked.append(episodes.steps[farthest].item())
             every.append(metrics(episodes))
             if run is runs[0]:
                 pictures.append(f"fig6_{system}")
                 arrived = bool(episodes.success[farthest])
-                _draw_walk(parts, run, goal, paths[farthest], out / pictures[-1], success=arrived)
+                _draw_walk(protocol.world, run, goal, paths[farthest], out / pictures[-1], success=arrived)
         table.add(
             NAMES[system],
             len(runs),
@@ -196,17 +201,17 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
     return write_tables(out, "Figure 6: the control process", text, {"fig6": table}, pictures)
 
 
-def _walks(parts: Parts, scene: str) -> tuple[Episodes, list[list[int]]]:
+def _walks(policy: nn.Module, protocol: EvaluationProtocol, scene: str) -> tuple[Episodes, list[list[int]]]:
     """An episode from every start of a scene to its first goal, and the states that each passed."""
-    goal_index, start = parts.starts
-    chosen = goal_index == parts.world.goals_in(parts.world.names.index(scene))[0]
-    return run_trajectories(parts, (goal_index[chosen], start[chosen]), greedy=False)
+    goal_index, start = protocol.starts
+    chosen = goal_index == protocol.world.goals_in(protocol.world.names.index(scene))[0]
+    return protocol.trajectories(policy, (goal_index[chosen], start[chosen]), greedy=False)
 
 
-def _draw_walk(parts: Parts, run: Result, goal: int, path: list[int], file: Path, *, success: bool) -> None:
+def _draw_walk(world: World, run: Result, goal: int, path: list[int], file: Path, *, success: bool) -> None:
     """Draw the states of an episode; the file's name gets the endings png, svg and gif."""
-    room = parts.world.local(path[0])[0]
-    local = [parts.world.local(state)[1] for state in path]
+    room = world.local(path[0])[0]
+    local = [world.local(state)[1] for state in path]
     ended = f"{len(path) - 1} steps" if success else "failed"
     title = f"{run_title({**run.summary, 'scene': room.name, 'source': room.source})}, new goal {goal}: {ended}"
     for kind in ("png", "svg"):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from dirl.config.schemas import Objective, PolicyName, TrainConfig
+from dirl.config.schemas import TrainConfig
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, VERMILION, plain
@@ -22,7 +22,8 @@ MEASURES = {
 
 def is_reinforced(config: TrainConfig) -> bool:
     """Whether a system has a half-way: the others imitate at most, and are what they are."""
-    return config.policy == PolicyName.network and config.objective.name != Objective.none
+    learns = config.policy["_target_"] not in ("dirl.experts.RandomPolicy", "dirl.experts.ShortestPathPolicy")
+    return learns and bool(set(config.losses) - {"imitation"})
 
 
 def halfway(result: Result) -> dict[str, float]:

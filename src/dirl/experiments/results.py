@@ -13,10 +13,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dirl.config.schemas import TrainConfig, parse_config
+from dirl.config.saved import read_config
+from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import summarised
 from dirl.runs.folder import RunError, is_finished, load_checkpoint
-from dirl.training.build import Parts, trained_parts
+from dirl.training.load import Trained, load_trained
 
 NAMES = {
     "shortest_path": "shortest path",
@@ -50,9 +51,9 @@ class Result:
         names = self.summary["scene"]
         return [names] if isinstance(names, str) else names
 
-    def parts(self, changes: Mapping[str, Any] | None = None) -> Parts:
-        """Its parts with the weights it ended with; ``changes`` are options to replace, by dotted name."""
-        return trained_parts(load_checkpoint(self.folder), str(self.folder), changes)
+    def load(self, changes: Mapping[str, Any] | None = None) -> Trained:
+        """Its policy with the weights it ended with; ``changes`` are options to replace, by dotted name."""
+        return load_trained(load_checkpoint(self.folder), str(self.folder), changes)
 
     def table(self, stage: str) -> dict[str, NDArray[np.float64]]:
         """The columns of ``<stage>.csv``; an empty cell is NaN."""
@@ -78,7 +79,7 @@ def finished_runs(folder: Path, hint: str) -> list[Result]:
     found = [
         Result(
             one,
-            parse_config((one / "config.yaml").read_text(), origin=str(one / "config.yaml")),
+            read_config((one / "config.yaml").read_text(), origin=str(one / "config.yaml")),
             json.loads((one / "summary.json").read_text()),
         )
         for one in folders

@@ -9,17 +9,20 @@ import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageEnhance, ImageFilter
-from torch import Tensor
+from tensordict import TensorDictBase
+from torch import Tensor, nn
 
 from dirl.backbones.registry import ViewEncoder, encode_views
-from dirl.evaluation import metrics, run_episodes
+from dirl.episodes import run_episodes
+from dirl.evaluation import metrics
 from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
-from dirl.models import make_network
+from dirl.models import FeatureTable
 from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain
 from dirl.runs.folder import RunError
 from dirl.scenes import Scene
 from dirl.scenes.matching import ncc, template_vectors
-from dirl.training.build import Parts
+from dirl.training.build import build_policy, load_weights
+from dirl.training.load import Trained
 
 DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "noise": ("deviation, grey levels", (8, 16, 32, 64)),
@@ -102,41 +105,58 @@ def recommended_threshold(curves: Sequence[tuple[NDArray[np.float64], NDArray[np
     return float(THRESHOLDS[min(first, len(THRESHOLDS) - 1)].round(2))
 
 
-def success(parts: Parts, scene: Scene, clean: Tensor, disturbed: Tensor, threshold: float) -> dict[str, float]:
+class SeesDisturbed(nn.Module):
+    """A policy on a table of twice the states: goals are known by the first half, what is observed is in the second.
+
+    Args:
+        policy: on that table.
+        states: of one half.
+    """
+
+    def __init__(self, policy: Any, states: int) -> None:
+        super().__init__()
+        self.policy, self.cached, self.states = policy, policy.cached, states
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """As the policy."""
+        answered: TensorDictBase = self.policy(tensordict.set("view_ids", tensordict["view_ids"] + self.states))
+        return answered
+
+
+def success(trained: Trained, scene: Scene, clean: Tensor, disturbed: Tensor, threshold: float) -> dict[str, float]:
     """Greedy episodes in which the agent sees disturbed views and knows the clean ones of its goals.
 
     Args:
-        parts: of a trained run.
+        trained: of a run.
         scene: of its world, where the episodes take place.
         clean: features of its views, float32 ``[N, D]``.
         disturbed: likewise, of its disturbed views.
         threshold: of the stop by template matching.
     """
-    world, match = parts.world, parts.config.stop.match
+    config, protocol = trained.config, trained.protocol
+    trained_policy: Any = trained.policy
+    world, match = protocol.world, config.stop.match
     offset = world.offsets[world.names.index(scene.name)]
     known, seen = world.features.clone(), world.features.clone()
     known[offset : offset + len(scene)], seen[offset : offset + len(scene)] = clean, disturbed
-    network = make_network(
-        torch.cat([known, seen]),
-        world.names,
-        heads=parts.config.network.heads,
-        width=parts.config.network.width,
-    )
-    network.load_state_dict(parts.network.state_dict())
+    mean, std = trained_policy.features.mean, trained_policy.features.std
+    policy: Any = build_policy(config, FeatureTable(torch.cat([known, seen]), mean, std), world.names)
+    load_weights(policy, trained_policy.state_dict(), "the run")
+    policy.cache(None)
+    goal_index, state = world.pairs()
     goals = template_vectors(known, world.surrounding, match)[world.goals]
-    scores = goals @ template_vectors(seen, world.surrounding, match).T
-    goal_index, start = parts.starts
+    scores = (goals @ template_vectors(seen, world.surrounding, match).T)[goal_index, state]
+    goal_index, start = protocol.starts
     inside = world.scene_of[start] == world.names.index(scene.name)
-    with network.encoder.projecting():
-        episodes = run_episodes(
-            lambda views, goal_views, scenes: network(views + len(world), goal_views, scenes)[0],
-            world,
-            (goal_index[inside], start[inside]),
-            sight=parts.sight,
-            stop=(scores > threshold) & (world.distances >= 0),
-            max_steps=parts.config.evaluation.max_steps,
-            seed=parts.config.seed,
-        )
+    episodes = run_episodes(
+        SeesDisturbed(policy, len(world)),
+        world,
+        (goal_index[inside], start[inside]),
+        observation=protocol.observation,
+        stop=(scores > threshold) & (world.distances >= 0),
+        max_steps=protocol.max_steps,
+        seed=protocol.seed,
+    )
     return metrics(episodes)
 
 
@@ -156,8 +176,8 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
     Raises:
         RunError: the runs were not made in that scene, it has no views, or its features are of another encoder.
     """
-    runs = [run.parts({"evaluation.starts": "every"}) for run in results]
-    world = runs[0].world
+    runs = [run.load({"evaluation.starts": "every"}) for run in results]
+    world = runs[0].protocol.world
     if scene_name not in world.names:
         raise RunError(f"scene={scene_name}: the runs are of {', '.join(world.names)}; choose one of them")
     scene = world.scenes[world.names.index(scene_name)]
@@ -188,7 +208,7 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
         for limit in (paper["threshold"], best):
             place = int(np.abs(THRESHOLDS - limit).argmin())
             cells += [float(values[place]) for values in curves[key]]
-            walked = [success(parts, scene, clean, features, limit) for parts in runs]
+            walked = [success(one, scene, clean, features, limit) for one in runs]
             cells += [[one[name] for one in walked] for name in ("sr", "false_stop_rate")]
         table.add(*cells)
     _draw(pairs, curves, paper["threshold"], best, out)

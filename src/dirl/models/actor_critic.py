@@ -12,7 +12,7 @@ from torch.distributions import Categorical
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
 from torchrl.modules.utils import get_primers_from_module
 
-from dirl.models.fast.caching import CachedEncoder
+from dirl.models.fast.caching import Cacheable, CachedEncoder
 from dirl.models.fast.siamese import CachedSiamese
 from dirl.models.features import FeatureTable
 from dirl.models.heads import ActorCriticHeads
@@ -90,7 +90,7 @@ class ActorCritic(TensorDictModuleBase):
         # A subclass may embed or fuse otherwise, which the specialised form would not know.
         if type(self.encoder) is SiameseEncoder:
             self.cached = CachedSiamese(self.encoder, self.features, surrounding, principal=principal)
-        elif hasattr(self.encoder, "embed") and hasattr(self.encoder, "fuse"):
+        elif isinstance(self.encoder, Cacheable):
             self.cached = CachedEncoder(self.encoder, self.features, surrounding)
 
     def restore(self) -> None:

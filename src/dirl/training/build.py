@@ -1,6 +1,6 @@
 """From a configuration to the parts of a run, one function each."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -112,14 +112,15 @@ def learning_policy(config: TrainConfig, world: World, observation: SurroundingV
 
 
 def cached(
-    policy: nn.Module, config: TrainConfig, world: World, observation: SurroundingViews, *, principal: bool = False
+    policy: Any, config: TrainConfig, world: World, observation: SurroundingViews, *, principal: bool = False
 ) -> nn.Module:
     """The policy, which embeds each distinct observation once if the configuration lets it."""
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
         # With more states than features of a view there is next to nothing to save by principal axes.
         principal = principal and len(world) <= world.features.shape[1]
         policy.cache(None if observation.history else world.surrounding, principal=principal)
-    return policy
+    made: nn.Module = policy
+    return made
 
 
 def trained_policy(
@@ -143,19 +144,37 @@ def trained_policy(
             f"the scenes' features are of another extractor than those {origin} was trained on: "
             f"'{extractor}', not '{saved['extractor']}'"
         )
-    policy = build_policy(config, feature_table(config, world), world.names, world=world)
-    load_weights(policy, saved["network"], origin)
+    names = _scenes(saved["scenes"], world.names)
+    policy = build_policy(config, feature_table(config, world), names, world=world)
+    load_weights(policy, saved["network"], origin, names)
     return cached(policy, config, world, observation)
 
 
-def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str) -> None:
+def _scenes(trained: Sequence[str], names: Sequence[str]) -> Sequence[str]:
+    """The names by which a policy's heads serve the scenes of a world: their own, or of as many others in order."""
+    return names if set(names) <= set(trained) or len(names) != len(trained) else trained
+
+
+def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, scenes: Sequence[str] = ()) -> None:
     """Load a checkpoint's weights, also those of schema 1.
+
+    Args:
+        policy: gets them.
+        weights: by name.
+        origin: where they stood, for errors.
+        scenes: of a policy for some of the scenes only; the weights of other scenes are left out.
 
     Raises:
         ConfigError: they do not fit.
     """
+    own = {name.replace(".", "_") for name in scenes} | {"shared"}
     try:
-        policy.load_state_dict(_renamed(weights))
+        found = {
+            name: value
+            for name, value in _renamed(weights).items()
+            if not scenes or ".scenes." not in name or name.split(".scenes.")[1].split(".")[0] in own
+        }
+        policy.load_state_dict(found)
     except (RuntimeError, KeyError, AttributeError) as error:
         reason = " ".join(str(error).split())[:300]
         raise ConfigError(f"{origin}: the weights do not fit the network of its configuration ({reason})") from None
@@ -219,9 +238,9 @@ def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
     return made
 
 
-def build_losses(config: TrainConfig, policy: nn.Module, world: World, demos: TensorDictBase) -> Losses:
+def build_losses(config: TrainConfig, policy: Any, world: World, demos: TensorDictBase) -> Losses:
     """The losses of an update; those on demonstrations, where there are none or they have no weight, are left out."""
-    operator = policy.operator()  # type: ignore[operator]
+    operator = policy.operator()
     actor, critic = operator.get_policy_head(), operator.get_value_head()
     offered = {"policy": policy, "actor": actor, "actor_network": actor, "critic_network": critic, "world": world}
     found = {}
@@ -274,7 +293,7 @@ def build_protocol(config: TrainConfig, world: World, observation: SurroundingVi
     )
 
 
-def describe(config: TrainConfig, world: World, demos: int) -> dict[str, Any]:
+def describe(config: TrainConfig, world: World) -> dict[str, Any]:
     """What a table or picture of a run must say of it."""
     names = world.names
     return {
@@ -283,5 +302,4 @@ def describe(config: TrainConfig, world: World, demos: int) -> dict[str, Any]:
         "system": config.system,
         "preset": config.preset,
         "seed": config.seed,
-        "demonstrations": demos,
     }

@@ -24,7 +24,7 @@ EXPERT = "expert_action"
 class ScheduledLoss:
     """A loss and what of it changes linearly over the training."""
 
-    module: nn.Module
+    module: Any
     """Reads a batch and writes ``loss_*`` entries, as TorchRL's ``LossModule`` does."""
     schedules: Mapping[str, Schedule]
     """``weight``, which multiplies the loss, and attributes of the module by name."""
@@ -53,9 +53,9 @@ class Losses(nn.Module):
         demonstrations: ``[M]``, of an expert.
     """
 
-    def __init__(self, policy: nn.Module, losses: Mapping[str, ScheduledLoss], demonstrations: TensorDictBase) -> None:
+    def __init__(self, policy: Any, losses: Mapping[str, ScheduledLoss], demonstrations: TensorDictBase) -> None:
         super().__init__()
-        self.trunk: Any = policy.trunk()  # type: ignore[operator]
+        self.trunk: Any = policy.trunk()
         self.modules_by_name = nn.ModuleDict({name: loss.module for name, loss in losses.items()})
         self.losses = dict(losses)
         self.recurrent = recurrent_keys(policy)
@@ -113,7 +113,7 @@ def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorD
 
 def total_loss(losses: TensorDictBase) -> Tensor:
     """The sum of the ``loss_*`` entries."""
-    return sum(value for key, value in losses.items() if key.startswith("loss_"))  # type: ignore[return-value]
+    return sum(value for key, value in losses.items() if key.startswith("loss_"))
 
 
 class Advantages:
@@ -125,8 +125,8 @@ class Advantages:
         lmbda: of the estimation; 1 gives the paper's n-step return minus the value.
     """
 
-    def __init__(self, policy: nn.Module, gamma: float, lmbda: float) -> None:
-        self.critic = policy.operator().get_value_operator()  # type: ignore[operator]
+    def __init__(self, policy: Any, gamma: float, lmbda: float) -> None:
+        self.critic = policy.operator().get_value_operator()
         self.estimator = make_advantages(gamma, lmbda)
 
     def __call__(self, batch: TensorDictBase) -> TensorDictBase:

@@ -6,7 +6,7 @@ of the network. `CachedEncoder` works with any encoder whose ``forward(o, g)`` i
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -83,6 +83,7 @@ class EmbeddingCache:
         return self._places[at]
 
 
+@runtime_checkable
 class Cacheable(Protocol):
     """An encoder that can be cached: ``forward(o, g)`` equals ``fuse(embed(o), embed(g))``, row by row."""
 
@@ -110,7 +111,7 @@ class CachedEncoder(nn.Module):
 
     def __init__(self, encoder: Cacheable, table: FeatureTable, surrounding: Tensor | None = None) -> None:
         super().__init__()
-        self._wrapped = (encoder, table)  # in a tuple, which torch does not register
+        self._wrapped: tuple[Any, FeatureTable] = (encoder, table)  # in a tuple, which torch does not register
         self.register_buffer("surrounding", surrounding, persistent=False)
         self._keeps = False
         self._cache: Any = None
