@@ -47,6 +47,11 @@ PUBLIC = frozenset(
 """Classes of other packages that a configuration read from a file may name, besides dirl's own."""
 
 
+MODULE = "torch.nn.modules.module.Module"
+BASES = {"optimiser": "torch.optim.optimizer.Optimizer"}
+"""What the classes of a group are, if not a `MODULE`; by name, so that this module does not import torch."""
+
+
 def components(config: Any) -> dict[str, dict[str, Any]]:
     """The options of each component by dotted name (``encoder``, ``losses.a2c``), but for those that name no class.
 
@@ -110,6 +115,9 @@ def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> 
         raise ConfigError(f"{where}: there is no such class ({error}); is its folder on PYTHONPATH?") from None
     if not inspect.isclass(found):
         raise ConfigError(f"{where}: is no class")
+    base = BASES.get(name.split(".")[0], MODULE)
+    if base not in {f"{one.__module__}.{one.__qualname__}" for one in found.__mro__}:
+        raise ConfigError(f"{where}: must be a subclass of {base}")
     # `dirl.envs.navigation.EnvBase` is a class that dirl only imports.
     if trust is not None and target not in PUBLIC and found.__module__.split(".")[0] != package:
         raise ConfigError(f"{where}: is not defined in '{package}' but in '{found.__module__}'; name it there")

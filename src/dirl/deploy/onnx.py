@@ -17,10 +17,10 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
     """Write the policy as ONNX: features to logits, value and matching coefficient, of any number of agents.
 
     Inputs are ``features`` and ``goal_features``, float32 ``[B, 4, D]`` as the backbone gave them; outputs ``logits``
-    ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. A policy with memory also takes its recurrent state, zeros
-    at the beginning of an episode, and gives the next one, called ``next_<name>``. The layers are those of the
-    navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and ``threshold``; the
-    encoder is not in it.
+    ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. A policy with memory also takes its recurrent state
+    (zeros at the beginning of an episode) and gives the next one, called ``next_<name>``. The layers are those of the
+    navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and ``threshold``.
+    The encoder is not in it.
 
     Raises:
         NavigatorError: the packages for it are not installed.
