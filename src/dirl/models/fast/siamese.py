@@ -37,8 +37,9 @@ class CachedSiamese(CachedEncoder):
         self.axes: PrincipalAxes | None = None
         self._projected: Tensor | None = None
         if principal:
-            self.axes = PrincipalAxes(table.table, surrounding, encoder.embedding.weight)
-            encoder.embedding = _linear(self.axes.narrow(encoder.embedding.weight), encoder.embedding.bias)
+            with torch.no_grad():
+                self.axes = PrincipalAxes(table.table, surrounding, encoder.embedding.weight)
+                encoder.embedding = _linear(self.axes.narrow(encoder.embedding.weight), encoder.embedding.bias)
 
     @torch.no_grad()
     def restore(self) -> None:
