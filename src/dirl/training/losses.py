@@ -79,9 +79,11 @@ class Losses(nn.Module):
         demonstrated = any(loss.on_demonstrations for loss in self.losses.values())
         batch, rows = self._with_hidden(batch, self.demonstrations if demonstrated else None)
         result = TensorDict()
-        for loss in self.losses.values():
+        for name, loss in self.losses.items():
             loss.set_schedules(left)
             values = loss.module(rows if loss.on_demonstrations else batch)
+            if twice := set(values.keys()) & set(result.keys()):
+                raise ValueError(f"losses.{name}: writes {min(twice)}, as another loss does")
             weight = loss.schedules["weight"](left)
             result.update({key: weight * value if key.startswith("loss_") else value for key, value in values.items()})
         return result

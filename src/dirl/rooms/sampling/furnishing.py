@@ -70,14 +70,7 @@ def bedroom(draft: Draft) -> None:
     bed = draft.against_wall("bed", (width, 2.1, between(rng, 0.9, 1.3)), **bedding)
     if bed is not None and bed.wall and bed.along:
         for side in (-1, 1):
-            along = round(bed.along + side * (width / 2 + 0.34), 2)
-            stand = Piece("cabinet", (0.5, 0.42, 0.55), wall=bed.wall, along=along,
-                          options={"rows": 2, "doors": 1, "body": wood})  # fmt: skip
-            if draft.put(stand):
-                if rng.random() < 0.6:
-                    draft.on_top(stand, "lamp", (0.28, 0.28, 1.05))
-                else:
-                    draft.on_top(stand, "vase", (0.22, 0.22, 0.4), seed=any_seed(rng), body=style.worktop())
+            nightstand(draft, bed.wall, round(bed.along + side * (width / 2 + 0.34), 2), wood)
     doors = int(rng.integers(2, 5))
     panel = style.wood() if rng.random() < 0.5 else ""
     wardrobe = draft.against_wall(
@@ -100,6 +93,19 @@ def bedroom(draft: Draft) -> None:
         draft.freely("rug", size, yaws=(0, 90), image=style.rug())
     draft.lamps(11)
     draft.dress_walls(towels=False)
+
+
+def nightstand(draft: Draft, wall: str, along: float, wood: str) -> None:
+    """A small cabinet with a lamp or a vase on it, if there is room."""
+    rng = draft.rng
+    options = {"rows": 2, "doors": 1, "body": wood}
+    stand = Piece("cabinet", (0.5, 0.42, 0.55), wall=wall, along=along, options=options)
+    if not draft.put(stand):
+        return
+    if rng.random() < 0.6:
+        draft.on_top(stand, "lamp", (0.28, 0.28, 1.05))
+    else:
+        draft.on_top(stand, "vase", (0.22, 0.22, 0.4), seed=any_seed(rng), body=draft.style.worktop())
 
 
 def kitchen(draft: Draft) -> None:
