@@ -24,6 +24,9 @@ TINY = [
     "checkpoint.every_seconds=0",
 ]
 
+SHORT = [*TINY, "imitation.max_steps=10"]
+"""A run that is made hundreds of times, to be killed and spoilt."""
+
 
 def recipe_command(name, *arguments):
     return [sys.executable, str(ROOT / "recipes" / f"{name}.py"), *map(str, arguments)]

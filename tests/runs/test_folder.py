@@ -1,12 +1,15 @@
 import csv
 import json
 import math
+import os
+import sys
 
 import pytest
 import torch
 from commands import train_config
 from rooms import grid_scene
 
+from dirl.config.schemas import ConfigError
 from dirl.runs.folder import (
     Run,
     RunError,
@@ -14,7 +17,6 @@ from dirl.runs.folder import (
     open_run,
     save_checkpoint,
     training_checkpoints,
-    write_json,
 )
 from dirl.scenes import make_world
 from dirl.training.progress import WINDOW, EpisodeMeter
@@ -26,7 +28,7 @@ def config(*options):
 
 def begun(folder, saved=None):
     run = Run(folder, config(), saved)
-    run.begin(make_world([grid_scene()]))
+    run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
     return run
 
 
@@ -47,6 +49,7 @@ def test_a_resumed_run_forgets_rows_younger_than_its_checkpoint(tmp_path):
     run.save({"frames": 10, "network": {}})
     run.write("evaluation", 5, {"frames": 5})
     run.write("reinforcement", 5, {"frames": 5})
+    run.close()
     begun(tmp_path, load_checkpoint(tmp_path))
     with (tmp_path / "evaluation.csv").open() as stream:
         assert list(csv.DictReader(stream)) == [{"frames": "0"}]
@@ -74,48 +77,154 @@ def test_a_checkpoint_tells_the_configuration_scenes_and_extractor(tmp_path):
     assert saved["config"] == (tmp_path / "config.yaml").read_text()
 
 
-def test_a_checkpoint_that_fails_to_be_written_leaves_the_old_one(tmp_path):
-    file = tmp_path / "a.pt"
-    save_checkpoint(file, {"frames": 1, "network": {}, "config": "", "extractor": ""})
-    with pytest.raises(Exception, match=r"pickle|serializ"):
-        save_checkpoint(file, {"frames": (number for number in ())})
-    assert load_checkpoint(file)["frames"] == 1
-
-
-@pytest.mark.parametrize("spoil", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"junk" * 100])
-def test_a_damaged_checkpoint_is_named(tmp_path, spoil):
-    begun(tmp_path).save({"frames": 7, "network": {"w": torch.zeros(1000)}})
-    (file,) = training_checkpoints(tmp_path)
-    file.write_bytes(spoil(file.read_bytes()))
-    with pytest.raises(RunError, match=rf"{file}: is damaged or no checkpoint .* delete it"):
-        load_checkpoint(tmp_path)
-
-
-def test_a_file_with_something_else_is_no_checkpoint(tmp_path):
-    torch.save({"weights": 1}, tmp_path / "other.pt")
-    with pytest.raises(RunError, match=r"other\.pt: is no checkpoint of dirl"):
-        load_checkpoint(tmp_path / "other.pt")
-
-
 def test_a_folder_that_holds_a_run_is_not_overwritten(tmp_path):
-    begun(tmp_path)
+    begun(tmp_path).close()
     with pytest.raises(RunError, match=f"{tmp_path}: holds a run already"):
         open_run(config(), tmp_path, [])
+    with pytest.raises(RunError, match=f"{tmp_path}: holds a run already"):
+        begun(tmp_path)
+
+
+def test_two_runs_begun_in_the_same_second_get_two_folders(tmp_path):
+    asked = tmp_path / "2026-01-31_12-00-00"
+    first, second = (open_run(config(), asked, []) for _ in range(2))
+    for run in (first, second):
+        run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
+    second.close()
+    third = begun(asked)
+    assert [run.folder.name for run in (first, second, third)] == [asked.name, f"{asked.name}-2", f"{asked.name}-3"]
+    assert begun(tmp_path / "multirun" / "2026-01-31_12-00-00" / "0").folder.name == "0"
+    assert begun(tmp_path / "multirun" / "2026-01-31_12-00-00" / "0").folder.name == "0-2"
+
+
+def test_a_running_run_is_neither_resumed_nor_begun_again(tmp_path):
+    run = begun(tmp_path)
+    run.save({"frames": 10, "network": {}})
+    for options in ([f"resume={tmp_path}"], ["existing=keep"]):
+        with pytest.raises(RunError, match=rf"{tmp_path}: process {os.getpid()} on .* is writing to it"):
+            open_run(config(*options), tmp_path, options)
+    run.close()
+    with pytest.raises(RunError, match="is writing to it"):
+        [open_run(config(f"resume={tmp_path}"), tmp_path, []) for _ in range(2)]
+
+
+def test_a_run_that_could_not_begin_leaves_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    for folder in (tmp_path / "a", tmp_path / "2026-01-31_12-00-00"):
+        begun(folder).close()
+        run = Run(folder if folder.name != "a" else tmp_path / "b", config("logger=wandb"))
+        with pytest.raises(ConfigError, match="not installed"):
+            run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
+    assert {file.name for file in tmp_path.rglob("*") if file.is_file()} == {"config.yaml"}
+    assert not (tmp_path / "2026-01-31_12-00-00-2").exists()
+
+
+def resumed(folder):
+    return open_run(config(f"resume={folder}"), folder, [])
+
+
+def saved_run(folder, *frames):
+    run = begun(folder)
+    for number in frames:
+        run.write("evaluation", number, {"frames": number})
+        run.save({"frames": number, "network": {"w": torch.zeros(100)}})
+    run.close()
+    return training_checkpoints(folder)
+
+
+def test_the_configuration_is_written_once_and_taken_from_a_checkpoint_if_it_was_lost(tmp_path, capsys):
+    saved_run(tmp_path, 10)
+    file = tmp_path / "config.yaml"
+    before = file.stat()
+    run = resumed(tmp_path)
+    run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
+    run.close()
+    assert (file.stat().st_ino, file.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+    text = file.read_text()
+    for lose in (lambda: file.write_text(""), file.unlink):
+        lose()
+        run = resumed(tmp_path)
+        assert "config.yaml: is empty or missing; taken from a checkpoint" in capsys.readouterr().err
+        run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
+        run.close()
+        assert file.read_text() == text
+
+
+def test_a_damaged_checkpoint_is_set_aside_and_the_one_before_is_gone_on_from(tmp_path, capsys):
+    first, second = saved_run(tmp_path, 10, 20)
+    second.write_bytes(second.read_bytes()[:-100])
+    run = resumed(tmp_path)
+    assert run.saved["frames"] == 10
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        f"{second}: is damaged or no checkpoint of this version of dirl: it does not end with a digest; "
+        f"going back to the one before, {first.name}"
+    ]
+    run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
+    assert training_checkpoints(tmp_path) == [first]
+    assert second.with_name(second.name + ".damaged").exists()
+    run.save({"frames": 15, "network": {}})
+    assert load_checkpoint(tmp_path)["frames"] == 15
+    run.close()
+    for file in training_checkpoints(tmp_path):
+        file.write_bytes(b"")
+    with pytest.raises(RunError, match=rf"to begin this run again from its start, delete {tmp_path / 'checkpoints'}$"):
+        resumed(tmp_path)
+
+
+def test_a_checkpoint_whose_tables_or_counts_cannot_be_is_not_gone_on_from(tmp_path, capsys):
+    _, second = saved_run(tmp_path, 10, 20)
+    table = tmp_path / "evaluation.csv"
+    rows = table.read_text()
+    os.truncate(table, len(rows) - 1)
+    assert resumed(tmp_path).saved["frames"] == 10
+    assert f"does not fit {table}, which is shorter" in capsys.readouterr().err
+    table.unlink()
+    with pytest.raises(RunError, match="which is shorter than it was, or missing"):
+        resumed(tmp_path)
+    table.write_text(rows)
+    state = load_checkpoint(second)
+    for spoilt in ({"frames": 19}, {"frames": 10**15}, {"scenes": ["grid"] * 0}):
+        save_checkpoint(second, state | spoilt)
+        assert resumed(tmp_path).saved["frames"] == 10
+    save_checkpoint(second, {key: value for key, value in state.items() if key != "tables"})
+    assert resumed(tmp_path).saved["frames"] == 10
+    assert "it lacks tables" in capsys.readouterr().err
+
+
+def test_what_killed_processes_left_is_removed(tmp_path):
+    saved_run(tmp_path, 10)
+    for folder in (tmp_path, tmp_path / "checkpoints"):
+        (folder / ".unfinished-0123.pt").write_bytes(b"half")
+    run = resumed(tmp_path)
+    assert run.saved["frames"] == 10
+    run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
+    run.close()
+    assert not [file.name for file in tmp_path.rglob(".*")]
+
+
+def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path):
+    run = Run(tmp_path / "run", config())
+    assert run.how_to_go_on() == "nothing of this run was saved"
+    run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
+    again = f"go on with: python recipes/train.py resume={tmp_path / 'run'}"
+    assert run.how_to_go_on() == f"it has no checkpoint yet; {again}"
+    run.save({"frames": 10, "network": {}})
+    assert run.how_to_go_on() == f"its last checkpoint is safe; {again}"
+    run.finish({"frames": 10, "network": {}}, {})
+    run.clean_up()
+    assert run.how_to_go_on() == f"the run is finished: {tmp_path / 'run'}"
+    assert not list((tmp_path / "run").glob(".*"))
 
 
 def test_resume_takes_no_other_option_and_no_finished_run(tmp_path):
     run = begun(tmp_path)
+    run.close()
     with pytest.raises(RunError, match="leave out seed=1"):
         open_run(config(f"resume={tmp_path}"), tmp_path, [f"resume={tmp_path}", "seed=1"])
     run.finish({"frames": 0, "network": {}}, {})
     with pytest.raises(RunError, match="is finished"):
         open_run(config(f"resume={tmp_path}"), tmp_path, [f"resume={tmp_path}"])
-
-
-def test_json_is_whole_or_not_there(tmp_path):
-    with pytest.raises(TypeError):
-        write_json(tmp_path / "a.json", {"a": object()})
-    assert not (tmp_path / "a.json").exists()
 
 
 def test_atl_is_averaged_over_goals_and_forgets_old_episodes():

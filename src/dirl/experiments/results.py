@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from dirl.atomic import atomic_path, write_text
 from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import summarised
+from dirl.reporting.style import write_figure
 from dirl.runs.folder import RunError, is_finished, load_checkpoint
 from dirl.training.load import Trained, load_trained
 
@@ -159,7 +160,7 @@ class Table:
 
     def write_csv(self, file: Path) -> None:
         """A row for each run: rows without lists once, else one for each place in the lists, numbered as ``run``."""
-        with file.open("w", newline="") as stream:
+        with atomic_path(file) as temporary, temporary.open("w", newline="") as stream:
             writer = csv.writer(stream)
             writer.writerow([*(column.heading for column in self.columns), "run"])
             for row in self.rows:
@@ -177,12 +178,11 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
         parts.append(table.markdown().rstrip())
     parts += [f"![{name}]({name}.png)" for name in figures]
     text = "\n\n".join(parts) + "\n"
-    (out / "README.md").write_text(text)
+    write_text(out / "README.md", text)
     return text
 
 
 def save_figure(figure: Figure, out: Path, name: str) -> None:
     """Write a figure as PNG and SVG."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.print_figure(out / f"{name}.png", dpi=120)
-    canvas.print_figure(out / f"{name}.svg")
+    write_figure(figure, out / f"{name}.png")
+    write_figure(figure, out / f"{name}.svg", dpi=100)

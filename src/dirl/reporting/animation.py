@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from dirl.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR
 from dirl.reporting.style import COLORS
 from dirl.reporting.trajectories import path_actions
@@ -59,7 +60,8 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
     palette = sample.quantize(128, method=Image.Quantize.MEDIANCUT)
     first, *rest = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     durations = [FRAME_MS] * (len(frames) - 1) + [HOLD_MS]
-    first.save(file, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
+    with atomic_path(file) as temporary:
+        first.save(temporary, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
 
 
 class _Map:

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from dirl.reporting.style import BLUE, GREEN, PURPLE, SKY, VERMILION, plain
+from dirl.reporting.style import BLUE, GREEN, PURPLE, SKY, VERMILION, plain, write_figure
 from dirl.reporting.tables import run_title
 from dirl.training.progress import STABLE_ATL, WINDOW
 
@@ -44,7 +43,7 @@ def draw_learning_curve(folder: Path, file: Path) -> None:
     for axes in (upper, lower):
         plain(axes)
     figure.align_ylabels()
-    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+    write_figure(figure, file)
 
 
 def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> None:
@@ -90,7 +89,7 @@ def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> No
     lower.set(ylabel="SPL, greedy evaluation", ylim=(-0.03, 1.03), xlabel="frames")
     lower.xaxis.set_major_formatter(EngFormatter())
     figure.align_ylabels()
-    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+    write_figure(figure, file)
 
 
 def common_frames(runs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:

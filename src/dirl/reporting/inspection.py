@@ -4,15 +4,15 @@ import math
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from dirl.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
-from dirl.reporting.style import COLORS
+from dirl.reporting.style import COLORS, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
@@ -78,7 +78,7 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
     if parts.max() > 0:
         handles.append(Patch(color=COLORS[0], alpha=0.35, label="not connected with the rest"))
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+    write_figure(figure, file)
 
 
 def draw_contact_sheet(scene: Scene, file: Path) -> None:
@@ -112,7 +112,8 @@ def draw_contact_sheet(scene: Scene, file: Path) -> None:
         for turn, state in enumerate(states):
             view = Image.fromarray(scene.views[int(state)]).resize((THUMBNAIL, height), Image.Resampling.BOX)
             sheet.paste(view, (left + turn * (THUMBNAIL + 1), top + LABEL))
-    sheet.save(file, quality=85)
+    with atomic_path(file) as temporary:
+        sheet.save(temporary, quality=85)
 
 
 def draw_distances(scene: Scene, file: Path) -> None:
@@ -125,7 +126,7 @@ def draw_distances(scene: Scene, file: Path) -> None:
     axes.set(xlabel="actions from state to state", ylabel="pairs", title=f"{scene.name} ({scene.source})")
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
-    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+    write_figure(figure, file)
 
 
 def draw_false_stops(
@@ -158,4 +159,4 @@ def draw_false_stops(
     axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(-0.005, 110))
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
-    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+    write_figure(figure, file)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Colormap, Normalize, to_rgb
@@ -16,7 +15,7 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
-from dirl.reporting.style import COLORS
+from dirl.reporting.style import COLORS, write_figure
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, shortest_distances, turns_per_circle
@@ -108,7 +107,7 @@ def draw_policy(
         handlelength=1.4,
         columnspacing=1.6,
     )
-    FigureCanvasAgg(figure).print_figure(file, dpi=130)
+    write_figure(figure, file, dpi=130)
 
 
 def never_arrives(scene: Scene, goal: int, actions: NDArray[np.integer]) -> NDArray[np.bool_]:

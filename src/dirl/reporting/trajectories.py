@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure, SubFigure
@@ -19,7 +18,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
-from dirl.reporting.style import COLORS
+from dirl.reporting.style import COLORS, write_figure
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import IntArray, places
@@ -83,7 +82,7 @@ def draw_trajectories(
     figure.suptitle(title)
     handles = _draw_map(main.subplots(), scene, goal, paths, success)
     side.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9, handlelength=3)
-    FigureCanvasAgg(figure).print_figure(file, dpi=120)
+    write_figure(figure, file)
 
 
 def path_actions(scene: Scene, path: Sequence[int]) -> list[str]:

@@ -1,31 +1,52 @@
 """The folder of a run: its metrics, its checkpoints, and how it goes on after it was stopped."""
 
-import contextlib
 import csv
-import json
 import math
 import os
 import shutil
-import signal
+import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import torch
 from omegaconf import OmegaConf
-from torchrl.record.loggers import Logger, get_logger
+from torchrl.record.loggers import Logger
 
+from dirl.atomic import remove_unfinished, write_json, write_text
 from dirl.config.saved import config_text, read_config
-from dirl.config.schemas import ConfigError, Existing, LoggerConfig, LoggerName, TrainConfig, leaves
+from dirl.config.schemas import Existing, LoggerName, TrainConfig, leaves
+from dirl.runs.checkpoints import (
+    SUFFIX,
+    latest_checkpoint,
+    load_checkpoint,
+    save_checkpoint,
+    training_checkpoints,
+)
+from dirl.runs.checks import RunError, check_progress
+from dirl.runs.exits import interruptible
+from dirl.runs.locks import FolderLock, claim, config_file, is_numbered
+from dirl.runs.loggers import make_logger
 from dirl.scenes import World
+
+# Some are here for those who know them from here; where they are written says the import above.
+__all__ = [
+    "SCHEMA",
+    "Run",
+    "RunError",
+    "interruptible",
+    "is_finished",
+    "load_checkpoint",
+    "make_logger",
+    "open_run",
+    "save_checkpoint",
+    "training_checkpoints",
+    "write_json",
+]
 
 SCHEMA = 2
 """Of configurations and checkpoints; 1 was dirl 0.1."""
-
-
-class RunError(ValueError):
-    """A run folder or checkpoint that cannot be used."""
 
 
 class Run:
@@ -38,31 +59,84 @@ class Run:
         folder: everything it writes is in there.
         config: its configuration, saved there as ``config.yaml``.
         saved: the checkpoint it goes on from; None at the beginning.
+        lock: of the folder, for a run that is in it already; without, `begin` makes sure that the folder holds none.
+        unusable: checkpoints that cannot be gone on from; `begin` sets them aside.
     """
 
-    def __init__(self, folder: Path, config: TrainConfig, saved: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        config: TrainConfig,
+        saved: dict[str, Any] | None = None,
+        *,
+        lock: FolderLock | None = None,
+        unusable: Sequence[Path] = (),
+    ) -> None:
         self.folder = folder
         self.config = config
         self.saved = saved
         self.logger: Logger | None = None
+        self._lock = lock
+        self._unusable = unusable
         self._began = time.perf_counter() - (saved["seconds"] if saved else 0.0)
         self._last_save = time.perf_counter()
         self._facts: dict[str, Any] = {}
 
     def begin(self, world: World, view_order: Sequence[str]) -> None:
-        """Write the configuration, and forget metrics that are younger than the checkpoint. Nothing is written before.
+        """Take the folder, write the configuration, and forget what is younger than the checkpoint.
+
+        Nothing is written before. A folder that is named after the second it began in, and is another run's, is left to
+        it: this run gets one with a number behind its name.
 
         Raises:
+            RunError: the folder holds another run, or another process writes to it.
             ConfigError: the logger's package is not installed.
+            OSError: the folder cannot be written to.
         """
-        self.logger = make_logger(self.config.logger, self.folder)
-        text = config_text(self.config)
-        self._facts = {"config": text, "scenes": list(world.names), "extractor": world.scenes[0].extractor}
-        self._facts |= {"views": list(view_order), "schema": SCHEMA}
-        (self.folder / "config.yaml").write_text(text)
+        asked = self.folder
+        if self._lock is None and self.saved is None:
+            self.folder, self._lock = claim(asked)
+        elif self._lock is None:
+            self._lock = FolderLock(self.folder)
+        try:
+            self.logger = make_logger(self.config.logger, self.folder)
+            text = config_text(self.config)
+            self._facts = {"config": text, "scenes": list(world.names), "extractor": world.scenes[0].extractor}
+            self._facts |= {"views": list(view_order), "schema": SCHEMA}
+            self._tidy_up()
+            if not _config_text(self.folder):
+                write_text(config_file(self.folder), text)
+        except BaseException:
+            self.close()
+            if self.folder != asked:
+                with suppress(OSError):
+                    self.folder.rmdir()
+            raise
+
+    def _tidy_up(self) -> None:
+        """Remove what a killed process has left that this run does not go on from."""
+        for file in self._unusable:
+            file.replace(file.with_name(file.name + SUFFIX))
+        remove_unfinished(self.folder)
+        remove_unfinished(self.folder / "checkpoints")
         sizes = self.saved["tables"] if self.saved else {}
         for file in self.folder.glob("*.csv"):
             os.truncate(file, sizes.get(file.name, 0))
+
+    def close(self) -> None:
+        """Let other processes have the folder; at the latest the end of the process does."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def how_to_go_on(self) -> str:
+        """What is safe and how to go on, for the message of a run that is stopped."""
+        if not config_file(self.folder).exists():
+            return "nothing of this run was saved"
+        if self.finished:
+            return f"the run is finished: {self.folder}"
+        safe = "its last checkpoint is safe" if training_checkpoints(self.folder) else "it has no checkpoint yet"
+        return f"{safe}; go on with: python recipes/train.py resume={self.folder}"
 
     @property
     def finished(self) -> bool:
@@ -101,7 +175,11 @@ class Run:
         Args:
             state: at least ``network`` and ``frames``; ``torch.load`` must be able to read it with ``weights_only``.
         """
-        tables = {file.name: file.stat().st_size for file in sorted(self.folder.glob("*.csv"))}
+        tables = {}
+        for file in sorted(self.folder.glob("*.csv")):
+            with file.open("rb") as stream:
+                os.fsync(stream.fileno())  # a checkpoint must not reach the disk before the rows that it counts
+                tables[file.name] = os.fstat(stream.fileno()).st_size
         state = {**state, **self._facts, "tables": tables, "seconds": self.seconds}
         save_checkpoint(self.folder / "checkpoints" / f"{state['frames']:012d}.pt", state)
         for file in training_checkpoints(self.folder)[: -self.config.checkpoint.keep]:
@@ -118,8 +196,10 @@ class Run:
         write_json(self.folder / "summary.json", summary)
 
     def clean_up(self) -> None:
-        """Delete the checkpoints of the training; from then on the run counts as finished."""
-        shutil.rmtree(self.folder / "checkpoints", ignore_errors=True)
+        """Delete the checkpoints of the training; from then on the run counts as finished, and the folder is free."""
+        if (self.folder / "checkpoints").exists():
+            shutil.rmtree(self.folder / "checkpoints")
+        self.close()
         if self.logger is not None and self.config.logger.name == LoggerName.wandb:
             self.logger.experiment.finish()
 
@@ -127,39 +207,68 @@ class Run:
 def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
     """Begin a run in a new folder, or go on with the one that is there, or that ``config.resume`` names.
 
+    A run that goes on holds its folder from here on; a new one takes its folder in `Run.begin`.
+
     Args:
         config: as composed; of a resumed run only ``resume`` is used.
         folder: of a new run.
         overrides: what stood on the command line.
 
     Raises:
-        RunError: the folder holds another run already, is no run's, or its run is finished; or options were given
-            together with ``resume``.
+        RunError: the folder holds another run already, is no run's, its run is finished, or another process writes to
+            it; its checkpoints are damaged; or options were given together with ``resume``.
         ConfigError: the saved configuration cannot be used.
     """
     if config.resume is None:
-        file = folder / "config.yaml"
-        if not file.exists():
+        if not config_file(folder).exists():
+            return Run(folder, config)
+        if config.existing == Existing.refuse and is_numbered(folder):
             return Run(folder, config)
         if config.existing == Existing.refuse:
             raise RunError(f"{folder}: holds a run already; go on with it by resume={folder}, or choose another folder")
-        changed = _changes(config, read_config(file.read_text(), origin=str(file), trust=None))
+        changed = _changes(config, _saved_config(folder, None))
         if changed:
             raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
-        checkpoints = training_checkpoints(folder)
-        return Run(folder, config, load_checkpoint(checkpoints[-1]) if checkpoints else None)
+        return Run(folder, config) if is_finished(folder) else _go_on(folder, config)
     others = [text for text in overrides if not text.startswith(("resume=", "trust="))]
     if others:
         raise RunError(f"resume goes on with the saved configuration; leave out {' '.join(others)}")
     folder = Path(config.resume)
-    file = folder / "config.yaml"
-    if not file.is_file():
-        raise RunError(f"{folder}: is not the folder of a run; it has no {file.name}")
-    saved_config = read_config(file.read_text(), origin=str(file), trust=config.trust or [])
-    checkpoints = training_checkpoints(folder)
+    if not config_file(folder).is_file() and not training_checkpoints(folder):
+        raise RunError(f"{folder}: is not the folder of a run; it has no {config_file(folder).name}")
     if is_finished(folder):
         raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
-    return Run(folder, saved_config, load_checkpoint(checkpoints[-1]) if checkpoints else None)
+    return _go_on(folder, _saved_config(folder, config.trust or []))
+
+
+def _go_on(folder: Path, config: TrainConfig) -> Run:
+    """The run in a folder as its latest usable checkpoint has it, or at its beginning if it has saved none yet."""
+    lock = FolderLock(folder)
+    if is_finished(folder):  # meanwhile
+        raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
+    if not training_checkpoints(folder):
+        return Run(folder, config, lock=lock)
+
+    def check(file: Path, state: Mapping[str, Any]) -> None:
+        check_progress(file, state, config)
+
+    saved, unusable = latest_checkpoint(folder, check)
+    return Run(folder, config, saved, lock=lock, unusable=unusable)
+
+
+def _config_text(folder: Path) -> str:
+    """What stands in a run's configuration file; nothing if it is missing, or empty as a full disk leaves it."""
+    file = config_file(folder)
+    return file.read_text(encoding="utf-8", errors="replace").strip() if file.is_file() else ""
+
+
+def _saved_config(folder: Path, trust: Sequence[str] | None) -> TrainConfig:
+    """The configuration of a run, from its file, or else from its latest checkpoint."""
+    text, file = _config_text(folder), config_file(folder)
+    if text or not training_checkpoints(folder):
+        return read_config(text, origin=str(file), trust=trust)
+    print(f"{file}: is empty or missing; taken from a checkpoint", file=sys.stderr, flush=True)
+    return read_config(latest_checkpoint(folder)[0]["config"], origin=str(folder / "checkpoints"), trust=trust)
 
 
 def is_finished(folder: Path) -> bool:
@@ -176,99 +285,3 @@ def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:
         for name, value in asked.items()
         if before.get(name) != value and not name.startswith(same)
     ]
-
-
-def make_logger(options: LoggerConfig, folder: Path) -> Logger | None:
-    """TorchRL's logger of that name, or None for ``csv``. Weights & Biases is offline where nobody is logged in.
-
-    Raises:
-        ConfigError: the package it needs is not installed.
-    """
-    if options.name == LoggerName.csv:
-        return None
-    try:
-        if options.name == LoggerName.tensorboard:
-            return get_logger("tensorboard", str(folder), "tensorboard")
-        import wandb
-
-        kwargs = {"project": options.project, "id": f"{folder.parent.name}-{folder.name}"}
-        if "WANDB_MODE" not in os.environ:
-            try:
-                known = wandb.login(prompt=False)
-            except wandb.errors.Error:  # there is a key, but the service is away or refuses it
-                known = False
-            kwargs["mode"] = "online" if known else "offline"
-        return get_logger("wandb", str(folder), folder.name, wandb_kwargs=kwargs)
-    except ImportError as error:
-        hint = f"pip install 'dirl[{options.name}]'"
-        raise ConfigError(f"logger={options.name} needs a package that is not installed ({error}): {hint}") from None
-
-
-def write_json(file: Path, data: Mapping[str, Any]) -> None:
-    """Write a JSON file, whole or not at all; NaN, which JSON does not know, becomes null."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {key: plain(inner) for key, inner in value.items()}
-        return None if isinstance(value, float) and math.isnan(value) else value
-
-    unfinished = file.with_suffix(".tmp")
-    unfinished.write_text(json.dumps(plain(data), indent=1) + "\n")
-    unfinished.replace(file)
-
-
-def save_checkpoint(file: Path, state: Mapping[str, Any]) -> None:
-    """Write a checkpoint so that the file is either whole or not there, whenever the process is killed."""
-    file.parent.mkdir(exist_ok=True)
-    unfinished = file.with_suffix(".tmp")
-    with unfinished.open("wb") as stream:
-        torch.save(dict(state), stream)
-        stream.flush()
-        os.fsync(stream.fileno())
-    unfinished.replace(file)
-
-
-def load_checkpoint(path: str | Path) -> dict[str, Any]:
-    """Read a checkpoint.
-
-    Args:
-        path: a ``.pt`` file, or the folder of a run for its final weights, or the latest if it is not finished.
-
-    Raises:
-        RunError: there is none, or it is damaged.
-    """
-    path = Path(path)
-    file = path / "network.pt" if path.is_dir() else path
-    if path.is_dir() and not file.is_file():
-        file = (training_checkpoints(path) or [file])[-1]
-    if not file.is_file():
-        raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
-    try:
-        state = torch.load(file, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many kinds for a damaged file
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise RunError(f"{file}: is damaged or no checkpoint ({reason}); delete it to use the one before it") from None
-    if not isinstance(state, dict) or not {"network", "config", "extractor", "frames"} <= set(state):
-        raise RunError(f"{file}: is no checkpoint of dirl; it lacks the network, its configuration or its extractor")
-    return state
-
-
-def training_checkpoints(folder: Path) -> list[Path]:
-    """The checkpoints that an unfinished run can go on from, oldest first."""
-    return sorted((folder / "checkpoints").glob("*.pt"))
-
-
-@contextlib.contextmanager
-def interruptible() -> Iterator[list[int]]:
-    """Within this context the first Ctrl-C only fills the list, so that a loop can end where its state is whole."""
-    asked: list[int] = []
-
-    def note(number: int, _: Any) -> None:
-        asked.append(number)
-        signal.signal(signal.SIGINT, before)
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)

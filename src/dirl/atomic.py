@@ -1,0 +1,79 @@
+"""Files that are whole or not there, whenever the process is killed, the disk is full or the power fails."""
+
+import json
+import math
+import os
+import secrets
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+PREFIX = ".unfinished-"
+"""What the names of temporary files begin with; only a killed process leaves one."""
+
+
+@contextmanager
+def atomic_path(file: str | Path) -> Iterator[Path]:
+    """Within this context a file is written under a temporary name; at its end it is renamed.
+
+    The temporary name is in the same folder, because a rename across file systems is a copy; it is random, so that two
+    processes cannot write to the same one; and it ends like the file's own, because many libraries take the format
+    from it. The data is on the disk (``fsync``) before the rename, and the rename before the context ends.
+
+    Args:
+        file: to write; one that is there already is replaced, and stays as it was if anything fails.
+
+    Yields:
+        The path to write to.
+
+    Raises:
+        OSError: the file cannot be written; names ``file``, not the temporary one.
+    """
+    target = Path(os.path.realpath(file))  # a symbolic link stays one
+    temporary = target.with_name(f"{PREFIX}{secrets.token_hex(8)}{target.suffix}")
+    try:
+        yield temporary
+        _flush_to_disk(temporary)
+        os.replace(temporary, target)
+        if os.name == "posix":  # elsewhere a folder cannot be opened
+            _flush_to_disk(target.parent, os.O_RDONLY)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError) and error.errno is not None and error.filename in (None, str(temporary)):
+            raise OSError(error.errno, error.strerror, str(file)) from error
+        raise
+
+
+def _flush_to_disk(path: Path, flags: int = os.O_RDWR) -> None:
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a text file in UTF-8, whole or not at all."""
+    with atomic_path(file) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(file: Path, data: Mapping[str, Any]) -> None:
+    """Write a JSON file, whole or not at all; NaN and infinity, which JSON does not know, become null."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {key: plain(inner) for key, inner in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(inner) for inner in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    write_text(file, json.dumps(plain(data), indent=1, allow_nan=False) + "\n")
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Delete the temporary files that killed processes have left in a folder."""
+    for file in folder.glob(f"{PREFIX}*"):
+        file.unlink(missing_ok=True)

@@ -1,0 +1,129 @@
+"""Checkpoints: written whole, sealed with a digest, and checked before anything is made of them.
+
+A checkpoint is the archive that ``torch.save`` writes, with a comment at its end, ``dirl sha256 <hex>``: the digest of
+all bytes before the hexadecimal digits. (The archive's own checksums leave its directory unprotected, and torch
+does not compare those of the data.) It stays a file that ``torch.load(..., weights_only=True)`` reads. Safetensors with
+JSON beside was the alternative: neither has a digest, tensors that share memory would be stored twice, and optimisers'
+states, with whole numbers as keys and tuples, would need a format of their own.
+"""
+
+import hashlib
+import io
+import sys
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from dirl.atomic import atomic_path
+from dirl.runs.checks import RunError, check_header, check_plain
+
+SEAL = b"dirl sha256 "
+DIGITS = 64
+"""Of the digest, which ends the file."""
+
+SUFFIX = ".damaged"
+"""Put behind the name of a training checkpoint that cannot be read."""
+
+
+def save_checkpoint(file: Path, state: Mapping[str, Any]) -> None:
+    """Write a checkpoint so that the file is either whole or not there, whenever the process is killed."""
+    buffer = io.BytesIO()
+    torch.save(dict(state), buffer)
+    archive = buffer.getbuffer()[:-2]  # without the length of its comment, which is none
+    length = (len(SEAL) + DIGITS).to_bytes(2, "little")
+    digest = hashlib.sha256(archive)
+    digest.update(length + SEAL)
+    file.parent.mkdir(exist_ok=True)
+    with atomic_path(file) as temporary, temporary.open("wb") as stream:
+        stream.write(archive)
+        stream.write(length + SEAL + digest.hexdigest().encode())
+
+
+def load_checkpoint(path: str | Path) -> dict[str, Any]:
+    """Read a checkpoint; no code in it is ever run.
+
+    Args:
+        path: a ``.pt`` file, or the folder of a run for its final weights, or the latest that is whole if it is not
+            finished.
+
+    Raises:
+        RunError: there is none, or it is damaged.
+    """
+    path = Path(path)
+    if path.is_dir() and not (path / "network.pt").is_file() and training_checkpoints(path):
+        return latest_checkpoint(path)[0]
+    file = path / "network.pt" if path.is_dir() else path
+    if not file.is_file():
+        raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
+    return read_checkpoint(file)
+
+
+def training_checkpoints(folder: Path) -> list[Path]:
+    """The checkpoints that an unfinished run can go on from, oldest first."""
+    return sorted(file for file in (folder / "checkpoints").glob("*.pt") if file.stem.isdecimal())
+
+
+def latest_checkpoint(
+    folder: Path, check: Callable[[Path, Mapping[str, Any]], None] = lambda *_: None
+) -> tuple[dict[str, Any], list[Path]]:
+    """The latest training checkpoint that can be used, and those after it; each that cannot is named on the terminal.
+
+    Args:
+        folder: of a run, with at least one training checkpoint.
+        check: raises `RunError` for a file and its content that the run cannot have written.
+
+    Raises:
+        RunError: none can be used.
+    """
+    files = training_checkpoints(folder)
+    for number in reversed(range(len(files))):
+        try:
+            state = read_checkpoint(files[number])
+            check(files[number], state)
+            return state, files[number + 1 :]
+        except RunError as error:
+            before = files[number - 1] if number else None
+            if before is None:
+                raise RunError(f"{error}; to begin this run again from its start, delete {files[0].parent}") from None
+            print(f"{error}; going back to the one before, {before.name}", file=sys.stderr, flush=True)
+    raise RunError(f"{folder}: holds no checkpoint of a training")
+
+
+def read_checkpoint(file: Path) -> dict[str, Any]:
+    """Read a checkpoint file, and check its digest and contents.
+
+    Raises:
+        RunError: it is damaged, or no checkpoint of dirl.
+    """
+    data = file.read_bytes()
+    _check_digest(data, file)
+    try:
+        state = _unpack(data)
+    except Exception as error:  # zipfile and torch raise many kinds for what they cannot read
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        raise RunError(f"{file}: is no checkpoint of dirl ({reason})") from None
+    check_plain(state, file, 4 * len(data))
+    return check_header(state, file)
+
+
+def _unpack(data: bytes) -> Any:
+    """What is in an archive of ``torch.save``; ours are not compressed, others could unpack to any size."""
+    archive = io.BytesIO(data)
+    if sum(entry.file_size for entry in zipfile.ZipFile(archive).infolist()) > len(data):
+        raise ValueError("its parts are larger than the file")
+    archive.seek(0)
+    return torch.load(archive, map_location="cpu", weights_only=True)
+
+
+def _check_digest(data: bytes, file: Path) -> None:
+    """Raise `RunError` unless the file ends with the digest of what stands before."""
+    body, digest = memoryview(data)[:-DIGITS], data[-DIGITS:]
+    if not data.startswith(b"PK\3\4"):
+        raise RunError(f"{file}: is damaged or no checkpoint: it begins as none")
+    if body[-len(SEAL) :] != SEAL:
+        raise RunError(f"{file}: is damaged or no checkpoint of this version of dirl: it does not end with a digest")
+    if hashlib.sha256(body).hexdigest().encode() != digest:
+        raise RunError(f"{file}: is damaged: its digest differs from that of its content")

@@ -1,0 +1,147 @@
+"""How a program ends that the machine or its user stops: one line, and an exit status that says why.
+
+| status | what happened |
+|---:|---|
+| 0 | it is done |
+| 1 | something that was given is wrong, or a checkpoint is damaged |
+| 71 | memory ran out |
+| 74 | a file could not be read or written: disk full, read-only, deleted, not permitted |
+| 130 | interrupted by Ctrl-C (SIGINT) |
+| 141 | what it printed to was closed (SIGPIPE), as by ``| head`` |
+| 143 | asked to end (SIGTERM), as by ``kill``, a batch system, a machine that shuts down |
+
+Anything else is a fault of the program, and keeps its traceback. This module imports nothing that takes time, so that a
+recipe can use it before it imports torch.
+"""
+
+import contextlib
+import errno
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any, NoReturn
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+MEMORY, FILES, PIPE = 71, 74, 128 + 13
+"""Exit statuses; the first two as in ``sysexits.h``."""
+
+HINTS = {
+    errno.ENOSPC: "make room on the disk",
+    errno.EDQUOT: "make room within the quota",
+    errno.EFBIG: "raise the limit of a file's size (ulimit -f)",
+    errno.EROFS: "choose a folder that can be written to",
+    errno.EACCES: "choose a folder that can be written to",
+    errno.EPERM: "choose a folder that can be written to",
+    errno.ENOENT: "was it deleted or moved meanwhile?",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+}
+"""What to do about an error of the operating system."""
+
+
+class Terminated(BaseException):
+    """SIGTERM, raised where the program was, as ``KeyboardInterrupt`` is for SIGINT."""
+
+
+@contextlib.contextmanager
+def one_line_exits(advice: Callable[[], str] = lambda: "") -> Iterator[None]:
+    """Within this context an interrupt, or an error of the machine, ends the program with one line and its status.
+
+    Args:
+        advice: asked at the end: what is safe, and how to go on.
+
+    Raises:
+        SystemExit: with a status of the table above.
+    """
+    try:
+        with _signals({signal.SIGTERM: _terminate}):
+            yield
+    except KeyboardInterrupt:
+        leave("interrupted", 128 + signal.SIGINT, advice)
+    except Terminated:
+        leave("terminated", 128 + signal.SIGTERM, advice)
+    except BrokenPipeError:
+        _silence(sys.stdout)
+        leave("nobody reads any more what this program prints", PIPE, advice)
+    except OSError as error:
+        leave(f"error: {_told(error)}", FILES, advice)
+    except Exception as error:
+        if not _is_memory(error):
+            raise
+        leave("error: memory ran out; make the run smaller, or free some", MEMORY, advice)
+
+
+def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> NoReturn:
+    """End the program with one line on the standard error, and an exit status.
+
+    Args:
+        message: what happened.
+        status: of the table above; ``128 + number`` for a signal.
+        advice: what is safe, and how to go on.
+    """
+    try:
+        print("; ".join(filter(None, [message, advice()])), file=sys.stderr, flush=True)
+    except BrokenPipeError:
+        _silence(sys.stderr)
+    raise SystemExit(status) from None
+
+
+def _terminate(*_: Any) -> NoReturn:
+    raise Terminated
+
+
+def _silence(stream: Any) -> None:
+    """Let what a closed stream still holds go nowhere, or the interpreter would complain at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _told(error: OSError) -> str:
+    """An error of the operating system in one line: the file, the reason, what to do."""
+    where = f"{error.filename}: " if error.filename else ""
+    reason = error.strerror or (str(error).splitlines() or [type(error).__name__])[0]
+    hint = HINTS.get(error.errno or 0, "")
+    return f"{where}{reason}{f'; {hint}' if hint else ''}"
+
+
+def _is_memory(error: Exception) -> bool:
+    """Whether Python, numpy or torch had no memory; torch raises a ``RuntimeError`` for it on the CPU."""
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return True
+    return isinstance(error, RuntimeError) and "DefaultCPUAllocator" in str(error)
+
+
+@contextlib.contextmanager
+def _signals(handlers: dict[signal.Signals, Any]) -> Iterator[None]:
+    """Handle signals within this context; only the main thread can, in others nothing changes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[list[int]]:
+    """Within this context the first SIGINT or SIGTERM only fills the list, so that a loop ends with its state whole.
+
+    The next one acts at once, as it would outside.
+
+    Yields:
+        The number of the signal, once there was one.
+    """
+    asked: list[int] = []
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+
+    def note(number: int, _: Any) -> None:
+        asked.append(number)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+    with _signals(dict.fromkeys(SIGNALS, note)):
+        yield asked

@@ -1,0 +1,118 @@
+"""One run in a folder, and one process at a time that writes to it."""
+
+import errno
+import os
+import platform
+import re
+import sys
+import weakref
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from dirl.runs.checks import RunError
+
+NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
+"""What file systems answer that have no locks; those that do not know the call at all, ``filelock`` sees to."""
+
+TIME = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d")
+"""The name that a recipe gives a folder by itself: the second it began in."""
+
+
+class RunningError(RunError):
+    """A run folder that another process writes to."""
+
+
+class FolderLock:
+    """The lock of a run folder, held until `release`, or until the process ends in whatever way.
+
+    It is the operating system's (``flock``) on the file ``.lock``, so that a dead process holds none; the file itself
+    means nothing, and is deleted at release. On a file system without ``flock`` the library falls back to the file's
+    being there, with a warning; where locks are refused altogether (some network mounts) the run goes on without, and
+    says so in one line: there, do not resume a run while it runs.
+
+    Args:
+        folder: an existing one.
+
+    Raises:
+        RunningError: another process holds it; the message says which.
+        OSError: the folder cannot be written to.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        file = folder / ".lock"
+        lock = FileLock(str(file))
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            raise RunningError(f"{folder}: {_holder(file)} is writing to it; wait for it, or stop it") from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+            told = f"{folder}: cannot be locked ({error.strerror}); do not resume this run while it runs"
+            print(told, file=sys.stderr, flush=True)
+        else:
+            with suppress(OSError):  # for people; nothing reads it but the message above
+                file.write_text(f"process {os.getpid()} on {platform.node()}", encoding="utf-8")
+        self._finalizer = weakref.finalize(self, _release, lock, file, os.getpid())
+
+    def release(self) -> None:
+        """Let another process have the folder."""
+        self._finalizer()
+
+
+def _holder(file: Path) -> str:
+    """Which process has written itself into a lock file."""
+    with suppress(OSError, UnicodeDecodeError):
+        return file.read_text(encoding="utf-8")[:100].strip() or "another process"
+    return "another process"
+
+
+def _release(lock: FileLock, file: Path, owner: int) -> None:
+    if os.getpid() != owner or not lock.is_locked:  # a forked child holds nothing of its own
+        return
+    with suppress(OSError):  # the folder may be gone
+        file.unlink()  # before the release: afterwards it could be another's
+    with suppress(OSError):
+        lock.release(force=True)
+
+
+def config_file(folder: Path) -> Path:
+    """The configuration in a run folder, by which it is known to be one."""
+    return folder / "config.yaml"
+
+
+def is_numbered(folder: Path) -> bool:
+    """Whether a run, or a job of a sweep, gets a number where its folder is another's: nobody has chosen its name."""
+    return any(TIME.fullmatch(name) for name in (folder.name, folder.parent.name))
+
+
+def claim(folder: Path) -> tuple[Path, FolderLock]:
+    """Take a folder for a new run, or, where a run gets a number, the first of its name that is free.
+
+    Raises:
+        RunError: it holds a run, or another process writes to it.
+        OSError: it cannot be made, or written to.
+    """
+    problem = RunError(f"{folder}: holds a run already; choose another folder")
+    for candidate in _names(folder):
+        candidate.mkdir(parents=True, exist_ok=True)
+        try:
+            lock = FolderLock(candidate)
+        except RunningError as error:
+            problem = error
+            continue
+        if not config_file(candidate).exists():
+            return candidate, lock
+        lock.release()
+    raise problem
+
+
+def _names(folder: Path) -> Iterator[Path]:
+    """The folder, and where a run gets a number ``<folder>-2``, ``<folder>-3`` and so on."""
+    yield folder
+    if is_numbered(folder):
+        yield from (folder.with_name(f"{folder.name}-{number}") for number in count(2))

@@ -1,0 +1,131 @@
+"""Recipes run again and again without the seconds that their imports take: each in a fork of one process.
+
+A child is what ``python recipes/<name>.py <arguments>`` would be, after its imports.
+"""
+
+import atexit
+import importlib
+import os
+import runpy
+import signal
+import sys
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+
+
+@dataclass
+class Ended:
+    """How a recipe ended: its exit status (negative for a signal, None if it had to be stopped) and what it printed."""
+
+    status: int | None
+    printed: str
+    errors: str
+
+    @property
+    def problem(self):
+        """What must never be: a hang, a crash, a traceback; nothing else, and no problem is an empty text."""
+        if self.status is None:
+            return "hang"
+        if self.status < 0:
+            return f"crash by signal {-self.status}"
+        return "traceback" if "Traceback" in self.errors else ""
+
+    @property
+    def told(self):
+        """The lines on the standard error, without the progress bar's."""
+        lines = [line.rpartition("\r")[2].strip() for line in self.errors.splitlines()]
+        return [line for line in lines if line and "frames/s" not in line]
+
+
+class Child:
+    """A recipe that is running.
+
+    Args:
+        folder: where it runs; what it prints is kept there in hidden files.
+        name: of the recipe.
+        arguments: of its command line.
+        prepare: called in the child before the recipe.
+    """
+
+    def __init__(self, folder, name, *arguments, prepare=lambda: None):
+        self.files = [folder / f".{stream}-{time.monotonic_ns()}" for stream in ("printed", "errors")]
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self.pid = os.fork()
+        if self.pid == 0:
+            _become(folder, name, [str(argument) for argument in arguments], self.files, prepare)
+
+    def kill(self, number=signal.SIGKILL):
+        """Send it a signal."""
+        os.kill(self.pid, number)
+
+    def wait(self, timeout=120.0):
+        """Wait for its end; stop it after so many seconds of processor time, or ten times as many of the clock."""
+        began, ended = time.monotonic(), 0
+        while not ended:
+            ended, status = os.waitpid(self.pid, os.WNOHANG)
+            if not ended and (_processor_seconds(self.pid) > timeout or time.monotonic() - began > 10 * timeout):
+                self.kill()
+                os.waitpid(self.pid, 0)
+                return Ended(None, *self._texts())
+            time.sleep(0.01)
+        return Ended(os.waitstatus_to_exitcode(status), *self._texts())
+
+    def _texts(self):
+        texts = [file.read_text(errors="replace") if file.exists() else "" for file in self.files]
+        for file in self.files:
+            file.unlink(missing_ok=True)
+        return texts
+
+
+def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0):
+    """Run a recipe to its end."""
+    return Child(folder, name, *arguments, prepare=prepare).wait(timeout)
+
+
+def warm_up(*names):
+    """Import what recipes import, before any fork."""
+    sys.path.insert(0, str(RECIPES))
+    for name in names:
+        importlib.import_module(name)
+    sys.path.remove(str(RECIPES))
+
+
+def _processor_seconds(pid):
+    try:
+        numbers = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(numbers[11]) + int(numbers[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _become(folder, name, arguments, files, prepare):
+    """Be the recipe, and end as the interpreter would."""
+    status = 1
+    try:
+        os.chdir(folder)
+        for number, file in zip((1, 2), files, strict=True):
+            os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT, 0o666), number)
+        sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))  # noqa: SIM115
+        sys.argv = [str(RECIPES / f"{name}.py"), *arguments]
+        sys.path.insert(0, str(RECIPES))
+        prepare()
+        runpy.run_path(sys.argv[0], run_name="__main__")
+        status = 0
+    except SystemExit as error:
+        if isinstance(error.code, str):
+            print(error.code, file=sys.stderr)
+        status = error.code if isinstance(error.code, int) else int(error.code is not None)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        try:
+            atexit._run_exitfuncs()
+            sys.stdout.flush()
+            sys.stderr.flush()
+        finally:
+            os._exit(status)

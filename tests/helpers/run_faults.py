@@ -1,0 +1,275 @@
+"""Runs that are killed, machines that fail, checkpoints that are damaged; each case says what was not as promised."""
+
+import csv
+import json
+import os
+import resource
+import shutil
+import signal
+import time
+from itertools import count
+
+import torch
+from commands import SHORT, room_file
+from forks import Child, run
+from injection import KINDS, Faults
+from spoilt_checkpoints import spoil_bytes, spoil_contents
+
+from dirl.runs.checkpoints import load_checkpoint, save_checkpoint, training_checkpoints
+from dirl.runs.checks import RunError
+from dirl.runs.folder import is_finished
+
+TIMES = ("seconds", "frames_per_second", "peak_memory_mb")
+"""What differs from run to run."""
+
+
+class Bench:
+    """A scene, a run that nothing happened to, and folders for those that something happens to.
+
+    Args:
+        folder: for all of them.
+    """
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.scene = room_file(folder)
+        self._numbers = count()
+        began = time.monotonic()
+        self.whole = self.new_folder()
+        counts = folder / "counts.json"
+        ended = self.train(self.whole, prepare=lambda: Faults(self.whole).install(counts))
+        assert ended.status == 0, ended.errors
+        self.seconds = time.monotonic() - began
+        self.calls = json.loads(counts.read_text())
+
+    def new_folder(self):
+        """A folder that is not there yet."""
+        return self.folder / f"run{next(self._numbers)}"
+
+    def options(self, folder):
+        """Of a run in a folder: begun, or gone on with if there is one."""
+        begun = (folder / "config.yaml").exists() or training_checkpoints(folder)
+        return [f"resume={folder}"] if begun else [f"scene={self.scene}", *SHORT, f"hydra.run.dir={folder}"]
+
+    def train(self, folder, prepare=lambda: None):
+        """Run to the end."""
+        return run(self.folder, "train", *self.options(folder), prepare=prepare)
+
+    def start(self, folder, prepare=lambda: None):
+        """Begin, without waiting."""
+        return Child(self.folder, "train", *self.options(folder), prepare=prepare)
+
+    def finish(self, folder):
+        """Go on with a run until it is finished; what is not as in the run that nothing happened to."""
+        if not is_finished(folder):
+            ended = self.train(folder, prepare=no_pictures)
+            if ended.status != 0:
+                return ended.problem or f"does not go on: {ended.told}"
+        difference = self.difference(folder)
+        shutil.rmtree(folder)
+        return difference
+
+    def difference(self, folder):
+        """What a finished run has otherwise than the one that nothing happened to; nothing is an empty text."""
+        if {file.name for file in folder.iterdir()} != {file.name for file in self.whole.iterdir()}:
+            return f"other files: {sorted(file.name for file in folder.iterdir())}"
+        for file in sorted(self.whole.glob("*.csv")):
+            if table(file) != table(folder / file.name):
+                return f"other rows: {file.name}"
+        first, second = (without_times(json.loads((one / "summary.json").read_text())) for one in (self.whole, folder))
+        if first != second:
+            return "another summary"
+        mine, theirs = (load_checkpoint(one)["network"] for one in (self.whole, folder))
+        return "" if all(torch.equal(mine[key], theirs[key]) for key in mine) else "other weights"
+
+
+def table(file):
+    """The rows of a CSV file without times."""
+    with file.open() as stream:
+        return [without_times(row) for row in csv.DictReader(stream)]
+
+
+def without_times(row):
+    """A row or summary without what differs from run to run."""
+    return {key: value for key, value in row.items() if key not in TIMES}
+
+
+def no_pictures():
+    """Leave the pictures empty, which take most of a short run's time."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg.print_figure = lambda self, file, **_: file.write_bytes(b"")
+
+
+def refused(ended, *statuses):
+    """What is wrong with the end of a recipe that should have refused; nothing is an empty text."""
+    if ended.problem:
+        return f"{ended.problem}: {ended.errors[-300:]}"
+    if ended.status == 0:
+        return "accepted"
+    if ended.status not in statuses:
+        return f"another status: {ended.status}, {ended.told}"
+    return "" if len(ended.told) == 1 else f"not one line: {ended.told}"
+
+
+def kills(bench, times, rng):
+    """SIGKILL at random moments, up to six in a run, that then goes on to its end."""
+    done = 0
+    while done < times:
+        folder, problem, killed = bench.new_folder(), "", 0
+        for _ in range(min(rng.randint(1, 6), times - done)):
+            child = bench.start(folder, no_pictures)
+            time.sleep(rng.uniform(0, bench.seconds))
+            child.kill()
+            ended = child.wait()
+            if ended.status == -signal.SIGKILL:
+                killed += 1
+                continue
+            problem = ended.problem if ended.status else ""
+            break
+        done += killed
+        problem = problem or bench.finish(folder)
+        yield from ((f"kill of {folder.name}", problem) for _ in range(killed))
+
+
+def signals(bench, times, rng):
+    """SIGINT and SIGTERM at random moments: one line, the status of the signal, and the run goes on."""
+    for number in range(times):
+        folder, sent = bench.new_folder(), (signal.SIGINT, signal.SIGTERM)[number % 2]
+        child = bench.start(folder)
+        time.sleep(rng.uniform(0.2, 1) * bench.seconds)
+        child.kill(sent)
+        ended = child.wait()
+        problem = "" if ended.status == 0 else refused(ended, 128 + sent)
+        yield f"{sent.name}, {ended.told}", problem or bench.finish(folder)
+
+
+def faults(bench, times, rng):
+    """The n-th call of a kind fails, once or from then on: one line, and the run goes on."""
+    calls = [(kind, number) for kind in KINDS for number in range(1, bench.calls[kind] + 1)]
+    for kind, number in rng.sample(calls, min(times, len(calls))):
+        folder, lasting = bench.new_folder(), rng.random() < 0.5
+        fault = Faults(folder, kind, number, lasting)
+        ended = bench.train(folder, prepare=fault.install)
+        problem = "" if ended.status == 0 else refused(ended, 74)
+        if not problem and [file for file in folder.rglob(".unfinished-*") if not (kind == "remove" and lasting)]:
+            problem = "left a temporary file"
+        yield f"{kind} {number} of {bench.calls[kind]}{' and all after' * lasting}", problem or bench.finish(folder)
+
+
+def stopped_run(bench):
+    """A run that has stopped in the middle of its training, with its latest checkpoint."""
+    folder = bench.new_folder()
+    fault = Faults(folder, "rename", 2 * bench.calls["rename"] // 3)
+    ended = bench.train(folder, prepare=fault.install)
+    *_, latest = training_checkpoints(folder)
+    assert ended.status, ended.told
+    return folder, latest
+
+
+def checkpoints(bench, times, rng):
+    """A checkpoint with wrong contents and a right digest: one line, or for want of another the run is refused."""
+    folder, latest = stopped_run(bench)
+    for file in training_checkpoints(folder):
+        if file != latest:
+            file.unlink()
+    good = load_checkpoint(latest)
+    for _ in range(times):
+        state, what = spoil_contents(good, rng)
+        copied = bench.new_folder()
+        shutil.copytree(folder, copied)
+        save_checkpoint(copied / "checkpoints" / latest.name, state)
+        yield what, refused(bench.train(copied, prepare=no_pictures), 1)
+        shutil.rmtree(copied)
+
+
+def damaged_bytes(bench, times, rng):
+    """A checkpoint with damaged bytes is not read; a run goes on from the one before."""
+    folder, latest = stopped_run(bench)
+    data, file = latest.read_bytes(), bench.folder / "damaged.pt"
+    for _ in range(times):
+        spoilt, what = spoil_bytes(data, rng)
+        if spoilt == data:
+            continue
+        file.write_bytes(spoilt)
+        try:
+            load_checkpoint(file)
+        except RunError as error:
+            yield what, "" if len(str(error).splitlines()) == 1 else f"not one line: {error}"
+        else:
+            yield what, "accepted"
+    latest.write_bytes(spoil_bytes(data, rng)[0])
+    yield "a damaged checkpoint in a run", bench.finish(folder)
+
+
+def machine(bench, times, rng):
+    """Cases that stand for themselves, so many rounds of them."""
+    for _ in range(times):
+        for case in (same_second, double_resume, no_folder, file_limit, deleted_folder, broken_pipe):
+            yield case.__doc__.rstrip("."), case(bench)
+
+
+def same_second(bench):
+    """Two runs begun in the same second."""
+    folder = bench.folder / "2026-01-31_12-00-00"
+    children = [bench.start(folder, no_pictures) for _ in range(2)]
+    for ended in [child.wait() for child in children]:
+        if ended.status:
+            return ended.problem or f"does not run: {ended.told}"
+    second = folder.with_name(f"{folder.name}-2")
+    return bench.finish(folder) or bench.finish(second)
+
+
+def double_resume(bench):
+    """Two processes that resume the same run."""
+    folder, _ = stopped_run(bench)
+    children = [bench.start(folder, no_pictures) for _ in range(2)]
+    ended = sorted([child.wait() for child in children], key=lambda one: one.status or 0)
+    if ended[0].status != 0:
+        return ended[0].problem or f"does not run: {ended[0].told}"
+    return refused(ended[1], 1) or bench.finish(folder)
+
+
+def no_folder(bench):
+    """A folder that cannot be made."""
+    return refused(run(bench.folder, "train", f"scene={bench.scene}", *SHORT, "hydra.run.dir=/proc/run"), 74)
+
+
+def file_limit(bench):
+    """A limit of 25 kB a file, which a checkpoint does not keep."""
+    folder = bench.new_folder()
+    ended = bench.train(folder, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (25_000, 25_000)))
+    return refused(ended, 74) or bench.finish(folder)
+
+
+def deleted_folder(bench):
+    """The folder of a running run is deleted."""
+    folder = bench.new_folder()
+    child = bench.start(folder)
+    while not training_checkpoints(folder) and os.path.exists(f"/proc/{child.pid}/fd"):
+        time.sleep(0.01)
+    shutil.rmtree(folder, ignore_errors=True)
+    return refused(child.wait(), 74)
+
+
+def broken_pipe(bench):
+    """What a run prints to is closed."""
+
+    def closed():
+        reading, writing = os.pipe()
+        os.close(reading)
+        os.dup2(writing, 1)
+
+    folder = bench.new_folder()
+    return refused(bench.train(folder, closed), 141) or bench.finish(folder)
+
+
+CASES = {
+    "kills": kills,
+    "signals": signals,
+    "faults": faults,
+    "checkpoints": checkpoints,
+    "bytes": damaged_bytes,
+    "machine": machine,
+}
+"""Each takes a `Bench`, how often, and a random number generator; yields what was done, and what was wrong with it."""

@@ -1,0 +1,56 @@
+import errno
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from dirl.runs.checks import RunError
+from dirl.runs.locks import FolderLock, RunningError, claim
+
+HOLD = "import sys, time; from pathlib import Path; from dirl.runs.locks import FolderLock; "
+HOLD += "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); time.sleep(600)"
+
+
+def test_another_process_is_named_and_its_death_frees_the_folder(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", HOLD, tmp_path], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(RunningError, match=f"{tmp_path}: process {process.pid} on .* is writing to it"):
+            FolderLock(tmp_path)
+        process.send_signal(signal.SIGKILL)
+    assert (tmp_path / ".lock").exists()
+    FolderLock(tmp_path).release()
+    assert not (tmp_path / ".lock").exists()
+
+
+def test_a_lock_is_freed_once_nothing_refers_to_it(tmp_path):
+    FolderLock(tmp_path)
+    lock = FolderLock(tmp_path)
+    with pytest.raises(RunningError):
+        FolderLock(tmp_path)
+    lock.release()
+    lock.release()
+
+
+def test_without_locks_the_run_goes_on_and_says_so(tmp_path, monkeypatch, capsys):
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+    lock = FolderLock(tmp_path)
+    (told,) = capsys.readouterr().err.splitlines()
+    assert told == f"{tmp_path}: cannot be locked (No locks available); do not resume this run while it runs"
+    lock.release()
+    FolderLock(tmp_path)
+
+
+def test_a_folder_is_claimed_once(tmp_path):
+    folder, lock = claim(tmp_path / "a" / "run")
+    with pytest.raises(RunningError):
+        claim(folder)
+    (folder / "config.yaml").touch()
+    lock.release()
+    with pytest.raises(RunError, match="holds a run already"):
+        claim(folder)
+    assert not (folder / ".lock").exists()
