@@ -16,6 +16,7 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig
 
+from dirl.atomic import write_text
 from dirl.config.command_line import one_line_errors, prepare, register
 from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation import assess
@@ -64,7 +65,7 @@ def main(composed: DictConfig) -> None:
     for name, page in pages.items():
         file = run_folder(options.checkpoint) / name
         replaced = " (in place of the one before)" if file.exists() else ""
-        file.write_text(page, encoding="utf-8")
+        write_text(file, page)
         print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 

@@ -10,6 +10,7 @@
 All options with their values: conf/train.yaml and the groups beside it.
 """
 
+import os
 import resource
 import sys
 from collections.abc import Sequence
@@ -34,7 +35,9 @@ from dirl.experts import label, merge_demonstrations
 from dirl.models import caching, count_parameters, plain_weights, recurrent_keys
 from dirl.objectives import ImitationLoss
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
-from dirl.runs.folder import Run, interruptible, open_run
+from dirl.runs.exits import interruptible, leave, one_line_exits
+from dirl.runs.folder import Run, open_run
+from dirl.runs.states import check_training
 from dirl.training import hogwild
 from dirl.training.build import (
     build_demonstrations,
@@ -80,7 +83,7 @@ def main(composed: DictConfig) -> None:
 
 
 def train(composed: DictConfig, folder: Path, errors: AbstractContextManager[Any]) -> None:
-    """Make the parts of the run, before anything is written; run its stages one after the other; show what came out."""
+    """Make the parts of the run, before anything is written; then run its stages."""
     with errors:
         config: TrainConfig = typed(composed)
         check_components(config, config.trust)
@@ -88,35 +91,55 @@ def train(composed: DictConfig, folder: Path, errors: AbstractContextManager[Any
         if run.finished:
             print(f"finished before: {run.folder}")
             return
-        config = run.config
-        world = build_world(config)
-        observation = build_observation(config, world)
-        policy = learning_policy(config, world, observation)
-        demos = build_demonstrations(config, world, observation)
-        losses = build_losses(config, policy, world, demos) if count_parameters(policy) else None
-        protocol = build_protocol(config, world, observation)
+        world = build_world(run.config)
+        observation = build_observation(run.config, world)
+        policy = learning_policy(run.config, world, observation)
+        demos = build_demonstrations(run.config, world, observation)
+        losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
+        protocol = build_protocol(run.config, world, observation)
+        state = None if losses is None else begin(run, policy, losses, protocol)
         run.begin(world, observation.order)
-    torch.manual_seed(config.seed)
-    facts = describe(config, world) | {"demonstrations": len(demos)}
+    with one_line_exits(run.how_to_go_on):
+        run_stages(run, policy, demos, state, protocol)
+
+
+def begin(run: Run, policy: nn.Module, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
+    """The state of the training before its first update, or as the checkpoint has it that the run goes on from."""
+    optimiser = build_optimiser(run.config, policy, losses)
+    env = build_env(run.config, protocol.world, protocol.observation, policy)
+    meter = EpisodeMeter(mean_shortest(protocol.world))
+    state = TrainState(policy, losses, optimiser, env, env.reset(), meter)
+    if run.saved is not None:
+        check_training(run.saved, state.state_dict(), env, optimiser, str(run.folder))
+        state.load_state_dict(run.saved)
+    return state
+
+
+def run_stages(
+    run: Run, policy: nn.Module, demos: TensorDictBase, state: TrainState | None, protocol: EvaluationProtocol
+) -> None:
+    """Imitation, reinforcement, evaluation; a policy without parameters (``state`` is None) is evaluated only."""
+    if run.saved is None:
+        torch.manual_seed(run.config.seed)
+    facts = describe(run.config, protocol.world) | {"demonstrations": len(demos)}
     print(f"{run_title(facts)}: {run.folder}")
-    if losses is None:
+    if state is None:
         summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
         run.write_summary(summary)
         print(summary_table(summary))
         return
     walked = {}
     if run.saved is None and len(demos):
-        step = imitate(config, run, policy, demos)
-        walked = aggregate(config, run, policy, protocol, demos, step)
-    trained = reinforce(config, run, policy, losses, protocol) | walked
-    conclude(config, run, policy, protocol, facts | trained)
+        step = imitate(run, policy, demos)
+        walked = aggregate(run, policy, protocol, demos, step)
+    trained = reinforce(run, state, protocol) | walked
+    conclude(run, policy, protocol, facts | trained)
 
 
-def imitate(config: TrainConfig, run: Run, policy: Any, demos: TensorDictBase, done: int = 0) -> int:
+def imitate(run: Run, policy: Any, demos: TensorDictBase, done: int = 0) -> int:
     """Clone the expert, by full-batch steps until its actions are learnt (paper section 3.3).
 
     Args:
-        config: of the run.
         run: gets a row of ``imitation.csv`` a step.
         policy: whose encoder and policy head are trained.
         demos: what the expert did, ``[M]``, with view ids.
@@ -125,7 +148,7 @@ def imitate(config: TrainConfig, run: Run, policy: Any, demos: TensorDictBase, d
     Returns:
         Steps so far.
     """
-    options = config.imitation
+    options = run.config.imitation
     rows, trunk = as_first_steps(policy, demos), policy.trunk()
     loss = ImitationLoss(policy.operator().get_policy_head())
     optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)  # the value head gets no gradient
@@ -142,15 +165,14 @@ def imitate(config: TrainConfig, run: Run, policy: Any, demos: TensorDictBase, d
     return step
 
 
-def aggregate(
-    config: TrainConfig, run: Run, policy: Any, protocol: EvaluationProtocol, demos: TensorDictBase, done: int
-) -> dict[str, Any]:
+def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: TensorDictBase, done: int) -> dict[str, Any]:
     """DAgger (Ross et al. 2011): the learner walks, the expert labels the states it came to, all is cloned again.
 
     Writes a row of ``dagger.csv`` a round: frames walked so far, states and goals labelled so far, and the metrics of
     the clone. Returns what the summary says of it.
     """
-    options, world = config.imitation, protocol.world
+    config, world = run.config, protocol.world
+    options = config.imitation
     if options.rounds == 0:
         return {}
     env, operator = build_env(config, world, protocol.observation, policy), policy.operator()
@@ -160,23 +182,19 @@ def aggregate(
         batch, agents = collect(env, operator, agents, options.walk_steps)
         frames += batch.numel()
         demos = merge_demonstrations(demos, label(expert, batch.reshape(-1)))
-        done = imitate(config, run, policy, demos, done)
+        done = imitate(run, policy, demos, done)
         row = {"round": number, "frames": frames, "labels": len(demos)}
         run.write("dagger", number, row | metrics(protocol.run(policy)))
     return {"frames": frames, "demonstrations": len(demos)}
 
 
-def reinforce(
-    config: TrainConfig, run: Run, policy: nn.Module, losses: Losses, protocol: EvaluationProtocol
-) -> dict[str, Any]:
+def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
+    config = run.config
     if run.saved is None:
-        evaluate(run, policy, protocol, 0)
-    if not losses.on_rollouts:
+        evaluate(run, state.policy, protocol, 0)
+    if not state.losses.on_rollouts:
         return {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
-    state = begin(config, policy, losses, protocol)
-    if run.saved is not None:
-        state.load_state_dict(run.saved)
     total = config.reinforcement.frames_per_scene * len(protocol.world.scenes)
     often = 0.2 if sys.stderr.isatty() else 10.0
     bar = tqdm(total=total, initial=state.frames, unit=" frames", unit_scale=True, mininterval=often)
@@ -193,16 +211,9 @@ def reinforce(
         if interrupted and state.frames < total:
             run.save(state.state_dict())
             bar.close()
-            raise SystemExit(f"interrupted; go on with: python recipes/train.py resume={run.folder}")
+            leave("interrupted", 128 + interrupted[0], run.how_to_go_on)
     stable = {"stable_at_frame": state.meter.stable_at, "near_shortest_at_frame": state.meter.near_at}
     return {"frames": state.frames, "frames_per_second": state.frames / state.seconds, **stable}
-
-
-def begin(config: TrainConfig, policy: nn.Module, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
-    """The state of the training before its first update."""
-    optimiser = build_optimiser(config, policy, losses)
-    env = build_env(config, protocol.world, protocol.observation, policy)
-    return TrainState(policy, losses, optimiser, env, env.reset(), EpisodeMeter(mean_shortest(protocol.world)))
 
 
 def learn(config: TrainConfig, state: TrainState, total: int, record: Record, interrupted: Sequence[int]) -> None:
@@ -264,7 +275,7 @@ def evaluate(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: 
     run.write("evaluation", frames, {"frames": frames, **metrics(protocol.run(policy))})
 
 
-def conclude(config: TrainConfig, run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> None:
+def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> None:
     """Evaluate, write the summary, show it as a table and in pictures."""
     if hasattr(policy, "restore"):
         policy.restore()
@@ -274,7 +285,7 @@ def conclude(config: TrainConfig, run: Run, policy: Any, protocol: EvaluationPro
     print(summary_table(summary))
     draw_learning_curve(run.folder, run.folder / "learning_curve.png")
     for index in range(len(protocol.world.scenes)):
-        draw_scene(policy, protocol, index, run.folder, matching=matching(config), facts=summary)
+        draw_scene(policy, protocol, index, run.folder, matching=matching(run.config), facts=summary)
     run.clean_up()
     print(f"pictures, metrics and weights: {run.folder}")
 
@@ -288,7 +299,9 @@ def peak_memory_mb() -> float:
 
 
 if __name__ == "__main__":
-    register()
-    with one_line_errors():
-        sys.argv[1:] = prepare(TrainConfig, sys.argv[1:], Path(__file__).parent.parent / "conf")
-    main()
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells an error of the machine in many lines
+    with one_line_exits():
+        register()
+        with one_line_errors():
+            sys.argv[1:] = prepare(TrainConfig, sys.argv[1:], Path(__file__).parent.parent / "conf")
+        main()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 
+from dirl.atomic import atomic_path
 from dirl.deploy.navigator import Navigator, NavigatorError
 from dirl.envs.transforms import VIEWS
 from dirl.models import initial_state
@@ -49,7 +50,8 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
     assert program is not None
     views = ",".join(navigator.view_order)
     program.model.metadata_props.update(navigator.facts | {"views": views, "threshold": str(navigator.threshold)})
-    program.save(str(file), external_data=False)
+    with atomic_path(Path(file)) as temporary:
+        program.save(str(temporary), external_data=False)
 
 
 @contextmanager

@@ -99,13 +99,15 @@ def read_checkpoint(file: Path) -> dict[str, Any]:
         RunError: it is damaged, or no checkpoint of dirl.
     """
     data = file.read_bytes()
-    _check_digest(data, file)
+    sealed = _check_digest(data, file)
     try:
         state = _unpack(data)
     except Exception as error:  # zipfile and torch raise many kinds for what they cannot read
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{file}: is no checkpoint of dirl ({reason})") from None
     check_plain(state, file, 4 * len(data))
+    if not sealed and (not isinstance(state, dict) or "schema" in state):  # dirl 0.1 wrote neither
+        raise RunError(f"{file}: is damaged or no checkpoint of dirl: it does not end with a digest")
     return check_header(state, file)
 
 
@@ -118,12 +120,17 @@ def _unpack(data: bytes) -> Any:
     return torch.load(archive, map_location="cpu", weights_only=True)
 
 
-def _check_digest(data: bytes, file: Path) -> None:
-    """Raise `RunError` unless the file ends with the digest of what stands before."""
+def _check_digest(data: bytes, file: Path) -> bool:
+    """Whether the file ends with a digest, as every one since schema 2 does.
+
+    Raises:
+        RunError: it is no archive, or its digest is not that of what stands before.
+    """
     body, digest = memoryview(data)[:-DIGITS], data[-DIGITS:]
     if not data.startswith(b"PK\3\4"):
         raise RunError(f"{file}: is damaged or no checkpoint: it begins as none")
     if body[-len(SEAL) :] != SEAL:
-        raise RunError(f"{file}: is damaged or no checkpoint of this version of dirl: it does not end with a digest")
+        return False
     if hashlib.sha256(body).hexdigest().encode() != digest:
         raise RunError(f"{file}: is damaged: its digest differs from that of its content")
+    return True

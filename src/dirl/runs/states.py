@@ -81,15 +81,16 @@ def check_optimiser(saved: Any, optimiser: Optimizer, where: str) -> None:
         changed = [name for name in wanted if name != "lr" and group[name] != wanted[name]]
         if changed or group["lr"] < 0:
             raise RunError(f"{where}.param_groups: {', '.join(changed or ['lr'])} cannot have been so in this run")
-    if saved["state"].keys() not in (set(), set(range(len(parameters)))):
-        raise RunError(f"{where}.state: expected {len(parameters)} parameters or none, found {_told(saved['state'])}")
+    if not saved["state"].keys() <= set(range(len(parameters))):  # a parameter without gradients so far has no state
+        raise RunError(f"{where}.state: expected at most {len(parameters)} parameters, found {_told(saved['state'])}")
+    first: Any = next(iter(saved["state"].values()), None)
     for index, values in saved["state"].items():
         kinds = [(parameters[index].shape, parameters[index].dtype), (torch.Size(), torch.float32)]
         if not isinstance(values, dict) or not all(
             isinstance(value, Tensor) and (value.shape, value.dtype) in kinds for value in values.values()
         ):
             raise RunError(f"{where}.state.{index}: expected {_told(parameters[index])}, or single numbers")
-        if values.keys() != saved["state"][0].keys():
+        if values.keys() != first.keys():
             raise RunError(f"{where}.state.{index}: has other entries than that of the first parameter")
 
 
