@@ -58,7 +58,7 @@ def register() -> None:
 
 def _run_folder(resume: str | None, system: str, scene: Any, time: str) -> str:
     """The folder to resume, or ``runs/dirl_bathroom_02/<time>`` (several scenes joined by +, the stems of files)."""
-    scenes = [scene] if isinstance(scene, str) else list(scene or ["nowhere"])
+    scenes = list(map(str, scene)) if OmegaConf.is_list(scene) else [str(scene or "nowhere")]
     return resume or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
 
 
@@ -117,9 +117,12 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
     """
     known = option_types(schema)
     folders = [] if conf is None else [conf, *_config_dirs(arguments)]
+    sweeps = any(text in ("-m", "--multirun") for text in arguments)
     prepared = []
     for text in arguments:
         override = _parsed(text)
+        if override is not None and override.is_sweep_override() and not sweeps:
+            raise ConfigError(f"{text}: several values are a sweep; add -m, or write a list as name=[a,b]")
         name = "" if override is None else override.key_or_group
         if override is None or name.split("/")[0].split(".")[0] == "hydra":
             prepared.append(text)
@@ -130,8 +133,10 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
             prepared.append(text if text.startswith(("+", "~")) else f"++{text}")
         else:
             _check_name(known, name)
-            prepared.append(_constant(name, override) if known[name] is Schedule else text)
-            _check_value(schema, name, known[name], override)
+            constant = _constant(name, override) if known[name] is Schedule else text
+            prepared.append(constant)
+            if constant == text:
+                _check_value(schema, name, known[name], override)
     return prepared
 
 
@@ -198,6 +203,9 @@ def _values(override: Override) -> list[Any]:
 def _check_value(schema: type, name: str, kind: Any, override: Override) -> None:
     """Raise `ConfigError` unless OmegaConf can make the value, or each of a sweep's list, what the option wants."""
     if is_dataclass(kind):
+        if not all(isinstance(given, dict) for given in _values(override)):
+            inside = ", ".join(f"{name}.{option.name}" for option in fields(kind))
+            raise ConfigError(f"{override.input_line}: {name} is a group of options: {inside}")
         return
     for given in _values(override):
         try:

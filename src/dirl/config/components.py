@@ -170,6 +170,8 @@ def check_options(name: str, cls: type, options: Mapping[str, Any]) -> None:
             raise ConfigError(f"there is no option '{name}.{option}'; {hint}")
         if not (group == "losses" and is_schedule(value)):
             check_value(f"{name}.{option}", value, parameters[option])
+    if group == "losses":
+        schedules(name, options)
     owner = next(owner for owner in cls.__mro__ if "__init__" in vars(owner))
     for option, (_, required) in _signature(owner).items():
         if required and option not in options and option not in offered:

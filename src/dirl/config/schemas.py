@@ -278,6 +278,10 @@ def typed(config: DictConfig) -> Any:
                 setattr(made, name, OmegaConf.to_container(value, resolve=True, enum_to_str=True))
     except OmegaConfBaseException as error:
         raise ConfigError(str(error)) from None
+    scene = OmegaConf.select(config, "scene")
+    for one in scene if OmegaConf.is_list(scene) else [scene]:
+        if one is not None and not isinstance(one, str):
+            raise ConfigError(f"scene={scene}: must be a name, a path, or a list of them")
     for name, bounds in LIMITS.items():
         value = OmegaConf.select(config, name)
         if value is not None and value not in bounds:

@@ -27,7 +27,7 @@ class ActorCriticHeads(nn.Module):
         scenes: Sequence[str],
         in_features: int,
         num_actions: int,
-        width: Annotated[int, Bounds(1)] = 512,
+        width: Annotated[int, Bounds(1, 65_536)] = 512,
         shared: bool = False,
     ) -> None:
         super().__init__()

@@ -18,7 +18,7 @@ class SiameseEncoder(nn.Module):
         width: of the embedding and of the fused vector.
     """
 
-    def __init__(self, num_features: int, width: Annotated[int, Bounds(1)] = 512) -> None:
+    def __init__(self, num_features: int, width: Annotated[int, Bounds(1, 65_536)] = 512) -> None:
         super().__init__()
         self.width = width
         self.embedding = nn.Linear(VIEWS * num_features, width)
