@@ -115,7 +115,5 @@ def _is_intact_room(path: Path) -> bool:
     if path.name not in expected:
         return False
     if file_digest(path) != expected[path.name]:
-        raise SceneError(
-            f"{path}: is not the built-in room that was installed; its SHA-256 differs: install dirl again"
-        )
+        raise SceneError(f"{path}: is not the built-in room that was installed (SHA-256 differs); install dirl again")
     return True

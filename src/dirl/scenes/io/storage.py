@@ -107,7 +107,8 @@ def read_attribute(holder: h5py.File | h5py.Dataset, name: str) -> Any:
     """The value of an attribute, of a size that can be sensible; None if there is none."""
     if name not in holder.attrs:
         return None
-    size = holder.attrs.get_id(name).get_storage_size()
+    stored = holder.attrs.get_id(name)
+    size = math.prod(stored.shape or ()) * stored.get_type().get_size()
     if size > MAX_ATTRIBUTE_BYTES:
         raise SceneError(f"attribute '{name}': takes {size} bytes; at most {MAX_ATTRIBUTE_BYTES}")
     return holder.attrs[name]

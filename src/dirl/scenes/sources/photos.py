@@ -76,8 +76,8 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
     """
     folder = Path(folder)
     name = name or folder.resolve().name
-    check_name(name, str(folder))
     rows = _read_table(folder)
+    check_name(name, str(folder))
     places: dict[str, list[Row]] = {}
     for row in rows:
         places.setdefault(row.location, []).append(row)
