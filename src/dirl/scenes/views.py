@@ -51,7 +51,7 @@ class Views:
         if not 0 <= state < len(self):
             raise IndexError(f"{self.path}: state {state} has no view; states are 0..{len(self) - 1}")
         if self.unpacked is not None:
-            return self.unpacked[state]
+            return self.unpacked[state].copy()
         stored = self._stored(state)
         if self.shape is not None:
             return np.frombuffer(bytearray(stored), np.uint8).reshape(*self.shape, 3)
