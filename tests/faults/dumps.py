@@ -2,10 +2,11 @@
 
     nice python tests/faults/dumps.py count=10000 seed=7
 
-Each file is damaged in one of the ways of damage.py and read in a process of its own, forked from one that has
-everything imported. What crashes or hangs there is read once more as a user reads it, by `read_dump`, and so is every
-fiftieth file. The same seed damages the same files; ``start=5000`` goes on in the middle. The exit status is 1 if a
-file was not read as it should be, and the seeds of those are listed.
+Each file is damaged in one of the ways of damage.py and read in a process that is forked from one that has everything
+imported. What crashes or hangs there is read once more as a user reads it, by `read_dump`; so is every fiftieth file. The
+same seed damages the same files. With ``log=file`` a run that was stopped goes on, and ``start=5000`` begins in the
+middle, so that several can share the work. The exit status is 1 if a file was not read as it should be; those are
+listed.
 """
 
 import gc
@@ -15,10 +16,10 @@ import resource
 import signal
 import sys
 import tempfile
-import time
 import warnings
 from collections import Counter
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -33,9 +34,9 @@ from dirl.scenes import SceneError, SceneWarning, read_dump, write_dump
 from dirl.scenes.io import isolation
 from dirl.scenes.views import encode
 
-CPU_SECONDS, MEMORY = 1, 8 * 2**30
-READ_APART = 50
-"""Every so many files are read in another process as well, as a user's are."""
+CPU_SECONDS, MEMORY = 1.0, 8 * 2**30
+SHARE, READ_APART = 20, 50
+"""So many files are read by one process; every so many are read as a user's are as well."""
 
 SAME, CHANGED, LINE = "read, and as it was", "read, and changed", "refused with one line"
 CRASHED, SLOW = "refused with one line: libhdf5 crashed", "refused with one line: out of time"
@@ -83,26 +84,37 @@ def outcome(path, good, protected, *, isolated):
     return SAME if found == good else SILENT if protected else CHANGED
 
 
-def in_a_fork(action):
-    """The outcome that a function returns in a forked process with limits, or how that process ended."""
+def in_a_fork(actions):
+    """The outcomes that functions return in a forked process with limits, and how that ended if one has none."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS + 1))
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         try:
-            os.write(writing, action().encode())
+            for action in actions:
+                signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)  # its signal ends the process
+                os.write(writing, f"{action()}\n".encode())
         finally:
             os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as stream:
-        said = stream.read()
+        said = stream.read().splitlines()
     status = os.waitpid(child, 0)[1]
-    if said:
-        return said
-    slow = os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL)
-    return SLOW if slow else CRASHED
+    return said, SLOW if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF else CRASHED
+
+
+def each_in_a_fork(actions):
+    """The outcome of each function. Several share a process; one that ends it is tried again in one of its own."""
+    for start in range(0, len(actions), SHARE):
+        pending = actions[start : start + SHARE]
+        while pending:
+            said, _ = in_a_fork(pending)
+            yield from said
+            if len(said) < len(pending):
+                alone, ended = in_a_fork([pending[len(said)]])
+                yield alone[0] if alone else ended
+            pending = pending[len(said) + 1 :]
 
 
 def damage(path, content, way, seed):
@@ -112,28 +124,36 @@ def damage(path, content, way, seed):
         way(np.random.default_rng(seed), path)
 
 
-def try_one(number, seed, files, goods, path):
-    """Damage and read one file; which base, which way, and the outcome."""
-    rng = np.random.default_rng((seed, number))
-    base, way = str(rng.choice(list(files))), WAYS[rng.integers(len(WAYS))]
-    protected = base == "ours"
+def try_files(numbers, seed, folder):
+    """Damage and read files; yields the number, the base, the way and the outcome of each."""
+    files, goods, path = bases(folder), {}, folder / "room.h5"  # a file without a name is called by its stem
+    for base, content in files.items():
+        path.write_bytes(content)
+        goods[base] = fingerprint(read_dump(path))
+    gc.freeze()  # what is not looked at is not copied in a fork
 
-    def act():
+    def choose(number):
+        rng = np.random.default_rng((seed, number))
+        return str(rng.choice(list(files))), WAYS[rng.integers(len(WAYS))]
+
+    def read(number, *, isolated=False):
+        base, way = choose(number)
         damage(path, files[base], way, (seed, number, 1))
-        return outcome(path, goods[base], protected, isolated=False)
+        return outcome(path, goods[base], base == "ours", isolated=isolated)
 
-    found = in_a_fork(act)
-    if found in (CRASHED, SLOW) or number % READ_APART == 0:
-        apart = outcome(path, goods[base], protected, isolated=True)
+    found_here = each_in_a_fork([partial(read, number) for number in numbers])
+    for number, found in zip(numbers, found_here, strict=True):
         if found in (CRASHED, SLOW):
-            found = found if apart == LINE else LOST
-        elif apart != found:
+            found = found if read(number, isolated=True) == LINE else LOST
+        elif number % READ_APART == 0 and read(number, isolated=True) != found:
             found = LOST
-    return base, way.__name__, found
+        base, way = choose(number)
+        yield number, base, way.__name__, found
 
 
-def table(counts, kinds, title):
+def table(counts, title):
     """Outcomes by kind, Markdown."""
+    kinds = sorted({kind for kind, _ in counts})
     lines = [f"| {title} | files | " + " | ".join(OUTCOMES) + " |", "|---|" + "--:|" * (len(OUTCOMES) + 1)]
     for kind in [*kinds, "all"]:
         numbers = [sum(n for (k, o), n in counts.items() if o == what and kind in (k, "all")) for what in OUTCOMES]
@@ -141,34 +161,24 @@ def table(counts, kinds, title):
     return "\n".join(lines)
 
 
-def main(count=1000, seed=0, start=0):
+def main(count=1000, seed=0, start=0, log=None):
     """Try ``count`` files; print the tables; 1 if something went wrong."""
     isolation.SECONDS = CPU_SECONDS
-    began, by_base, by_way, failed = time.monotonic(), Counter(), Counter(), []
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        files = bases(folder)
-        goods = {}
-        path = folder / "room.h5"  # a file without a name is called by its stem
-        for base, content in files.items():
-            path.write_bytes(content)
-            goods[base] = fingerprint(read_dump(path))
-        gc.freeze()  # what is not looked at is not copied in a fork
-        for number in range(start, start + count):
-            base, way, found = try_one(number, seed, files, goods, path)
-            by_base[base, found] += 1
-            by_way[way, found] += 1
-            if found in FAILURES:
-                failed.append(f"{number}: {base}, {way}: {found}")
-            if (number + 1) % 500 == 0:
-                print(f"{number + 1} files, {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
-    print(f"{count} files from {start} on, seed {seed}\n")
-    print(table(by_base, files, "file"))
+    done = [line.split(" | ") for line in Path(log).read_text().splitlines()] if log and Path(log).exists() else []
+    left = sorted(set(range(start, start + count)) - {int(number) for number, *_ in done})
+    with tempfile.TemporaryDirectory() as folder, open(log or os.devnull, "a", buffering=1) as stream:
+        for result in try_files(left, seed, Path(folder)):
+            done.append(result)
+            stream.write(" | ".join(map(str, result)) + "\n")
+    print(f"{len(done)} files, seed {seed}\n")
+    print(table(Counter((base, found) for _, base, _, found in done), "file"))
     print()
-    print(table(by_way, dict.fromkeys(way.__name__ for way in WAYS), "damage"))
+    print(table(Counter((way, found) for _, _, way, found in done), "damage"))
+    failed = [": ".join(map(str, result)) for result in done if result[3] in FAILURES]
     print("\n".join(["", *(failed or ["no failures"])]))
     return bool(failed)
 
 
 if __name__ == "__main__":
-    sys.exit(main(**{key: int(value) for key, value in (argument.split("=") for argument in sys.argv[1:])}))
+    given = dict(argument.split("=") for argument in sys.argv[1:])
+    sys.exit(main(**{key: value if key == "log" else int(value) for key, value in given.items()}))

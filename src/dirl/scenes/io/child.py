@@ -5,6 +5,7 @@ text as 8 bytes, that text, and the arrays that it lists.
 """
 
 import json
+import math
 import os
 import sys
 import types
@@ -50,7 +51,8 @@ def _limit(what: str, value: float) -> None:
 
         limit = getattr(resource, what)
         hard = resource.getrlimit(limit)[1]
-        resource.setrlimit(limit, (int(value) if hard < 0 else min(int(value), hard), hard))
+        soft = math.ceil(value)
+        resource.setrlimit(limit, (soft if hard < 0 else min(soft, hard), hard))
 
 
 def _read(path: str) -> Answer:
