@@ -3,8 +3,8 @@
     nice python tests/faults/dumps.py count=10000 seed=7
 
 Each file is damaged in one of the ways of damage.py and read in a process that is forked from one that has everything
-imported. What crashes or hangs there is read once more as a user reads it, by `read_dump`; so is every fiftieth file. The
-same seed damages the same files. With ``log=file`` a run that was stopped goes on, and ``start=5000`` begins in the
+imported. What crashes or hangs there is read once more as a user reads it, by `read_dump`; so is every fiftieth file.
+The same seed damages the same files. With ``log=file`` a run that was stopped goes on, and ``start=5000`` begins in the
 middle, so that several can share the work. The exit status is 1 if a file was not read as it should be; those are
 listed.
 """
