@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from dirl.backbones.resnet import MEAN, SIZE, STD, ResNet50, backbone_of, encode, load_backbone
 from dirl.scenes import Scene
-from dirl.scenes.io.read import extractor_text
+from dirl.scenes.io.hdf5 import extractor_text
 
 BATCH = 32
 """Views that go through a backbone at a time."""

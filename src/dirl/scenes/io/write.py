@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import h5py
@@ -11,8 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.scenes.graph import ACTIONS, shortest_distances
-from dirl.scenes.io.read import DATASETS, MAX_COMPARED
-from dirl.scenes.scene import Scene
+from dirl.scenes.io.digest import DATASETS, write_digest
+from dirl.scenes.io.hdf5 import MAX_COMPARED
+from dirl.scenes.io.isolation import replace_features_apart
+from dirl.scenes.names import check_name
+from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.views import ImageError, decode
 
 
 def write_dump(
@@ -34,12 +39,19 @@ def write_dump(
             description if left out.
 
     Raises:
+        SceneError: the scene's name will not do, or a view cannot be decoded.
         ValueError: there are not as many views as states.
     """
     path = Path(path)
+    check_name(scene.name, str(path))
     encoded = None if views is None else list(views)
     if encoded is not None and len(encoded) != len(scene):
         raise ValueError(f"{path}: {len(encoded)} views for {len(scene)} states")
+    for state, view in enumerate(encoded or ()):  # the reader trusts the digest
+        try:
+            decode(view)
+        except ImageError as error:
+            raise SceneError(f"{path}: the view of state {state} is not a readable image ({error})") from None
     with whole_file(path) as file:
         file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
         file.attrs.update(attributes or {})
@@ -69,8 +81,24 @@ def replace_features(
         path: the file to write; it appears whole or not at all.
         features: of every state, ``[N, D]``.
         feature_attributes: how they were made: ``extractor``, ``preprocessing``, ``weights``.
+
+    Raises:
+        SceneError: the dump cannot be copied.
     """
-    with h5py.File(dump) as old, whole_file(Path(path)) as new:
+    with TemporaryDirectory() as folder:
+        stored = Path(folder) / "features.npy"
+        np.save(stored, features)
+        try:
+            replace_features_apart(Path(dump), Path(path), stored, dict(feature_attributes))
+        except SceneError as error:
+            raise SceneError(f"{dump}: {error}") from None
+
+
+def copy_with_features(
+    dump: Path, path: Path, features: NDArray[np.floating], feature_attributes: Mapping[str, str]
+) -> None:
+    """As `replace_features`, in this process."""
+    with h5py.File(dump) as old, whole_file(path) as new:
         new.attrs.update(old.attrs)
         for name in DATASETS:
             if name in old and name != "resnet_feature":
@@ -81,12 +109,13 @@ def replace_features(
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[h5py.File]:
-    """A new HDF5 file to write to; it stands at ``path`` when the context ends, and not at all if that fails."""
+    """A new dump to write to; when the context ends it gets its digest and its name. If it fails there is no file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".tmp")
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
         with h5py.File(unfinished, "w") as file:
             yield file
+            write_digest(file)
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)
