@@ -17,7 +17,7 @@ from dirl.reporting import draw_scene, viewer_pages
 from dirl.scenes import write_dump
 from dirl.scenes.matching import TemplateStop
 from dirl.scenes.views import encode
-from dirl.training.build import matching
+from dirl.training.build import describe, matching
 
 GOAL = 19
 """In the second place, headed 210 degrees, along no axis."""
@@ -54,7 +54,8 @@ def test_what_surrounds_a_state_is_three_turns_apart(trained):
 
 def test_maps_paths_and_film_are_drawn(trained):
     parts, folder = trained
-    draw_scene(parts.policy, parts.protocol, 0, folder, matching=matching(parts.config), facts={})
+    facts = describe(parts.config, parts.world)
+    draw_scene(parts.policy, parts.protocol, 0, folder, matching=matching(parts.config), facts=facts)
     for name in ("maps_grid.png", "trajectories_grid.png", "episode_grid.gif"):
         with Image.open(folder / name) as image:
             assert min(image.size) > 200, name

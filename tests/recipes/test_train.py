@@ -147,7 +147,8 @@ def test_ctrl_c_saves_a_checkpoint_and_says_how_to_go_on(tmp_path):
 def test_benchmark_measures_every_loop(tmp_path):
     room = room_file(tmp_path)
     options = [f"worlds=[{room}]", "frames_per_scene=240", "repeats=1", "growth=false", "out=benchmark.json"]
-    small = "encoder.width=32,heads.width=32,reinforcement.agents_per_scene=6,imitation.max_steps=2,reinforcement.frames_per_scene=240"
+    small = "encoder.width=32,heads.width=32,reinforcement.agents_per_scene=6"
+    small += ",imitation.max_steps=2,reinforcement.frames_per_scene=240"
     train = "train=[" + ",".join(f"'{option}'" for option in small.split(",")) + "]"
     status, printed, errors = run_recipe(tmp_path, "benchmark", *options, train)
     assert status == 0, errors
