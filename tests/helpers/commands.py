@@ -27,7 +27,8 @@ TINY = [
 
 
 def recipe_command(name, *arguments):
-    return [sys.executable, str(ROOT / "recipes" / f"{name}.py"), *map(str, arguments)]
+    folder = "benchmarks" if name == "benchmark" else "recipes"
+    return [sys.executable, str(ROOT / folder / f"{name}.py"), *map(str, arguments)]
 
 
 def run_recipe(folder, name, *arguments):
