@@ -220,7 +220,8 @@ def _fits(value: Any, kind: Any) -> bool:
 def in_words(kind: Any) -> str:
     """A type as errors say it."""
     if get_origin(kind) in (types.UnionType, typing.Union):
-        return " or ".join(in_words(one) for one in get_args(kind) if one in PLAIN or get_args(one))
+        told = [one for one in get_args(kind) if one in PLAIN or get_args(one) or issubclass(one, Enum)]
+        return " or ".join(in_words(one) for one in told)
     if get_origin(kind) is Literal:
         return f"one of {', '.join(map(str, get_args(kind)))}"
     if get_origin(kind) is list:
