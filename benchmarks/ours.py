@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parent.parent
 CONF = ROOT / "conf"
 
 sys.path.insert(0, str(ROOT / "recipes"))
-from train import imitate, peak_memory_mb, reinforce  # noqa: E402
+from train import begin, imitate, peak_memory_mb, reinforce  # noqa: E402
 
 __all__ = ["evaluation_seconds", "learning", "operations_per_frame", "peak_memory_mb", "rollout", "trained", "training"]
 
@@ -53,11 +53,14 @@ def trained(config: TrainConfig, *, imitation: bool = False) -> dict[str, Any]:
     protocol = build_protocol(config, world, observation)
     with tempfile.TemporaryDirectory() as folder:
         run = Run(Path(folder), config)
+        state = begin(run, policy, losses, protocol)
         run.begin(world, observation.order)
         torch.manual_seed(config.seed)
         if imitation:
-            imitate(config, run, policy, demos)
-        return reinforce(config, run, policy, losses, protocol)
+            imitate(run, policy, demos)
+        result: dict[str, Any] = reinforce(run, state, protocol)
+        run.close()
+        return result
 
 
 def training(config: TrainConfig) -> float:

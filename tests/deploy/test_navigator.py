@@ -381,9 +381,9 @@ def test_a_policy_with_memory_remembers_until_the_next_reset(tmp_path):
     with torch.no_grad():  # the memory matters
         first = walk_with_memory(policy, world, observation, WALK[-1:], goal_index)
     assert not torch.allclose(first[0], expected[-1])
+    navigator.reset(images_of(observation.begin(world.goals[[2]])))
+    navigator.act(images_of(observation.begin(WALK[0])))
     with pytest.raises(NavigatorError, match="2 agents after those of 3"):
-        navigator.reset(images_of(observation.begin(world.goals[[2]])))
-        navigator.act(images_of(observation.begin(WALK[0])))
         navigator.act(images_of(observation.begin(WALK[1][:2])))
 
 
@@ -407,7 +407,8 @@ def test_an_exported_policy_with_memory_takes_and_gives_its_state(tmp_path):
         state = {key: np.zeros((agents, 1, 20), np.float32) for key in keys}
         for states, logits in zip(WALK[:, :agents], expected, strict=True):
             features = world.features[observation.begin(states)].numpy()
-            found = dict(zip(outputs, session.run(None, {"features": features, "goal_features": goal, **state})))
+            given = {"features": features, "goal_features": goal, **state}
+            found = dict(zip(outputs, session.run(None, given), strict=True))
             np.testing.assert_allclose(found["logits"], logits, rtol=0, atol=1e-5)
             state = {key: found[f"next_{key}"] for key in keys}
 
