@@ -7,8 +7,8 @@ from pathlib import Path
 from hydra import compose, initialize_config_dir
 from rooms import grid_scene
 
-from dirl.config.command_line import register
-from dirl.config.schemas import typed
+from dirl.config.command_line import prepare, register
+from dirl.config.schemas import TrainConfig, typed
 from dirl.scenes import write_dump
 
 ROOT = Path(__file__).parents[2]
@@ -53,4 +53,4 @@ def train_config(*options):
     """The configuration that ``recipes/train.py`` gets from these options."""
     register()
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return typed(compose("train", list(options)))
+        return typed(compose("train", prepare(TrainConfig, options, ROOT / "conf")))

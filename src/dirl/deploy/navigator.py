@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from dirl.backbones import encode, load_backbone
+from dirl.config.components import TARGET, find_class
 from dirl.config.saved import read_config
 from dirl.config.schemas import Match, TrainConfig
 from dirl.envs.transforms import VIEWS
@@ -152,7 +153,10 @@ class Navigator:
         saved = load_checkpoint(checkpoint)
         config = read_config(saved["config"], str(checkpoint), trust=trust)
         _check_extractor(encoder, extractor, saved["extractor"])
-        order = saved.get("views", ["ahead", "right", "back", "left"])  # checkpoints of older versions name none
+        own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
+        order = saved.get("views", own)  # checkpoints of older versions name none
+        if order != own:
+            raise NavigatorError(f"{checkpoint}: was trained on the views {order}, not {own}")
         scene = _choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
         policy = FeaturePolicy(_rebuild(saved, config, scene, str(checkpoint)), _front(config, order))
         if not callable(encoder):
