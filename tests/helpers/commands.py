@@ -15,8 +15,9 @@ ROOT = Path(__file__).parents[2]
 
 TINY = [
     "seed=3",
-    "network.width=32",
-    "imitation.share=0.2",
+    "encoder.width=32",
+    "heads.width=32",
+    "imitation.fraction=0.2",
     "reinforcement.frames_per_scene=600",
     "reinforcement.agents_per_scene=6",
     "evaluation.times=2",
