@@ -281,5 +281,5 @@ def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = 
     wanted = {key: value for key, value in offered.items() if key in accepted(cls)}
     try:
         return cls(**given, **wanted)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AssertionError) as error:  # torch asserts what its layers are given
         raise ConfigError(f"{name}: {cls.__name__} refuses its options: {error}") from None
