@@ -139,6 +139,7 @@ def test_every_distinct_observation_is_embedded_once():
     policy, _ = cached_and_plain(Attention, SURROUNDING)
     views, goal_views, _ = seen()
     distinct = len(torch.cat([views, goal_views]).unique(dim=0))
+    policy.encoder.rows.clear()  # `cache` has tried the encoder
     policy.cached(views, goal_views)
     assert policy.encoder.rows == [distinct]
     with policy.cached.caching(), torch.no_grad():
