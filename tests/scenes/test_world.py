@@ -1,7 +1,5 @@
 """Worlds: scenes joined into one state space, and the goals in it."""
 
-import functools
-import operator
 from collections import deque
 from dataclasses import replace
 
@@ -78,7 +76,7 @@ def test_distances_have_a_block_per_goal_of_the_states_of_its_scene(world, scene
     assert world.goals.tolist() == [0, 24 + 5, 24 + 31, 56 + 7]
     expected = [scenes[scene].distances[:, goal].tolist() for scene, goal in GOALS]
     assert [world.block(world.distances, index).tolist() for index in range(4)] == expected
-    assert world.distances.tolist() == functools.reduce(operator.iadd, expected, [])
+    assert world.distances.tolist() == [steps for block in expected for steps in block]
     assert -1 in expected[1]  # the part behind the wall
 
 
