@@ -81,7 +81,8 @@ def _answer(stream: BinaryIO, header: dict[str, Any], arrays: list[Any]) -> None
     text = json.dumps(header).encode()
     stream.write(len(text).to_bytes(8, "little") + text)
     for array in arrays:
-        stream.write(memoryview(array if array.flags.c_contiguous else array.copy()).cast("B"))
+        if array.size:  # an empty one cannot be cast
+            stream.write(memoryview(array if array.flags.c_contiguous else array.copy()).cast("B"))
     stream.flush()
 
 

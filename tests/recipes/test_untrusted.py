@@ -1,0 +1,114 @@
+"""What is read from a file somebody else may have written never runs code of its choosing."""
+
+import sys
+
+import pytest
+import yaml
+from commands import TINY, room_file, run_recipe, train_config
+
+from dirl.config.schemas import ConfigError
+from dirl.deploy.navigator import Navigator
+from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
+from dirl.runs.folder import open_run
+from dirl.training.load import load_trained
+
+TARGETS = [
+    "os.system",
+    "builtins.eval",
+    "torch.load",
+    "pathlib.Path",
+    "subprocess.Popen",
+    "trap.Trap",
+    "dirl.runs.folder.os.system",
+    "dirl.training.build.torch.load",
+    "dirl.runs.folder.Run",
+    "torch.optim.Optimizer",
+]
+GROUPS = ["observation", "encoder", "memory", "heads", "policy", "expert", "losses.a2c", "losses.new", "optimiser"]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A folder with a finished run and a copy that looks unfinished."""
+    folder = tmp_path_factory.mktemp("untrusted")
+    file = room_file(folder)
+    status, _, errors = run_recipe(folder, "train", f"scene={file}", *TINY, "hydra.run.dir=run")
+    assert status == 0, errors
+    return folder
+
+
+@pytest.fixture
+def trap(tmp_path, monkeypatch):
+    """A package on the path that would leave a file when it is imported."""
+    (tmp_path / "trap.py").write_text(
+        f"import torch\nopen({str(tmp_path / 'sprung')!r}, 'w').close()\n\nclass Trap(torch.nn.Module): pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path / "sprung"
+    sys.modules.pop("trap", None)
+
+
+def poisoned(text, group, target):
+    """A configuration whose component names another class, with an argument that would do harm."""
+    config = yaml.safe_load(text)
+    *above, last = group.split(".")
+    inside = config[above[0]] if above else config
+    inside[last] = {"_target_": target, "command": "touch sprung"}
+    return yaml.safe_dump(config)
+
+
+def one_line(error):
+    assert "\n" not in str(error.value)
+    assert "_target_=" in str(error.value) or "there is no option" in str(error.value)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_configuration_from_a_file_builds_nothing_foreign(trained, trap, tmp_path, group, target):
+    saved = load_checkpoint(trained / "run")
+    text = poisoned(saved["config"], group, target)
+    resumed = tmp_path / "resumed"
+    resumed.mkdir()
+    (resumed / "config.yaml").write_text(text)
+    with pytest.raises(ConfigError) as error:
+        open_run(train_config(f"resume={resumed}"), resumed, [f"resume={resumed}"])
+    one_line(error)
+    with pytest.raises(ConfigError) as error:
+        load_trained({**saved, "config": text}, "the checkpoint")
+    one_line(error)
+    save_checkpoint(tmp_path / "other" / "network.pt", {**saved, "config": text})
+    with pytest.raises(ConfigError) as error:
+        Navigator.load(tmp_path / "other", lambda images: images, extractor=saved["extractor"])
+    one_line(error)
+    assert not trap.exists()
+    assert "trap" not in sys.modules
+
+
+def test_the_recipes_say_it_in_one_line(trained, trap, tmp_path):
+    saved = load_checkpoint(trained / "run")
+    text = poisoned(saved["config"], "encoder", "trap.Trap")
+    (tmp_path / "resumed").mkdir()
+    (tmp_path / "resumed" / "config.yaml").write_text(text)
+    save_checkpoint(tmp_path / "other" / "network.pt", {**saved, "config": text})
+    for recipe, option in (("train", "resume=resumed"), ("evaluate", "checkpoint=other")):
+        status, _, errors = run_recipe(tmp_path, recipe, option)
+        assert status == 1
+        assert errors.count("\n") == 1
+        assert "a configuration from a file names a class of 'trap'; trust=[trap] allows it" in errors
+    assert not trap.exists()
+
+
+def test_a_trusted_package_is_built_from(trained, trap):
+    saved = load_checkpoint(trained / "run")
+    text = poisoned(saved["config"], "encoder", "trap.Trap")
+    with pytest.raises(ConfigError, match=r"no option 'encoder.command'"):
+        load_trained({**saved, "config": text}, "the checkpoint", trust=["trap"])
+    assert trap.exists()
+
+
+def test_trust_that_stands_in_the_file_counts_for_nothing(trained, trap):
+    saved = load_checkpoint(trained / "run")
+    config = yaml.safe_load(poisoned(saved["config"], "encoder", "trap.Trap"))
+    with pytest.raises(ConfigError, match="trust=\\[trap\\] allows it"):
+        load_trained({**saved, "config": yaml.safe_dump({**config, "trust": ["trap"]})}, "the checkpoint")
+    assert not trap.exists()
