@@ -1,6 +1,6 @@
 """Imports TorchRL without its side effect: that it makes ``spawn`` the start method of all later processes.
 
-``gymnasium.make`` imports this package in a program of somebody else, whose own processes may rely on ``fork``. Imported
+``gymnasium.make`` imports this package in another program, whose own processes may rely on ``fork``. Imported
 by `dirl.envs` before anything that imports TorchRL.
 """
 

@@ -14,7 +14,6 @@ env = gymnasium.make("dirl/Navigation-v0", scene="bathroom_02", goal=26)
 env.reset(seed=0)
 assert "torchrl" in sys.modules
 print(multiprocessing.get_start_method(allow_none=True))
-multiprocessing.set_start_method("spawn", force={chosen!r} is not None)  # an unset one can still be chosen
 """
 
 
