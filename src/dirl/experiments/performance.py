@@ -91,7 +91,7 @@ def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Mapping[str, Any
             axes.plot(
                 [low, high], [place, place], color=SYSTEM_COLORS[system], linewidth=5, alpha=0.35, solid_capstyle="butt"
             )
-            axes.plot(iqm(values[measure]), place, "o", color=color)
+            axes.plot(iqm(values[measure]), place, "o", color=SYSTEM_COLORS[system])
             if system in paper:
                 axes.plot(paper[system][measure], place, "x", color="0.2", mew=2)
         axes.set(xlabel=MEASURES[measure][1] + (" (steps)" if measure == "atl" else ""), yticks=places)
