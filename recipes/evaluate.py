@@ -18,6 +18,7 @@ from omegaconf import DictConfig
 
 from dirl.atomic import write_text
 from dirl.config.command_line import one_line_errors, prepare, register
+from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation import assess
 from dirl.reporting import run_title, summary_table, viewer_pages
@@ -26,7 +27,7 @@ from dirl.training.build import describe, matching
 from dirl.training.load import Trained, load_trained
 
 
-@hydra.main(version_base="1.3", config_path="../conf", config_name="evaluate")
+@hydra.main(version_base="1.3", config_path=str(CONF), config_name="evaluate")
 def main(composed: DictConfig) -> None:
     """Read the checkpoint, run the episodes, print the tables."""
     with one_line_errors():

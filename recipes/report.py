@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from dirl.backbones.registry import load_encoder
 from dirl.config.command_line import one_line_errors, prepare, register
+from dirl.config.places import CONF, command
 from dirl.config.schemas import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
 from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
@@ -24,10 +25,8 @@ from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
 from dirl.runs.folder import RunError
 
-CONF = Path(__file__).resolve().parent.parent / "conf"
 
-
-@hydra.main(version_base="1.3", config_path="../conf/report", config_name="report")
+@hydra.main(version_base="1.3", config_path=str(CONF / "report"), config_name="report")
 def main(composed: DictConfig) -> None:
     """Read the runs, measure what they did not, write the report."""
     with one_line_errors():
@@ -37,7 +36,7 @@ def main(composed: DictConfig) -> None:
             raise ConfigError(f"name what to report: experiment=<one of {', '.join(ExperimentName)}>")
         if name == ExperimentName.stop and options.encoder is None:
             raise ConfigError("experiment=stop encodes disturbed views: name what made the features, encoder=<weights>")
-        hint = f"python recipes/train.py -m experiment={name} preset={options.preset}"
+        hint = f"{command('train')} -m experiment={name} preset={options.preset}"
         runs = chosen(options, finished_runs(Path(options.runs) / options.preset, hint), hint)
         out = Path(options.out or f"reports/{options.preset}/{name}")
         out.mkdir(parents=True, exist_ok=True)

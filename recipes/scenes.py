@@ -24,6 +24,7 @@ from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_scene, encode_views, load_encoder
 from dirl.config.command_line import SCHEMAS, choose_command, one_line_errors, prepare, register
+from dirl.config.places import CONF
 from dirl.config.scene_schemas import (
     BuildConfig,
     EncodeConfig,
@@ -283,7 +284,7 @@ if __name__ == "__main__":
         command, arguments = choose_command(meanings, sys.argv[1:], __doc__ or "")
         arguments = prepare(SCHEMAS[command], arguments)
 
-    @hydra.main(version_base="1.3", config_path="../conf/scenes", config_name=command)
+    @hydra.main(version_base="1.3", config_path=str(CONF / "scenes"), config_name=command)
     def main(composed: DictConfig) -> None:
         """Run the command."""
         with one_line_errors():

@@ -29,6 +29,7 @@ from tqdm import tqdm
 
 from dirl.config.command_line import job_errors, one_line_errors, prepare, register
 from dirl.config.components import check_components
+from dirl.config.places import CONF
 from dirl.config.schemas import Precision, TrainConfig, typed
 from dirl.evaluation import EvaluationProtocol, assess, mean_shortest, metrics
 from dirl.experts import label, merge_demonstrations
@@ -70,7 +71,7 @@ ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
 
 
-@hydra.main(version_base="1.3", config_path="../conf", config_name="train")
+@hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
 def main(composed: DictConfig) -> None:
     """Train: one run, or one job of a sweep."""
     folder = Path(HydraConfig.get().runtime.output_dir)
@@ -303,5 +304,5 @@ if __name__ == "__main__":
     with one_line_exits():
         register()
         with one_line_errors():
-            sys.argv[1:] = prepare(TrainConfig, sys.argv[1:], Path(__file__).parent.parent / "conf")
+            sys.argv[1:] = prepare(TrainConfig, sys.argv[1:], CONF)
         main()

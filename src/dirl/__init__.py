@@ -19,4 +19,8 @@ def __getattr__(name: str) -> Any:
         from dirl.deploy.navigator import Navigator
 
         return Navigator
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("dirl")
     raise AttributeError(f"module 'dirl' has no attribute '{name}'")

@@ -115,6 +115,8 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
     Raises:
         ConfigError: there is no such option or choice, or its value is of another type.
     """
+    if arguments and arguments[0] in ("-sc", "--shell-completion"):  # its install=bash is no option of a recipe
+        return list(arguments)
     known = option_types(schema)
     folders = [] if conf is None else [conf, *_config_dirs(arguments)]
     sweeps = any(text in ("-m", "--multirun") for text in arguments)

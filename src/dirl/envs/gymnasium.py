@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 
 from dirl.envs.navigation import NavigationEnv, Reward
-from dirl.envs.rendering import Painter
 from dirl.envs.transforms import VIEWS
 from dirl.scenes import ACTIONS, SceneError, load_scenes, make_world
 
@@ -146,6 +145,12 @@ def _check_render_mode(render_mode: str | None) -> None:
         raise ValueError(f"there is no render_mode {render_mode!r}; choose 'rgb_array' or None")
 
 
+def _painter(task: Task) -> Any:
+    from dirl.envs.rendering import Painter  # with the figures' style and thus matplotlib, which few episodes need
+
+    return Painter(task.scene, task.view)
+
+
 class NavigationGym(gymnasium.Env[Observation, np.int64]):
     """One agent that walks to a goal, ``gymnasium.make("dirl/Navigation-v0", scene="bathroom_02")``.
 
@@ -172,7 +177,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         self.observation_space = self.task.space()
         self.action_space = spaces.Discrete(len(ACTIONS))
         self._goal = self._state = -1
-        self._painter: Painter | None = None
+        self._painter: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -200,10 +205,10 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         return task.observe(np.array(goal), np.array(state)), info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The view, the goal's view and the map (agent blue, goal red), uint8 ``[300, W, 3]``."""
+        """The view, the goal's view and the map (agent blue, goal a yellow star), uint8 ``[300, W, 3]``."""
         if self.render_mode is None:
             return None
-        self._painter = self._painter or Painter(self.task.scene, self.task.view)
+        self._painter = self._painter or _painter(self.task)
         return self._painter.paint(int(self.task.goals[self._goal]), self._state)
 
 
@@ -240,7 +245,7 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._goal, self._state, self._steps = np.zeros((3, num_envs), np.int64)
         self._ended = np.zeros(num_envs, bool)
-        self._painter: Painter | None = None
+        self._painter: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -293,6 +298,6 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
         """The picture of each agent, see `NavigationGym.render`."""
         if self.render_mode is None:
             return None
-        self._painter = self._painter or Painter(self.task.scene, self.task.view)
+        self._painter = self._painter or _painter(self.task)
         goals = self.task.goals[self._goal]
         return tuple(self._painter.paint(int(goal), int(state)) for goal, state in zip(goals, self._state, strict=True))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from dirl.reporting.style import BLUE, GOAL_COLOR, WALL_COLOR, star_points
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 
@@ -39,7 +40,7 @@ class Painter:
         if goal not in self.maps:
             self.maps[goal] = self._map(goal)
         room = self.maps[goal].copy()
-        self._arrow(ImageDraw.Draw(room), state, "#1f77b4")
+        self._arrow(ImageDraw.Draw(room), state, BLUE)
         return np.concatenate([np.asarray(self._panel(state)), np.asarray(self._panel(goal)), np.asarray(room)], 1)
 
     def _panel(self, state: int) -> Image.Image:
@@ -49,11 +50,13 @@ class Painter:
         return self.panels[state]
 
     def _map(self, goal: int) -> Image.Image:
-        room = Image.new("RGB", (self.width, HEIGHT), "#b8b8b8")
+        room = Image.new("RGB", (self.width, HEIGHT), WALL_COLOR)
         draw, half = ImageDraw.Draw(room), self.cell / 2
         for x, y in np.unique(self.pixels.round(3), axis=0):
             draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#e6e6e6")
-        self._arrow(draw, goal, "#d62728")
+        tip = self.pixels[goal] + 0.55 * self.cell * self.directions[goal] * [1, -1]
+        draw.line([tuple(self.pixels[goal]), tuple(tip)], fill="black", width=max(1, round(0.06 * self.cell)))
+        draw.polygon(star_points(*self.pixels[goal], 0.42 * self.cell), fill=GOAL_COLOR, outline="black")
         return room
 
     def _arrow(self, draw: ImageDraw.ImageDraw, state: int, colour: str) -> None:

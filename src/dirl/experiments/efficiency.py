@@ -11,6 +11,7 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullLocator, StrMethodFo
 
 from dirl.config.schemas import TrainConfig
 from dirl.experiments.results import (
+    COLOR_OF,
     NAMES,
     Column,
     Result,
@@ -133,7 +134,8 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
     """Draw training ATL over frames, the interquartile mean of each group with its 95 % interval."""
     figure = Figure(figsize=(8, 4.6), layout="constrained")
     axes = figure.subplots()
-    for color, (label, runs) in zip(COLORS, groups.items(), strict=False):
+    for other, (label, runs) in zip(COLORS, groups.items(), strict=False):
+        color = COLOR_OF.get(label, other)  # groups that are no systems are settings of one
         frames, values = common_frames([training_curve(run) for run in runs])
         if not len(frames):
             axes.plot([], [], color=color, label=f"{label}: never stable, too few episodes to draw")
@@ -146,7 +148,9 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
             axes.axvline(stable, color=color, linestyle=":", linewidth=1.2)
     limit = f"stable: every goal stays at or under {STABLE_ATL:g}"
     axes.axhline(STABLE_ATL, color="0.3", linestyle="--", linewidth=1, label=limit)
-    axes.set(yscale="log", xlabel="frames", ylabel=f"training ATL (steps),\nlast {WINDOW} episodes of each goal")
+    axes.set(
+        yscale="log", xlabel="frames", ylabel=f"training ATL (steps, log scale),\nlast {WINDOW} episodes of each goal"
+    )
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))

@@ -11,10 +11,20 @@ from tqdm import tqdm
 
 from dirl.episodes import Episodes
 from dirl.evaluation import EvaluationProtocol, metrics
-from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
+from dirl.experiments.results import (
+    COLOR_OF,
+    NAMES,
+    Column,
+    Result,
+    Table,
+    by_system,
+    published,
+    save_figure,
+    write_tables,
+)
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import BLUE, SKY, VERMILION, plain
+from dirl.reporting.style import plain
 from dirl.runs.folder import RunError
 from dirl.scenes import World
 
@@ -134,7 +144,7 @@ def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None
             at = DISTANCES.index(distance) + (number - (len(bars) - 1) / 2) * width
             middle, (low, high) = float(iqm(values)), bootstrap_interval(values)
             name = label if distance == min(rates) else None
-            axes.bar(at, middle, 0.92 * width, color=("0.75", SKY, BLUE, VERMILION)[number], label=name)
+            axes.bar(at, middle, 0.92 * width, color=COLOR_OF[label], label=name)
             axes.plot([at, at], [low, high], color="black", linewidth=1.2)
     axes.set_xticks(range(len(DISTANCES)), [f"{d} step{'' if d == 1 else 's'}" for d in DISTANCES])
     axes.set(xlabel="from the nearest trained goal", ylabel="SR, sampled policy", ylim=(0, 1.03))

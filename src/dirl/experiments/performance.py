@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from dirl.config.schemas import TrainConfig
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import BLUE, VERMILION, plain
+from dirl.reporting.style import SYSTEM_COLORS, plain
 
 MEASURES = {
     "atl": (".2f", "ATL"),
@@ -87,15 +88,20 @@ def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Mapping[str, Any
     for axes, measure in zip(panels, ("atl", "sr", "spl"), strict=True):
         for place, (system, values) in zip(places, ours.items(), strict=True):
             low, high = bootstrap_interval(values[measure])
-            axes.plot([low, high], [place, place], color=BLUE, linewidth=5, alpha=0.35, solid_capstyle="butt")
-            axes.plot(iqm(values[measure]), place, "o", color=BLUE, label="here, synthetic rooms")
+            axes.plot(
+                [low, high], [place, place], color=SYSTEM_COLORS[system], linewidth=5, alpha=0.35, solid_capstyle="butt"
+            )
+            axes.plot(iqm(values[measure]), place, "o", color=SYSTEM_COLORS[system])
             if system in paper:
-                axes.plot(paper[system][measure], place, "x", color=VERMILION, mew=2, label="paper, AI2-THOR")
+                axes.plot(paper[system][measure], place, "x", color="0.2", mew=2)
         axes.set(xlabel=MEASURES[measure][1] + (" (steps)" if measure == "atl" else ""), yticks=places)
         axes.set_yticks(places, [NAMES.get(system, system) for system in ours])
         axes.set_xlim(*((0, 208) if measure == "atl" else (-0.04, 1.04)))
         plain(axes)
-    handles, labels = panels[0].get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
-    figure.legend(unique.values(), unique.keys(), loc="outside upper center", ncols=2, frameon=False)
+    # What the two signs mean; their colours are the systems'.
+    meanings = {"o": "here, synthetic rooms", "x": "paper, AI2-THOR"}
+    handles = [
+        Line2D([], [], linestyle="", marker=sign, color="0.2", mew=2, label=text) for sign, text in meanings.items()
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
     save_figure(figure, out, name)

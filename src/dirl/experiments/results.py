@@ -16,7 +16,7 @@ from dirl.atomic import atomic_path, write_text
 from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import summarised
-from dirl.reporting.style import write_figure
+from dirl.reporting.style import SYSTEM_COLORS, write_figure
 from dirl.runs.folder import RunError, is_finished, load_checkpoint
 from dirl.training.load import Trained, load_trained
 
@@ -31,6 +31,9 @@ NAMES = {
     "dirl_ppo": "DIRL with PPO",
 }
 """Systems by the name they have in a configuration, in the order of the tables."""
+
+COLOR_OF = {name: SYSTEM_COLORS[system] for system, name in NAMES.items()}
+"""The colour of each system in every figure, by its name in the tables."""
 
 
 @dataclass(frozen=True)

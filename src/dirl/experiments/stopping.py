@@ -17,7 +17,7 @@ from dirl.episodes import run_episodes
 from dirl.evaluation import metrics
 from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
 from dirl.models import FeatureTable
-from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain
+from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain, tell_cut
 from dirl.runs.folder import RunError
 from dirl.scenes import Scene
 from dirl.scenes.matching import ncc, template_vectors
@@ -256,6 +256,7 @@ def _draw(
         lower.axvline(used, color="0.3", linestyle="--", linewidth=1)
         lower.axvline(best, color="0.3", linestyle=":", linewidth=1.5)
         lower.set(xlabel="threshold", ylim=(-0.05, 1.05))
+        tell_cut(lower, "x")
         for axes in (upper, lower):
             plain(axes)
     grid[0, 0].set_ylabel("matching coefficient")

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dirl.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR
-from dirl.reporting.style import COLORS
+from dirl.reporting.style import COLORS, star_points
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
@@ -82,7 +82,10 @@ class _Map:
         for x, y in np.unique(self.at.round(2), axis=0):
             half = self.side / 2
             draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#E5E5E5", width=SMOOTH)
-        self._pointer(draw, goal, 0.44, GOAL_COLOR)
+        tip = self.at[goal] + 0.62 * self.side * self.ahead[goal]
+        draw.line([tuple(self.at[goal]), tuple(tip)], fill="black", width=2 * SMOOTH)
+        star = star_points(*self.at[goal], 0.44 * self.side)
+        draw.polygon(star, fill=GOAL_COLOR, outline="black", width=SMOOTH)
 
     def draw(self, path: Sequence[int], color: str) -> Image.Image:
         """The map with a path up to its last state, where the agent stands."""

@@ -81,7 +81,7 @@ def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> No
             axes.plot(frames, values.mean(0), color=color, linewidth=1.5, label=f"{label}, {len(folders)} run{plural}")
         plain(axes)
     upper, lower = panels
-    upper.set(yscale="log", ylabel=f"training ATL (steps),\nlast {WINDOW} episodes of a goal")
+    upper.set(yscale="log", ylabel=f"training ATL (steps, log scale),\nlast {WINDOW} episodes of a goal")
     upper.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     upper.yaxis.set_minor_locator(NullLocator())
     upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -117,7 +117,7 @@ def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping
     upper.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     upper.yaxis.set_minor_locator(NullLocator())
     upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    upper.set_ylabel("ATL (steps)")
+    upper.set_ylabel("ATL (steps, log scale)")
     _draw_line(lower, frames, evaluation["sr"], GREEN, "SR, greedy evaluation")
     _draw_line(lower, frames, evaluation["spl"], PURPLE, "SPL, greedy evaluation")
     lower.set_ylabel("SR, SPL")

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 
 from dirl.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
-from dirl.reporting.style import COLORS, write_figure
+from dirl.reporting.style import COLORS, tell_cut, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
@@ -157,6 +157,7 @@ def draw_false_stops(
     axes.set_yscale("symlog", linthresh=0.1)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(-0.005, 110))
+    tell_cut(axes, "x")
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
     write_figure(figure, file)

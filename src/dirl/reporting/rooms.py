@@ -6,10 +6,10 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MultipleLocator
 
+from dirl.reporting.style import GOAL_COLOR, WALL_COLOR
 from dirl.scenes import Scene
 
-GOAL_COLOR = "#F0E442"
-WALL_COLOR = "#C9CDD3"
+__all__ = ["GOAL_COLOR", "WALL_COLOR", "draw_room"]
 
 
 def draw_room(axes: Axes, scene: Scene, side: float) -> None:

@@ -1,5 +1,6 @@
 """What all figures share: their colours, how plain axes look, and how they become files."""
 
+import math
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -10,7 +11,42 @@ from dirl.atomic import atomic_path
 
 # The Okabe-Ito palette, which colour-blind readers can tell apart; its yellow is the goal's on maps.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-BLUE, VERMILION, GREEN, PURPLE, SKY, _ = COLORS
+BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE = COLORS
+
+GREY = "#999999"
+
+SYSTEM_COLORS = {
+    "dirl": BLUE,
+    "td_drl": VERMILION,
+    "a3c": GREEN,
+    "dirl_ppo": PURPLE,
+    "il": SKY,
+    "dagger": ORANGE,
+    "random": GREY,
+    "shortest_path": "#000000",
+}
+"""By name of the preset ``system``; the same in every figure."""
+
+GOAL_COLOR, WALL_COLOR = "#F0E442", "#C9CDD3"
+
+
+def star_points(x: float, y: float, radius: float) -> list[tuple[float, float]]:
+    """The corners of the goal's star in a picture, one of them up; rows of a picture count downwards."""
+    corners = [(math.pi * corner / 5, radius * (0.42 if corner % 2 else 1)) for corner in range(10)]
+    return [(x + reach * math.sin(turn), y - reach * math.cos(turn)) for turn, reach in corners]
+
+
+def tell_cut(axes: Axes, name: str = "y") -> None:
+    """Say in the label of a linear axis that it does not begin at zero, if so.
+
+    Args:
+        axes: whose limits are final.
+        name: ``x`` or ``y``.
+    """
+    axis = axes.xaxis if name == "x" else axes.yaxis
+    low, high = sorted(axis.get_view_interval())
+    if axis.get_scale() == "linear" and low > 0.05 * high:
+        axis.set_label_text(f"{axis.get_label_text()}\n(axis begins at {low:.3g})")
 
 
 def plain(axes: Axes, grid: str = "both") -> None:

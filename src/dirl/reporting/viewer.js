@@ -108,7 +108,9 @@ function drawEpisode() {
     const [x1, y1] = point(goal.state), [x2, y2] = beside(goal.state, 38);
     draw(overlay, "line", { class: `toward ${over}`, x1, y1, x2, y2 });
   }
-  const star = Array.from({ length: 10 }, (_, i) => beside(goal.state, i % 2 ? 11 : 25, (i * Math.PI) / 5));
+  const [gx, gy] = point(goal.state);  // as dirl.reporting.style.star_points
+  const star = Array.from({ length: 10 }, (_, i) => [gx + (i % 2 ? 10.5 : 25) * Math.sin((i * Math.PI) / 5),
+    gy - (i % 2 ? 10.5 : 25) * Math.cos((i * Math.PI) / 5)]);
   draw(overlay, "polygon", { class: "goal", points: join(star) });
   draw(overlay, "polyline", { class: "path later", points: join(path.map(point)) });
   const passed = path.slice(0, at + 1);

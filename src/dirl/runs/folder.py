@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from torchrl.record.loggers import Logger
 
 from dirl.atomic import remove_unfinished, write_json, write_text
+from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, LoggerName, TrainConfig, leaves
 from dirl.runs.checkpoints import (
@@ -136,7 +137,7 @@ class Run:
         if self.finished:
             return f"the run is finished: {self.folder}"
         safe = "its last checkpoint is safe" if training_checkpoints(self.folder) else "it has no checkpoint yet"
-        return f"{safe}; go on with: python recipes/train.py resume={self.folder}"
+        return f"{safe}; go on with: {command('train', running=True)} resume={self.folder}"
 
     @property
     def finished(self) -> bool:

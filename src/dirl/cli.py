@@ -1,0 +1,173 @@
+"""The command ``dirl``, which runs the recipes from wherever the package is installed.
+
+Nothing here imports torch: help, refused options and shell completion answer at once.
+"""
+
+import contextlib
+import difflib
+import io
+import os
+import runpy
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from dirl.config.places import CONF, HOME, VARIABLE, command
+
+RECIPES = {
+    "train": ("recipes/train.py", "train an agent to find its goals"),
+    "evaluate": ("recipes/evaluate.py", "evaluate trained weights"),
+    "scenes": ("recipes/scenes.py", "take, build, convert, encode and check scenes"),
+    "report": ("recipes/report.py", "write a table or figure of the paper from finished runs"),
+    "benchmark": ("benchmarks/benchmark.py", "measure the speed of training and evaluation on this machine"),
+}
+"""The file of each recipe below `HOME`, and what it does."""
+
+OTHERS = {
+    "copy": "copy a recipe into a file of your own: dirl copy train my_train.py",
+    "version": "versions, devices and built-in scenes, as a bug report needs them",
+}
+
+COMPLETION = ("-sc", "--shell-completion")
+SHOWING = (*COMPLETION, "-h", "--help", "--hydra-help", "-c", "--cfg", "-i", "--info", "--version")
+"""Options by which Hydra shows something and runs nothing."""
+
+HELP = """Target-driven visual navigation by deep imitation reinforcement learning.
+
+    dirl train scene=bathroom_02
+    dirl evaluate checkpoint=runs/dirl_bathroom_02/2026-01-31_12-00-00
+    dirl copy train my_train.py
+
+{commands}
+
+dirl <command> --help tells the options of one. Shell completion: eval "$(dirl -sc install=bash)"
+"""
+
+
+def main() -> None:
+    """Run the command that the command line names."""
+    os.environ[VARIABLE] = "dirl"
+    name, *arguments = sys.argv[1:] or ["--help"]
+    if name in COMPLETION:
+        complete([name, *arguments])
+    elif name in ("-h", "--help", "help"):
+        meanings = {name: meaning for name, (_, meaning) in RECIPES.items()} | OTHERS
+        print(HELP.format(commands="\n".join(f"  {name:<10} {meaning}" for name, meaning in meanings.items())))
+    elif name == "--version":
+        from dirl import __version__
+
+        print(__version__)
+    elif name == "version":
+        from dirl.__main__ import main as tell
+
+        tell()
+    elif name == "copy":
+        copy(arguments)
+    elif name in RECIPES:
+        run(name, arguments)
+    else:
+        near = difflib.get_close_matches(name, [*RECIPES, *OTHERS], n=1)
+        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join([*RECIPES, *OTHERS])}"
+        raise SystemExit(f"error: there is no command '{name}'; {hint}")
+
+
+def run(name: str, arguments: Sequence[str]) -> None:
+    """Run a recipe as a script, with its arguments checked beforehand; or show what was asked for.
+
+    Args:
+        name: of `RECIPES`.
+        arguments: the command line after the name.
+    """
+    if any(argument in SHOWING for argument in arguments) and configured(name, arguments):
+        show(name, arguments)
+        return
+    if (found := configured(name, arguments)) is not None:
+        check(*found)
+    script = HOME / RECIPES[name][0]
+    sys.argv = [str(script), *arguments]
+    sys.path.insert(0, str(script.parent))  # as Python does for a script
+    runpy.run_path(str(script), run_name="__main__")
+
+
+def configured(name: str, arguments: Sequence[str]) -> tuple[str, list[str]] | None:
+    """The configuration of a command (``train``; ``scenes/inspect``) and its options; None if none is named."""
+    if name == "report":
+        return "report/report", list(arguments)
+    if name != "scenes":
+        return name, list(arguments)
+    if arguments and (CONF / "scenes" / f"{arguments[0]}.yaml").is_file():
+        return f"scenes/{arguments[0]}", list(arguments[1:])
+    return None
+
+
+def check(config: str, arguments: Sequence[str]) -> list[str]:
+    """The options as Hydra takes them; ends the program with one line if there is no such option or value."""
+    from dirl.config.command_line import SCHEMAS, one_line_errors, prepare, register
+
+    register()
+    with one_line_errors():
+        return prepare(SCHEMAS[Path(config).name], arguments, CONF if config == "train" else None)
+
+
+def show(name: str, arguments: Sequence[str]) -> None:
+    """Let Hydra answer ``--help``, ``--cfg job`` or a shell's completion, without the recipe's imports."""
+    import hydra
+
+    found = configured(name, arguments)
+    assert found is not None
+    config, options = found
+    folder, _, chosen = config.rpartition("/")
+    sys.argv = ["dirl", *check(config, options)]
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):  # Hydra leaves after its help
+        hydra.main(version_base="1.3", config_path=str(CONF / folder), config_name=chosen)(_nothing)()
+    text = told.getvalue()
+    for recipe, (file, _) in RECIPES.items():
+        text = text.replace(f"python {file}", command(recipe))
+    print(text, end="")
+
+
+def _nothing(_: object) -> None:
+    """What Hydra would run."""
+
+
+def complete(arguments: Sequence[str]) -> None:
+    """Install shell completion, or answer the shell that has it: commands first, then a command's options."""
+    line = os.environ.get("COMP_LINE", "")
+    before, *words = line.split(" ") if line else ["dirl"]
+    query = any(argument.startswith("query=") for argument in arguments)
+    if not query:
+        show("train", arguments)
+    elif len(words) == 1:
+        print(" ".join(name for name in [*RECIPES, *OTHERS] if name.startswith(words[0])))
+    elif words[0] == "scenes" and len(words) == 2:
+        print(" ".join(sorted(file.stem for file in (CONF / "scenes").glob(f"{words[1]}*.yaml"))))
+    elif words and words[0] in RECIPES:
+        named = 2 if words[0] == "scenes" else 1
+        os.environ["COMP_LINE"] = " ".join([before, *words[named:]])
+        show(words[0], [*words[1:named], *arguments])
+
+
+def copy(arguments: Sequence[str]) -> None:
+    """Copy a recipe, as ``dirl copy train my_train.py``; the copy runs anywhere, with the package's configuration."""
+    copied = [
+        name for name, (file, _) in RECIPES.items() if file.startswith("recipes")
+    ]  # the benchmark is several files
+    if len(arguments) != 2 or arguments[0] not in copied:
+        raise SystemExit(f"error: say which recipe to copy, and where to: dirl copy <{' | '.join(copied)}> my_copy.py")
+    name, target = arguments[0], Path(arguments[1])
+    if target.suffix != ".py":
+        raise SystemExit(f"error: {target}: the name must end in .py")
+    text = (HOME / RECIPES[name][0]).read_text(encoding="utf-8")
+    try:
+        with target.open("x", encoding="utf-8") as file:
+            file.write(text.replace(f"python recipes/{name}.py", f"python {target}"))
+    except FileExistsError:
+        raise SystemExit(f"error: {target}: there is such a file already; it is not overwritten") from None
+    except OSError as error:
+        raise SystemExit(f"error: {target}: {error.strerror}") from None
+    print(f"copied: {target}; run it with: python {target}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,33 @@
+"""Where the recipes and their configuration are, and how the user calls a recipe."""
+
+import os
+import sys
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+HOME = PACKAGE if (PACKAGE / "recipes").is_dir() else PACKAGE.parents[1]
+"""The folder of ``recipes``, ``benchmarks`` and ``conf``: the package itself in a wheel, else the repository."""
+
+CONF = HOME / "conf"
+
+VARIABLE = "DIRL_COMMAND"
+"""Of the environment, so that the jobs of a sweep know it too: set where the command ``dirl`` was used."""
+
+
+def command(name: str, *, running: bool = False) -> str:
+    """How the user calls a recipe, for messages that say what to run next.
+
+    Args:
+        name: of the recipe, as ``train``.
+        running: whether it is the program that runs now, which may be a copy under another name.
+
+    Returns:
+        ``dirl train``, ``python recipes/train.py`` or ``python my_train.py``.
+    """
+    if VARIABLE in os.environ:
+        return f"dirl {name}"
+    script = sys.argv[0]
+    if running and script.endswith(".py") and not os.path.isabs(script):
+        return f"python {script}"
+    return f"python recipes/{name}.py"

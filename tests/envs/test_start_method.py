@@ -1,0 +1,30 @@
+"""What ``gymnasium.make`` does to the program that calls it, seen from a process of its own."""
+
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import multiprocessing, sys
+import gymnasium, dirl
+if {chosen!r}:
+    multiprocessing.set_start_method({chosen!r})
+env = gymnasium.make("dirl/Navigation-v0", scene="bathroom_02", goal=26)
+env.reset(seed=0)
+assert "torchrl" in sys.modules
+print(multiprocessing.get_start_method(allow_none=True))
+"""
+
+
+@pytest.mark.parametrize("chosen", [None, "forkserver", "spawn"])
+def test_gymnasium_make_leaves_the_start_method_of_processes_alone(tmp_path, chosen):
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", PROGRAM.format(chosen=chosen)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, f"{chosen}\n"), done.stderr

@@ -1,0 +1,97 @@
+"""The command dirl, in processes of its own; the wheel that holds it is tested in test_wheel.py."""
+
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = "import sys; from dirl.cli import main\ntry: main()\nfinally: print('torch' in sys.modules, file=sys.stderr)"
+
+
+def dirl(folder, *arguments, **environment):
+    """Run ``dirl``; what it printed, its message, and whether it imported torch."""
+    import os
+
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env=os.environ | environment,
+    )
+    lines = done.stderr.splitlines()
+    imported = next(line for line in lines if line in ("True", "False"))
+    return done.stdout, "\n".join(line for line in lines if line != imported), imported == "True"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "  evaluate   evaluate trained weights"),
+        (["--help"], "  train      train an agent"),
+        (["train", "--help"], "dirl train scene=kitchen_02 preset=paper system=td_drl"),
+        (["evaluate", "--help"], "dirl evaluate checkpoint=runs/"),
+        (["report", "--help"], "dirl train -m experiment=fig8 && dirl report experiment=fig8"),
+        (["scenes", "inspect", "--help"], "dirl scenes inspect scene=bathroom_02"),
+        (["train", "--cfg", "job", "seed=7"], "seed: 7"),
+        (["--version"], "."),
+    ],
+)
+def test_help_names_the_command_and_needs_no_torch(tmp_path, arguments, told):
+    printed, errors, torch = dirl(tmp_path, *arguments)
+    assert told in printed
+    assert "python recipes/" not in printed
+    assert (errors, torch) == ("", False)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["trian"], "there is no command 'trian'; did you mean train?"),
+        (["train", "sceen=a"], "there is no option 'sceen'; did you mean scene or seed?"),
+        (["train", "seed=x"], "seed=x: must be a whole number"),
+        (["scenes", "inspect", "seed=1"], "there is no option 'seed'; "),
+        (["copy", "train"], "say which recipe to copy"),
+        (["copy", "benchmark", "mine.py"], "say which recipe to copy"),
+        (["copy", "train", "mine.txt"], "mine.txt: the name must end in .py"),
+        (["copy", "train", "nowhere/mine.py"], "nowhere/mine.py: No such file or directory"),
+    ],
+)
+def test_a_refusal_is_one_line_and_needs_no_torch(tmp_path, arguments, told):
+    printed, errors, torch = dirl(tmp_path, *arguments)
+    assert errors.startswith(f"error: {told}")
+    assert "\n" not in errors
+    assert (printed, torch) == ("", False)
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("dirl ", "train evaluate scenes report benchmark copy version"),
+        ("dirl ev", "evaluate"),
+        ("dirl scenes in", "inspect"),
+        ("dirl train seed=1 system=d", "system=dagger system=dirl system=dirl_ppo"),
+        ("dirl scenes inspect thre", "threshold="),
+    ],
+)
+def test_the_shell_completes_commands_and_options(tmp_path, line, offered):
+    printed, _, torch = dirl(tmp_path, "-sc", "query=bash", COMP_LINE=line)
+    assert printed.split() == offered.split()
+    assert not torch
+
+
+@pytest.mark.parametrize("flag", ["-sc", "--shell-completion"])
+def test_shell_completion_is_installed(tmp_path, flag):
+    printed, _, _ = dirl(tmp_path, flag, "install=bash")
+    assert printed.rstrip().endswith("hydra_bash_completion dirl")
+
+
+def test_a_copy_is_not_written_over_a_file(tmp_path):
+    printed, _, _ = dirl(tmp_path, "copy", "train", "mine.py")
+    assert printed == "copied: mine.py; run it with: python mine.py\n"
+    assert "python mine.py scene=bathroom_02" in (tmp_path / "mine.py").read_text()
+    _, errors, _ = dirl(tmp_path, "copy", "evaluate", "mine.py")
+    assert errors == "error: mine.py: there is such a file already; it is not overwritten"

@@ -1,0 +1,86 @@
+"""The wheel, built and installed into an empty folder: what a user has who never saw the repository."""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TINY = [
+    "scene=bathroom_02",
+    "reinforcement.frames_per_scene=400",
+    "reinforcement.agents_per_scene=20",
+    "evaluation.times=1",
+    "evaluation.max_steps=20",
+    "imitation.max_steps=5",
+    "hydra.run.dir=run",
+]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", folder, ROOT], check=True, timeout=600)
+    (file,) = folder.glob("*.whl")
+    return file
+
+
+@pytest.fixture(scope="module")
+def dirl(wheel, tmp_path_factory):
+    """Run the installed ``dirl``, or a script, in one empty folder where nothing of the repository is found."""
+    target, folder = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("empty")
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "install", "--no-deps", "--target", target, wheel], check=True, timeout=600)
+
+    def run(*arguments, script=target / "bin" / "dirl"):
+        done = subprocess.run(
+            [sys.executable, str(script), *arguments],
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": str(target)},
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run.folder = folder
+    return run
+
+
+def test_the_wheel_holds_the_package_its_types_configuration_and_recipes(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    expected = {f"dirl/{file.relative_to(ROOT)}" for folder in ("conf", "recipes") for file in tracked(folder)}
+    expected |= {str(file.relative_to(ROOT / "src")) for file in tracked("src/dirl")}
+    assert expected | {"dirl/py.typed", "dirl/benchmarks/benchmark.py"} <= names
+    assert not [name for name in names if "__pycache__" in name or not name.startswith("dirl")]
+
+
+def tracked(folder):
+    return [file for file in (ROOT / folder).rglob("*") if file.is_file() and "__pycache__" not in file.parts]
+
+
+def test_an_empty_folder_is_enough_to_train_evaluate_and_inspect(dirl):
+    assert "pictures, metrics and weights: run" in dirl("train", *TINY)
+    assert json.loads((dirl.folder / "run" / "summary.json").read_text())["frames"] == 400
+    assert "greedy" in dirl("evaluate", "checkpoint=run", "max_steps=20")
+    assert "| states | 180 |" in dirl("scenes", "inspect", "scene=bathroom_02")
+
+
+def test_a_copied_recipe_runs(dirl):
+    dirl("copy", "train", "mine.py")
+    printed = dirl(*TINY[:-1], "hydra.run.dir=copied", "system=random", script="mine.py")
+    assert "copied" in printed
+    assert (dirl.folder / "copied" / "summary.json").is_file()
+
+
+def test_versions_are_told_from_the_metadata(dirl, wheel):
+    version = wheel.name.split("-")[1]
+    assert dirl("--version") == f"{version}\n"
+    assert f"dirl {version}" in dirl("version")
