@@ -56,7 +56,8 @@ class Painter:
             draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#e6e6e6")
         tip = self.pixels[goal] + 0.55 * self.cell * self.directions[goal] * [1, -1]
         draw.line([tuple(self.pixels[goal]), tuple(tip)], fill="black", width=max(1, round(0.06 * self.cell)))
-        draw.polygon(star_points(*self.pixels[goal], 0.42 * self.cell), fill=GOAL_COLOR, outline="black")
+        x, y = map(float, self.pixels[goal])
+        draw.polygon(star_points(x, y, 0.42 * self.cell), fill=GOAL_COLOR, outline="black")
         return room
 
     def _arrow(self, draw: ImageDraw.ImageDraw, state: int, colour: str) -> None:

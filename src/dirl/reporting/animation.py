@@ -84,7 +84,8 @@ class _Map:
             draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#E5E5E5", width=SMOOTH)
         tip = self.at[goal] + 0.62 * self.side * self.ahead[goal]
         draw.line([tuple(self.at[goal]), tuple(tip)], fill="black", width=2 * SMOOTH)
-        star = star_points(*self.at[goal], 0.44 * self.side)
+        x, y = map(float, self.at[goal])
+        star = star_points(x, y, 0.44 * self.side)
         draw.polygon(star, fill=GOAL_COLOR, outline="black", width=SMOOTH)
 
     def draw(self, path: Sequence[int], color: str) -> Image.Image:
