@@ -6,6 +6,7 @@
 | ``location`` | number ``[N, 2]`` | x, z in metres |
 | ``rotation`` | number ``[N]`` | heading in degrees |
 | ``resnet_feature`` | float16 or float32 ``[N, D]`` or ``[N, k, D]`` | features; of ``k`` crops the first is used |
+| ``patches`` | float16 ``[N, cells, channels]`` | what each part of each view shows (our files) |
 | ``shortest_path_distance`` | number ``[N, N]`` | only compared: distances are always recomputed |
 | ``observation`` | uint8 ``[N, H, W, 3]`` | raw views (published files) |
 | ``observation_webp`` | N byte strings | encoded views (our files) |
@@ -51,6 +52,7 @@ DATASETS = (
     "location",
     "rotation",
     "resnet_feature",
+    "patches",
     "shortest_path_distance",
     "observation",
     "observation_webp",
@@ -121,6 +123,7 @@ def _read(file: h5py.File, path: Path, name: str | None, source: str | None) -> 
         source=source or _attribute(file, path, "source") or "unlabelled",
         extractor=extractor,
         origin=str(path),
+        patches=_patches(file, path, states),
     )
     if "shortest_path_distance" in file:
         stored = _dataset(file, path, "shortest_path_distance", kinds="iuf", shape=(states, states))
@@ -201,6 +204,23 @@ def _features(file: h5py.File, path: Path, states: int) -> tuple[str, NDArray[An
     _check_storage(dataset, path)
     described = {key: _attribute(dataset, path, key) for key in EXTRACTOR_ATTRIBUTES}
     return extractor_text(described) or "unknown", dataset[:, 0] if crops else dataset[:]
+
+
+def _patches(file: h5py.File, path: Path, states: int) -> NDArray[np.float16] | None:
+    """Mapped from the file, so that many scenes cost no memory, if they are stored in one piece as we write them."""
+    if "patches" not in file:
+        return None
+    dataset = _dataset(file, path, "patches", kinds="f", shape=(states, None, None))
+    if dataset.dtype != np.float16 or 0 in dataset.shape or dataset.size > MAX_FEATURE_VALUES:
+        raise SceneError(
+            f"{path}: patches: expected float16 values, at most {MAX_FEATURE_VALUES} of them, found {dataset.dtype} "
+            f"{dataset.shape}"
+        )
+    _check_storage(dataset, path)
+    offset = dataset.id.get_offset()
+    if offset is None:
+        return dataset[:]
+    return np.memmap(path, np.float16, "r", offset, dataset.shape)
 
 
 def _views(file: h5py.File, path: Path, states: int) -> Views | None:

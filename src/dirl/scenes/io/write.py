@@ -22,6 +22,7 @@ def write_dump(
     *,
     attributes: dict[str, Any] | None = None,
     feature_attributes: dict[str, str] | None = None,
+    patch_attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write one scene; the file appears whole or not at all.
 
@@ -32,6 +33,7 @@ def write_dump(
         attributes: further file attributes, beside the scene's own.
         feature_attributes: how the features were made: ``extractor``, ``preprocessing``, ``weights``; the scene's own
             description if left out.
+        patch_attributes: how the patches were made.
 
     Raises:
         ValueError: there are not as many views as states.
@@ -53,6 +55,8 @@ def write_dump(
         if scene.features is not None:
             file["resnet_feature"] = scene.features[:, None]
             file["resnet_feature"].attrs.update(feature_attributes or {"extractor": scene.extractor})
+        if scene.patches is not None:
+            _store_patches(file, scene.patches, patch_attributes)
         if encoded is not None:
             stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
             for state, view in enumerate(encoded):
@@ -60,7 +64,12 @@ def write_dump(
 
 
 def replace_features(
-    dump: str | Path, path: str | Path, features: NDArray[np.floating], feature_attributes: Mapping[str, str]
+    dump: str | Path,
+    path: str | Path,
+    features: NDArray[np.floating],
+    feature_attributes: Mapping[str, str],
+    patches: NDArray[np.float16] | None = None,
+    patch_attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write a dump once more with other features; everything else stays as it is, the file attributes too.
 
@@ -69,14 +78,25 @@ def replace_features(
         path: the file to write; it appears whole or not at all.
         features: of every state, ``[N, D]``.
         feature_attributes: how they were made: ``extractor``, ``preprocessing``, ``weights``.
+        patches: of every state, ``[N, cells, channels]``; those of the dump if left out.
+        patch_attributes: how they were made.
     """
+    replaced = {"resnet_feature"} if patches is None else {"resnet_feature", "patches"}
     with h5py.File(dump) as old, whole_file(Path(path)) as new:
         new.attrs.update(old.attrs)
         for name in DATASETS:
-            if name in old and name != "resnet_feature":
+            if name in old and name not in replaced:
                 old.copy(name, new)
         new["resnet_feature"] = features[:, None]
         new["resnet_feature"].attrs.update(feature_attributes)
+        if patches is not None:
+            _store_patches(new, patches, patch_attributes)
+
+
+def _store_patches(file: h5py.File, patches: NDArray[np.float16], attributes: Mapping[str, str] | None) -> None:
+    """In one piece and as they are, so that a reader can map them into memory."""
+    file["patches"] = patches
+    file["patches"].attrs.update(attributes or {})
 
 
 @contextmanager
