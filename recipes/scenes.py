@@ -4,7 +4,7 @@
     python recipes/scenes.py photos folder=my_office out=my_office.h5
     python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
     python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
-    python recipes/scenes.py encode scene=room.h5 encoder=resnet50.pth out=room_resnet.h5
+    python recipes/scenes.py encode scene=room.h5 encoder=facebook/dinov2-small out=room_dino.h5
     python recipes/scenes.py export scene=bathroom_02 layout=icra17 out=icra17/bathroom_02.h5
     python recipes/scenes.py import scene=data/bathroom_02.h5 source=thor out=bathroom_02.h5
     python recipes/scenes.py inspect scene=bathroom_02 out=pictures

@@ -99,7 +99,7 @@ def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]
 
 
 def make_rooms(
-    folder: Path, wanted: Sequence[Wanted], settings: RoomSettings, workers: int | None = None
+    folder: str | Path, wanted: Sequence[Wanted], settings: RoomSettings, workers: int | None = None
 ) -> Iterator[Entry | SceneError]:
     """Make random rooms: the dump of each, its description beside it, and a line in the index; as they get ready.
 
@@ -123,6 +123,7 @@ def make_rooms(
     workers = os.cpu_count() or 1 if workers is None else workers
     if workers < 1:
         raise SceneError(f"workers={workers}: at least one process is needed")
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     if workers == 1 or len(wanted) == 1:
         _start(settings)
