@@ -124,8 +124,6 @@ def sample(options: SampleConfig) -> None:
     if options.kind is None:
         raise ConfigError(f"name a kind of room: kind=<{' | '.join(KINDS)} | all>")
     check_keys({} if options.kind == "all" else {options.kind: 0}, KINDS, "kind")
-    if options.seed < 0 or options.count < 1:
-        raise ConfigError(f"seed={options.seed} count={options.count}: seeds are 0 or more, and count at least 1")
     folder, names = Path(options.out), [field.name for field in fields(RoomSettings)]
     settings = RoomSettings(**{name: getattr(options, name) for name in names})
     seeds = range(options.seed, options.seed + options.count)

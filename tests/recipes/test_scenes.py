@@ -16,7 +16,7 @@ from scenes import COMMANDS
 from simulator import Simulator
 
 from dirl.backbones import ResNet50
-from dirl.config.command_line import SCHEMAS, check_overrides, choose_command, register
+from dirl.config.command_line import SCHEMAS, choose_command, prepare, register
 from dirl.config.schemas import ConfigError, Match, typed
 from dirl.rooms.checks import far_apart
 from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
@@ -45,7 +45,7 @@ def run(line):
     command, arguments = choose_command(
         {name: meaning for name, (meaning, _) in COMMANDS.items()}, shlex.split(line), ""
     )
-    check_overrides(SCHEMAS[command], arguments)
+    arguments = prepare(SCHEMAS[command], arguments)
     with initialize_config_dir(str(ROOT / "conf" / "scenes"), version_base="1.3"):
         options = typed(compose(command, arguments))
     COMMANDS[command][1](options)
@@ -89,7 +89,7 @@ def test_a_mistyped_command_is_told_its_neighbour(name, says):
         ("sample kind=bedroom", "say where to write: out=<a folder>"),
         ("sample out=new", "name a kind of room: kind=<bathroom |"),
         ("sample kind=bedrom out=new", "kind: there is no 'bedrom'; did you mean 'bedroom'?"),
-        ("sample kind=bedroom out=new seed=-1", "seed=-1 count=1: seeds are 0 or more"),
+        ("sample kind=bedroom out=new count=0", "count=0: must be at least 1"),
         ("sample kind=bedroom out=room.h5", "room.h5: is there already, and is no collection"),
         ("sample kind=bedroom out=. encoder=null", "is there already, and is no collection"),
         ("encode scene=room.h5 out=room.h5 encoder=x", "out=room.h5: there is such a file already"),
