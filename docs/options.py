@@ -4,13 +4,19 @@ import re
 from dataclasses import fields, is_dataclass
 from enum import EnumMeta
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args, get_origin
+
+import yaml
 
 from dirl.config.command_line import SCHEMAS
+from dirl.config.components import GROUPS, TARGET, accepted, find_class
 from dirl.config.schemas import TrainConfig
 
-CHOICES = ("system", "preset", "objective", "source", "logger")
-"""The folders of conf/ that hold files to choose from."""
+CHOICES = ("system", "preset", "source", "logger")
+"""The folders of conf/ that hold files to choose from, besides those of components."""
+
+COMPONENTS = ("observation", "encoder", "memory", "heads", "policy", "expert", "objective", "losses", "optimiser")
+"""The folders of conf/ whose files name a class and its options."""
 
 DEFAULTS = ("source/rooms", "objective/a2c", "system/dirl", "logger/csv")
 """Chosen where nothing is said, besides preset/fast, which has a word of its own in the table."""
@@ -21,11 +27,26 @@ ROWS = "```{rst-class} rows\n```\n"
 """Before a table: narrow screens show it as a list, see _static/site.css."""
 
 INTRODUCTION = """\
-An option is given as `name=value` behind the recipe: `python recipes/train.py scene=all network.width=256`. Where a
+An option is given as `name=value` behind the recipe: `python recipes/train.py scene=all encoder.width=256`. Where a
 value follows the word *fast* or *paper*, the preset of that name sets it (`preset=paper`; `fast` is the default); both
 can be overridden one by one. This page is written by `docs/options.py` from the types in `src/dirl` and the values in
 `conf/` when the site is built.
 """
+
+
+COMPONENTS_TEXT = """\
+A component is a class with its options: `encoder=siamese` chooses a file of `conf/encoder`, `encoder.width=256` sets
+an option of its class, and `encoder._target_=my_package.MyEncoder` names another class. An option that the class takes
+and the file does not list is given in the same way. Types and bounds are those of the class's constructor.
+"""
+
+MEANINGS = {
+    "entropy_coeff": "weight of the entropy bonus",
+    "critic_coeff": "weight of the critic's loss",
+    "loss_critic_type": "the critic's error: `l2`, `l1` or `smooth_l1`",
+    "reduction": "of the losses over the frames of an update",
+}
+"""What options mean whose value, an interpolation, leaves no room for a comment."""
 
 
 def entries(file: Path) -> dict[str, tuple[str, str]]:
@@ -67,7 +88,8 @@ def groups(schema: type) -> dict[str, tuple[str, dict[str, str]]]:
             inside = {f"{option.name}.{field.name}": words(field.type) for field in fields(kind)}
             found[option.name] = ((kind.__doc__ or "").rstrip("."), inside)
         else:
-            found[""][1][option.name] = words(option.type)
+            if option.name not in GROUPS:
+                found[""][1][option.name] = words(option.type)
     return found
 
 
@@ -96,6 +118,52 @@ def choices(conf: Path) -> list[str]:
     return [*lines, ""]
 
 
+def component_tables(conf: Path) -> list[str]:
+    """What there is to choose from for each component, with the options of its class."""
+    lines = []
+    for group in COMPONENTS:
+        lines += [f"### {group}", ""]
+        for file in sorted((conf / group).glob("*.yaml")):
+            head = [line[2:] for line in file.read_text().splitlines() if line.startswith("# ") and "@" not in line]
+            values = yaml.safe_load(file.read_text())
+            named = values.get("losses", {}) if group == "objective" else values if group == "losses" else {"": values}
+            target = next((options[TARGET] for options in named.values()), None)
+            lines += [f"`{group}={file.stem}`" + (f", `{target}`. " if target else ". ") + " ".join(head), ""]
+            for name, options in named.items():
+                lines += component_rows(file, group, name, options)
+    return lines
+
+
+def component_rows(file: Path, group: str, name: str, options: dict[str, Any]) -> list[str]:
+    """The options of one component: those that its file sets, then the others of its class."""
+    target = options[TARGET]
+    if target is None:
+        return []
+    full = f"losses.{name}" if name else group
+    kinds = accepted(find_class(full, target))
+    comments = {option.rpartition(".")[2]: comment for option, (_, comment) in entries(file).items()}
+    lines = []
+    for option, value in options.items():
+        if option != TARGET:
+            kind = "number" if option == "weight" else annotated(kinds.get(option, Any))
+            cells = [f"`{full}.{option}` <small>{kind}</small>", f"`{shown(value)}`"]
+            lines.append("| " + " | ".join([*cells, comments.get(option) or MEANINGS.get(option, "")]) + " |")
+    return [ROWS, "| option | value | meaning |", "|---|---|---|", *lines, ""] if lines else []
+
+
+def annotated(kind: Any) -> str:
+    """A type from a constructor's signature, with its bounds."""
+    plain, *bounds = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    kinds = [one for one in get_args(plain) if one in WORDS] or [plain]
+    text = " or ".join(WORDS.get(one, "text or list") for one in kinds)
+    return ", ".join([text, *map(str, bounds)])
+
+
+def shown(value: Any) -> str:
+    """A value as it is written on a command line."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def recipe_table(file: Path) -> list[str]:
     """The table of options that are all in one file."""
     return table(groups(SCHEMAS[file.stem])[""][1], {"": [file]})
@@ -112,8 +180,9 @@ def write_page(conf: Path, page: Path) -> None:
             lines += [f"### {group}" if meaning == f"the {group}" else f"### {group}: {meaning}", ""]
         lines += table(options, files)
     lines += ["### What a choice sets", "", *choices(conf)]
-    for name in ("evaluate", "benchmark"):
-        lines += [f"## recipes/{name}.py", "", *recipe_table(conf / f"{name}.yaml")]
+    lines += ["## Components", "", COMPONENTS_TEXT, *component_tables(conf)]
+    for folder, name in (("recipes", "evaluate"), ("benchmarks", "benchmark")):
+        lines += [f"## {folder}/{name}.py", "", *recipe_table(conf / f"{name}.yaml")]
     lines += ["## recipes/scenes.py", ""]
     for file in sorted((conf / "scenes").glob("*.yaml")):
         lines += [f"### {file.stem}", "", *recipe_table(file)]

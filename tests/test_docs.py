@@ -1,7 +1,7 @@
 """The documentation: the code on its pages runs, every option is explained, and the site stands on its own.
 
 On a how-to page ```python and ```bash blocks are run, in order, in an empty folder; ```text is output or data. What
-cannot be run here is a {code-block} whose caption tells the reader why; the caption of TOML is the name of its file.
+cannot be run here is a {code-block} whose caption tells the reader why. A caption that is a file name makes the file.
 """
 
 import re
@@ -34,7 +34,6 @@ NOT_RUN = {
     "gpu.md": ["needs CUDA"],
     "loggers.md": ["needs pip install -e '.[tensorboard]', which they do without"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
-    "navigator.md": ["needs the weights of a ResNet-50"],
     "rooms.md": ["takes minutes", "takes minutes", "takes an hour", "takes minutes", "takes minutes"],
     "sweeps.md": ["needs launchers and clusters"],
     "thor_dumps.md": ["needs the published dumps"],
@@ -53,13 +52,21 @@ class Block(NamedTuple):
 
 def blocks(page):
     """The fenced code of a page."""
-    fence = r'^```(?:\{code-block\} )?(\w+)\n(?::caption: "([^\n]*)"\n)?(.*?)^```$'
+    fence = r'^```(?:\{code-block\} )?(\w+)\n(?::caption: "?([^\n"]*)"?\n)?(.*?)^```$'
     return [Block(*match) for match in re.findall(fence, page.read_text(), re.DOTALL | re.MULTILINE)]
+
+
+def is_file(caption):
+    """Whether a block is a file of the reader's, rather than code to run."""
+    return Path(caption).suffix in (".toml", ".yaml", ".py")
 
 
 def run_line(line, monkeypatch):
     """Run a line of a shell block in this process, which saves the seconds that imports take."""
     words = shlex.split(line, comments=True)
+    if words[0] == "PYTHONPATH=.":
+        monkeypatch.syspath_prepend(Path.cwd())
+        words = words[1:]
     if words[:2] == ["python", "-m"]:
         monkeypatch.setattr(sys, "argv", words[2:])
         runpy.run_module(words[2], run_name="__main__")
@@ -101,7 +108,8 @@ def test_the_code_of_a_page_runs(page, example_run, tmp_path, monkeypatch):
                 file.unlink()
     names = {"__name__": page.stem}
     for language, caption, text in blocks(page):
-        if language == "toml":
+        if is_file(caption):
+            Path(caption).parent.mkdir(exist_ok=True)
             Path(caption).write_text(text)
         elif caption:
             continue
@@ -121,8 +129,8 @@ def test_pages_have_only_code_that_is_run_or_says_why_it_is_not():
         outside = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
         assert not re.search(r"\n\n    \S", outside), f"{page.name}: indented code is not run; fence it"
         for block in blocks(page):
-            assert block.language in ("python", "bash", "toml", "text"), f"{page.name}: {block.language}"
-            if block.caption and block.language != "toml":
+            assert block.language in ("python", "bash", "toml", "yaml", "text"), f"{page.name}: {block.language}"
+            if block.caption and not is_file(block.caption):
                 reasons.setdefault(page.name, []).append(block.caption.removeprefix("Not run by the tests: "))
         for old in SHORTER.get(page.name, {}):
             assert old in page.read_text(), f"{page.name}: there is no '{old}' to make shorter"

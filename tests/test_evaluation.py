@@ -4,29 +4,17 @@ from itertools import pairwise
 
 import pytest
 import torch
+from networks import make_policy
+from policies import RIGHT, Asked, always, from_states, only_goals, outcome, pair
 from rooms import grid_scene
-from torchrl.envs import TransformedEnv
 
-from dirl import evaluation
-from dirl.envs import OBSERVATIONS, NavigationEnv, SequentialViews, SurroundingViews
-from dirl.evaluation import (
-    evaluate,
-    every_start,
-    metrics,
-    random_policy,
-    report,
-    run_episodes,
-    sampled_starts,
-    shortest_episodes,
-    trajectories,
-)
-from dirl.experts import expert_action
-from dirl.models import make_network
+from dirl.envs import SequentialViews, SurroundingViews
+from dirl.episodes import every_start, run_episodes, shortest_episodes
+from dirl.evaluation import EvaluationProtocol, mean_shortest, metrics, report
 from dirl.scenes import make_world
 
-BOTH = pytest.mark.parametrize("kind", OBSERVATIONS.values())
-RIGHT, BACK = 1, 3
-COUNTED = ("success", "steps", "false_stop", "missed_stop")
+KINDS = (SurroundingViews, SequentialViews)
+BOTH = pytest.mark.parametrize("kind", KINDS)
 
 
 @pytest.fixture
@@ -38,220 +26,22 @@ def world():
     return make_world([room, corner, split])
 
 
-def expert(world, sureness=100.0):
-    """The expert as a policy; the last of sequential views and the first of surrounding ones is where it stands."""
-    index_of = {goal: index for index, goal in enumerate(world.goals.tolist())}
-
-    def policy(views, goal_views, scene):
-        tiled = (goal_views == goal_views[:, :1]).all()
-        goal_index = torch.tensor([index_of[goal] for goal in goal_views[:, 0].tolist()])
-        action = expert_action(world, goal_index, views[:, -1 if tiled else 0])
-        return sureness * torch.nn.functional.one_hot(action, 4).float()
-
-    return policy
-
-
-def always(action, sureness=100.0):
-    """A policy that prefers one action everywhere."""
-    return lambda views, goal_views, scene: sureness * torch.eye(4)[action].expand(len(views), 4)
-
-
-def counting(policy):
-    """The policy, and a list of how many rows it is asked at once."""
-    sizes = []
-    return lambda *seen: sizes.append(len(seen[0])) or policy(*seen), sizes
-
-
-def only_goals(world):
-    return world.distances == 0
-
-
-def from_states(goal_index, *states):
-    return torch.full((len(states),), goal_index), torch.tensor(states)
-
-
-def outcome(episodes):
-    return {key: getattr(episodes, key).tolist() for key in COUNTED}
-
-
-@BOTH
-@pytest.mark.parametrize("greedy", [True, False])
-def test_the_expert_takes_a_shortest_path_from_everywhere(world, kind, greedy):
-    episodes = run_episodes(expert(world), world, every_start(world), sight=kind(world), greedy=greedy)
-    assert torch.equal(episodes.steps, episodes.shortest)
-    known = shortest_episodes(world, every_start(world))
-    assert all(torch.equal(value, vars(known)[name]) for name, value in vars(episodes).items())
-    found = metrics(episodes)
-    assert (found["sr"], found["spl"]) == (1, 1)
-    assert found["atl"] == found["atl_success"] == found["shortest"]
-    assert (found["false_stop_rate"], found["missed_stop_rate"]) == (0, 0)
-    assert found["episodes"] == 23 + 23 + 11 + 3
-
-
-@BOTH
-def test_failures_count_as_the_limit(world, kind):
-    # Who only turns right comes from 3 to goal 0 in one step, from 2 in two, from 1 in three, else never.
-    episodes = run_episodes(always(RIGHT), world, from_states(0, *range(1, 24)), sight=kind(world), max_steps=10)
-    assert episodes.steps.tolist() == [3, 2, 1] + [10] * 20
-    assert episodes.success.tolist() == [True] * 3 + [False] * 20
-    found = metrics(episodes)
-    assert (found["sr"], found["episodes"]) == (pytest.approx(3 / 23), 23)
-    assert found["atl"] == pytest.approx((1 + 2 + 3 + 20 * 10) / 23)
-    assert found["atl_success"] == 2
-    # From 1 a left turn would have done.
-    assert found["spl"] == pytest.approx((1 / 1 + 2 / 2 + 1 / 3) / 23)
-
-
-@pytest.mark.parametrize(("max_steps", "success"), [(2, False), (3, True)])
-def test_the_last_step_still_counts(world, max_steps, success):
-    options = {"sight": SurroundingViews(world), "max_steps": max_steps}
-    assert run_episodes(always(RIGHT), world, from_states(0, 1), **options).success.tolist() == [success]
-
-
 def test_without_a_success_there_is_no_length_of_successes(world):
-    options = {"sight": SurroundingViews(world), "max_steps": 5}
+    options = {"observation": SurroundingViews(world), "max_steps": 5}
     found = metrics(run_episodes(always(RIGHT), world, from_states(0, 4), **options))
     assert math.isnan(found["atl_success"])
     assert (found["sr"], found["spl"], found["atl"]) == (0, 0, 5)
 
 
 @BOTH
-def test_a_stop_elsewhere_and_a_goal_not_recognised_are_failures(world, kind):
-    stop = only_goals(world)
-    stop[0, 2] = stop[1, 12] = True
-    stop[1, 13] = False
-    # Turning right, 1 is stopped at 2 and 3 at its goal 0; 12 passes its goal 13 and is stopped back at 12.
-    starts = torch.tensor([0, 0, 0, 1, 1]), torch.tensor([1, 3, 4, 12, 16])
-    episodes = run_episodes(always(RIGHT), world, starts, sight=kind(world), stop=stop, max_steps=9)
-    assert outcome(episodes) == {
-        "success": [False, True, False, False, False],
-        "steps": [9, 1, 9, 9, 9],
-        "false_stop": [True, False, False, True, False],
-        "missed_stop": [False, False, False, True, False],
-    }
-    found = metrics(episodes)
-    assert (found["false_stop_rate"], found["missed_stop_rate"]) == (pytest.approx(0.4), pytest.approx(0.2))
-
-
-def test_of_equal_actions_the_greedy_one_is_the_first(world):
-    # One step back would lead to the goal, ahead leads away from it.
-    starts, sight = from_states(1, 17), SurroundingViews(world)
-    assert run_episodes(always(BACK), world, starts, sight=sight).success.tolist() == [True]
-    assert run_episodes(random_policy, world, starts, sight=sight).success.tolist() == [False]
-
-
-def test_sampled_actions_follow_the_policys_probabilities(world):
-    # One step from 3: the goal by a right turn only.
-    logits = torch.tensor([0.2, 0.5, 0.2, 0.1]).log()
-    starts = from_states(0, *[3] * 20_000)
-    for policy, share in ((lambda views, goal_views, scene: logits.expand(len(views), 4), 0.5), (random_policy, 0.25)):
-        for kind in OBSERVATIONS.values():
-            episodes = run_episodes(policy, world, starts, sight=kind(world), max_steps=1, greedy=False)
-            assert metrics(episodes)["sr"] == pytest.approx(share, abs=0.02)
-
-
-def test_sampling_wanders_where_the_greedy_expert_goes_straight(world):
-    options = {"world": world, "starts": every_start(world), "sight": SurroundingViews(world)}
-    greedy = metrics(run_episodes(expert(world, sureness=1.0), **options))
-    sampled = metrics(run_episodes(expert(world, sureness=1.0), **options, greedy=False))
-    assert greedy["spl"] == 1 > 0.7 > sampled["spl"]
-    assert sampled["atl"] > 1.5 * greedy["atl"]
-
-
-def test_draws_are_decided_by_the_seed_alone(world):
-    options = {"starts": every_start(world), "sight": SurroundingViews(world), "greedy": False}
-
-    def walk(seed, torchs_seed):
-        torch.manual_seed(torchs_seed)
-        return run_episodes(random_policy, world, seed=seed, **options).steps
-
-    assert torch.equal(walk(1, 0), walk(1, 1))
-    assert not torch.equal(walk(1, 0), walk(2, 0))
-
-
-def by_the_env(policy, world, starts, sight, stop, max_steps):
-    """The greedy outcome of each episode, walked in the training environment, every agent asked at every step."""
-    goal_index, start = starts
-    env = TransformedEnv(NavigationEnv(world, len(start), stop=stop), sight)
-    agents = env.reset()
-    agents["state"], agents["goal"], agents["scene"] = start, world.goals[goal_index], world.scene_of[start]
-    agents["views"], agents["goal_views"] = sight.begin(start), sight.begin(world.goals[goal_index])
-    going = torch.ones_like(start, dtype=torch.bool)
-    found = {key: torch.zeros_like(going) for key in ("success", "false_stop", "missed_stop")}
-    found["steps"] = torch.full_like(start, max_steps)
-    for step in range(1, max_steps + 1):
-        agents["action"] = policy(agents["views"], agents["goal_views"], agents["scene"]).argmax(-1)
-        after = env.step(agents)["next"]
-        ended = going & after["terminated"].squeeze(-1)
-        at_goal = after["state"] == after["goal"]
-        found["success"] |= ended & at_goal
-        found["false_stop"] |= ended & ~at_goal
-        found["missed_stop"] |= going & at_goal & ~ended
-        found["steps"][ended & at_goal] = step
-        going &= ~ended
-        agents = env.step_mdp(agents)
-    return {key: found[key].tolist() for key in COUNTED}
-
-
-@BOTH
-@pytest.mark.parametrize("seed", range(3))
-def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, seed):
-    network = make_network(world.features, world.names, width=16, seed=seed)
-
-    # A random network's preferences, and the expert's now and then, so that some arrive and some do not.
-    @torch.no_grad()
-    def policy(views, goal_views, scene):
-        return network(views, goal_views, scene)[0] + expert(world, sureness=0.1)(views, goal_views, scene)
-
-    stop = only_goals(world) & (torch.arange(len(world.goals)) != 1).unsqueeze(1)
-    stop |= (torch.rand(stop.shape, generator=torch.Generator().manual_seed(seed)) < 0.05) & (world.distances >= 0)
-    starts = every_start(world)
-    episodes = run_episodes(policy, world, starts, sight=kind(world), stop=stop, max_steps=30)
-    found = outcome(episodes)
-    assert found == by_the_env(policy, world, starts, kind(world), stop, 30)
-    for key in ("success", "false_stop", "missed_stop"):
-        assert len(set(found[key])) == 2, f"no variety of {key}: the comparison says nothing"
-    assert (~episodes.success & ~episodes.false_stop & ~episodes.missed_stop).any()
-
-
-def test_a_limit_on_how_many_are_asked_at_once_changes_nothing(world, monkeypatch):
-    options = {"world": world, "starts": every_start(world), "sight": SurroundingViews(world)}
-    policy, sizes = counting(expert(world))
-    whole = run_episodes(policy, **options)
-    monkeypatch.setattr(evaluation, "ASKED_AT_ONCE", 7)
-    parts = run_episodes(policy, **options)
-    # Every state of a scene with every goal of it.
-    assert sizes == [68] + [7] * 9 + [5]
-    assert outcome(parts) == outcome(whole)
-
-
-def test_agents_that_see_the_same_are_asked_once(world):
-    policy, sizes = counting(always(RIGHT))
-    run_episodes(policy, world, from_states(0, *[1] * 50, *[2] * 50), sight=SequentialViews(world), max_steps=9)
-    assert sizes == [2, 2, 1]
-
-
-def test_who_walks_in_a_circle_is_asked_once_for_each_sight_of_it(world):
-    policy, sizes = counting(always(RIGHT))
-    run_episodes(policy, world, from_states(0, 5), sight=SequentialViews(world), max_steps=100)
-    assert sizes == [1] * 7  # three while the start is still in sight twice or more, and four
-
-
-def test_watching_shows_the_episodes_still_going_on_after_each_step(world):
-    seen = []
-    options = {"sight": SurroundingViews(world), "max_steps": 3}
-    options["watch"] = lambda walking, state: seen.append((walking.tolist(), state.tolist()))
-    run_episodes(always(RIGHT), world, from_states(0, 2, 4), **options)
-    assert seen == [([0, 1], [3, 5]), ([0, 1], [0, 6]), ([1], [7])]
-
-
-@BOTH
 def test_a_networks_trajectories_are_its_episodes_walked_by_asking_it_directly(world, kind):
-    network = make_network(world.features, world.names, width=16, seed=5)
-    starts, options = every_start(world), {"sight": kind(world), "max_steps": 30}
-    direct = run_episodes(lambda *seen: network(*seen)[0], world, starts, **options)
-    episodes, paths = trajectories(network, world, starts, **options)
-    assert outcome(episodes) == outcome(evaluate(network, world, starts, **options)) == outcome(direct)
+    network = make_policy(world.features, world.names, width=16, seed=5)
+    starts, options = every_start(world), {"observation": kind(world), "max_steps": 30}
+    direct = run_episodes(Asked(lambda rows: network(rows.copy())["logits"]), world, starts, **options)
+    network.cache(None if kind.history else world.surrounding)
+    protocol = EvaluationProtocol(world, starts=starts, **options)
+    episodes, paths = protocol.trajectories(network, starts)
+    assert outcome(episodes) == outcome(protocol.run(network)) == outcome(direct)
     assert [path[0] for path in paths] == starts[1].tolist()
     assert [len(path) - 1 for path in paths] == episodes.steps.tolist()
     assert torch.equal(torch.tensor([path[-1] for path in paths]) == world.goals[starts[0]], episodes.success)
@@ -259,25 +49,8 @@ def test_a_networks_trajectories_are_its_episodes_walked_by_asking_it_directly(w
     assert len(set(episodes.success.tolist())) == 2
 
 
-def test_every_start_is_each_state_that_reaches_the_goal_and_is_not_it(world):
-    goal_index, start = every_start(world)
-    room, corner = set(range(24)), set(range(24, 36))
-    wanted = [room - {0}, room - {13}, corner - {30}, {36, 38, 39}]
-    assert [set(start[goal_index == index].tolist()) for index in range(4)] == wanted
-    assert len(start) == sum(map(len, wanted)) == 60
-
-
-def test_sampled_starts_are_as_many_for_each_goal_and_uniform_among_those_that_reach_it(world):
-    goal_index, start = sampled_starts(world, 6000, seed=1)
-    assert goal_index.bincount().tolist() == [6000] * 4
-    assert torch.equal(torch.stack([goal_index, start]).unique(dim=1), torch.stack(every_start(world)))
-    assert start[-6000:].bincount()[[36, 38, 39]].tolist() == pytest.approx([2000] * 3, abs=200)
-    assert torch.equal(start, sampled_starts(world, 6000, seed=1)[1])
-    assert not torch.equal(start, sampled_starts(world, 6000, seed=2)[1])
-
-
 def test_a_report_covers_each_scene_and_each_goal_by_its_number_in_the_scene(world):
-    episodes = run_episodes(always(RIGHT), world, every_start(world), sight=SurroundingViews(world), max_steps=10)
+    episodes = run_episodes(always(RIGHT), world, every_start(world), observation=SurroundingViews(world), max_steps=10)
     summary = report(episodes, world)
     assert {name: list(scene["goals"]) for name, scene in summary["scenes"].items()} == {
         "room": ["0", "13"],
@@ -294,12 +67,18 @@ def test_a_report_covers_each_scene_and_each_goal_by_its_number_in_the_scene(wor
 
 @pytest.mark.parametrize("measure", ["atl", "sr", "spl", "shortest", "false_stop_rate", "missed_stop_rate"])
 def test_a_reports_parts_add_up(world, measure):
-    stop = only_goals(world) & (torch.arange(4) != 2).unsqueeze(1)
-    stop[0, 2] = True
-    options = {"sight": SurroundingViews(world), "stop": stop, "max_steps": 10}
+    stop = only_goals(world) & (world.pairs()[0] != 2)
+    stop[pair(world, 0, 2)] = True
+    options = {"observation": SurroundingViews(world), "stop": stop, "max_steps": 10}
     summary = report(run_episodes(always(RIGHT), world, every_start(world), **options), world)
     scenes = list(summary["scenes"].values())
     for whole, parts in [(summary, scenes)] + [(scene, list(scene["goals"].values())) for scene in scenes]:
         assert whole["episodes"] == sum(part["episodes"] for part in parts)
         total = sum(part[measure] * part["episodes"] for part in parts)
         assert whole[measure] == pytest.approx(total / whole["episodes"])
+
+
+def test_the_mean_shortest_way_is_that_of_all_starts_of_a_goal(world):
+    episodes = shortest_episodes(world, every_start(world))
+    means = [episodes.select(episodes.goal_index == index).steps.double().mean().item() for index in range(4)]
+    assert mean_shortest(world) == pytest.approx(means)

@@ -7,19 +7,17 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from commands import train_config
+from parts import make_parts, train_in
 from PIL import Image
 from rooms import grid_scene
-from train import draw_scene, imitate, reinforce
 
 from dirl.deploy.navigator import Navigator
 from dirl.evaluation import metrics
-from dirl.reporting import viewer_pages
-from dirl.runs.folder import Run
+from dirl.reporting import draw_scene, viewer_pages
 from dirl.scenes import write_dump
 from dirl.scenes.matching import TemplateStop
 from dirl.scenes.views import encode
-from dirl.training.build import build_parts, run_policy
+from dirl.training.build import describe, matching
 
 GOAL = 19
 """In the second place, headed 210 degrees, along no axis."""
@@ -34,21 +32,15 @@ def trained(tmp_path_factory):
     views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8), quality=None) for _ in range(len(room))]
     write_dump(folder / "room.h5", room, views)
     sizes = ["reinforcement.frames_per_scene=30_000", "reinforcement.agents_per_scene=30", "evaluation.times=0"]
-    options = ["network.width=64", "imitation.share=0.6", "optimiser.lr=2e-3", "checkpoint.every_seconds=1e9"]
-    config = train_config(f"scene={folder / 'room.h5'}", *sizes, *options)
-    torch.manual_seed(config.seed)
-    parts = build_parts(config)
-    run = Run(folder, config)
-    run.begin(parts.world)
-    imitate(parts, run, parts.demos)
-    result = reinforce(parts, run)
-    run.finish({"frames": result["frames"], "network": parts.network.state_dict()}, {})
+    options = ["encoder.width=64", "heads.width=64", "imitation.fraction=0.6", "optimiser.lr=2e-3"]
+    parts = make_parts(f"scene={folder / 'room.h5'}", *sizes, *options, "checkpoint.every_seconds=1e9")
+    train_in(folder, parts)
     return parts, folder
 
 
 def test_it_finds_its_goal_from_everywhere(trained):
     parts, _ = trained
-    result = metrics(run_policy(parts))
+    result = metrics(parts.protocol.run(parts.policy))
     assert (result["sr"], result["episodes"]) == (1, 35)
     assert result["spl"] > 0.7
 
@@ -57,12 +49,13 @@ def test_what_surrounds_a_state_is_three_turns_apart(trained):
     parts, _ = trained
     headings = parts.world.scenes[0].headings
     assert ((headings[parts.world.surrounding] - headings[:, None]) % 360 == [0, 90, 180, 270]).all()
-    assert parts.sight.begin(torch.tensor(GOAL)).tolist() == [19, 22, 13, 16]
+    assert parts.observation.begin(torch.tensor(GOAL)).tolist() == [19, 22, 13, 16]
 
 
 def test_maps_paths_and_film_are_drawn(trained):
     parts, folder = trained
-    draw_scene(parts, 0, folder)
+    facts = describe(parts.config, parts.world)
+    draw_scene(parts.policy, parts.protocol, 0, folder, matching=matching(parts.config), facts=facts)
     for name in ("maps_grid.png", "trajectories_grid.png", "episode_grid.gif"):
         with Image.open(folder / name) as image:
             assert min(image.size) > 200, name
@@ -73,10 +66,8 @@ def test_maps_paths_and_film_are_drawn(trained):
 
 def test_the_viewer_knows_every_heading(trained):
     parts, _ = trained
-    matching = TemplateStop(0.9)
-    (page,) = viewer_pages(
-        parts.network, parts.world, parts.sight, matching=matching, stop=parts.stop, max_steps=20, title="a test"
-    ).values()
+    shown = {"stop": parts.protocol.stop, "max_steps": 20, "title": "a test"}
+    (page,) = viewer_pages(parts.policy, parts.world, parts.observation, matching=TemplateStop(0.9), **shown).values()
     data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
     assert data["surrounding"][GOAL] == [19, 22, 13, 16]
     sine, cosine = 0.5, round(3**0.5 / 2, 4)

@@ -18,7 +18,7 @@ from dirl.evaluation import metrics
 from dirl.scenes import SceneError, make_world, read_dump, write_dump
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.views import encode as webp
-from dirl.training.build import build_parts, run_policy
+from dirl.training.build import build_observation, build_protocol, build_world, learning_policy
 
 VIEWS = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (5, 30, 40, 3), np.uint8))
 
@@ -255,6 +255,9 @@ def test_features_of_different_encoders_cannot_share_a_world(tmp_path, weights):
 @pytest.mark.parametrize("width", [3, 384])
 def test_features_of_any_width_go_through_the_pipeline(tmp_path, width):
     write_dump(tmp_path / "room.h5", grid_scene(goals=(0,), feature_width=width))
-    parts = build_parts(train_config(f"scene={tmp_path / 'room.h5'}", "network.width=16", "evaluation.max_steps=5"))
-    assert parts.network.encoder.table.width == width
-    assert metrics(run_policy(parts))["episodes"] == 23
+    config = train_config(f"scene={tmp_path / 'room.h5'}", "encoder.width=16", "evaluation.max_steps=5")
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy = learning_policy(config, world, observation)
+    assert policy.features.width == width
+    assert metrics(build_protocol(config, world, observation).run(policy))["episodes"] == 23

@@ -14,12 +14,13 @@ from dirl import Navigator
 from dirl.backbones import ResNet50
 from dirl.deploy.navigator import NavigatorError
 from dirl.deploy.onnx import export_onnx
-from dirl.envs import OBSERVATIONS
-from dirl.evaluation import every_start, trajectories
-from dirl.models import feature_statistics, make_network
+from dirl.episodes import every_start, observe
+from dirl.evaluation import EvaluationProtocol
+from dirl.models import recurrent_keys
 from dirl.runs.folder import Run, load_checkpoint, save_checkpoint
 from dirl.scenes import make_world
 from dirl.scenes.matching import TemplateStop
+from dirl.training.build import build_observation, build_policy, feature_table
 
 PIXELS = (2, 5)
 """Height and width of the images, which differ so that neither passes for the other."""
@@ -44,24 +45,24 @@ def rooms(names=("grid",), width=16):
 
 
 def trained(folder, world, *options):
-    """The folder of a finished run with a network that walks some way, and that network."""
-    config = train_config("network.width=24", *options)
+    """The folder of a finished run with a policy that walks some way; that policy, and what it observes."""
+    config = train_config("seed=1", "encoder.width=24", "heads.width=24", *options)
     folder.mkdir(exist_ok=True)
+    observation = build_observation(config, world)
     run = Run(folder, config)
-    run.begin(world)
-    network = make_network(
-        world.features,
-        world.names,
-        statistics=feature_statistics(world.features),
-        heads=config.network.heads,
-        width=24,
-        seed=1,
-    )
+    run.begin(world, observation.order)
+    policy = build_policy(config, feature_table(config, world), world.names, world=world)
     with torch.no_grad():  # untrained logits hardly differ; what is sampled shall
-        for layer in network.policy.scenes.values():
+        for layer in policy.heads.policy.scenes.values():
             layer.weight.mul_(20)
-    run.finish({"frames": 7, "network": network.state_dict()}, {})
-    return network
+    run.finish({"frames": 7, "network": policy.state_dict()}, {})
+    run.close()
+    return policy, observation
+
+
+def answer(policy, world, observation, state, goal_index):
+    """What a policy writes at the start of episodes."""
+    return policy(observe(world, observation, state, observation.begin(state), goal_index))
 
 
 def load(folder, world, **options):
@@ -73,14 +74,13 @@ def load(folder, world, **options):
 @pytest.mark.parametrize("observation", ["surrounding", "sequential"])
 def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observation, match, heads):
     world = rooms(("grid", "other.room"))
-    network = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}", f"network.heads={heads}")
-    sight = OBSERVATIONS[observation](world)
+    policy, seen = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}", f"heads={heads}")
     if observation == "sequential":
         match = "front"  # a single camera cannot compare four views
     threshold = 0.1  # low enough for false stops among random features
     stop = TemplateStop(threshold, match)(world)
     starts = every_start(world)
-    episodes, paths = trajectories(network, world, starts, sight=sight, stop=stop, max_steps=12)
+    episodes, paths = EvaluationProtocol(world, seen, starts, stop=stop, max_steps=12).trajectories(policy, starts)
     assert episodes.success.any()
     assert episodes.false_stop.any()
     assert not (episodes.success | episodes.false_stop).all()
@@ -98,7 +98,7 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observatio
                 walked.append(int(state))
                 action, stopped, _ = navigator.act(see(state))
             assert walked == paths[episode]
-            assert stopped == bool(stop[starts[0][episode], state])
+            assert stopped == bool(stop[world.pair(starts[0][episode], state)])
 
 
 @pytest.fixture
@@ -122,10 +122,12 @@ def test_the_checkpoint_alone_decides_threshold_and_scores(run, world, navigator
     goal, state = 0, 9
     navigator.reset(images_of(world.surrounding[goal]))
     decision = navigator.act(images_of(world.surrounding[state]))
-    network = trained(run.parent / "again", world)
-    logits, _ = network(world.surrounding[[state]], world.surrounding[[goal]], torch.zeros(1, dtype=torch.long))
+    policy, observation = trained(run.parent / "again", world)
+    logits = answer(policy, world, observation, torch.tensor([state]), torch.tensor([0]))["logits"]
     torch.testing.assert_close(decision.scores.probabilities, logits[0].softmax(-1))
-    assert decision.scores.matching == pytest.approx(TemplateStop().scores(world)[0, state].item(), abs=1e-5)
+    assert decision.scores.matching == pytest.approx(
+        world.block(TemplateStop().scores(world), 0)[state].item(), abs=1e-5
+    )
     assert navigator.threshold == 0.9
     assert navigator.act(images_of(world.surrounding[goal])).stop is True
 
@@ -133,9 +135,8 @@ def test_the_checkpoint_alone_decides_threshold_and_scores(run, world, navigator
 @pytest.mark.parametrize("observation", ["surrounding", "sequential"])
 def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, observation):
     world = rooms()
-    trained(tmp_path, world, f"observation={observation}")
-    sight = OBSERVATIONS[observation](world)
-    see = (lambda states: images_of(sight.begin(states))) if observation == "surrounding" else images_of
+    _, seen = trained(tmp_path, world, f"observation={observation}")
+    see = (lambda states: images_of(seen.begin(states))) if observation == "surrounding" else images_of
     batch, alone = load(tmp_path, world), load(tmp_path, world)
     goals, walks = torch.tensor([0, 13, 0]), torch.tensor([[5, 6, 7, 8], [14, 13, 12, 1], [2, 1, 0, 3]])
     batch.reset(torch.from_numpy(see(goals).copy()))
@@ -225,7 +226,7 @@ def test_weights_of_a_resnet_are_an_encoder_and_warn_where_nobody_said_what_they
 def test_the_scene_must_be_one_of_the_checkpoint(tmp_path):
     world = rooms(("grid", "other"))
     trained(tmp_path / "own", world)
-    trained(tmp_path / "shared", world, "network.heads=shared")
+    trained(tmp_path / "shared", world, "heads=shared")
     with pytest.raises(NavigatorError, match=r"scene=...; choose from \['grid', 'other'\]"):
         load(tmp_path / "own", world)
     with pytest.raises(NavigatorError, match=r"not trained in 'grod'; choose from \['grid', 'other'\]"):
@@ -315,7 +316,7 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, observation,
     pytest.importorskip("onnxscript")
     runtime = pytest.importorskip("onnxruntime")
     world = rooms(("grid", "other"))
-    network = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}")
+    policy, looks = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}")
     navigator = load(tmp_path, world, scene="other")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -327,21 +328,116 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, observation,
     labels = session.get_modelmeta().custom_metadata_map
     assert (labels["scene"], labels["extractor"], labels["threshold"]) == ("other", "random", "0.9")
     assert len(labels["views"].split(",")) == 4
-    sight = OBSERVATIONS[observation](world)
     for agents in (1, 2, 24):
-        seen, wanted = sight.begin(torch.arange(24, 24 + agents)), sight.begin(torch.full((agents,), 24))
+        states, goal_index = torch.arange(24, 24 + agents), torch.full((agents,), 2)
+        seen, wanted = looks.begin(states), looks.begin(world.goals[goal_index])
         features = {"features": world.features[seen].numpy(), "goal_features": world.features[wanted].numpy()}
         logits, value, matching = session.run(["logits", "value", "matching"], features)
         with torch.no_grad():
-            expected, expected_value = network(seen, wanted, torch.ones(agents, dtype=torch.long))
-        np.testing.assert_allclose(logits, expected, rtol=0, atol=1e-5)
-        np.testing.assert_allclose(value, expected_value, rtol=0, atol=1e-5)
+            expected = answer(policy, world, looks, states, goal_index)
+        np.testing.assert_allclose(logits, expected["logits"], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(value, expected["state_value"], rtol=0, atol=1e-5)
         front = match == "front" or observation == "sequential"
-        scores = TemplateStop(match="front" if front else "views").scores(world)[2, 24 : 24 + agents]
-        np.testing.assert_allclose(matching, scores, rtol=0, atol=1e-5)
+        scores = TemplateStop(match="front" if front else "views").scores(world)
+        np.testing.assert_allclose(matching, world.block(scores, 2)[:agents], rtol=0, atol=1e-5)
 
 
 def test_without_its_packages_the_export_says_what_to_install(navigator, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(NavigatorError, match=r"pip install 'dirl\[onnx\]'"):
         export_onnx(navigator, tmp_path / "policy.onnx")
+
+
+def walk_with_memory(policy, world, observation, states, goal_index):
+    """Logits of a policy with memory on ``[T, B]`` states, one step after the other."""
+    found, state = [], None
+    for step in states:
+        asked = observe(world, observation, step, observation.begin(step), goal_index)
+        asked["is_init"] = torch.full((len(step), 1), state is None)
+        if state is None:
+            state = {key: torch.zeros(len(step), 1, 20) for key in recurrent_keys(policy)}
+        answered = policy(asked.update(state))
+        state = {key: answered["next", key] for key in state}
+        found.append(answered["logits"])
+    return torch.stack(found)
+
+
+GRU = ("memory=gru", "memory.hidden_size=20")
+WALK = torch.tensor([[5, 6, 7, 8], [14, 13, 12, 1], [2, 1, 0, 3]]).T + 24
+
+
+def test_a_policy_with_memory_remembers_until_the_next_reset(tmp_path):
+    world = rooms(("grid", "other"))
+    policy, observation = trained(tmp_path, world, *GRU)
+    navigator = load(tmp_path, world, scene="other")
+    goal_index = torch.tensor([2, 3, 2])
+    with torch.no_grad():
+        expected = walk_with_memory(policy, world, observation, WALK, goal_index)
+    for _ in range(2):
+        navigator.reset(images_of(observation.begin(world.goals[goal_index])))
+        for states, logits in zip(WALK, expected, strict=True):
+            found = navigator.act(images_of(observation.begin(states))).scores.probabilities
+            torch.testing.assert_close(found, logits.softmax(-1))
+    with torch.no_grad():  # the memory matters
+        first = walk_with_memory(policy, world, observation, WALK[-1:], goal_index)
+    assert not torch.allclose(first[0], expected[-1])
+    navigator.reset(images_of(observation.begin(world.goals[[2]])))
+    navigator.act(images_of(observation.begin(WALK[0])))
+    with pytest.raises(NavigatorError, match="2 agents after those of 3"):
+        navigator.act(images_of(observation.begin(WALK[1][:2])))
+
+
+def test_an_exported_policy_with_memory_takes_and_gives_its_state(tmp_path):
+    pytest.importorskip("onnxscript")
+    runtime = pytest.importorskip("onnxruntime")
+    world = rooms(("grid", "other"))
+    policy, observation = trained(tmp_path, world, *GRU)
+    export_onnx(load(tmp_path, world, scene="other"), tmp_path / "policy.onnx")
+    session = runtime.InferenceSession(tmp_path / "policy.onnx")
+    inputs, outputs = ([one.name for one in ports] for ports in (session.get_inputs(), session.get_outputs()))
+    keys = recurrent_keys(policy)
+    assert keys
+    assert inputs == ["features", "goal_features", *keys]
+    assert outputs == ["logits", "value", "matching", *(f"next_{key}" for key in keys)]
+    for agents in (1, 3):
+        goal_index = torch.tensor([2, 3, 2])[:agents]
+        with torch.no_grad():
+            expected = walk_with_memory(policy, world, observation, WALK[:, :agents], goal_index)
+        goal = world.features[observation.begin(world.goals[goal_index])].numpy()
+        state = {key: np.zeros((agents, 1, 20), np.float32) for key in keys}
+        for states, logits in zip(WALK[:, :agents], expected, strict=True):
+            features = world.features[observation.begin(states)].numpy()
+            given = {"features": features, "goal_features": goal, **state}
+            found = dict(zip(outputs, session.run(None, given), strict=True))
+            np.testing.assert_allclose(found["logits"], logits, rtol=0, atol=1e-5)
+            state = {key: found[f"next_{key}"] for key in keys}
+
+
+MINE = """
+from torch import nn
+
+class Mean(nn.Module):
+    def __init__(self, num_features: int, width: int = 8) -> None:
+        super().__init__()
+        self.layer = nn.Linear(2 * num_features, width)
+
+    def forward(self, observation, goal_observation):
+        import torch
+        return self.layer(torch.cat([observation.mean(-2), goal_observation.mean(-2)], -1)).relu()
+"""
+
+
+def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp_path, monkeypatch):
+    (tmp_path / "my_encoders.py").write_text(MINE)
+    monkeypatch.syspath_prepend(tmp_path)
+    world = rooms()
+    policy, observation = trained(tmp_path / "run", world, "encoder._target_=my_encoders.Mean", "encoder.width=8")
+    monkeypatch.delitem(sys.modules, "my_encoders")
+    with pytest.raises(ValueError, match=r"names a class of 'my_encoders'; trust=\[my_encoders\] allows it"):
+        load(tmp_path / "run", world)
+    assert "my_encoders" not in sys.modules
+    navigator = load(tmp_path / "run", world, trust=["my_encoders"])
+    navigator.reset(images_of(world.surrounding[0]))
+    found = navigator.act(images_of(world.surrounding[9])).scores.probabilities
+    logits = answer(policy, world, observation, torch.tensor([9]), torch.tensor([0]))["logits"]
+    torch.testing.assert_close(found, logits[0].softmax(-1))

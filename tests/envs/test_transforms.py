@@ -3,12 +3,13 @@ import torch
 from rooms import grid_scene
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs import Compose, StepCounter, TransformedEnv
+from torchrl.envs.utils import check_env_specs
 
-from dirl.envs import OBSERVATIONS, NavigationEnv, SequentialViews, SurroundingViews
+from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews, ViewFeatures
 from dirl.scenes import make_world
 
 AGENTS, STEPS = 6, 25
-BOTH = pytest.mark.parametrize("kind", OBSERVATIONS.values())
+BOTH = pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
 
 
 @pytest.fixture
@@ -40,17 +41,17 @@ def test_surrounding_views_are_quarter_turns_apart_where_turns_are_smaller():
 def test_surrounding_views_depend_on_the_state_alone(world):
     steps = rollout(world, SurroundingViews)
     for part in (steps, steps["next"]):
-        assert torch.equal(part["views"], world.surrounding[part["state"]])
-        assert torch.equal(part["goal_views"], world.surrounding[part["goal"]])
+        assert torch.equal(part["view_ids"], world.surrounding[part["state"]])
+        assert torch.equal(part["goal_view_ids"], world.surrounding[part["goal"]])
 
 
 def test_sequential_views_begin_with_the_first_four_times_and_end_with_the_newest(world):
-    sight = SequentialViews(world)
-    views = sight.begin(torch.tensor([7, 16]))
+    observation = SequentialViews(world)
+    views = observation.begin(torch.tensor([7, 16]))
     assert views.tolist() == [[7, 7, 7, 7], [16, 16, 16, 16]]
     seen = []
     for state in ([4, 17], [5, 18], [5, 19], [9, 16], [9, 12]):
-        views = sight.follow(views, torch.tensor(state))
+        views = observation.follow(views, torch.tensor(state))
         seen.append(views[0].tolist())
     assert seen == [[7, 7, 7, 4], [7, 7, 4, 5], [7, 4, 5, 5], [4, 5, 5, 9], [5, 5, 9, 9]]
     assert views[1].tolist() == [18, 19, 16, 12]
@@ -64,9 +65,9 @@ def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states
         for step in agent:
             # `history` is None where an episode begins.
             history = history or [step["state"].item()] * 4
-            assert step["views"].tolist() == history
+            assert step["view_ids"].tolist() == history
             history = [*history[1:], step["next", "state"].item()]
-            assert step["next", "views"].tolist() == history
+            assert step["next", "view_ids"].tolist() == history
             if step["next", "done"]:
                 history = None
 
@@ -74,7 +75,7 @@ def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states
 def test_sequential_goal_views_are_the_goals_view_four_times(world):
     steps = rollout(world, SequentialViews)
     for part in (steps, steps["next"]):
-        assert torch.equal(part["goal_views"], torch.stack([part["goal"]] * 4, -1))
+        assert torch.equal(part["goal_view_ids"], torch.stack([part["goal"]] * 4, -1))
 
 
 @BOTH
@@ -82,27 +83,56 @@ def test_views_made_by_a_replay_buffer_are_those_recorded_in_the_env(world, kind
     steps = rollout(world, kind)
     assert steps["next", "done"][:, :-1].any()
     stored = steps.select("state", "goal", ("next", "done"))
-    stored["recorded"], stored["recorded_goal"] = steps["views"], steps["goal_views"]
+    stored["recorded"], stored["recorded_goal"] = steps["view_ids"], steps["goal_view_ids"]
     buffer = ReplayBuffer(storage=LazyTensorStorage(AGENTS), transform=kind(world), batch_size=40)
     buffer.extend(stored)
     sample = buffer.sample()
-    assert sample["views"].shape == (40, STEPS, 4)
-    assert torch.equal(sample["views"], sample["recorded"])
-    assert torch.equal(sample["goal_views"], sample["recorded_goal"])
+    assert sample["view_ids"].shape == (40, STEPS, 4)
+    assert torch.equal(sample["view_ids"], sample["recorded"])
+    assert torch.equal(sample["goal_view_ids"], sample["recorded_goal"])
 
 
 @BOTH
 def test_what_begins_an_episode_is_what_is_recorded_at_its_begin(world, kind):
     env = TransformedEnv(NavigationEnv(world, AGENTS), kind(world))
-    agents, sight = env.reset(), kind(world)
-    assert torch.equal(agents["views"], sight.begin(agents["state"]))
-    assert torch.equal(agents["goal_views"], sight.begin(agents["goal"]))
+    agents, observation = env.reset(), kind(world)
+    assert torch.equal(agents["view_ids"], observation.begin(agents["state"]))
+    assert torch.equal(agents["goal_view_ids"], observation.begin(agents["goal"]))
 
 
 @BOTH
 def test_views_are_declared_as_states_of_the_world(world, kind):
     spec = TransformedEnv(NavigationEnv(world, AGENTS), kind(world)).observation_spec
-    for key in ("views", "goal_views"):
+    for key in ("view_ids", "goal_view_ids"):
         assert spec[key].shape == (AGENTS, 4)
         assert spec[key].n == len(world) == 40
         assert spec[key].dtype == torch.int64
+
+
+@BOTH
+def test_the_features_behind_the_views_are_looked_up_in_the_env(world, kind):
+    transforms = Compose(StepCounter(5), kind(world), ViewFeatures(world.features))
+    env = TransformedEnv(NavigationEnv(world, AGENTS), transforms)
+    check_env_specs(env)
+    steps = env.rollout(STEPS, break_when_any_done=False)
+    assert steps["next", "done"].any()
+    for part in (steps, steps["next"]):
+        assert part["observation"].shape == (AGENTS, STEPS, 4, 16)
+        assert torch.equal(part["observation"], world.features[part["view_ids"]])
+        assert torch.equal(part["goal_observation"], world.features[part["goal_view_ids"]])
+
+
+def test_the_features_behind_the_views_are_looked_up_in_a_replay_buffer(world):
+    stored = rollout(world, SurroundingViews).select("state", "goal", "view_ids", "goal_view_ids")
+    buffer = ReplayBuffer(storage=LazyTensorStorage(AGENTS), transform=ViewFeatures(world.features), batch_size=7)
+    buffer.extend(stored)
+    sample = buffer.sample()
+    assert torch.equal(sample["observation"], world.features[world.surrounding[sample["state"]]])
+    assert torch.equal(sample["goal_observation"], world.features[world.surrounding[sample["goal"]]])
+
+
+def test_what_the_four_views_are_is_said():
+    assert SurroundingViews.order == ("ahead", "right", "back", "left")
+    assert len(SequentialViews.order) == 4
+    assert SequentialViews.order[-1] == "now"
+    assert (SurroundingViews.history, SequentialViews.history) == (False, True)

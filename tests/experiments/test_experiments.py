@@ -22,7 +22,7 @@ from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
 from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.views import encode
 
-SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.share="))]
+SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.fraction="))]
 
 EXPERIMENTS = ("table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop")
 
@@ -43,7 +43,7 @@ def grid(tmp_path_factory):
     """A folder with the runs of a small grid: every kind of system, and the expert's share."""
     folder = tmp_path_factory.mktemp("grid")
     options = [f"scene={room_file(folder)}", *SMALL, "evaluation.times=4", "reinforcement.frames_per_scene=2400"]
-    for given in (["table2", "system=random,il,td_drl,dirl"], ["fig8", "imitation={share:0.0},{share:0.5}"]):
+    for given in (["table2", "system=random,il,td_drl,dirl"], ["fig8", "imitation={fraction:0.0},{fraction:0.5}"]):
         status, _, errors = run_recipe(folder, "train", "-m", f"experiment={given[0]}", *options, given[1], "seed=0,1")
         assert status == 0, errors
     return folder

@@ -7,16 +7,17 @@ from pathlib import Path
 from hydra import compose, initialize_config_dir
 from rooms import grid_scene
 
-from dirl.config.command_line import register
-from dirl.config.schemas import typed
+from dirl.config.command_line import prepare, register
+from dirl.config.schemas import TrainConfig, typed
 from dirl.scenes import write_dump
 
 ROOT = Path(__file__).parents[2]
 
 TINY = [
     "seed=3",
-    "network.width=32",
-    "imitation.share=0.2",
+    "encoder.width=32",
+    "heads.width=32",
+    "imitation.fraction=0.2",
     "reinforcement.frames_per_scene=600",
     "reinforcement.agents_per_scene=6",
     "evaluation.times=2",
@@ -29,7 +30,8 @@ SHORT = [*TINY, "imitation.max_steps=10"]
 
 
 def recipe_command(name, *arguments):
-    return [sys.executable, str(ROOT / "recipes" / f"{name}.py"), *map(str, arguments)]
+    folder = "benchmarks" if name == "benchmark" else "recipes"
+    return [sys.executable, str(ROOT / folder / f"{name}.py"), *map(str, arguments)]
 
 
 def run_recipe(folder, name, *arguments):
@@ -51,4 +53,4 @@ def train_config(*options):
     """The configuration that ``recipes/train.py`` gets from these options."""
     register()
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return typed(compose("train", list(options)))
+        return typed(compose("train", prepare(TrainConfig, options, ROOT / "conf")))

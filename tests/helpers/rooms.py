@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 
-from dirl.scenes import Scene
+from dirl.scenes import Scene, read_dump
 
 CELL = 0.5
 """Metres between neighbouring places, as in the published dumps."""
@@ -49,6 +49,11 @@ def grid_scene(
         extractor=extractor,
         origin="grid_scene",
     )
+
+
+def read_here(path, **options):
+    """The scene of a file, read in this process, which takes no time; for tests of what files hold."""
+    return read_dump(path, isolated=False, **options)
 
 
 def renumbered(scene, order):

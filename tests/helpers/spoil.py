@@ -104,7 +104,7 @@ def of_states(graph):
         for name, value in (
             ("graph", graph),
             ("location", np.zeros((len(graph), 2))),
-            ("rotation", np.zeros(len(graph))),
+            ("rotation", np.arange(len(graph)) % 360),
         ):
             instead(name, value)(file)
 
@@ -151,7 +151,7 @@ def unknown_filter(name):
 def refused(path):
     """What the one `SceneError` says after the name of the file."""
     with pytest.raises(SceneError) as caught:
-        read_dump(path)
+        read_dump(path, isolated=False)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert caught.value.__cause__ is None

@@ -7,13 +7,11 @@ import time
 
 import pytest
 import torch
-from commands import TINY, recipe_command, room_file, run_recipe, train_config
-from rooms import grid_scene
+from commands import TINY, recipe_command, room_file, run_recipe
+from parts import make_parts
 
 from dirl.config.schemas import ConfigError
-from dirl.experts import label, merge_demonstrations
-from dirl.scenes import make_world
-from dirl.training.build import build_optimiser, build_parts, learning_parts
+from dirl.training.build import build_optimiser
 from dirl.training.hogwild import asynchronous_updates, fetch, share, waiting
 
 
@@ -43,7 +41,7 @@ def test_a_clone_is_not_reinforced_whatever_frames_a_grid_is_given(tmp_path):
 
 
 def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp_path):
-    sizes = ["reinforcement.agents_per_scene=20", "imitation.share=0.1", "imitation.rounds=3", "imitation.lr=3e-3"]
+    sizes = ["reinforcement.agents_per_scene=20", "imitation.fraction=0.1", "imitation.rounds=3", "imitation.lr=3e-3"]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=dagger", *sizes, "hydra.run.dir=run"]
     status, _, errors = run_recipe(tmp_path, "train", *options)
     assert status == 0, errors
@@ -59,37 +57,29 @@ def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp
     assert summary["greedy"]["sr"] > 0.8
 
 
-def test_labels_are_the_experts_and_doubles_are_dropped():
-    world = make_world([grid_scene(goals=(0, 13))])
-    parts = build_parts(train_config("scene=bathroom_02", "network.width=8"))
-    demos = parts.demos
-    visited = demos.select("state", "goal", "scene", "views", "goal_views")
-    at_goal = visited[:1].clone().set("state", visited["goal"][:1])
-    found = label(parts.world, torch.cat([visited, at_goal]))
-    assert len(found) == len(demos)
-    assert torch.equal(found["expert_action"], demos["expert_action"])
-    twice = merge_demonstrations(demos, found)
-    assert len(twice) == len(demos)
-    assert len(world) == 24
-
-
 @pytest.mark.parametrize("optimiser", ["adam", "tf_rmsprop"])
 def test_shared_weights_start_as_the_network_and_shared_statistics_as_the_optimisers_own(tmp_path, optimiser):
-    options = [f"scene={room_file(tmp_path)}", "network.width=8", f"optimiser.name={optimiser}", "optimiser.lr=0.1"]
-    alone, other = (build_parts(train_config(*options)) for _ in range(2))
-    first, second = build_optimiser(alone), build_optimiser(other)
-    shared = share(other.network, second, frames=7)
+    options = [
+        f"scene={room_file(tmp_path)}",
+        "encoder.width=8",
+        "heads.width=8",
+        f"optimiser={optimiser}",
+        "optimiser.lr=0.1",
+    ]
+    alone, other = (make_parts(*options) for _ in range(2))
+    first, second = (build_optimiser(parts.config, parts.policy) for parts in (alone, other))
+    shared = share(other.policy, second, frames=7)
     assert shared.claimed.value == 7
     assert all(weight.is_shared() for weight in shared.weights)
     assert all(value.is_shared() for of_weight in shared.statistics for value in of_weight.values())
     for parts, stepping in ((alone, first), (other, second)):
-        for parameter in parts.network.parameters():
+        for parameter in parts.policy.parameters():
             parameter.grad = torch.full_like(parameter, 0.5)
         stepping.step()
-    for mine, theirs in zip(alone.network.parameters(), other.network.parameters(), strict=True):
+    for mine, theirs in zip(alone.policy.parameters(), other.policy.parameters(), strict=True):
         assert torch.equal(mine, theirs)
-    fetch(shared, other.network)
-    for mine, theirs in zip(shared.weights, other.network.parameters(), strict=True):
+    fetch(shared, other.policy)
+    for mine, theirs in zip(shared.weights, other.policy.parameters(), strict=True):
         assert torch.equal(mine, theirs)
 
 
@@ -97,16 +87,16 @@ def test_shared_weights_start_as_the_network_and_shared_statistics_as_the_optimi
 def test_workers_that_cannot_be_are_refused(tmp_path, wrong, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     with pytest.raises(ConfigError, match=r"reinforcement\.workers=4: "):
-        build_parts(train_config(f"scene={room_file(tmp_path)}", "system=a3c", *wrong))
+        make_parts(f"scene={room_file(tmp_path)}", "system=a3c", *wrong)
 
 
 def test_workers_wait_while_their_policy_is_tested(tmp_path):
-    sizes = ["network.width=8", "reinforcement.workers=2", "reinforcement.agents_per_scene=4"]
-    parts = learning_parts(train_config(f"scene={room_file(tmp_path)}", "system=a3c", *sizes))
-    shared, interrupted = share(parts.network, build_optimiser(parts), 0), []
+    sizes = ["encoder.width=8", "heads.width=8", "reinforcement.workers=2", "reinforcement.agents_per_scene=4"]
+    parts = make_parts(f"scene={room_file(tmp_path)}", "system=a3c", *sizes)
+    shared, interrupted = share(parts.policy, build_optimiser(parts.config, parts.policy), 0), []
     updates = asynchronous_updates(parts.config, shared, 10**9, interrupted)
     walked = sum(next(updates).frames for _ in range(3))
-    with waiting(shared, parts.network):
+    with waiting(shared, parts.policy):
         while walked < shared.claimed.value:  # those that they are at
             walked += next(updates).frames
         time.sleep(1)
@@ -118,7 +108,13 @@ def test_workers_wait_while_their_policy_is_tested(tmp_path):
 
 
 def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
-    small = ["network.width=64", "imitation.share=0", "reinforcement.agents_per_scene=20", "optimiser.lr=2e-3"]
+    small = [
+        "encoder.width=64",
+        "heads.width=64",
+        "imitation.fraction=0",
+        "reinforcement.agents_per_scene=20",
+        "optimiser.lr=2e-3",
+    ]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=a3c", *small, "reinforcement.frames_per_scene=40_000"]
     command = recipe_command("train", *options, "hydra.run.dir=run", "checkpoint.every_seconds=1000")
     process = subprocess.Popen(

@@ -73,11 +73,12 @@ def test_products_can_be_rounded_to_bfloat16_but_not_the_weights(tmp_path):
     "options",
     [
         ["system=il"],
-        ["system=td_drl", "objective=ppo", "objective.minibatches=2", "stop.training=match"],
+        ["system=td_drl", "objective=ppo", "reinforcement.minibatches=2", "stop.training=match"],
+        ["memory=gru", "memory.hidden_size=16", "reinforcement.minibatches=2"],
         ["preset=paper", "reinforcement.max_steps=50", "evaluation.starts=sampled", "evaluation.episodes_per_goal=5"],
-        ["network.heads=shared", "imitation.keep=0", "logger=wandb", "goals=[5]"],
+        ["heads=shared", "imitation.bc_coef=0", "logger=wandb", "goals=[5]"],
     ],
-    ids=["il", "td_drl with ppo", "paper", "shared heads, wandb"],
+    ids=["il", "td_drl with ppo", "gru", "paper", "shared heads, wandb"],
 )
 def test_train_with_other_systems_and_presets(tmp_path, options, monkeypatch):
     # Nobody is logged in, so that Weights & Biases must go offline by itself.
@@ -93,15 +94,16 @@ def test_train_with_other_systems_and_presets(tmp_path, options, monkeypatch):
 
 
 def test_multirun_trains_every_combination(tmp_path):
-    options = [*TINY, "reinforcement.frames_per_scene=60", "imitation.share=0,0.5"]
+    options = [*TINY, "reinforcement.frames_per_scene=60", "imitation.fraction=0,0.5"]
     status, _, errors = run_recipe(tmp_path, "train", "-m", f"scene={room_file(tmp_path)}", *options)
     assert status == 0, errors
     summaries = [json.loads(file.read_text()) for file in sorted(tmp_path.glob("multirun/*/*/summary.json"))]
     assert [summary["demonstrations"] > 0 for summary in summaries] == [False, True]
 
 
-def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *TINY, "reinforcement.frames_per_scene=3000"]
+@pytest.mark.parametrize("memory", [[], ["memory=gru", "memory.hidden_size=16"]], ids=["no memory", "gru"])
+def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path, memory):
+    options = [f"scene={room_file(tmp_path)}", *TINY, *memory, "reinforcement.frames_per_scene=3000"]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={whole}")
     assert status == 0, errors
@@ -145,7 +147,8 @@ def test_ctrl_c_saves_a_checkpoint_and_says_how_to_go_on(tmp_path):
 def test_benchmark_measures_every_loop(tmp_path):
     room = room_file(tmp_path)
     options = [f"worlds=[{room}]", "frames_per_scene=240", "repeats=1", "growth=false", "out=benchmark.json"]
-    small = "network.width=32,reinforcement.agents_per_scene=6,imitation.max_steps=2,reinforcement.frames_per_scene=240"
+    small = "encoder.width=32,heads.width=32,reinforcement.agents_per_scene=6"
+    small += ",imitation.max_steps=2,reinforcement.frames_per_scene=240"
     train = "train=[" + ",".join(f"'{option}'" for option in small.split(",")) + "]"
     status, printed, errors = run_recipe(tmp_path, "benchmark", *options, train)
     assert status == 0, errors
@@ -164,7 +167,10 @@ def test_benchmark_measures_every_loop(tmp_path):
         ("train", ["scene=bathrom_02"], ["did you mean 'bathroom_02'", "kitchen_02", "'all'"]),
         ("train", ["scene=bathroom_02", "sede=1"], ["no option 'sede'", "seed"]),
         ("train", ["scene=bathroom_02", "reinforcement.gamma=1.5"], ["reinforcement.gamma=1.5", "between 0 and 1"]),
-        ("train", ["scene=bathroom_02", "network.heads=two"], ["network.heads=two", "scene, shared"]),
+        ("train", ["scene=bathroom_02", "heads=two"], ["no heads=two", "scene, shared"]),
+        ("train", ["scene=bathroom_02", "encoder.widht=8"], ["encoder.widht", "did you mean encoder.width"]),
+        ("train", ["scene=bathroom_02", "heads.width=0"], ["heads.width=0", "at least 1"]),
+        ("train", ["scene=bathroom_02", "encoder._target_=nobody.Knows"], ["encoder._target_=nobody.Knows"]),
         ("train", ["scene=bathroom_02", "goals=[180]"], ["bathroom_02", "goal 180", "0..179"]),
         ("train", ["scene=bathroom_02", "source=thor"], ["source.root="]),
         ("train", ["resume=nowhere"], ["nowhere", "not the folder of a run"]),

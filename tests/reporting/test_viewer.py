@@ -3,8 +3,9 @@
 import base64
 import json
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,44 +14,82 @@ from commands import run_recipe, train_config
 from rooms import grid_scene
 from train import imitate
 
-from dirl.evaluation import every_start
+from dirl.config.schemas import TrainConfig
+from dirl.episodes import every_start, observe
+from dirl.evaluation import EvaluationProtocol
+from dirl.models import plain_weights
 from dirl.reporting import viewer_pages
 from dirl.runs.folder import Run
-from dirl.scenes import write_dump
+from dirl.scenes import World, write_dump
 from dirl.scenes.matching import TemplateStop
 from dirl.scenes.views import encode
-from dirl.training.build import build_parts, run_trajectories
+from dirl.training.build import (
+    build_demonstrations,
+    build_observation,
+    build_protocol,
+    build_world,
+    learning_policy,
+    matching,
+)
 
 CHROMIUM = Path("/usr/bin/chromium")
 LIMIT = 30
 
 
-def room_parts(folder, *options):
+@dataclass(frozen=True)
+class Room:
+    """A policy, as it is configured, where it walks and what it observes."""
+
+    config: TrainConfig
+    world: World
+    policy: Any
+    protocol: EvaluationProtocol
+
+    @property
+    def observation(self):
+        return self.protocol.observation
+
+    def answers(self, state, goal_index):
+        """What the policy writes in states on the way to a goal."""
+        goals = torch.full_like(state, goal_index)
+        with torch.no_grad():
+            return self.policy(observe(self.world, self.observation, state, self.observation.begin(state), goals))
+
+
+def room_of(config):
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy = learning_policy(config, world, observation)
+    return Room(config, world, policy, build_protocol(config, world, observation))
+
+
+def small_room(folder, *options):
     """A small room with views, and an untrained network."""
     scene = grid_scene(4, 3, goals=(0, 13), blocked=[(1, 1)])
     file = folder / "room.h5"
     write_dump(file, scene, [encode(np.full((6, 8, 3), 5 * state, np.uint8)) for state in range(len(scene))])
-    limits = [f"evaluation.max_steps={LIMIT}", "network.width=64", "seed=1"]
-    return build_parts(train_config(f"scene={file}", *limits, *options))
+    limits = [f"evaluation.max_steps={LIMIT}", "encoder.width=64", "heads.width=64", "seed=1"]
+    return room_of(train_config(f"scene={file}", *limits, *options))
 
 
-def clone(parts, folder):
-    """Train the network by imitation, so that it arrives."""
-    run = Run(folder, parts.config)
-    run.begin(parts.world)
+def clone(room, folder):
+    """Train the policy by imitation, so that it arrives."""
+    run = Run(folder, room.config)
+    run.begin(room.world, room.observation.order)
     torch.manual_seed(0)
-    imitate(parts, run, parts.demos)
-    return parts
+    imitate(run, room.policy, build_demonstrations(room.config, room.world, room.observation))
+    run.close()
+    return room
 
 
-def pages_of(parts):
+def pages_of(room):
     return viewer_pages(
-        parts.network,
-        parts.world,
-        parts.sight,
-        matching=TemplateStop(parts.config.stop.threshold, parts.config.stop.match),
-        stop=parts.stop,
-        max_steps=parts.config.evaluation.max_steps,
+        room.policy,
+        room.world,
+        room.observation,
+        matching=matching(room.config),
+        stop=room.protocol.stop,
+        max_steps=room.protocol.max_steps,
         title="a test",
     )
 
@@ -64,27 +103,26 @@ def floats(text):
 
 
 def test_a_page_holds_the_networks_exact_answers_and_the_matching(tmp_path):
-    parts = room_parts(tmp_path)
-    (page,) = pages_of(parts).values()
+    room = small_room(tmp_path)
+    (page,) = pages_of(room).values()
     data = data_in(page)
-    states = torch.arange(len(parts.world))
-    views, scene = parts.sight.begin(states), torch.zeros_like(states)
-    scores = TemplateStop(0.9, "views").scores(parts.world)
+    states = torch.arange(len(room.world))
+    scores = TemplateStop(0.9, "views").scores(room.world)
     for index, (goal, state) in enumerate(zip(data["goals"], (0, 13), strict=True)):
-        goal_views = parts.sight.begin(torch.full_like(states, state))
-        logits, values = parts.network(views, goal_views, scene)
+        answered = room.answers(states, index)
+        logits, values = answered["logits"], answered["state_value"]
         assert goal["state"] == state
-        torch.testing.assert_close(floats(goal["logits"]).view(-1, 4), logits.detach(), atol=1e-5, rtol=0)
-        torch.testing.assert_close(floats(goal["values"]), values.detach().squeeze(-1), atol=1e-5, rtol=0)
-        assert torch.equal(floats(goal["scores"]), scores[index])
+        torch.testing.assert_close(floats(goal["logits"]).view(-1, 4), logits, atol=1e-5, rtol=0)
+        torch.testing.assert_close(floats(goal["values"]), values.squeeze(-1), atol=1e-5, rtol=0)
+        assert torch.equal(floats(goal["scores"]), room.world.block(scores, index))
         assert goal["stops"] == [state]
-        assert goal["distances"] == parts.world.distances[index].tolist()
+        assert goal["distances"] == room.world.block(room.world.distances, index).tolist()
 
 
 def test_a_page_holds_the_stored_views_and_the_room(tmp_path):
-    parts = room_parts(tmp_path)
-    (page,) = pages_of(parts).values()
-    data, (scene,) = data_in(page), parts.world.scenes
+    room = small_room(tmp_path)
+    (page,) = pages_of(room).values()
+    data, (scene,) = data_in(page), room.world.scenes
     assert base64.b64decode(data["views"][7]) == scene.views.encoded(7)
     assert data["graph"] == scene.graph.tolist()
     assert data["surrounding"] == scene.surrounding.tolist()
@@ -92,38 +130,40 @@ def test_a_page_holds_the_stored_views_and_the_room(tmp_path):
 
 
 def test_raw_views_are_encoded_and_a_room_without_views_has_none(dump):
-    options = ["network.width=32", "goals=[0]"]
-    (page,) = pages_of(build_parts(train_config(f"scene={dump}", *options))).values()
+    options = ["encoder.width=32", "goals=[0]"]
+    (page,) = pages_of(room_of(train_config(f"scene={dump}", *options))).values()
     assert base64.b64decode(data_in(page)["views"][0])[8:12] == b"WEBP"
     write_dump(dump, grid_scene())
-    (page,) = pages_of(build_parts(train_config(f"scene={dump}", *options))).values()
+    (page,) = pages_of(room_of(train_config(f"scene={dump}", *options))).values()
     assert data_in(page)["views"] is None
 
 
 def test_several_scenes_get_a_page_each_which_name_each_other():
-    parts = build_parts(train_config("scene=[bathroom_02,bedroom_04]", "network.width=16"))
-    pages = pages_of(parts)
+    room = room_of(train_config("scene=[bathroom_02,bedroom_04]", "encoder.width=16"))
+    pages = pages_of(room)
     assert list(pages) == ["viewer_bathroom_02.html", "viewer_bedroom_04.html"]
     second = data_in(pages["viewer_bedroom_04.html"])
     assert [scene["file"] for scene in second["scenes"]] == list(pages)
     assert [goal["state"] for goal in second["goals"]] == [134, 264, 320, 384, 387]
-    assert max(max(goal["distances"]) for goal in second["goals"]) == parts.world.distances[5:].max()
+    assert max(max(goal["distances"]) for goal in second["goals"]) == max(
+        room.world.block(room.world.distances, row).max() for row in range(5, 10)
+    )
     assert len(floats(second["goals"][0]["scores"])) == 408
 
 
 def test_a_scenes_name_can_neither_leave_its_script_nor_the_folder(tmp_path):
     name = "</script><img src=x>/../é"
-    parts = room_parts(tmp_path)
-    (scene,) = parts.world.scenes
-    parts = replace(parts, world=replace(parts.world, scenes=(replace(scene, name=name),)))  # no file may hold it
-    ((file, page),) = pages_of(parts).items()
+    room = small_room(tmp_path)
+    (scene,) = room.world.scenes
+    room = replace(room, world=replace(room.world, scenes=(replace(scene, name=name),)))  # no file may hold it
+    ((file, page),) = pages_of(room).items()
     assert "/" not in file
     assert "<img" not in page
     assert data_in(page)["scene"] == name
 
 
 def test_a_page_asks_nothing_of_any_other_host(tmp_path):
-    (page,) = pages_of(room_parts(tmp_path)).values()
+    (page,) = pages_of(small_room(tmp_path)).values()
     assert "default-src 'none'" in page
     assert set(re.findall(r"https?://[^\s\"']+", page)) == {"http://www.w3.org/2000/svg"}
     assert not re.search(r"\{\{\w+\}\}", page)
@@ -131,15 +171,16 @@ def test_a_page_asks_nothing_of_any_other_host(tmp_path):
 
 def test_policies_of_sequential_views_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"observation=sequential.*leave out viewer=true"):
-        pages_of(room_parts(tmp_path, "observation=sequential"))
+        pages_of(small_room(tmp_path, "observation=sequential"))
 
 
 def test_evaluate_writes_the_viewer_into_the_runs_folder_and_says_when_it_replaces_one(tmp_path):
-    parts = room_parts(tmp_path)
+    room = small_room(tmp_path)
     (tmp_path / "run").mkdir()
-    run = Run(tmp_path / "run", parts.config)
-    run.begin(parts.world)
-    run.finish({"frames": 0, "network": parts.network.state_dict()}, {})
+    run = Run(tmp_path / "run", room.config)
+    run.begin(room.world, room.observation.order)
+    run.finish({"frames": 0, "network": plain_weights(room.policy)}, {})
+    run.close()
     command = ["checkpoint=run/network.pt", "viewer=true", "max_steps=9"]
     status, printed, errors = run_recipe(tmp_path, "evaluate", *command)
     assert status == 0, errors
@@ -169,8 +210,8 @@ def open_page(browser, tmp_path):
     """Open a room's page from its file; whatever goes wrong in it, or asks for a thing outside, fails the test."""
     wrong = []
 
-    def opened(parts):
-        ((name, text),) = pages_of(parts).items()
+    def opened(room):
+        ((name, text),) = pages_of(room).items()
         (tmp_path / name).write_text(text, encoding="utf-8")
         address = (tmp_path / name).as_uri()
         tab = browser.new_page()
@@ -198,19 +239,19 @@ def choose(tab, goal_index, start):
 @pytest.mark.parametrize(
     ("options", "trained", "ends"),
     [
-        (["imitation.share=1"], True, {"Stopped"}),
+        (["imitation.fraction=1"], True, {"Stopped"}),
         (["stop.threshold=0.02"], False, {"Stopped", "False", "Failed:"}),
         (["stop.evaluation=goal"], False, {"Stopped", "Failed:"}),
     ],
     ids=["trained", "false stops", "stopped by the environment"],
 )
 def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page, options, trained, ends):
-    parts = room_parts(tmp_path, *options)
+    room = small_room(tmp_path, *options)
     if trained:
-        clone(parts, tmp_path)
-    goal_index, start = every_start(parts.world)
-    episodes, paths = run_trajectories(parts, (goal_index, start))
-    tab = open_page(parts)
+        clone(room, tmp_path)
+    goal_index, start = every_start(room.world)
+    episodes, paths = room.protocol.trajectories(room.policy, (goal_index, start))
+    tab = open_page(room)
     found = tab.evaluate(
         """cases => cases.map(([goal, start]) => {
             for (const [id, value] of [["goal", goal], ["start", start]]) {
@@ -232,9 +273,9 @@ def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page,
 
 
 def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
-    parts = clone(room_parts(tmp_path, "imitation.share=1"), tmp_path)
-    episodes, ((*path,),) = run_trajectories(parts, (torch.tensor([1]), torch.tensor([8])))
-    tab = open_page(parts)
+    room = clone(small_room(tmp_path, "imitation.fraction=1"), tmp_path)
+    episodes, ((*path,),) = room.protocol.trajectories(room.policy, (torch.tensor([1]), torch.tensor([8])))
+    tab = open_page(room)
     choose(tab, 1, 8)
     assert tab.locator("#actions .chosen").count() == 1
     seen = [shown(tab)]
@@ -258,9 +299,9 @@ def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
 
 @pytest.mark.parametrize("keys", [["ArrowUp", "ArrowRight", "ArrowLeft", "ArrowDown"], list("wdas")])
 def test_keys_walk_the_room_and_the_views_follow(tmp_path, open_page, keys):
-    parts = room_parts(tmp_path)
-    scene, data = parts.world.scenes[0], data_in(*pages_of(parts).values())
-    tab = open_page(parts)
+    room = small_room(tmp_path)
+    scene, data = room.world.scenes[0], data_in(*pages_of(room).values())
+    tab = open_page(room)
     choose(tab, 0, 20)
     state = 20
     for step, action in enumerate([1, 3, 0, 0, 2, 2, 0, 1, 3, 3, 3, 0], start=1):
@@ -276,11 +317,11 @@ def test_keys_walk_the_room_and_the_views_follow(tmp_path, open_page, keys):
 
 
 def test_the_bars_show_the_policys_probabilities(tmp_path, open_page):
-    parts = room_parts(tmp_path)
-    tab = open_page(parts)
+    room = small_room(tmp_path)
+    tab = open_page(room)
     choose(tab, 1, 8)
-    views, goal_views = (parts.sight.begin(torch.tensor([state])) for state in (8, 13))
-    logits, value = parts.network(views, goal_views, torch.tensor([0]))
+    answered = room.answers(torch.tensor([8]), 1)
+    logits, value = answered["logits"], answered["state_value"]
     bars = tab.locator("#actions .number").all_inner_texts()
     assert [float(text.rstrip("%")) for text in bars] == pytest.approx((100 * logits.softmax(-1))[0].tolist(), abs=0.06)
     assert float(tab.inner_text("#value").split()[-1]) == pytest.approx(value.item(), abs=0.001)

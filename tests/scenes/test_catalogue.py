@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from rooms import grid_scene, published_dump
 
-from dirl.scenes import PUBLISHED_GOALS, SceneError, load_scenes, make_world, write_dump
+from dirl.scenes import PUBLISHED_GOALS, SceneError, catalogue, load_scenes, make_world, write_dump
 from dirl.scenes.catalogue import ROOMS
+from dirl.scenes.io import read
 
 STATES = {"bathroom_02": 180, "bedroom_04": 408, "kitchen_02": 676, "living_room_08": 468}
 
@@ -116,6 +117,28 @@ def test_a_file_is_named_by_its_path(tmp_path, scene, suffix):
 def test_a_file_among_thor_scenes_is_a_thor_scene(folder):
     paths = ["bathroom_02", str(folder / "bathroom_01.h5")]
     assert [scene.source for scene in load_scenes(paths, source="thor", root=folder)] == ["thor", "thor"]
+
+
+def test_a_damaged_built_in_room_is_refused(tmp_path, monkeypatch):
+    for file in ("SHA256SUMS", "bathroom_02.h5"):
+        (tmp_path / file).write_bytes((ROOMS / file).read_bytes())
+    for module in (catalogue, read):
+        monkeypatch.setattr(module, "ROOMS", tmp_path)
+    assert len(load_scenes("bathroom_02")[0]) == 180
+    content = bytearray((tmp_path / "bathroom_02.h5").read_bytes())
+    content[-1] ^= 1
+    (tmp_path / "bathroom_02.h5").write_bytes(content)
+    with pytest.raises(
+        SceneError, match=r"bathroom_02\.h5: is not the built-in room that was installed \(SHA-256 diff"
+    ):
+        load_scenes("bathroom_02")
+
+
+def test_the_views_of_a_built_in_room_are_found_where_libhdf5_finds_them(rooms):
+    for room in rooms:
+        with h5py.File(room.views.path) as file:
+            stored = file["observation_webp"][:]
+        assert all(room.views.encoded(state) == stored[state].tobytes() for state in range(len(room)))
 
 
 @pytest.mark.parametrize(

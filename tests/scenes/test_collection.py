@@ -7,7 +7,8 @@ import pytest
 from rooms import grid_scene
 
 from dirl.scenes import SceneError, write_dump
-from dirl.scenes.collection import INDEX, Entry, add_entry, file_hash, is_whole, read_collection
+from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
+from dirl.scenes.io.digest import file_digest
 
 
 def add(folder, kind, seed, split, **options):
@@ -16,7 +17,7 @@ def add(folder, kind, seed, split, **options):
     scene = grid_scene(name=name, **options)
     write_dump(folder / f"{name}.h5", scene)
     entry = Entry(
-        name, kind, seed, split, len(scene), {"problems": []}, {"width": 64}, file_hash(folder / f"{name}.h5")
+        name, kind, seed, split, len(scene), {"problems": []}, {"width": 64}, file_digest(folder / f"{name}.h5")
     )
     add_entry(folder, entry)
     return entry

@@ -68,16 +68,17 @@ def test_ncc_with_a_constant_vector_is_zero(value):
 def test_scores_are_the_coefficients_of_every_goal_with_every_state(match):
     world = world_of()
     scores = TemplateStop(match=match).scores(world)
-    assert scores.shape == (2, 16)
+    assert scores.shape == (2 * 8,)
     for index, goal in enumerate(world.goals.tolist()):
-        for state in range(16):
+        for state in range(8 * index, 8 * index + 8):
             # Of a state in a grid the views are its own and those of the next headings of its place.
             place, heading = divmod(state, 4)
             goal_place, goal_heading = divmod(goal, 4)
             turns = range(4) if match == "views" else range(1)
             here = torch.cat([world.features[4 * place + (heading + turn) % 4] for turn in turns])
             there = torch.cat([world.features[4 * goal_place + (goal_heading + turn) % 4] for turn in turns])
-            assert scores[index, state].item() == pytest.approx(np.corrcoef(here, there)[0, 1], abs=1e-5)
+            score = scores[world.pair(torch.tensor(index), torch.tensor(state))]
+            assert score.item() == pytest.approx(np.corrcoef(here, there)[0, 1], abs=1e-5)
 
 
 @pytest.mark.parametrize("match", ["views", "front"])
@@ -87,8 +88,17 @@ def test_every_goal_is_a_place_to_stop(match, seed):
     world = make_world(rooms)
     stop = TemplateStop(match=match)(world)
     assert stop.dtype == torch.bool
-    assert stop.shape == (4, 72)
-    assert stop[torch.arange(4), world.goals].all()
+    assert stop.shape == (4 * 36,)
+    assert stop[world.pair(torch.arange(4), world.goals)].all()
+
+
+def stops_of(world, stop):
+    """Goal index and state of every pair in which an agent stops."""
+    return [
+        list(pair)
+        for pair, stops in zip(zip(*map(torch.Tensor.tolist, world.pairs()), strict=True), stop, strict=True)
+        if stops
+    ]
 
 
 def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():
@@ -97,22 +107,22 @@ def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():
     world = make_world(rooms)
     world.features[:] = torch.rand(16)
     stop = TemplateStop()(world)
-    assert stop.nonzero().tolist() == [[0, state] for state in range(4)] + [[1, 8 + state] for state in range(4)]
+    assert stops_of(world, stop) == [[0, state] for state in range(4)] + [[1, 8 + state] for state in range(4)]
 
 
 def test_the_front_view_confuses_places_that_four_views_tell_apart():
     features = torch.rand(16, 16, generator=torch.Generator().manual_seed(0))
     features[5] = features[1]
     world = world_of(features)
-    assert TemplateStop(match="front")(world)[0].nonzero().flatten().tolist() == [1, 5]
-    assert TemplateStop(match="views")(world)[0].nonzero().flatten().tolist() == [1]
+    assert world.block(TemplateStop(match="front")(world), 0).nonzero().flatten().tolist() == [1, 5]
+    assert world.block(TemplateStop(match="views")(world), 0).nonzero().flatten().tolist() == [1]
 
 
 def test_a_state_stops_only_above_the_threshold():
     world = world_of()
-    scores = TemplateStop().scores(world)[0, :8]
+    scores = world.block(TemplateStop().scores(world), 0)
     threshold = scores.sort().values[-3].item()
-    stop = TemplateStop(threshold)(world)[0, :8]
+    stop = world.block(TemplateStop(threshold)(world), 0)
     assert stop.sum() == 2
     assert torch.equal(stop, scores > threshold)
 
@@ -128,8 +138,8 @@ def test_an_unknown_way_to_match_is_refused():
 
 def test_stop_errors_are_shares_of_states_and_of_goals():
     world = world_of()
-    stop = torch.zeros(2, 16, dtype=torch.bool)
-    stop[0, [1, 2, 5]] = True
+    stop = torch.zeros(16, dtype=torch.bool)
+    world.block(stop, 0)[[1, 2, 5]] = True
     # Of twice seven states that are not the goal two stop; of two goals one does not.
     assert stop_errors(stop, world) == {"false": pytest.approx(2 / 14), "missed": 0.5}
     assert stop_errors(world.distances == 0, world) == {"false": 0, "missed": 0}

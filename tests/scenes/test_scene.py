@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
-from rooms import grid_scene
+from rooms import grid_scene, read_here
 
 from dirl.scenes import Scene, SceneError, Views
 from dirl.scenes.views import decode, encode
@@ -94,7 +94,7 @@ def test_len_is_the_number_of_states(scene):
         ({"features": np.ones(24)}, r"resnet_feature: expected shape \(24, 'any'\), found \(24,\)"),
         ({"features": np.ones((23, 2))}, r"resnet_feature: expected shape \(24, 'any'\), found \(23, 2\)"),
         (spoiled("features", 11, np.nan), "resnet_feature: state 11 holds a value that is not finite"),
-        ({"views": Views("file.h5", "observation", 23)}, "23 views for 24 states"),
+        ({"views": Views("file.h5", "observation", np.zeros((23, 2), int))}, "23 views for 24 states"),
         ({"goals": (0, 24)}, r"goal 24 is not a state; states are 0\.\.23"),
         ({"goals": (-1,)}, "goal -1 is not a state"),
     ],
@@ -124,7 +124,7 @@ def test_a_goal_no_state_leads_to_is_refused(scene):
 
 
 def test_raw_views_come_as_they_are_stored(dump):
-    views = Views(dump, "observation", 24)
+    views = read_here(dump).views
     assert len(views) == 24
     assert views[23].dtype == np.uint8
     assert views[23].tolist() == np.full((3, 4, 3), 23).tolist()
@@ -134,7 +134,7 @@ def test_raw_views_come_as_they_are_stored(dump):
 @pytest.mark.parametrize("state", [-1, 24])
 def test_a_state_without_a_view_is_an_index_error(dump, state):
     with pytest.raises(IndexError, match=rf"room\.h5: state {state} has no view; states are 0\.\.23"):
-        Views(dump, "observation", 24)[state]
+        read_here(dump).views[state]
 
 
 def test_an_encoded_view_decodes_to_about_itself():
@@ -155,3 +155,14 @@ def test_a_grey_picture_is_seen_as_rgb():
 def test_lower_quality_takes_fewer_bytes():
     view = np.random.default_rng(0).integers(0, 256, (30, 40, 3), np.uint8)
     assert len(encode(view, quality=10)) < len(encode(view, quality=90))
+
+
+def test_a_goal_is_entered_from_elsewhere_or_cannot_be_reached():
+    """The rule without a search agrees with the search, for random links of 24 states."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        graph = grid_scene(3, 2).graph.copy()
+        graph[:, [0, 3]] = rng.integers(-1, 24, (24, 2))
+        graph = np.concatenate([graph, np.full((4, 4), -1)])  # four states that nothing leads to
+        made = Scene("any", graph, np.zeros((28, 2)), np.zeros(28))
+        assert (made._entered == (made.distances > 0).any(0)).all()

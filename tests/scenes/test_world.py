@@ -1,5 +1,6 @@
 """Worlds: scenes joined into one state space, and the goals in it."""
 
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,8 @@ from rooms import grid_scene
 
 from dirl.scenes import SceneError, make_world
 
-TENSORS = ("graph", "surrounding", "features", "scene_of", "goals", "distances")
+TENSORS = {name: torch.int64 for name in ("graph", "surrounding", "scene_of", "goals", "row")}
+TENSORS |= {"features": torch.float32, "distances": torch.int16}
 
 
 def hall(**changes):
@@ -60,20 +62,77 @@ def test_features_stored_as_float16_become_float32(scene):
     assert (world.features.numpy() == halves.features).all()
 
 
-def test_numbers_of_states_and_steps_are_int64(world):
-    for name in TENSORS:
-        assert getattr(world, name).dtype == (torch.float32 if name == "features" else torch.int64), name
+def test_numbers_of_states_are_int64_and_stored_steps_int16(world):
+    for name, kind in TENSORS.items():
+        assert getattr(world, name).dtype == kind, name
+    assert world.distance(torch.tensor(0), torch.tensor(0)).dtype == torch.int64
 
 
-def test_distances_have_a_row_per_goal_and_end_at_the_scene(world, scenes):
+GOALS = [(0, 0), (1, 5), (1, 31), (2, 7)]
+"""Scene and state in it of each goal of the world."""
+
+
+def test_distances_have_a_block_per_goal_of_the_states_of_its_scene(world, scenes):
     assert world.goals.tolist() == [0, 24 + 5, 24 + 31, 56 + 7]
-    expected = np.full((4, 80), -1)
-    expected[0, :24] = scenes[0].distances[:, 0]
-    expected[1, 24:56] = scenes[1].distances[:, 5]
-    expected[2, 24:56] = scenes[1].distances[:, 31]
-    expected[3, 56:] = scenes[2].distances[:, 7]
-    assert world.distances.tolist() == expected.tolist()
-    assert (world.distances[1, 24:56] == -1).any()  # the part behind the wall
+    expected = [scenes[scene].distances[:, goal].tolist() for scene, goal in GOALS]
+    assert [world.block(world.distances, index).tolist() for index in range(4)] == expected
+    assert world.distances.tolist() == sum(expected, [])
+    assert -1 in expected[1]  # the part behind the wall
+
+
+def breadth_first(graph, goal):
+    """Fewest actions from each state of a scene to a goal, -1 where there is no way; a search of its own."""
+    distances, queue = {goal: 0}, deque([goal])
+    while queue:
+        state = queue.popleft()
+        for before in np.flatnonzero((graph == state).any(1)).tolist():
+            if before not in distances:
+                distances[before] = distances[state] + 1
+                queue.append(before)
+    return [distances.get(state, -1) for state in range(len(graph))]
+
+
+def test_the_distance_of_each_pair_is_that_of_a_search_in_its_scene(world, scenes):
+    for index, (scene, goal) in enumerate(GOALS):
+        expected = breadth_first(scenes[scene].graph, goal)
+        states = torch.arange(len(scenes[scene])) + world.offsets[scene]
+        goal_index = torch.full_like(states, index)
+        assert world.distance(goal_index, states).tolist() == expected
+        assert world.distance(torch.tensor(index), states[:6].view(2, 3)).tolist() == [expected[:3], expected[3:6]]
+        assert world.distances[world.pair(goal_index, states)].tolist() == expected
+        assert world.block(world.distances, index).tolist() == expected
+
+
+def test_pairs_are_listed_in_the_order_of_their_tables(world):
+    goal_index, state = world.pairs()
+    assert len(goal_index) == len(state) == len(world.distances) == 24 + 2 * 32 + 24
+    assert torch.equal(world.pair(goal_index, state), torch.arange(len(state)))
+    assert torch.equal(world.scene_of[state], world.scene_of[world.goals[goal_index]])
+    assert torch.stack([goal_index, state]).unique(dim=1).shape[1] == len(state)
+
+
+def test_a_block_of_a_wider_table_is_of_its_goal(world):
+    goal_index, state = world.pairs()
+    table = torch.stack([goal_index, state], -1)
+    for index, (scene, _) in enumerate(GOALS):
+        block = world.block(table, index)
+        assert block[:, 0].unique().tolist() == [index]
+        assert block[:, 1].tolist() == (torch.arange(len(world.scenes[scene])) + world.offsets[scene]).tolist()
+
+
+def test_goals_know_their_scene_and_states_their_goal(world):
+    assert [world.goals_in(scene) for scene in range(3)] == [[0], [1, 2], [3]]
+    index = world.goal_index
+    assert index[world.goals].tolist() == [0, 1, 2, 3]
+    assert (index >= 0).sum() == 4
+
+
+def test_memory_grows_by_the_same_with_every_scene():
+    def entries(scenes):
+        world = make_world([grid_scene(name=f"s{number}", goals=(0, 5)) for number in range(scenes)])
+        return sum(getattr(world, name).numel() for name in TENSORS)
+
+    assert [entries(scenes) for scenes in (2, 4, 32)] == [count * entries(1) for count in (2, 4, 32)]
 
 
 def test_local_is_the_way_back_to_scenes(world, scenes):
@@ -104,7 +163,7 @@ def test_the_source_names_each_kind_once(scene):
 def test_goals_of_one_scene_replace_its_own(scene, goals):
     world = make_world([scene], goals)
     assert world.goals.tolist() == [3, 0]
-    assert world.distances.tolist() == [scene.distances[:, 3].tolist(), scene.distances[:, 0].tolist()]
+    assert world.distances.tolist() == [*scene.distances[:, 3].tolist(), *scene.distances[:, 0].tolist()]
 
 
 def test_goals_by_name_leave_the_other_scenes_theirs(scenes):

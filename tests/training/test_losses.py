@@ -2,55 +2,68 @@
 
 import pytest
 import torch
-from commands import room_file, train_config
-from train import imitate, reinforce
+from commands import room_file
+from parts import make_parts, train_in, train_state
 
+from dirl.config.schemas import Schedule
 from dirl.evaluation import metrics
-from dirl.models import actor_critic
-from dirl.runs.folder import Run
-from dirl.training.build import build_env, learning_parts, run_policy
-from dirl.training.losses import make_gradients, summarise
-from dirl.training.rollout import collect
+from dirl.models import recurrent_keys
+from dirl.training.losses import Advantages, as_first_steps, clip_gradients, minibatches, set_learning_rate, total_loss
+from dirl.training.rollout import collect, summarise
+
+SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=30", "reinforcement.max_steps=9"]
+GRU = ["memory=gru", "memory.hidden_size=8"]
 
 
 def learn(tmp_path, *options):
     """Train in a room of 6 places (24 states), and evaluate greedily from every start, before and after."""
-    fixed = [f"scene={room_file(tmp_path)}", "network.width=64", "evaluation.times=0", "checkpoint.every_seconds=1e9"]
-    config = train_config(*fixed, *options)
-    torch.manual_seed(config.seed)
-    parts = learning_parts(config)
-    before = metrics(run_policy(parts))
-    run = Run(tmp_path, config)
-    run.begin(parts.world)
-    if len(parts.demos):
-        imitate(parts, run, parts.demos)
-    reinforce(parts, run)
-    return before, metrics(run_policy(parts))
+    sizes = ["encoder.width=64", "heads.width=64", "evaluation.times=0", "checkpoint.every_seconds=1e9"]
+    parts = make_parts(f"scene={room_file(tmp_path)}", *sizes, *options)
+    before = metrics(parts.protocol.run(parts.policy))
+    train_in(tmp_path, parts)
+    return before, metrics(parts.protocol.run(parts.policy))
 
 
 def test_imitation_alone_learns_what_the_expert_shows(tmp_path):
-    before, after = learn(tmp_path, "system=il", "imitation.share=1", "imitation.lr=3e-3")
+    before, after = learn(tmp_path, "system=il", "imitation.fraction=1", "imitation.lr=3e-3")
     assert before["sr"] < 0.5
     assert after["sr"] == 1
     assert after["spl"] == 1
 
 
-@pytest.mark.parametrize("objective", ["a2c", "ppo"])
-def test_reinforcement_alone_finds_every_goal(tmp_path, objective):
-    options = ["imitation.share=0", "optimiser.lr=2e-3", f"objective={objective}"]
+@pytest.mark.parametrize(
+    ("how", "spl"), [(["objective=a2c"], 0.85), (["objective=ppo"], 0.85), (GRU, 0.75)], ids=["a2c", "ppo", "gru"]
+)
+def test_reinforcement_alone_finds_every_goal(tmp_path, how, spl):
+    options = ["imitation.fraction=0", "optimiser.lr=2e-3", *how]
     sizes = ["reinforcement.frames_per_scene=30_000", "reinforcement.agents_per_scene=30"]
     before, after = learn(tmp_path, *options, *sizes)
     assert before["sr"] < 0.5
     assert after["sr"] == 1
-    assert after["spl"] > 0.85
+    assert after["spl"] > spl
 
 
-def test_an_update_tells_the_episodes_that_ended_in_it_in_their_order(tmp_path):
-    sizes = ["reinforcement.agents_per_scene=30", "reinforcement.max_steps=9", "network.width=8"]
-    parts = learning_parts(train_config(f"scene={room_file(tmp_path)}", *sizes))
-    env = build_env(parts)
-    batch, _ = collect(env, actor_critic(parts.network), env.reset(), 20)
-    (losses,) = make_gradients(parts, parts.network)(batch, 1.0)
+@pytest.fixture
+def room(tmp_path):
+    return f"scene={room_file(tmp_path)}"
+
+
+def rollout(parts, steps=20):
+    """Steps with advantages, ``[B, T]``, and the environment they were walked in."""
+    state = train_state(parts)
+    batch, _ = collect(state.env, parts.policy.operator(), state.agents, steps)
+    return Advantages(parts.policy, 0.9, 0.9)(batch), state.env
+
+
+def rows(parts):
+    """Steps with advantages as the losses read them."""
+    return next(minibatches(rollout(parts)[0], 1, 1, by_agent=bool(recurrent_keys(parts.policy))))
+
+
+def test_an_update_tells_the_episodes_that_ended_in_it_in_their_order(room):
+    parts = make_parts(room, *SMALL)
+    batch, env = rollout(parts)
+    losses = parts.losses(batch.reshape(-1), 1.0)
     update = summarise(env, batch, losses)
     goals, steps = [], []
     for step in range(20):
@@ -62,3 +75,89 @@ def test_an_update_tells_the_episodes_that_ended_in_it_in_their_order(tmp_path):
     assert len(set(goals)) > 1
     assert (update.goal_index, update.steps) == (goals, steps)
     assert update.values["loss_objective"] == losses["loss_objective"].item()
+
+
+@pytest.mark.parametrize("memory", [[], GRU], ids=["no memory", "gru"])
+@pytest.mark.parametrize("left", [1.0, 0.25])
+def test_the_losses_are_those_of_each_module_on_its_own_rows_weighted(room, memory, left):
+    parts = make_parts(room, *SMALL, *memory, "imitation.bc_coef={start:0.8,end:0.4}", "imitation.fraction=0.5")
+    batch = rows(parts)
+    found = parts.losses(batch.copy(), left)
+    trunk = parts.losses.trunk
+    shown = trunk(as_first_steps(parts.policy, parts.demos).copy())
+    imitation = parts.losses.losses["imitation"].module(shown)
+    torch.testing.assert_close(found["loss_imitation"], (0.4 + 0.4 * left) * imitation["loss_imitation"])
+    assert found["accuracy"] == imitation["accuracy"]
+    if not memory:
+        a2c = parts.losses.losses["a2c"].module(trunk(batch.copy()))
+        torch.testing.assert_close(found["loss_objective"], a2c["loss_objective"])
+    names = ("loss_imitation", "loss_objective", "loss_entropy", "loss_critic")
+    torch.testing.assert_close(total_loss(found), sum(found[name] for name in names))
+
+
+def test_schedules_reach_the_losses_coefficients(room):
+    parts = make_parts(room, *SMALL, "reinforcement.entropy_coef={start:0.5,end:0.1}")
+    batch = rows(parts)
+    first, middle, last = (parts.losses(batch.copy(), left)["loss_entropy"].item() for left in (1.0, 0.5, 0.0))
+    assert middle == pytest.approx(0.6 * first)
+    assert last == pytest.approx(0.2 * first)
+    assert Schedule(0.5, 0.1)(0.5) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("options", "names"),
+    [
+        ([], ["a2c", "imitation"]),
+        (["imitation.bc_coef=0"], ["a2c"]),
+        (["imitation.fraction=0"], ["a2c"]),
+        (["objective=none"], ["imitation"]),
+        (["objective=ppo", "preset=paper"], ["ppo"]),
+    ],
+    ids=str,
+)
+def test_losses_without_weight_or_demonstrations_are_left_out(room, options, names):
+    parts = make_parts(room, *SMALL, *(option.replace("coef=0", "coef={start:0,end:0}") for option in options))
+    assert list(parts.losses.losses) == names
+    assert parts.losses.on_rollouts == (names != ["imitation"])
+
+
+def test_what_the_loss_sees_of_a_memory_is_what_the_rollout_saw(room):
+    parts = make_parts(room, *SMALL, *GRU)
+    batch, _ = rollout(parts)
+    assert batch["next", "done"][:, :-1].any()
+    hidden, _ = parts.losses._with_hidden(batch, None)
+    logits = parts.policy.heads.policy(hidden["hidden"], hidden["scene"])
+    chosen = logits.log_softmax(-1).gather(-1, hidden["action"].unsqueeze(-1)).squeeze(-1)
+    torch.testing.assert_close(chosen, batch["action_log_prob"].flatten())
+
+
+def test_minibatches_take_every_row_once_a_pass(room):
+    parts = make_parts(room, *SMALL)
+    batch, _ = rollout(parts)
+    batch["number"] = torch.arange(600).view(30, 20)
+    whole = list(minibatches(batch, epochs=2, count=1))
+    assert [part["number"].tolist() for part in whole] == [list(range(600))] * 2
+    parts_of = list(minibatches(batch, epochs=2, count=4))
+    assert [len(part) for part in parts_of] == [150] * 8
+    for first in (0, 4):
+        numbers = torch.cat([part["number"] for part in parts_of[first : first + 4]])
+        assert sorted(numbers.tolist()) == list(range(600)) != numbers.tolist()
+    agents = list(minibatches(batch, epochs=1, count=3, by_agent=True))
+    assert [part.batch_size for part in agents] == [(10, 20)] * 3
+    assert all((part["number"].diff() == 1).all() for part in agents)
+
+
+@pytest.mark.parametrize(("per_variable", "expected"), [(False, [[0.6, 0.0], [0.0, 0.8]]), (True, [[1, 0], [0, 1]])])
+def test_gradients_are_clipped_together_or_each(per_variable, expected):
+    parameters = [torch.nn.Parameter(torch.zeros(2)) for _ in range(2)]
+    parameters[0].grad, parameters[1].grad = torch.tensor([3.0, 0.0]), torch.tensor([0.0, 4.0])
+    clip_gradients(parameters, 1.0, per_variable=per_variable)
+    for parameter, gradient in zip(parameters, expected, strict=True):
+        assert parameter.grad.tolist() == pytest.approx(gradient, abs=1e-4)
+
+
+def test_every_group_gets_the_learning_rate():
+    groups = [{"params": [torch.nn.Parameter(torch.zeros(1))], "lr": rate} for rate in (1.0, 2.0)]
+    optimiser = torch.optim.Adam(groups)
+    set_learning_rate(optimiser, 0.5)
+    assert [group["lr"] for group in optimiser.param_groups] == [0.5, 0.5]

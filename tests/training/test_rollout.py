@@ -1,5 +1,6 @@
 import pytest
 import torch
+from networks import make_policy
 from rooms import grid_scene
 from tensordict.nn import TensorDictModule
 from torch.distributions import Categorical
@@ -7,8 +8,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torchrl.envs import Compose, StepCounter, TransformedEnv
 from torchrl.modules import ProbabilisticActor
 
-from dirl.envs import OBSERVATIONS, NavigationEnv
-from dirl.models import actor_critic, heads, make_network, siamese
+from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
+from dirl.models import heads
+from dirl.models.fast import caching
 from dirl.scenes import make_world
 from dirl.training.rollout import INTERMEDIATE, collect
 
@@ -20,14 +22,14 @@ def world():
     return make_world([grid_scene(3, 2, name="a", goals=(0, 13)), grid_scene(2, 2, name="b", goals=(9,))])
 
 
-def make_env(world, views="surrounding", agents=AGENTS):
-    transforms = Compose(StepCounter(7), OBSERVATIONS[views](world))
+def make_env(world, views=SurroundingViews, agents=AGENTS):
+    transforms = Compose(StepCounter(7), views(world))
     return TransformedEnv(NavigationEnv(world, agents, seed=3), transforms)
 
 
 @pytest.fixture
 def policy(world):
-    return actor_critic(make_network(world.features, world.names, width=8))
+    return make_policy(world.features, world.names, width=8).operator()
 
 
 def always(*probabilities):
@@ -49,21 +51,23 @@ def test_every_agent_takes_the_steps(world, policy):
 def test_a_step_holds_what_the_losses_need_and_no_intermediate_result(world, policy):
     env = make_env(world)
     batch, _ = collect(env, policy, env.reset(), 3)
-    assert {"views", "goal_views", "scene", "action", "action_log_prob", "state_value"} <= set(batch.keys())
-    assert {"views", "goal_views", "scene", "reward", "done", "terminated", "truncated"} <= set(batch["next"].keys())
+    assert {"view_ids", "goal_view_ids", "scene", "action", "action_log_prob", "state_value"} <= set(batch.keys())
+    assert {"view_ids", "goal_view_ids", "scene", "reward", "done", "terminated", "truncated"} <= set(
+        batch["next"].keys()
+    )
     for part in (batch, batch["next"]):
         assert not set(INTERMEDIATE) & set(part.keys())
     assert not batch["action_log_prob"].requires_grad
     assert not batch["state_value"].requires_grad
 
 
-@pytest.mark.parametrize("views", OBSERVATIONS)
+@pytest.mark.parametrize("views", [SurroundingViews, SequentialViews])
 def test_agents_walk_on_unless_done(world, policy, views):
     env = make_env(world, views)
     batch, agents = collect(env, policy, env.reset(), STEPS)
     going = ~batch["next", "done"].squeeze(-1)
     assert not going.all()
-    for key in ("state", "goal", "scene", "views", "goal_views", "step_count"):
+    for key in ("state", "goal", "scene", "view_ids", "goal_view_ids", "step_count"):
         following = torch.cat([batch[key][:, 1:], agents[key].unsqueeze(1)], 1)
         assert torch.equal(following[going], batch["next", key][going]), key
 
@@ -82,7 +86,7 @@ def test_agents_that_are_done_start_anew(world, policy):
     assert not agents["done"].any()
 
 
-@pytest.mark.parametrize("views", OBSERVATIONS)
+@pytest.mark.parametrize("views", [SurroundingViews, SequentialViews])
 def test_two_short_calls_are_one_long_call(world, policy, views):
     def in_calls_of(*lengths):
         env = make_env(world, views)
@@ -122,35 +126,39 @@ class Questions(TorchDispatchMode):
         return function(*args, **(kwargs or {}))
 
 
-def test_a_gpu_is_asked_nothing(world, monkeypatch):
-    """It would have to finish its work before it answers; what an agent does is decided without."""
-    for module in (heads, siamese):
-        monkeypatch.setattr(module, "answers_late", lambda tensor: True)
-    env = make_env(world)
-    network = make_network(world.features, world.names, width=8)
-    network.encoder.use_principal_axes(world.surrounding)
-    policy = actor_critic(network)
-    with network.encoder.remembering():
-        _, agents = collect(env, policy, env.reset(), 1)  # sets up what is set up once
+def cached_policy(world):
+    policy = make_policy(world.features, world.names, width=8)
+    policy.cache(world.surrounding, principal=True)
+    return policy
+
+
+def test_a_rollout_makes_no_host_device_synchronisation(world, monkeypatch):
+    """A GPU would have to finish its work before it answers; what an agent does is decided without."""
+    for module in (heads, caching):
+        monkeypatch.setattr(module, "avoid_host_sync", lambda tensor: True)
+    env, policy = make_env(world), cached_policy(world)
+    operator = policy.operator()
+    with policy.cached.caching():
+        _, agents = collect(env, operator, env.reset(), 1)  # sets up what is set up once
         monkeypatch.setattr(torch.Tensor, "tolist", None, raising=False)  # of which the dispatcher does not hear
         with Questions() as questions:
-            collect(env, policy, agents, STEPS)
+            collect(env, operator, agents, STEPS)
     assert questions.asked == []
 
 
 def test_what_a_gpu_computes_is_the_same(world, monkeypatch):
-    network = make_network(world.features, world.names, width=8)
-    network.encoder.use_principal_axes(world.surrounding)
-    batch, _ = collect(make_env(world), actor_critic(network), make_env(world).reset(), STEPS)
-    rows = [batch.reshape(-1)[key] for key in ("views", "goal_views", "scene")]
+    policy = cached_policy(world)
+    batch, _ = collect(make_env(world), policy.operator(), make_env(world).reset(), STEPS)
+    rows = batch.reshape(-1).select("view_ids", "goal_view_ids", "scene")
 
     def outputs_and_gradients():
-        network.zero_grad()
-        logits, value = network(*rows)
-        (logits.square().sum() + value.sum()).backward()
-        return [logits.detach(), value.detach(), *(weight.grad.clone() for weight in network.parameters())]
+        policy.zero_grad()
+        found = policy(rows.copy())
+        (found["logits"].square().sum() + found["state_value"].sum()).backward()
+        outputs = [found["logits"].detach(), found["state_value"].detach()]
+        return [*outputs, *(weight.grad.clone() for weight in policy.parameters())]
 
     here = outputs_and_gradients()
-    for module in (heads, siamese):
-        monkeypatch.setattr(module, "answers_late", lambda tensor: True)
+    for module in (heads, caching):
+        monkeypatch.setattr(module, "avoid_host_sync", lambda tensor: True)
     torch.testing.assert_close(outputs_and_gradients(), here)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from dirl.scenes.io.read import extractor_text
+from dirl.scenes.io.hdf5 import extractor_text
 
 
 class EncoderError(ValueError):

@@ -220,7 +220,8 @@ def _fits(value: Any, kind: Any) -> bool:
 def in_words(kind: Any) -> str:
     """A type as errors say it."""
     if get_origin(kind) in (types.UnionType, typing.Union):
-        return " or ".join(in_words(one) for one in get_args(kind) if one in PLAIN or get_args(one))
+        told = [one for one in get_args(kind) if one in PLAIN or get_args(one) or issubclass(one, Enum)]
+        return " or ".join(in_words(one) for one in told)
     if get_origin(kind) is Literal:
         return f"one of {', '.join(map(str, get_args(kind)))}"
     if get_origin(kind) is list:
@@ -280,5 +281,5 @@ def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = 
     wanted = {key: value for key, value in offered.items() if key in accepted(cls)}
     try:
         return cls(**given, **wanted)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AssertionError) as error:  # torch asserts what its layers are given
         raise ConfigError(f"{name}: {cls.__name__} refuses its options: {error}") from None

@@ -10,8 +10,11 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor, nn
+from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 
-from dirl.backbones import encode, load_backbone
+from dirl.backbones import ViewEncoder, load_encoder
+from dirl.backbones.registry import BATCH
+from dirl.config.components import TARGET, find_class
 from dirl.config.saved import read_config
 from dirl.config.schemas import Match, TrainConfig
 from dirl.envs.transforms import VIEWS
@@ -62,6 +65,7 @@ class FeaturePolicy(nn.Module):
         self.front = front
         self.state_keys: list[str] = recurrent_keys(policy)
         """Of the recurrent state, in the order of arguments and results."""
+        self.recurrent = _in_plain_operations(getattr(policy, "memory", None))
 
     def forward(self, features: Tensor, goal_features: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
         """Decide and match.
@@ -74,15 +78,12 @@ class FeaturePolicy(nn.Module):
         Returns:
             Logits ``[B, 4]``, value ``[B, 1]``, matching coefficient ``[B]``, and the next recurrent state.
         """
-        policy, scene = self.policy, torch.zeros(len(features), dtype=torch.int64, device=features.device)
+        # Not `len`, which would make of a number of agents that ONNX leaves open the one that it is traced with.
+        policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
         encoded = policy.encoder(policy.features.standardise(features), policy.features.standardise(goal_features))
         after: tuple[Tensor, ...] = ()
         if self.state_keys:
-            known = dict(zip(self.state_keys, state, strict=True))
-            began = torch.zeros((len(features), 1), dtype=torch.bool, device=features.device)
-            row = TensorDict({"fused": encoded, "is_init": began, **known}, batch_size=[len(features)])
-            row = policy.memory(row)
-            encoded, after = row["memory"], tuple(row["next", key] for key in self.state_keys)
+            encoded, after = self._remember(encoded, state)
         hidden = policy.heads.trunk(encoded, scene)
         # As in dirl.scenes.matching, the features are matched as the backbone gave them.
         if self.front is None:
@@ -90,6 +91,19 @@ class FeaturePolicy(nn.Module):
         else:
             matching = ncc(features[:, self.front], goal_features[:, self.front])
         return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene), matching, *after
+
+    def _remember(self, encoded: Tensor, state: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """One step of the memory: its output, and the next state."""
+        if self.recurrent is not None:
+            layers = [part.transpose(0, 1) for part in state]
+            output, after = self.recurrent(encoded.unsqueeze(1), layers[0] if len(layers) == 1 else tuple(layers))
+            after = (after,) if isinstance(after, Tensor) else after
+            return output.squeeze(1), tuple(part.transpose(0, 1) for part in after)
+        known = dict(zip(self.state_keys, state, strict=True))
+        began = torch.zeros((len(encoded), 1), dtype=torch.bool, device=encoded.device)
+        row = TensorDict({"fused": encoded, "is_init": began, **known}, batch_size=[len(encoded)])
+        row = self.policy.memory(row)
+        return row["memory"], tuple(row["next", key] for key in self.state_keys)
 
 
 class Navigator:
@@ -134,29 +148,33 @@ class Navigator:
 
         Args:
             checkpoint: the folder of a run, or a ``.pt`` file in one.
-            encoder: a function of images (see `Encoder`), or the path of ResNet-50 weights (see
-                `dirl.backbones.load_backbone`).
+            encoder: what `dirl.backbones.load_encoder` loads, by name (``resnet50``) or as a file of ResNet-50
+                weights; one that it has loaded; or a function of images (see `Encoder`).
             extractor: what the encoder is, in the words of the dump whose features it reproduces (``Scene.extractor``).
-                It must be the text that the checkpoint was trained with. Required for a function. A file of weights
-                does not tell where it is from: without this argument there is a warning that nothing was compared.
+                It must be the text that the checkpoint was trained with. Required for a function; encoders of dirl
+                say it themselves. A file of weights may be what a dump describes in other words: if the texts differ,
+                there is a warning unless this argument says that they mean the same.
             scene: whose layers decide. It may be left out where there is no choice: one scene, or shared layers.
             device: ``cpu`` or ``cuda``.
             trust: packages whose classes the checkpoint's configuration may name, besides dirl's own.
 
         Raises:
             NavigatorError: another extractor, an unknown scene, no such device, or weights that fit no network.
-            ValueError: no checkpoint, or no ResNet-50 weights, at these paths.
+            ValueError: there is no such checkpoint, or no such encoder.
         """
         if torch.device(device).type == "cuda" and not torch.cuda.is_available():
             raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
         saved = load_checkpoint(checkpoint)
         config = read_config(saved["config"], str(checkpoint), trust=trust)
         _check_extractor(encoder, extractor, saved["extractor"])
-        order = saved.get("views", ["ahead", "right", "back", "left"])  # checkpoints of older versions name none
+        own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
+        order = saved.get("views", own)  # checkpoints of older versions name none
+        if order != own:
+            raise NavigatorError(f"{checkpoint}: was trained on the views {order}, not {own}")
         scene = _choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
         policy = FeaturePolicy(_rebuild(saved, config, scene, str(checkpoint)), _front(config, order))
         if not callable(encoder):
-            encoder = _backbone_encoder(encoder, device)
+            encoder = _load_encoder(encoder, device, None if extractor else saved["extractor"])
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
         return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts)
 
@@ -271,17 +289,13 @@ class Navigator:
 
 
 def _check_extractor(encoder: Encoder | str | Path, given: str | None, trained: str) -> None:
+    if given is None and isinstance(encoder, ViewEncoder):
+        given = encoder.extractor
     if given is not None and given != trained:
         raise NavigatorError(f"the checkpoint was trained on features of another extractor: '{trained}', not '{given}'")
     if given is None and callable(encoder):
         raise NavigatorError(
             f"say which extractor the encoder is by extractor=...; the checkpoint was trained with '{trained}'"
-        )
-    if given is None:
-        warnings.warn(
-            f"nobody has compared the weights in {encoder} with the extractor that the checkpoint was trained with, "
-            f"'{trained}'; if they are the same, say so by extractor=...",
-            stacklevel=3,
         )
 
 
@@ -313,6 +327,35 @@ def _rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, orig
     return policy.requires_grad_(False)
 
 
-def _backbone_encoder(path: str | Path, device: str | torch.device) -> Encoder:
-    backbone = load_backbone(path).to(device)
-    return lambda images: encode(backbone, images)
+def _in_plain_operations(memory: nn.Module | None) -> nn.Module | None:
+    """The GRU or LSTM of TorchRL's module, in operations that ONNX has for any number of agents; None if it is none."""
+    if isinstance(memory, GRUModule):
+        kind, layers = GRU, memory.gru
+    elif isinstance(memory, LSTMModule):
+        kind, layers = LSTM, memory.lstm
+    else:
+        return None
+    sizes = layers.input_size, layers.hidden_size, layers.num_layers
+    plain: nn.Module = kind(*sizes, bias=layers.bias, batch_first=True)
+    plain.load_state_dict(layers.state_dict())
+    return plain.to(layers.weight_hh_l0.device).requires_grad_(False)
+
+
+def _load_encoder(name: str | Path, device: str | torch.device, trained: str | None) -> Encoder:
+    """The encoder of a name or a file, compared with the extractor that a checkpoint was trained with, if one is given.
+
+    It takes any number of images.
+    """
+    encoder = load_encoder(str(name), device)
+    if trained is not None and encoder.extractor != trained:
+        if not Path(name).is_file():
+            raise NavigatorError(
+                f"the checkpoint was trained on features of another extractor: '{trained}', not '{encoder.extractor}' "
+                f"(encoder={name}); if they are the same in other words, say so by extractor=..."
+            )
+        warnings.warn(
+            f"the weights in {name} are '{encoder.extractor}', and the checkpoint was trained with '{trained}'; if "
+            "they are the same, say so by extractor=...",
+            stacklevel=3,
+        )
+    return lambda images: torch.cat([encoder(part) for part in images.split(BATCH)])

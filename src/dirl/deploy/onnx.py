@@ -43,7 +43,8 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
             (features, goal_features, *state.values()),
             input_names=["features", "goal_features", *state],
             output_names=["logits", "value", "matching", *(f"next_{name}" for name in state)],
-            dynamic_shapes={"features": batch, "goal_features": batch, "state": tuple(batch for _ in state)},
+            dynamic_shapes={"features": batch, "goal_features": batch}
+            | ({"state": (batch,) * len(state)} if state else {}),
             dynamo=True,
             verbose=False,
         )

@@ -32,6 +32,7 @@ class ActorCriticHeads(nn.Module):
     ) -> None:
         super().__init__()
         names = ["shared"] if shared else list(scenes)
+        self.width = width
         self.trunk = SceneTrunks(names, lambda: nn.Sequential(nn.Linear(in_features, width), nn.ReLU()))
         self.policy = SceneLinear(names, width, num_actions)
         self.value = SceneLinear(names, width, 1)
@@ -40,8 +41,8 @@ class ActorCriticHeads(nn.Module):
 class SceneTrunks(nn.Module):
     """One module for each scene; row by row the one that ``scene`` names is applied.
 
-    Rows are sorted by scene, split, and put back. On a GPU every layer is applied to all of them, because counting the
-    rows of each scene would be a host-device synchronisation. (A stacked parameter would lose the scenes' names in the
+    Rows are sorted by scene, split, and put back. On a GPU and in ``torch.vmap`` every layer is applied to all of them:
+    counting the rows of each scene would be a host-device synchronisation, and ``vmap`` allows none. (A stacked parameter would lose the scenes' names in the
     state_dict, and with them adding or freezing a scene.)
 
     Args:
@@ -57,17 +58,18 @@ class SceneTrunks(nn.Module):
         self.scenes = _by_name(scenes, make)
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
-        """Rows ``[B, F]`` of scenes int64 ``[B]``, to ``[B, F']``."""
+        """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
         layers = list(self.scenes.values())
         if len(layers) == 1:
             return layers[0](rows)
-        if avoid_host_sync(rows):
-            return _pick(torch.stack([layer(rows) for layer in layers], 1), scene)
-        sizes = torch.bincount(scene, minlength=len(layers)).tolist()
-        order = torch.argsort(scene, stable=True)
-        parts = rows.index_select(0, order).split(sizes)
+        if avoid_host_sync(scene):
+            return _pick(torch.stack([layer(rows) for layer in layers], -2), scene)
+        flat = scene.flatten()
+        sizes = torch.bincount(flat, minlength=len(layers)).tolist()
+        order = torch.argsort(flat, stable=True)
+        parts = rows.flatten(0, -2).index_select(0, order).split(sizes)
         done = torch.cat([layer(part) for layer, part in zip(layers, parts, strict=True)])
-        return done.index_select(0, torch.argsort(order))
+        return done.index_select(0, torch.argsort(order)).unflatten(0, scene.shape)
 
 
 class SceneLinear(nn.Module):
@@ -87,17 +89,17 @@ class SceneLinear(nn.Module):
         self.scenes = _by_name(scenes, lambda: nn.Linear(width, outputs))
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
-        """Rows ``[B, F]`` of scenes int64 ``[B]``, to ``[B, F']``."""
+        """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
         layers = list(self.scenes.values())
         if len(layers) == 1:
             return layers[0](rows).float()
         weight, bias = (torch.cat([getattr(layer, name) for layer in layers]) for name in ("weight", "bias"))
-        return _pick(F.linear(rows, weight, bias).unflatten(1, (len(layers), -1)), scene).float()
+        return _pick(F.linear(rows, weight, bias).unflatten(-1, (len(layers), -1)), scene).float()
 
 
 def _pick(every: Tensor, scene: Tensor) -> Tensor:
-    """Of what every scene's layer made of the rows, ``[B, S, F]``, that of each row's scene, ``[B, F]``."""
-    return every.take_along_dim(scene[:, None, None], 1).squeeze(1)
+    """Of what every scene's layer made of the rows, ``[..., S, F]``, that of each row's scene, ``[..., F]``."""
+    return every.take_along_dim(scene[..., None, None], -2).squeeze(-2)
 
 
 def _by_name(scenes: Sequence[str], make: Callable[[], nn.Module]) -> nn.ModuleDict:

@@ -19,7 +19,8 @@ from dirl.rooms.sampling.sample import LOOK, sample_views
 from dirl.rooms.sampling.splits import split_of
 from dirl.rooms.view import Renderer
 from dirl.scenes import Scene, SceneError, read_dump
-from dirl.scenes.collection import INDEX, Entry, add_entry, file_hash, is_whole, read_collection
+from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
+from dirl.scenes.io.digest import file_digest
 
 if TYPE_CHECKING:  # the models are built on the scenes
     from dirl.backbones import ViewEncoder
@@ -165,7 +166,7 @@ def make_room(
     write_room(dump, scene_of(room, way), views, encoder, attributes=about)
     thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
     problems = check_room(room) + check_views(thumbnails, contrasts, way)
-    scene = read_dump(dump)
+    scene = read_dump(dump, isolated=False)  # just written here
     return Entry(
         name=room.name,
         kind=kind,
@@ -174,7 +175,7 @@ def make_room(
         states=len(scene),
         checks=checks(room, scene, problems),
         settings=settings.stored(encoder),
-        sha256=file_hash(dump),
+        sha256=file_digest(dump),
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dirl.scenes.io.read import read_dump
+from dirl.scenes.io.read import ROOMS, Dump, read_dumps
 from dirl.scenes.scene import Scene, SceneError
 
 PUBLISHED_GOALS: Mapping[str, tuple[int, ...]] = {
@@ -17,9 +17,6 @@ PUBLISHED_GOALS: Mapping[str, tuple[int, ...]] = {
 """The four scenes of the paper with the goals of the published target-driven navigation code, five each."""
 
 SOURCES = ("rooms", "thor")
-
-ROOMS = Path(__file__).parent / "data"
-"""The built-in rooms: synthetic, with the names, state counts and goals of the published scenes."""
 
 
 def load_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Scene]:
@@ -41,19 +38,16 @@ def load_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str 
         if len(names) > 1:
             raise SceneError(f"'all' already stands for {list(PUBLISHED_GOALS)}; name it alone")
         names = list(PUBLISHED_GOALS)
-    scenes = []
+    dumps = []
     for name in names:
         is_file = Path(name).suffix in (".h5", ".hdf5")
         path = Path(name) if is_file else folder / f"{name}.h5"
         if not path.is_file():
             raise SceneError(_no_such_scene(name, is_file, folder))
-        made = read_dump(
-            path,
-            name=None if is_file else name,
-            source=source if source == "thor" or not is_file else None,
-        )
-        scenes.append(made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())))
-    return scenes
+        label = source if source == "thor" or not is_file else None
+        dumps.append(Dump(path, name=None if is_file else name, source=label))
+    scenes = read_dumps(dumps)
+    return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
 
 
 def _folder(source: str, root: str | Path | None) -> Path:

@@ -102,13 +102,21 @@ class Scene:
         """The states ahead, right, back and left of each state, int64 ``[N, 4]``."""
         return _read_only(surrounding_states(self.graph))
 
+    @cached_property
+    def _entered(self) -> NDArray[np.bool_]:
+        """Whether a move from another state leads to each state, bool ``[N]``."""
+        start, action = np.nonzero((self.graph >= 0) & (self.graph != np.arange(len(self))[:, None]))
+        entered = np.zeros(len(self), bool)
+        entered[self.graph[start, action]] = True
+        return entered
+
     def check_goal(self, goal: int) -> None:
         """Raise `SceneError` unless ``goal`` is a state that some other state can reach."""
         if isinstance(goal, bool) or not isinstance(goal, int | np.integer):
             raise SceneError(f"{self.origin}: goal {goal!r} is not a state; states are integers")
         if not 0 <= goal < len(self):
             raise SceneError(f"{self.origin}: goal {goal} is not a state; states are 0..{len(self) - 1}")
-        if not (shortest_distances(self.graph, np.array([goal])) > 0).any():
+        if not self._entered[goal]:
             raise SceneError(f"{self.origin}: goal {goal} cannot be reached from any other state")
 
     def _array(self, name: str, value: Any, kind: type, shape: tuple[int | None, ...]) -> NDArray[Any]:

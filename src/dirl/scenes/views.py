@@ -1,59 +1,80 @@
-"""Camera views as they lie in a dump: decoded one at a time, when somebody looks."""
+"""Camera views as they lie in a dump: read and decoded one at a time, when somebody looks."""
 
 import io
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 MAX_PIXELS = 2**24
 """Of a view; larger ones are refused before they are unpacked."""
 
+FORMATS = ("WEBP", "PNG", "JPEG")
+"""Of images. Pillow knows many more, and for some of them starts other programs (Ghostscript for EPS)."""
 
-@dataclass(frozen=True)
+
+class ImageError(ValueError):
+    """Bytes that are no image of a known format; the message says why, on one line."""
+
+
+@dataclass(frozen=True, eq=False)
 class Views:
-    """The views of one dump file.
+    """The views of one dump file. They are read from the file's bytes, without HDF5.
 
     Args:
-        path: the HDF5 file.
-        dataset: ``observation`` (uint8 ``[N, H, W, 3]``) or ``observation_webp`` (N encoded images).
-        states: how many views there are, N.
+        path: the file.
+        dataset: ``observation`` (raw pixels) or ``observation_webp`` (encoded images).
+        spans: where each view lies in the file: its first byte and how many there are, int64 ``[N, 2]``.
+        shape: height and width of raw pixels; None if the views are encoded.
+        unpacked: raw pixels that are compressed in the file, uint8 ``[N, H, W, 3]``; ``spans`` is not used then.
     """
 
     path: Path
     dataset: str
-    states: int
+    spans: NDArray[np.int64]
+    shape: tuple[int, int] | None = None
+    unpacked: NDArray[np.uint8] | None = None
 
     def __len__(self) -> int:
-        return self.states
+        return len(self.spans)
 
     def __getitem__(self, state: int) -> NDArray[np.uint8]:
         """The view of a state as RGB, uint8 ``[H, W, 3]``.
 
         Raises:
             IndexError: there is no such state.
-            ValueError: its view cannot be decoded.
+            ValueError: its view cannot be read or decoded; the file was changed after the scene was read.
         """
-        if not 0 <= state < self.states:
-            raise IndexError(f"{self.path}: state {state} has no view; states are 0..{self.states - 1}")
-        with h5py.File(self.path) as file:
-            stored = file[self.dataset][state]
-        if self.dataset == "observation":
-            return np.asarray(stored)
+        if not 0 <= state < len(self):
+            raise IndexError(f"{self.path}: state {state} has no view; states are 0..{len(self) - 1}")
+        if self.unpacked is not None:
+            return self.unpacked[state].copy()
+        stored = self._stored(state)
+        if self.shape is not None:
+            return np.frombuffer(bytearray(stored), np.uint8).reshape(*self.shape, 3)
         try:
-            return decode(stored.tobytes())
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            return decode(stored)
+        except ImageError as error:
             raise ValueError(f"{self.path}: {self.dataset}: state {state}: not a readable image ({error})") from None
 
     def encoded(self, state: int) -> bytes | None:
         """The stored bytes of an encoded view; None where views are stored as raw pixels."""
-        if self.dataset == "observation":
-            return None
-        with h5py.File(self.path) as file:
-            return file[self.dataset][state].tobytes()
+        return None if self.dataset == "observation" else self._stored(state)
+
+    def _stored(self, state: int) -> bytes:
+        start, length = self.spans[state].tolist()
+        try:
+            with self.path.open("rb") as file:
+                file.seek(start)
+                stored = file.read(length)
+        except OSError as error:
+            raise ValueError(f"{self.path}: {self.dataset}: cannot be read any more ({error.strerror})") from None
+        if len(stored) < length:
+            raise ValueError(f"{self.path}: {self.dataset}: state {state}: the file has become shorter")
+        return stored
 
 
 def encode(view: NDArray[np.uint8], quality: int | None = 85) -> bytes:
@@ -67,8 +88,31 @@ def encode(view: NDArray[np.uint8], quality: int | None = 85) -> bytes:
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
-    """The RGB image, uint8 ``[H, W, 3]``, in the bytes of an encoded one."""
-    with Image.open(io.BytesIO(data)) as image:
-        if image.width * image.height > MAX_PIXELS:
-            raise ValueError(f"{image.width}x{image.height} pixels are more than {MAX_PIXELS}")
-        return np.asarray(image.convert("RGB"))
+    """The RGB image, uint8 ``[H, W, 3]``, in the bytes of an encoded one (WebP, PNG or JPEG).
+
+    Raises:
+        ImageError: they are none, or of too many pixels.
+    """
+    return np.asarray(open_image(data, MAX_PIXELS).convert("RGB"))
+
+
+def open_image(data: bytes, max_pixels: int) -> Image.Image:
+    """The image in the bytes of a file in one of `FORMATS`, its pixels loaded.
+
+    Raises:
+        ImageError: it is none, cannot be decoded, or has more than ``max_pixels``.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of many pixels, which are counted here, and of odd metadata
+            image = Image.open(io.BytesIO(data), formats=FORMATS)
+            if image.width * image.height > max_pixels:
+                raise ImageError(f"{image.width}x{image.height} pixels are more than {max_pixels}")
+            image.load()
+    except ImageError:
+        raise
+    except UnidentifiedImageError:
+        raise ImageError("it is not WebP, PNG or JPEG") from None
+    except Exception as error:  # Pillow raises many kinds for damaged images, struct.error and SyntaxError among them
+        raise ImageError(" ".join(f"{type(error).__name__}: {error}".split())[:200]) from None
+    return image

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from dirl.scenes.graph import shortest_distances
+from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 
 
@@ -129,6 +130,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         raise SceneError(f"the scene '{twice[0]}' is named twice")
     first = scenes[0]
     for scene in scenes:
+        check_name(scene.name, scene.origin)
         if scene.features is None:
             raise SceneError(f"{scene.origin}: has no features (dataset resnet_feature); encode its views first")
         assert first.features is not None

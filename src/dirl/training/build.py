@@ -239,7 +239,13 @@ def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
 
 
 def build_losses(config: TrainConfig, policy: Any, world: World, demos: TensorDictBase) -> Losses:
-    """The losses of an update; those on demonstrations, where there are none or they have no weight, are left out."""
+    """The losses of an update; those on demonstrations, where there are none or they have no weight, are left out.
+
+    Raises:
+        ConfigError: a policy or a loss that cannot be trained as it is, see docs/howto/extend.md.
+    """
+    if not (hasattr(policy, "trunk") and hasattr(policy, "operator")):
+        raise ConfigError(f"policy: {type(policy).__name__} has weights but no trunk() and operator() to train them by")
     operator = policy.operator()
     actor, critic = operator.get_policy_head(), operator.get_value_head()
     offered = {"policy": policy, "actor": actor, "actor_network": actor, "critic_network": critic, "world": world}
@@ -247,13 +253,25 @@ def build_losses(config: TrainConfig, policy: Any, world: World, demos: TensorDi
     for name, options in components(config).items():
         if name.startswith("losses."):
             changing = schedules(name, options)
-            module = make(name, options, config.trust, **offered)
+            with torch.random.fork_rng(devices=[]):  # the seed alone decides the weights of a loss's own
+                torch.manual_seed(config.seed)
+                module = make(name, options, config.trust, **offered)
+            _check_loss(name, module, policy, config.reinforcement.workers)
             loss = ScheduledLoss(module.to(world.device), changing)
             weight = changing["weight"]
             if not loss.on_demonstrations or (len(demos) and (weight.start or weight.end)):
                 found[name.removeprefix("losses.")] = loss
     # Of equal losses those on demonstrations come last, whatever the order of the configuration.
     return Losses(policy, dict(sorted(found.items(), key=lambda item: item[1].on_demonstrations)), demos)
+
+
+def _check_loss(name: str, module: Any, policy: nn.Module, workers: int) -> None:
+    """Raise `ConfigError` if a loss does not say what it reads, or has weights that workers do not share."""
+    kind = type(module).__name__
+    if not hasattr(module, "in_keys"):
+        raise ConfigError(f"{name}: {kind} has no in_keys; they list what it reads of a batch")
+    if workers > 1 and len(trained_parameters(policy, module)) > len(trained_parameters(policy)):
+        raise ConfigError(f"{name}: {kind} has weights of its own, which several workers do not share; use one worker")
 
 
 def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | None = None) -> Optimizer:

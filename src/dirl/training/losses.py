@@ -11,7 +11,7 @@ from torch.nn.utils import clip_grad_norm_
 from torch.optim import Optimizer
 from torchrl.modules import set_recurrent_mode
 
-from dirl.config.schemas import Schedule
+from dirl.config.schemas import ConfigError, Schedule
 from dirl.models import initial_state, recurrent_keys
 from dirl.objectives import bootstrap, clip_each
 from dirl.objectives.reinforcement import make_advantages
@@ -83,9 +83,12 @@ class Losses(nn.Module):
             loss.set_schedules(left)
             values = loss.module(rows if loss.on_demonstrations else batch)
             if twice := set(values.keys()) & set(result.keys()):
-                raise ValueError(f"losses.{name}: writes {min(twice)}, as another loss does")
+                raise ConfigError(f"losses.{name}: writes {min(twice)}, as another loss does")
+            terms = {key for key in values.keys() if key.startswith("loss_")}  # noqa: SIM118, of a TensorDict
+            if not terms:
+                raise ConfigError(f"losses.{name}: {type(loss.module).__name__} writes no loss_* entry")
             weight = loss.schedules["weight"](left)
-            result.update({key: weight * value if key.startswith("loss_") else value for key, value in values.items()})
+            result.update({key: weight * value if key in terms else value for key, value in values.items()})
         return result
 
     def _with_hidden(

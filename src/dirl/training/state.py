@@ -51,30 +51,37 @@ class TrainState:
 
     def state_dict(self) -> dict[str, Any]:
         """What `load_state_dict` takes, and under ``network`` the weights for everyone else."""
-        shared = {id(parameter) for parameter in self.policy.parameters()}
-        own = any(id(parameter) not in shared for parameter in self.losses.parameters())
         return {
             "frames": self.frames,
             "training_seconds": self.seconds,
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
+            "losses": self._own_of_losses(),
             "optimiser": self.optimiser.state_dict(),
             "agents": self.agents.to_dict(),
             "meter": self.meter.state_dict(),
             "random": random_state(self.env),
-            **({"losses": self.losses.state_dict()} if own else {}),
         }
+
+    def _own_of_losses(self) -> dict[str, Any]:
+        """The part of the losses' state_dict that is not the policy's: weights, buffers, extra state."""
+        shared = {_place(value) for value in self.policy.state_dict().values()}
+        return {name: value for name, value in self.losses.state_dict().items() if _place(value) not in shared}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state."""
         self.frames, self.seconds = state["frames"], state["training_seconds"]
         self.policy.load_state_dict(state["learning"])
-        if "losses" in state:
-            self.losses.load_state_dict(state["losses"])
+        self.losses.load_state_dict({**self.losses.state_dict(), **state["losses"]})
         self.optimiser.load_state_dict(state["optimiser"])
         self.agents = TensorDict(state["agents"], batch_size=self.env.batch_size, device=self.env.device)
         self.meter.load_state_dict(state["meter"])
         restore_random_state(self.env, state["random"])
+
+
+def _place(value: Any) -> Any:
+    """What two entries of state_dicts have in common if they are one tensor."""
+    return value.data_ptr() if isinstance(value, Tensor) and value.numel() else id(value)
 
 
 def random_state(env: EnvBase) -> dict[str, Tensor]:

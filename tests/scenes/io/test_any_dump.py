@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from rooms import grid_scene, published_dump
+from rooms import grid_scene, published_dump, read_here
 from spoil import instead, refused
 
-from dirl.scenes import SceneError, read_dump
+from dirl.scenes import SceneError
 
 GOOD = grid_scene()
 
@@ -29,7 +29,7 @@ def reads(spoil):
 
 def read_or_refused(path):
     try:
-        scene = read_dump(path)
+        scene = read_here(path)
     except SceneError:
         scene = None
     if scene is None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rooms import grid_scene
+from rooms import grid_scene, read_here
 
-from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
+from dirl.scenes import SceneError, load_scenes, write_dump
 from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.views import encode
 
@@ -19,7 +19,7 @@ PARTS = ("graph", "positions", "headings", "distances", "features")
 def with_views(folder, scene, height=300, width=400):
     views = [encode(np.full((height, width, 3), 3 * state, np.uint8)) for state in range(len(scene))]
     write_dump(folder / "views.h5", scene, views)
-    return read_dump(folder / "views.h5")
+    return read_here(folder / "views.h5")
 
 
 def test_the_layout_is_the_published_one(tmp_path, scene):
@@ -71,7 +71,7 @@ def test_an_export_is_read_back_equal(tmp_path, dtype, headings):
     room = grid_scene(3, 2, goals=(3, 1), headings=headings, blocked=[(1, 0)], name="hall", extractor="net; 1; 2")
     room = with_views(tmp_path, replace(room, features=room.features.astype(dtype), source="photos"))
     export_icra17(room, tmp_path / "out.h5")
-    read = read_dump(tmp_path / "out.h5")
+    read = read_here(tmp_path / "out.h5")
     for part in PARTS:
         assert (getattr(read, part) == getattr(room, part)).all(), part
     assert (read.name, read.goals, read.source, read.extractor) == ("hall", (3, 1), "photos", "net; 1; 2")
@@ -85,9 +85,9 @@ def test_any_room_survives_export_and_import(tmp_path_factory, width, depth, see
     folder = tmp_path_factory.mktemp("any")
     room = with_views(folder, grid_scene(width, depth, seed=seed, headings=headings, goals=()), 3, 4)
     export_icra17(room, folder / "out.h5")
-    read = read_dump(folder / "out.h5")
+    read = read_here(folder / "out.h5")
     write_dump(folder / "in.h5", read)
-    again = read_dump(folder / "in.h5")
+    again = read_here(folder / "in.h5")
     for part in PARTS:
         assert (getattr(read, part) == getattr(room, part)).all(), part
         assert (getattr(again, part) == getattr(room, part)).all(), part
@@ -95,7 +95,7 @@ def test_any_room_survives_export_and_import(tmp_path_factory, width, depth, see
 
 def test_views_of_another_shape_are_scaled(tmp_path, scene):
     export_icra17(with_views(tmp_path, scene, 60, 80), tmp_path / "out.h5")
-    assert read_dump(tmp_path / "out.h5").views[7].shape == (300, 400, 3)
+    assert read_here(tmp_path / "out.h5").views[7].shape == (300, 400, 3)
 
 
 def test_what_the_layout_cannot_hold_is_refused(tmp_path, scene):
@@ -104,7 +104,10 @@ def test_what_the_layout_cannot_hold_is_refused(tmp_path, scene):
     cases = [
         (replace(whole, views=None), "has no views"),
         (replace(whole, features=None), "has no features .*; encode its views first"),
-        (replace(odd, views=replace(whole.views, states=len(odd))), "rotation: state 1 is headed 22.5 degrees"),
+        (
+            replace(odd, views=replace(whole.views, spans=np.zeros((len(odd), 2), int))),
+            "rotation: state 1 is headed 22.5 degrees",
+        ),
     ]
     for room, says in cases:
         with pytest.raises(SceneError, match=says):

@@ -1,14 +1,17 @@
 """Malformed dumps: each is refused by one `SceneError` that names the file, the dataset and the first bad state."""
 
+import re
 import tracemalloc
 
 import h5py
+import numpy as np
 import pytest
 from malformed import ABSURD, MALFORMED, PAGE, make, page
+from rooms import grid_scene, read_here
 from spoil import hollow, refused
 
-from dirl.scenes import read_dump
-from dirl.scenes.io import read as dump_module
+from dirl.scenes import write_dump
+from dirl.scenes.io import hdf5
 
 
 @pytest.mark.parametrize("what", MALFORMED)
@@ -30,7 +33,34 @@ def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path, what):
 
 def test_the_documentation_shows_every_message_as_it_is():
     assert len(MALFORMED) >= 40
-    assert PAGE.read_text() == page(), "run python tests/malformed.py"
+    assert PAGE.read_text() == page(), "run python tests/helpers/malformed.py"
+
+
+def test_no_message_shows_the_types_of_numpy():
+    assert not re.search(r"np\.|array\(", PAGE.read_text().split("## The messages")[1])
+
+
+def test_sixty_four_thousand_goals_are_counted_in_no_time(dump):
+    """Comparing each with all others took minutes."""
+    with h5py.File(dump.with_name("new.h5"), "w", libver="latest") as new, h5py.File(dump) as old:
+        for name in old:
+            old.copy(name, new)
+        new.attrs["goals"] = np.arange(64_000)
+    assert refused(dump.with_name("new.h5")) == "attribute 'goals': names 64000 goals of 24 states"
+
+
+def test_a_scene_may_have_all_its_states_for_goals(tmp_path):
+    room = grid_scene(40, 40, goals=range(6400), feature_width=1)
+    write_dump(tmp_path / "room.h5", room)
+    assert read_here(tmp_path / "room.h5").goals == tuple(range(6400))
+
+
+def test_an_attribute_of_two_megabytes_is_not_read(dump):
+    with h5py.File(dump.with_name("new.h5"), "w", libver="latest") as new, h5py.File(dump) as old:
+        for name in old:
+            old.copy(name, new)
+        new.attrs["goals"] = np.zeros(2**18)
+    assert refused(dump.with_name("new.h5")) == "attribute 'goals': takes 2097152 bytes; at most 1048576"
 
 
 def test_features_that_are_too_many_in_all_are_refused(dump):
@@ -48,7 +78,7 @@ def test_features_that_are_too_many_in_all_are_refused(dump):
 @pytest.mark.parametrize("limit", ["MAX_STATES", "MAX_FEATURE_VALUES"])
 def test_the_limits_themselves_are_allowed(dump, monkeypatch, limit):
     allowed = {"MAX_STATES": 24, "MAX_FEATURE_VALUES": 24 * 16}[limit]
-    monkeypatch.setattr(dump_module, limit, allowed)
-    assert len(read_dump(dump)) == 24
-    monkeypatch.setattr(dump_module, limit, allowed - 1)
+    monkeypatch.setattr(hdf5, limit, allowed)
+    assert len(read_here(dump)) == 24
+    monkeypatch.setattr(hdf5, limit, allowed - 1)
     refused(dump)

@@ -1,13 +1,16 @@
 """Patches in a dump: written, mapped into memory, replaced, and refused where they are malformed."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from rooms import grid_scene
+from rooms import grid_scene, read_here
 
 from dirl.scenes import SceneError, read_dump, write_dump
+from dirl.scenes.io.patches import locate_patches
 from dirl.scenes.io.write import replace_features
 
 PATCHES = np.random.default_rng(0).normal(size=(24, 8, 6)).astype(np.float16)
@@ -19,8 +22,14 @@ def room(tmp_path):
     return tmp_path / "room.h5"
 
 
-def test_patches_come_back_from_a_map_of_the_file(room):
-    scene = read_dump(room)
+def without_digest(file):
+    """As if another program had written it."""
+    del file.attrs["digest"], file["graph"].attrs["digest"]
+
+
+@pytest.mark.parametrize("isolated", [True, False])
+def test_patches_come_back_from_a_map_of_the_file(room, isolated):
+    scene = read_dump(room, isolated=isolated)
     assert (scene.patches == PATCHES).all()
     base = scene.patches
     while not isinstance(base, np.memmap):
@@ -36,18 +45,29 @@ def test_a_dump_without_patches_has_none(tmp_path):
     assert read_dump(tmp_path / "room.h5").patches is None
 
 
-def test_compressed_patches_are_read(room):
+@pytest.mark.parametrize("stored", [{"compression": "gzip"}, {"chunks": (24, 8, 6)}])
+def test_patches_that_cannot_be_mapped_are_refused(room, stored):
     with h5py.File(room, "a") as file:
         del file["patches"]
-        file.create_dataset("patches", data=PATCHES, compression="gzip")
-    assert (read_dump(room).patches == PATCHES).all()
+        file.create_dataset("patches", data=PATCHES, **stored)
+    with pytest.raises(SceneError, match=r"patches: are not stored in one piece \(h5repack .*\)"):
+        read_here(room)
+
+
+def test_patches_that_the_file_does_not_hold_are_refused(room, monkeypatch):
+    with h5py.File(room) as file:
+        end = file["patches"].id.get_offset() + PATCHES.nbytes
+        cut = os.stat_result((0,) * 6 + (end - 1,) + (0,) * 3)
+        monkeypatch.setattr(Path, "stat", lambda *_, **__: cut)
+        with pytest.raises(SceneError, match="patches: the file ends before they do"):
+            locate_patches(file, room, 24)
 
 
 def test_new_features_leave_patches_or_replace_them(room, tmp_path):
-    features = np.zeros((24, 3), np.float32)
-    replace_features(room, tmp_path / "kept.h5", features, {"extractor": "zeros"})
+    features = np.eye(24, 3, dtype=np.float32)
+    replace_features(room, tmp_path / "kept.h5", features, {"extractor": "eye"})
     assert (read_dump(tmp_path / "kept.h5").patches == PATCHES).all()
-    replace_features(room, tmp_path / "new.h5", features, {"extractor": "zeros"}, -PATCHES, {"projection": "other"})
+    replace_features(room, tmp_path / "new.h5", features, {"extractor": "eye"}, -PATCHES, {"projection": "other"})
     assert (read_dump(tmp_path / "new.h5").patches == -PATCHES).all()
     with h5py.File(tmp_path / "new.h5") as file:
         assert dict(file["patches"].attrs) == {"projection": "other"}
@@ -67,8 +87,9 @@ def test_malformed_patches_are_told_in_one_line(room, patches, says):
     with h5py.File(room, "a") as file:
         del file["patches"]
         file["patches"] = patches
+        without_digest(file)
     with pytest.raises(SceneError, match=says) as caught:
-        read_dump(room)
+        read_here(room)
     assert "\n" not in str(caught.value)
 
 

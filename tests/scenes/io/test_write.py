@@ -5,9 +5,9 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from rooms import grid_scene
+from rooms import grid_scene, read_here
 
-from dirl.scenes import ACTIONS, read_dump, write_dump
+from dirl.scenes import ACTIONS, write_dump
 from dirl.scenes.views import encode
 
 DESCRIBED = {"extractor": "ResNet-50", "preprocessing": "/255", "weights": "v2"}
@@ -24,7 +24,7 @@ def test_a_scene_is_read_back_as_it_was(tmp_path, headings, dtype):
     room = replace(room, features=room.features.astype(dtype), source="thor")
     path = tmp_path / "room.h5"
     write_dump(path, room)
-    read = read_dump(path)
+    read = read_here(path)
     for name in ("graph", "positions", "headings", "features", "distances", "surrounding"):
         assert (getattr(read, name) == getattr(room, name)).all(), name
         assert getattr(read, name).dtype == getattr(room, name).dtype, name
@@ -33,7 +33,7 @@ def test_a_scene_is_read_back_as_it_was(tmp_path, headings, dtype):
 
 def test_a_scene_without_features_and_goals_is_read_back(tmp_path, scene):
     write_dump(tmp_path / "room.h5", replace(scene, features=None, goals=()))
-    read = read_dump(tmp_path / "room.h5")
+    read = read_here(tmp_path / "room.h5")
     assert read.features is None
     assert read.goals == ()
 
@@ -41,7 +41,7 @@ def test_a_scene_without_features_and_goals_is_read_back(tmp_path, scene):
 def test_views_are_read_back_byte_for_byte(tmp_path, scene):
     views = pictures(24)
     write_dump(tmp_path / "room.h5", scene, iter(views))
-    read = read_dump(tmp_path / "room.h5")
+    read = read_here(tmp_path / "room.h5")
     assert [read.views.encoded(state) for state in range(24)] == views
 
 
@@ -55,18 +55,18 @@ def test_attributes_are_stored(tmp_path, scene):
     write_dump(tmp_path / "room.h5", scene, attributes={"seed": 7}, feature_attributes=DESCRIBED)
     with h5py.File(tmp_path / "room.h5") as file:
         assert file.attrs["seed"] == 7
-    assert read_dump(tmp_path / "room.h5").extractor == "ResNet-50; /255; v2"
+    assert read_here(tmp_path / "room.h5").extractor == "ResNet-50; /255; v2"
 
 
 def test_the_extractor_is_read_back(tmp_path, scene):
     write_dump(tmp_path / "room.h5", scene)
-    assert read_dump(tmp_path / "room.h5").extractor == scene.extractor
+    assert read_here(tmp_path / "room.h5").extractor == scene.extractor
 
 
 def test_an_existing_file_is_replaced(tmp_path, scene):
     write_dump(tmp_path / "room.h5", scene)
     write_dump(tmp_path / "room.h5", grid_scene(width=2, depth=1))
-    assert len(read_dump(tmp_path / "room.h5")) == 8
+    assert len(read_here(tmp_path / "room.h5")) == 8
     assert [path.name for path in tmp_path.iterdir()] == ["room.h5"]
 
 

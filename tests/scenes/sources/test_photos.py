@@ -207,3 +207,34 @@ def test_an_image_that_cannot_be_read_is_named(tmp_path):
     (tmp_path / "a.jpg").write_bytes(b"no image")
     with pytest.raises(SceneError, match=r"a.jpg: not a readable image"):
         list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
+
+
+@pytest.mark.parametrize("size", [(400, 200), (4000, 1990)])
+def test_a_panorama_is_no_view(tmp_path, size):
+    Image.new("RGB", size).save(tmp_path / "a.jpg")
+    with pytest.raises(
+        SceneError, match=r"a\.jpg: \d+x\d+ pixels are a panorama, which shows all headings at once; cut"
+    ):
+        list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
+
+
+def test_an_image_that_says_it_is_a_panorama_is_no_view(tmp_path):
+    mark = (
+        b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><GPano:ProjectionType>equirectangular</GPano:ProjectionType></x:xmpmeta>'
+    )
+    Image.new("RGB", (400, 300)).save(tmp_path / "a.jpg", xmp=mark)
+    with pytest.raises(SceneError, match=r"a\.jpg: 400x300 pixels are a panorama"):
+        list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
+
+
+def test_views_twice_as_wide_as_high_may_be_asked_for(tmp_path):
+    Image.new("RGB", (400, 200)).save(tmp_path / "a.jpg")
+    Image.new("RGB", (300, 200)).save(tmp_path / "b.jpg")
+    views = encoded_photos([tmp_path / "a.jpg", tmp_path / "b.jpg"], 30, 60)
+    assert [decode(view).shape for view in views] == [(30, 60, 3)] * 2
+
+
+@pytest.mark.parametrize("name", ["../x", "keys", "$a$", "x" * 240])
+def test_a_name_that_will_not_do_is_refused_before_an_image_is_read(tmp_path, name):
+    with pytest.raises(SceneError, match="a scene cannot be called"):
+        read_photos(folder_of(tmp_path, corridor()), name=name)

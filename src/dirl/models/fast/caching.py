@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Protocol, runtime_checkable
 
 import torch
+from tensordict import is_batchedtensor
 from torch import Tensor, nn
 
 from dirl.envs.transforms import VIEWS
@@ -16,8 +17,8 @@ from dirl.models.features import FeatureTable
 
 
 def avoid_host_sync(tensor: Tensor) -> bool:
-    """Whether reading a tensor's values in Python would wait for a device to finish its queue."""
-    return tensor.is_cuda
+    """Whether reading a tensor's values in Python would wait for a device to finish its queue, or cannot be (vmap)."""
+    return tensor.is_cuda or is_batchedtensor(tensor)
 
 
 def pack(view_ids: Tensor, states: int) -> Tensor:

@@ -27,6 +27,7 @@ class PrincipalAxes(nn.Module):
 
     def __init__(self, features: Tensor, surrounding: Tensor | None, weight: Tensor) -> None:
         super().__init__()
+        weight = weight.detach()  # `beside` is data: with a graph behind it no copy of the network could be made
         self.slots = VIEWS if surrounding is None else 1
         products = features.double() @ features.T.double()
         if surrounding is not None:

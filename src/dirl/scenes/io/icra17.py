@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from dirl.scenes.io.read import MAX_COMPARED
+from dirl.scenes.io.hdf5 import MAX_COMPARED
 from dirl.scenes.io.write import whole_file
+from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 
 CROPS = 10
@@ -27,6 +28,7 @@ def export_icra17(scene: Scene, path: str | Path) -> None:
     Raises:
         SceneError: something that the layout requires is missing, or does not fit in.
     """
+    check_name(scene.name, str(path))
     if scene.views is None:
         raise SceneError(f"{scene.origin}: has no views (observation), which the layout icra17 requires")
     if scene.features is None:

@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import h5py
@@ -11,8 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.scenes.graph import ACTIONS, shortest_distances
-from dirl.scenes.io.read import DATASETS, MAX_COMPARED
-from dirl.scenes.scene import Scene
+from dirl.scenes.io.digest import DATASETS, write_digest
+from dirl.scenes.io.hdf5 import MAX_COMPARED
+from dirl.scenes.io.isolation import replace_features_apart
+from dirl.scenes.names import check_name
+from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.views import ImageError, decode
 
 
 def write_dump(
@@ -33,15 +38,22 @@ def write_dump(
         attributes: further file attributes, beside the scene's own.
         feature_attributes: how the features were made: ``extractor``, ``preprocessing``, ``weights``; the scene's own
             description if left out.
-        patch_attributes: how the patches were made.
+        patch_attributes: how the patches were made: ``extractor``, ``projection``.
 
     Raises:
+        SceneError: the scene's name will not do, or a view cannot be decoded.
         ValueError: there are not as many views as states.
     """
     path = Path(path)
+    check_name(scene.name, str(path))
     encoded = None if views is None else list(views)
     if encoded is not None and len(encoded) != len(scene):
         raise ValueError(f"{path}: {len(encoded)} views for {len(scene)} states")
+    for state, view in enumerate(encoded or ()):  # the reader trusts the digest
+        try:
+            decode(view)
+        except ImageError as error:
+            raise SceneError(f"{path}: the view of state {state} is not a readable image ({error})") from None
     with whole_file(path) as file:
         file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
         file.attrs.update(attributes or {})
@@ -56,7 +68,8 @@ def write_dump(
             file["resnet_feature"] = scene.features[:, None]
             file["resnet_feature"].attrs.update(feature_attributes or {"extractor": scene.extractor})
         if scene.patches is not None:
-            _store_patches(file, scene.patches, patch_attributes)
+            file["patches"] = scene.patches  # in one piece, so that a reader can map it into memory
+            file["patches"].attrs.update(patch_attributes or {})
         if encoded is not None:
             stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
             for state, view in enumerate(encoded):
@@ -79,34 +92,49 @@ def replace_features(
         features: of every state, ``[N, D]``.
         feature_attributes: how they were made: ``extractor``, ``preprocessing``, ``weights``.
         patches: of every state, ``[N, cells, channels]``; those of the dump if left out.
-        patch_attributes: how they were made.
+        patch_attributes: how they were made: ``extractor``, ``projection``.
+
+    Raises:
+        SceneError: the dump cannot be copied.
     """
-    replaced = {"resnet_feature"} if patches is None else {"resnet_feature", "patches"}
-    with h5py.File(dump) as old, whole_file(Path(path)) as new:
+    arrays: dict[str, NDArray[Any]] = {"resnet_feature": features[:, None]}
+    attributes = {"resnet_feature": dict(feature_attributes)}
+    if patches is not None:
+        arrays["patches"] = patches
+        attributes["patches"] = dict(patch_attributes or {})
+    with TemporaryDirectory() as folder:
+        files = {name: os.path.abspath(Path(folder) / f"{name}.npy") for name in arrays}
+        for name, array in arrays.items():
+            np.save(files[name], array)
+        try:
+            replace_features_apart(Path(dump), Path(path), files, attributes)
+        except SceneError as error:
+            raise SceneError(f"{dump}: {error}") from None
+
+
+def copy_with(
+    dump: Path, path: Path, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Mapping[str, str]]
+) -> None:
+    """Write a dump once more, in this process, with other values and attributes of some datasets, by their names."""
+    with h5py.File(dump) as old, whole_file(path) as new:
         new.attrs.update(old.attrs)
         for name in DATASETS:
-            if name in old and name not in replaced:
+            if name in old and name not in arrays:
                 old.copy(name, new)
-        new["resnet_feature"] = features[:, None]
-        new["resnet_feature"].attrs.update(feature_attributes)
-        if patches is not None:
-            _store_patches(new, patches, patch_attributes)
-
-
-def _store_patches(file: h5py.File, patches: NDArray[np.float16], attributes: Mapping[str, str] | None) -> None:
-    """In one piece and as they are, so that a reader can map them into memory."""
-    file["patches"] = patches
-    file["patches"].attrs.update(attributes or {})
+        for name, array in arrays.items():
+            new[name] = array
+            new[name].attrs.update(attributes[name])
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[h5py.File]:
-    """A new HDF5 file to write to; it stands at ``path`` when the context ends, and not at all if that fails."""
+    """A new dump to write to; when the context ends it gets its digest and its name. If it fails there is no file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".tmp")
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
         with h5py.File(unfinished, "w") as file:
             yield file
+            write_digest(file)
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)

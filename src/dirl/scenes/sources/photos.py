@@ -28,8 +28,9 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
+from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
-from dirl.scenes.views import encode
+from dirl.scenes.views import FORMATS, ImageError, encode, open_image
 
 TABLE = "states.csv"
 REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
@@ -37,6 +38,12 @@ OPTIONAL = ("back", "goal")
 
 TOLERANCE = 1.0
 """Degrees that a heading may be off."""
+
+MAX_PHOTO_PIXELS = 2**28
+"""Of an image to be scaled; as RGB it takes three bytes for each."""
+
+PANORAMA_MARK = b"GPano:ProjectionType"
+"""What cameras write into the XMP metadata of a panorama."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,9 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
         SceneError: the table cannot be understood, or no agent could walk in what it says. The message names the line.
     """
     folder = Path(folder)
+    name = name or folder.resolve().name
     rows = _read_table(folder)
+    check_name(name, str(folder))
     places: dict[str, list[Row]] = {}
     for row in rows:
         places.setdefault(row.location, []).append(row)
@@ -77,7 +86,7 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
         _check_place(location, here, len(next(iter(places.values()))))
     states = [row for here in places.values() for row in here]
     scene = Scene(
-        name=name or folder.resolve().name,
+        name=name,
         graph=_graph(places, states),
         positions=np.array([row.position for row in states]),
         headings=np.array([row.heading for row in states]) % 360,
@@ -95,19 +104,30 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
     An image that is WebP of that shape already is stored as it is.
 
     Raises:
-        SceneError: an image cannot be read.
+        SceneError: an image cannot be read, or is a panorama.
     """
     for path in images:
         try:
-            with Image.open(path) as image:
-                if image.format == "WEBP" and image.size == (width, height):
-                    image.load()
-                    yield path.read_bytes()
-                    continue
-                upright = ImageOps.exif_transpose(image).convert("RGB")
-            yield encode(np.asarray(ImageOps.fit(upright, (width, height), Image.Resampling.LANCZOS)), quality=90)
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            data = path.read_bytes()
+            image = open_image(data, MAX_PHOTO_PIXELS)
+        except (OSError, ImageError) as error:
             raise SceneError(f"{path}: not a readable image ({error})") from None
+        if image.format == FORMATS[0] and image.size == (width, height):
+            yield data
+            continue
+        if _is_panorama(data, image, width / height):
+            raise SceneError(
+                f"{path}: {image.width}x{image.height} pixels are a panorama, which shows all headings at once; cut it "
+                "into one image a heading (an ordinary image of that shape: crop it a little)"
+            )
+        upright = ImageOps.exif_transpose(image).convert("RGB")
+        yield encode(np.asarray(ImageOps.fit(upright, (width, height), Image.Resampling.LANCZOS)), quality=90)
+
+
+def _is_panorama(data: bytes, image: Image.Image, ratio: float) -> bool:
+    """Whether an image says that it is a panorama, or is twice as wide as high where other views are not."""
+    twice = abs(image.width / image.height - 2) < 0.02
+    return PANORAMA_MARK in data or (twice and abs(ratio - 2) > 0.02)
 
 
 def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:

@@ -1,0 +1,310 @@
+"""The content of a dump, read with libhdf5; `dirl.scenes.io.read` says what is in such a file.
+
+Everything here also runs in a process of its own, see `dirl.scenes.io.child`, and so imports neither torch nor the
+packages of dirl. Errors do not name the file; who reads it does.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.scenes.graph import ACTIONS, GraphError, IntArray, check_graph, shortest_distances
+from dirl.scenes.io.digest import EXTRACTOR_ATTRIBUTES, blocks, check_digest
+from dirl.scenes.io.heap import find_views
+from dirl.scenes.io.patches import locate_patches
+from dirl.scenes.io.storage import check_storage, open_dataset, own_dataset, read_attribute, short
+from dirl.scenes.scene import SceneError
+from dirl.scenes.views import MAX_PIXELS, ImageError, Views, decode
+
+# What is larger than these is refused before any of it is read.
+MAX_STATES = 50_000
+MAX_FEATURE_VALUES = 2**27
+"""Of the first crop, the one that is read: half a gigabyte as float32."""
+MAX_FEATURE_RATIO = 50
+"""How much larger than in the file features may be; those of a network hardly compress."""
+MAX_UNPACKED_VIEWS = 2**29
+"""Bytes of raw views that are compressed in the file, for they are held in memory."""
+MAX_TEXT = 2000
+"""Characters of an attribute."""
+
+MAX_COMPARED = 5_000
+"""Of a scene with more states distances are neither stored nor compared; there are states x states of them."""
+COMPARED_GOALS = 1_000
+"""The stored distances to that many states, evenly spread, are compared."""
+
+UNREACHABLE_FROM = 1000
+"""Stored distances at or above this mean "unreachable" (some copies of the published files hold 1000)."""
+
+
+@dataclass
+class Contents:
+    """What a dump holds: numbers, texts and arrays, not yet checked as a scene."""
+
+    graph: NDArray[Any]
+    """In the order of `ACTIONS`."""
+    positions: NDArray[Any]
+    headings: NDArray[Any]
+    features: NDArray[np.floating] | None
+    extractor: str
+    name: str
+    """Empty if the file does not say, as for the source."""
+    source: str
+    goals: list[int]
+    view_dataset: str
+    """Empty if there are no views; this and the rest is what `Views` is made of."""
+    view_spans: IntArray
+    view_shape: list[int] | None
+    views_unpacked: NDArray[np.uint8] | None
+    patch_offset: int
+    """This and the next: see `dirl.scenes.io.patches.map_patches`."""
+    patch_shape: list[int] | None
+    warning: str = ""
+
+    def views(self, path: Path) -> Views | None:
+        """The views of the file."""
+        if not self.view_dataset:
+            return None
+        shape = None if self.view_shape is None else (self.view_shape[0], self.view_shape[1])
+        return Views(path, self.view_dataset, self.view_spans, shape, self.views_unpacked)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The fields that are arrays."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+
+def read_contents(path: Path, *, intact: bool = False) -> Contents:
+    """Read a dump. Nothing large is read before its shape has been checked, and links to other files are refused.
+
+    Args:
+        path: an existing file.
+        intact: its bytes are known to be those that were written; its digest and its views need no check.
+
+    Raises:
+        SceneError: what the file holds cannot be read.
+    """
+    try:
+        with h5py.File(path) as file, np.errstate(all="ignore"):
+            return _read(file, path, intact)
+    except SceneError:
+        raise
+    except MemoryError:
+        raise SceneError("takes more memory than a dump can need; it is damaged") from None
+    except Exception as error:  # h5py raises nearly every kind for damaged files
+        reason = " ".join(str(error).split())[:200]
+        raise SceneError(f"not a readable HDF5 file, perhaps a broken download ({reason})") from None
+
+
+def extractor_text(attributes: Mapping[str, str]) -> str:
+    """What made some features, as one text, from the attributes of ``resnet_feature``; empty if there are none."""
+    return "; ".join(attributes[key] for key in EXTRACTOR_ATTRIBUTES if attributes.get(key))
+
+
+def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
+    missing = [key for key in ("graph", "location", "rotation") if key not in file]
+    if missing:
+        raise SceneError(f"the dataset '{missing[0]}' is missing; the file holds {short(sorted(file), str)}")
+    graph = open_dataset(file, "graph", kinds="iu", shape=(None, 4))
+    states = len(graph)
+    if states > MAX_STATES:
+        raise SceneError(f"graph: {states} states are more than the {MAX_STATES} this package can hold")
+    location = open_dataset(file, "location", kinds="iuf", shape=(states, 2))
+    rotation = open_dataset(file, "rotation", kinds="iuf", shape=(states,))
+    for dataset in (graph, location, rotation):
+        check_storage(dataset)
+    features = _open_features(file, states)
+    views = _open_views(file, states)
+    patch_offset, patch_shape = locate_patches(file, path, states)
+    distances = None
+    if "shortest_path_distance" in file:
+        distances = open_dataset(file, "shortest_path_distance", kinds="iuf", shape=(states, states))
+        if states <= MAX_COMPARED:
+            check_storage(distances)
+    verified = intact or check_digest(file)
+    contents = Contents(
+        graph=_in_our_order(graph[:], read_attribute(file, "actions")),
+        positions=location[:],
+        headings=rotation[:],
+        features=None if features is None else _read_features(features),
+        extractor=_extractor(features),
+        name=_text_attribute(file, "name"),
+        source=_text_attribute(file, "source"),
+        goals=_goals(read_attribute(file, "goals"), states),
+        **_locate_views(views, path, decoded=verified),
+        patch_offset=patch_offset,
+        patch_shape=patch_shape,
+    )
+    _check_differences(contents)
+    if distances is not None and states <= MAX_COMPARED and not verified:
+        contents.warning = _compare_distances(contents.graph, distances)
+    return contents
+
+
+def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
+    if "resnet_feature" not in file:
+        return None
+    crops = len(own_dataset(file, "resnet_feature").shape or ()) == 3
+    shape = (states, None, None) if crops else (states, None)
+    dataset = open_dataset(file, "resnet_feature", kinds="f", shape=shape)
+    if 0 in dataset.shape or states * dataset.shape[-1] > MAX_FEATURE_VALUES:
+        raise SceneError(
+            f"resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "
+            f"found shape {dataset.shape}"
+        )
+    check_storage(dataset, max_ratio=MAX_FEATURE_RATIO)
+    return dataset
+
+
+def _read_features(dataset: h5py.Dataset) -> NDArray[np.floating]:
+    """The features ``[N, D]`` of the first crop, a block at a time: of float64 they would take three times the room."""
+    kind = np.float16 if dataset.dtype.itemsize == 2 else np.float32
+    values = np.empty((dataset.shape[0], dataset.shape[-1]), kind)
+    for rows in blocks(dataset):
+        values[rows] = dataset[rows, 0] if dataset.ndim == 3 else dataset[rows]
+    return values
+
+
+def _extractor(features: h5py.Dataset | None) -> str:
+    if features is None:
+        return "none"
+    return extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown"
+
+
+def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
+    if "observation_webp" in file:
+        dataset = open_dataset(file, "observation_webp", kinds="O", shape=(states,))
+        if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
+            raise SceneError("observation_webp: expected byte strings (variable-length uint8)")
+        check_storage(dataset)
+        return dataset
+    if "observation" not in file:
+        return None
+    dataset = open_dataset(file, "observation", kinds="u", shape=(states, None, None, 3))
+    if dataset.dtype != np.uint8:
+        raise SceneError(f"observation: expected uint8 pixels, found {dataset.dtype}")
+    if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
+        raise SceneError(f"observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}")
+    check_storage(dataset)
+    if dataset.chunks is not None and dataset.nbytes > MAX_UNPACKED_VIEWS:
+        raise SceneError(
+            f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "
+            "stored in one piece (h5repack -l observation:CONTI)"
+        )
+    return dataset
+
+
+def _locate_views(dataset: h5py.Dataset | None, path: Path, *, decoded: bool) -> dict[str, Any]:
+    """Where the views lie in the file; each is decoded once, to see that it can be, unless that is known."""
+    spans, shape, unpacked = np.empty((0, 2), np.int64), None, None
+    if dataset is not None and dataset.dtype.kind == "O":
+        spans = find_views(dataset, path, check=None if decoded else _check_view)
+    elif dataset is not None:
+        shape = list(dataset.shape[1:3])
+        start, size = dataset.id.get_offset(), dataset.nbytes // len(dataset)
+        if start is None:  # in chunks
+            unpacked = dataset[:]
+            start = 0
+        spans = np.stack([start + size * np.arange(len(dataset)), np.full(len(dataset), size)], 1)
+    name = "" if dataset is None else dataset.name.removeprefix("/")
+    return {"view_dataset": name, "view_spans": spans, "view_shape": shape, "views_unpacked": unpacked}
+
+
+def _check_view(state: int, data: bytes) -> None:
+    try:
+        decode(data)
+    except ImageError as error:
+        raise SceneError(f"observation_webp: state {state}: not a readable image ({error})") from None
+
+
+def _check_differences(contents: Contents) -> None:
+    """Check that states differ: nobody could find a way where all look alike."""
+    headings, features = contents.headings, contents.features
+    if len(headings) > 1 and (headings == headings[0]).all():
+        raise SceneError(f"rotation: all states have the heading {headings[0]:g}; a turn must change it")
+    if features is None or len(features) < 2 or not np.isfinite(features[0]).all():
+        return
+    if all(np.array_equal(row, features[0]) for row in features):
+        raise SceneError("resnet_feature: all states have the same features; nothing could be told apart")
+
+
+def _goals(declared: Any, states: int) -> list[int]:
+    goals = np.asarray(() if declared is None else declared)
+    if goals.size == 0:
+        return []
+    if goals.dtype.kind not in "iu" or goals.ndim > 1:
+        raise SceneError(f"attribute 'goals': expected a list of states (integers), found {short(declared)}")
+    named = np.atleast_1d(goals)
+    if len(named) > states:
+        raise SceneError(f"attribute 'goals': names {len(named)} goals of {states} states")
+    values, counts = np.unique(named, return_counts=True)
+    if (counts > 1).any():
+        raise SceneError(f"attribute 'goals': names state {values[counts > 1][0]} twice")
+    return named.tolist()
+
+
+def _in_our_order(graph: NDArray[Any], declared: Any) -> NDArray[Any]:
+    if declared is None:
+        return graph
+    actions = [_text(action) if isinstance(action, str | bytes) else "?" for action in np.atleast_1d(declared).tolist()]
+    if sorted(actions) != sorted(ACTIONS):
+        raise SceneError(
+            f"attribute 'actions': expected {list(ACTIONS)} in the order of graph's columns, found "
+            f"{short(actions) if len(actions) > 5 else actions}"
+        )
+    return graph[:, [actions.index(action) for action in ACTIONS]]
+
+
+def _compare_distances(graph: NDArray[Any], dataset: h5py.Dataset) -> str:
+    """What is wrong with the stored distances; empty if nothing is, or the graph itself cannot be walked in."""
+    links = graph.astype(np.int64)
+    try:
+        check_graph(links)
+    except GraphError:
+        return ""
+    goals = np.unique(np.linspace(0, len(links) - 1, COMPARED_GOALS).astype(np.int64))
+    distances = shortest_distances(links, goals)
+    wrong, first = 0, ""
+    for rows in blocks(dataset):
+        stored = dataset[rows][:, goals]
+        unreachable = ~np.isfinite(stored) | (stored < 0) | (stored >= UNREACHABLE_FROM)
+        stored = np.where(unreachable, -1.0, stored)
+        differs = stored != distances[rows]
+        if differs.any() and not wrong:
+            row, column = np.argwhere(differs)[0]
+            state = rows.start + row
+            first = (
+                f"from state {state} to {goals[column]}: stored {stored[row, column]:g}, by search "
+                f"{distances[state, column]}"
+            )
+        wrong += int(differs.sum())
+    if not wrong:
+        return ""
+    return (
+        f"shortest_path_distance: {wrong} entries disagree with the graph, first {first} (-1 = unreachable); the "
+        "searched distances are used"
+    )
+
+
+def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
+    """A text, empty if there is none."""
+    value = read_attribute(holder, name)
+    try:
+        text = "" if value is None else _text(value)
+    except ValueError:
+        raise SceneError(f"attribute '{name}': expected text, found {short(value)}") from None
+    if not text.isprintable() or len(text) > MAX_TEXT:
+        raise SceneError(f"attribute '{name}': expected one line of text, found {short(text)}")
+    return text
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bytes):
+        return value.decode()
+    if not isinstance(value, str):
+        raise ValueError(f"{value!r} is no text")
+    return str(value)

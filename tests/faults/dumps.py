@@ -1,0 +1,184 @@
+"""Damage thousands of dumps and read each: nothing may crash, hang, print a traceback or pass changed data as good.
+
+    nice python tests/faults/dumps.py count=10000 seed=7
+
+Each file is damaged in one of the ways of damage.py and read in a process that is forked from one that has everything
+imported. What crashes or hangs there is read once more as a user reads it, by `read_dump`; so is every fiftieth file.
+The same seed damages the same files. With ``log=file`` a run that was stopped goes on, and ``start=5000`` begins in the
+middle, so that several can share the work. The exit status is 1 if a file was not read as it should be; those are
+listed.
+"""
+
+import gc
+import hashlib
+import os
+import resource
+import signal
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+
+from damage import WAYS
+from rooms import grid_scene, published_dump
+
+from dirl.scenes import SceneError, SceneWarning, read_dump, write_dump
+from dirl.scenes.io import isolation
+from dirl.scenes.views import encode
+
+CPU_SECONDS, MEMORY = 1.0, 8 * 2**30
+SHARE, READ_APART = 20, 50
+"""So many files are read by one process; every so many are read as a user's are as well."""
+
+SAME, CHANGED, LINE = "read, and as it was", "read, and changed", "refused with one line"
+CRASHED, SLOW = "refused with one line: libhdf5 crashed", "refused with one line: out of time"
+SILENT, TRACEBACK, LOST = "CHANGED IN SPITE OF A DIGEST", "TRACEBACK", "NO LINE FROM read_dump"
+FAILURES = (SILENT, TRACEBACK, LOST)
+OUTCOMES = (SAME, CHANGED, LINE, CRASHED, SLOW, *FAILURES)
+
+
+def bases(folder):
+    """Good files by what they are: with the bytes, and whether a digest protects them."""
+    rng = np.random.default_rng(0)
+    scene = grid_scene(name="hall", goals=(3, 17))
+    views = [encode(rng.integers(0, 256, (12, 16, 3), np.uint8)) for _ in range(24)]
+    write_dump(folder / "ours.h5", scene, views, feature_attributes={"extractor": "ResNet-50", "weights": "v2"})
+    published_dump(folder / "published.h5", scene, crops=2)
+    (folder / "unsigned.h5").write_bytes((folder / "ours.h5").read_bytes())
+    with h5py.File(folder / "unsigned.h5", "a") as file:
+        del file.attrs["digest"], file["graph"].attrs["digest"]
+    return {name: (folder / f"{name}.h5").read_bytes() for name in ("ours", "unsigned", "published")}
+
+
+def fingerprint(scene):
+    """A digest of everything that a scene holds, its views decoded."""
+    digest = hashlib.sha256(repr((scene.name, scene.source, scene.extractor, scene.goals)).encode())
+    for array in (scene.graph, scene.positions, scene.headings, scene.features):
+        digest.update(repr(None if array is None else (array.shape, array.dtype)).encode())
+        digest.update(b"" if array is None else array.tobytes())
+    for state in range(len(scene) if scene.views else 0):
+        view = scene.views[state]
+        digest.update(repr(view.shape).encode() + view.tobytes())
+    return digest.hexdigest()
+
+
+def outcome(path, good, protected, *, isolated):
+    """What came of reading a file, in this process."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", SceneWarning)
+            found = fingerprint(read_dump(path, isolated=isolated))
+    except SceneError as error:
+        return LINE if "\n" not in str(error) and str(error).startswith(f"{path}: ") else TRACEBACK
+    except Exception:
+        return TRACEBACK
+    return SAME if found == good else SILENT if protected else CHANGED
+
+
+def in_a_fork(actions):
+    """The outcomes that functions return in a forked process with limits, and how that ended if one has none."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        try:
+            for action in actions:
+                signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)  # its signal ends the process
+                os.write(writing, f"{action()}\n".encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as stream:
+        said = stream.read().splitlines()
+    status = os.waitpid(child, 0)[1]
+    return said, SLOW if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF else CRASHED
+
+
+def each_in_a_fork(actions):
+    """The outcome of each function. Several share a process; one that ends it is tried again in one of its own."""
+    for start in range(0, len(actions), SHARE):
+        pending = actions[start : start + SHARE]
+        while pending:
+            said, _ = in_a_fork(pending)
+            yield from said
+            if len(said) < len(pending):
+                alone, ended = in_a_fork([pending[len(said)]])
+                yield alone[0] if alone else ended
+            pending = pending[len(said) + 1 :]
+
+
+def damage(path, content, way, seed):
+    """Write a damaged file; what HDF5 itself refuses to write is left as far as it came."""
+    path.write_bytes(content)
+    with suppress(Exception):
+        way(np.random.default_rng(seed), path)
+
+
+def try_files(numbers, seed, folder):
+    """Damage and read files; yields the number, the base, the way and the outcome of each."""
+    files, goods, path = bases(folder), {}, folder / "room.h5"  # a file without a name is called by its stem
+    for base, content in files.items():
+        path.write_bytes(content)
+        goods[base] = fingerprint(read_dump(path))
+    gc.freeze()  # what is not looked at is not copied in a fork
+
+    def choose(number):
+        rng = np.random.default_rng((seed, number))
+        return str(rng.choice(list(files))), WAYS[rng.integers(len(WAYS))]
+
+    def read(number, *, isolated=False):
+        base, way = choose(number)
+        damage(path, files[base], way, (seed, number, 1))
+        return outcome(path, goods[base], base == "ours", isolated=isolated)
+
+    found_here = each_in_a_fork([partial(read, number) for number in numbers])
+    for number, found in zip(numbers, found_here, strict=True):
+        if found in (CRASHED, SLOW):
+            found = found if read(number, isolated=True) == LINE else LOST
+        elif number % READ_APART == 0 and read(number, isolated=True) != found:
+            found = LOST
+        base, way = choose(number)
+        yield number, base, way.__name__, found
+
+
+def table(counts, title):
+    """Outcomes by kind, Markdown."""
+    kinds = sorted({kind for kind, _ in counts})
+    lines = [f"| {title} | files | " + " | ".join(OUTCOMES) + " |", "|---|" + "--:|" * (len(OUTCOMES) + 1)]
+    for kind in [*kinds, "all"]:
+        numbers = [sum(n for (k, o), n in counts.items() if o == what and kind in (k, "all")) for what in OUTCOMES]
+        lines.append(f"| {kind} | {sum(numbers)} | " + " | ".join(map(str, numbers)) + " |")
+    return "\n".join(lines)
+
+
+def main(count=1000, seed=0, start=0, log=None):
+    """Try ``count`` files; print the tables; 1 if something went wrong."""
+    isolation.SECONDS, isolation.PATIENCE = CPU_SECONDS, 10_000  # the machine may be as busy as it likes
+    done = [line.split(" | ") for line in Path(log).read_text().splitlines()] if log and Path(log).exists() else []
+    left = sorted(set(range(start, start + count)) - {int(number) for number, *_ in done})
+    with tempfile.TemporaryDirectory() as folder, open(log or os.devnull, "a", buffering=1) as stream:
+        for result in try_files(left, seed, Path(folder)):
+            done.append(result)
+            stream.write(" | ".join(map(str, result)) + "\n")
+    print(f"{len(done)} files, seed {seed}\n")
+    print(table(Counter((base, found) for _, base, _, found in done), "file"))
+    print()
+    print(table(Counter((way, found) for _, _, way, found in done), "damage"))
+    failed = [": ".join(map(str, result)) for result in done if result[3] in FAILURES]
+    print("\n".join(["", *(failed or ["no failures"])]))
+    return bool(failed)
+
+
+if __name__ == "__main__":
+    given = dict(argument.split("=") for argument in sys.argv[1:])
+    sys.exit(main(**{key: value if key == "log" else int(value) for key, value in given.items()}))

@@ -1,0 +1,56 @@
+"""What ``recipes/train.py`` makes of a configuration, for tests that use its stages."""
+
+from types import SimpleNamespace
+
+import torch
+from commands import train_config
+from train import begin, imitate, reinforce
+
+from dirl.models import plain_weights
+from dirl.runs.folder import Run
+from dirl.training.build import (
+    build_demonstrations,
+    build_losses,
+    build_observation,
+    build_protocol,
+    build_world,
+    learning_policy,
+)
+
+
+def make_parts(*options):
+    """``config``, ``world``, ``observation``, ``policy``, ``demos``, ``losses`` and ``protocol`` of these options."""
+    config = train_config(*options)
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy = learning_policy(config, world, observation)
+    demos = build_demonstrations(config, world, observation)
+    losses = build_losses(config, policy, world, demos)
+    protocol = build_protocol(config, world, observation)
+    torch.manual_seed(config.seed)
+    return SimpleNamespace(
+        config=config,
+        world=world,
+        observation=observation,
+        policy=policy,
+        demos=demos,
+        losses=losses,
+        protocol=protocol,
+    )
+
+
+def train_state(parts):
+    """The state before the first update."""
+    return begin(parts.config, parts.policy, parts.losses, parts.protocol)
+
+
+def train_in(folder, parts):
+    """Imitate, reinforce and finish as the recipe does; the summary of the reinforcement."""
+    run = Run(folder, parts.config)
+    run.begin(parts.world, parts.observation.order)
+    if len(parts.demos):
+        imitate(parts.config, run, parts.policy, parts.demos)
+    result = reinforce(parts.config, run, parts.policy, parts.losses, parts.protocol)
+    parts.policy.restore()
+    run.finish({"frames": result["frames"], "network": plain_weights(parts.policy)}, {})
+    return result

@@ -1,0 +1,56 @@
+"""Policies of a few lines, and what became of their episodes."""
+
+import torch
+from tensordict import TensorDict
+
+from dirl.experts import ShortestPathExpert
+
+RIGHT, BACK = 1, 3
+COUNTED = ("success", "steps", "false_stop", "missed_stop")
+
+
+def expert(world, sureness=100.0):
+    """The expert as a policy that looks: it stands in the last of sequential views, the first of surrounding ones."""
+    shortest = ShortestPathExpert(world)
+
+    def logits(rows):
+        views, goal = rows["view_ids"], rows["goal_view_ids"][:, 0]
+        tiled = (rows["goal_view_ids"] == goal[:, None]).all()
+        asked = TensorDict({"state": views[:, -1 if tiled else 0], "goal": goal}, rows.batch_size)
+        action = shortest(asked)["expert_action"].clamp(min=0)
+        return sureness * torch.nn.functional.one_hot(action, 4).float()
+
+    return Asked(logits)
+
+
+class Asked(torch.nn.Module):
+    """A policy by a function of what it observes, and a list of how many rows it is asked at once."""
+
+    def __init__(self, logits):
+        super().__init__()
+        self.logits, self.sizes = logits, []
+
+    def forward(self, rows):
+        self.sizes.append(len(rows))
+        return rows.set("logits", self.logits(rows))
+
+
+def always(action, sureness=100.0):
+    """A policy that prefers one action everywhere."""
+    return Asked(lambda rows: sureness * torch.eye(4)[action].expand(len(rows), 4))
+
+
+def only_goals(world):
+    return world.distances == 0
+
+
+def pair(world, goal_index, state):
+    return world.pair(torch.tensor(goal_index), torch.tensor(state))
+
+
+def from_states(goal_index, *states):
+    return torch.full((len(states),), goal_index), torch.tensor(states)
+
+
+def outcome(episodes):
+    return {key: getattr(episodes, key).tolist() for key in COUNTED}

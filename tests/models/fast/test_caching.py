@@ -1,0 +1,187 @@
+"""Embedding once what many frames share, with encoders of any kind; `dirl.models.fast.siamese` has tests of its own."""
+
+import copy
+
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given
+from hypothesis import strategies as st
+from networks import SURROUNDING, batch_of, gradients, plain, seen, standardised_policy
+from torch import nn
+
+from dirl.models import SiameseEncoder
+from dirl.models.fast import caching
+from dirl.models.fast.caching import CachedEncoder, EmbeddingCache, pack, unpack
+from dirl.models.fast.siamese import CachedSiamese
+from dirl.objectives import TFRMSprop
+
+
+@given(st.lists(st.lists(st.integers(0, 55_107), min_size=4, max_size=4), min_size=1, max_size=20))
+def test_packed_rows_unpack_to_themselves(rows):
+    view_ids = torch.tensor(rows)
+    keys = pack(view_ids, 55_108)
+    assert torch.equal(unpack(keys, 55_108, 4), view_ids)
+    assert len(keys.unique()) == len({tuple(row) for row in rows})
+
+
+def test_too_large_a_world_is_refused():
+    with pytest.raises(ValueError, match="55109 states is too large"):
+        pack(torch.zeros(1, 4, dtype=torch.int64), 55_109)
+
+
+@pytest.mark.parametrize("every", [None, 41])
+@given(questions=st.lists(st.lists(st.integers(0, 40), min_size=1, max_size=10), min_size=1, max_size=6))
+def test_a_cache_gives_each_keys_row_and_computes_none_twice(every, questions):
+    cache, computed = EmbeddingCache(every), []
+
+    def square(keys):
+        computed.extend(keys.tolist())
+        return ((keys**2).float().unsqueeze(-1),)
+
+    for question in questions:
+        places = cache.places(torch.tensor(question), square)
+        assert cache.keys[places].tolist() == question
+        assert cache.rows[0][places].squeeze(-1).tolist() == [key**2 for key in question]
+    assert sorted(computed) == (list(range(41)) if every else sorted(set().union(*questions)))
+
+
+class Attention(nn.Module):
+    """An encoder of one's own that can be cached: its views attend to each other."""
+
+    def __init__(self, num_features, width):
+        super().__init__()
+        self.query, self.value = nn.Linear(num_features, width), nn.Linear(num_features, width)
+        self.last = nn.Bilinear(width, width, width)
+        self.rows = []
+
+    def embed(self, observation):
+        self.rows.append(len(observation))
+        query = self.query(observation)
+        return ((query @ query.mT).softmax(-1) @ self.value(observation)).mean(-2)
+
+    def fuse(self, embedding, goal_embedding):
+        return F.elu(self.last(embedding, goal_embedding))
+
+    def forward(self, observation, goal_observation):
+        return self.fuse(self.embed(observation), self.embed(goal_observation))
+
+
+class Gated(SiameseEncoder):
+    """A Siamese encoder that fuses otherwise."""
+
+    def fuse(self, embedding, goal_embedding):
+        return super().fuse(embedding, goal_embedding) * embedding.sigmoid()
+
+
+class Whole(nn.Module):
+    """An encoder without parts to cache."""
+
+    def __init__(self, num_features, width):
+        super().__init__()
+        self.layer = nn.Bilinear(4 * num_features, 4 * num_features, width)
+
+    def forward(self, observation, goal_observation):
+        return self.layer(observation.flatten(1), goal_observation.flatten(1))
+
+
+OWN = pytest.mark.parametrize("encoder", [Attention, Gated])
+SEEN = pytest.mark.parametrize("surrounding", [SURROUNDING, None], ids=["surrounding", "sequential"])
+
+
+def of_world(surrounding, view_ids):
+    """View ids as they can be observed: the state alone says them, or any four of them."""
+    return view_ids if surrounding is not None or view_ids.ndim == 1 else view_ids.flip(0).roll(1, 1)
+
+
+def cached_and_plain(encoder, surrounding):
+    expected = standardised_policy(encoder=encoder)
+    policy = copy.deepcopy(expected)
+    policy.cache(surrounding)
+    return policy, expected
+
+
+@OWN
+@SEEN
+@pytest.mark.parametrize("late", [False, True], ids=["as on a CPU", "as on a GPU"])
+def test_an_encoder_of_ones_own_computes_the_same_cached(encoder, surrounding, late, monkeypatch):
+    monkeypatch.setattr(caching, "avoid_host_sync", lambda tensor: late)
+    policy, expected = cached_and_plain(encoder, surrounding)
+    assert type(policy.cached) is CachedEncoder
+    views, goal_views, _ = (of_world(surrounding, ids) for ids in seen())
+    fused, wanted = policy.cached(views, goal_views), plain(expected, views, goal_views)
+    torch.testing.assert_close(fused, wanted)
+    torch.testing.assert_close(gradients(policy.encoder, fused), gradients(expected.encoder, wanted))
+    with policy.cached.caching(), torch.no_grad():
+        for rows in (slice(0, 30), slice(20, 80)):
+            torch.testing.assert_close(policy.cached(views[rows], goal_views[rows]), wanted[rows].detach())
+
+
+@OWN
+def test_principal_axes_are_for_the_siamese_encoder_itself(encoder):
+    policy = standardised_policy(encoder=encoder)
+    before = {name: value.clone() for name, value in policy.state_dict().items()}
+    policy.cache(SURROUNDING, principal=True)
+    assert not isinstance(policy.cached, CachedSiamese)
+    policy.restore()
+    torch.testing.assert_close(policy.state_dict(), before)
+    torch.testing.assert_close(policy.plain_state_dict(), before)
+
+
+def test_every_distinct_observation_is_embedded_once():
+    policy, _ = cached_and_plain(Attention, SURROUNDING)
+    views, goal_views, _ = seen()
+    distinct = len(torch.cat([views, goal_views]).unique(dim=0))
+    policy.cached(views, goal_views)
+    assert policy.encoder.rows == [distinct]
+    with policy.cached.caching(), torch.no_grad():
+        policy.cached(views[:9], goal_views[:9])
+        policy.cached(views, goal_views)
+        policy.cached(goal_views, views)
+    assert sum(policy.encoder.rows) == 2 * distinct
+
+
+@pytest.mark.parametrize("optimiser", [torch.optim.Adam, TFRMSprop])
+def test_what_older_weights_embedded_is_forgotten(optimiser):
+    policy, _ = cached_and_plain(Attention, SURROUNDING)
+    views, goal_views, _ = seen()
+    optimiser = optimiser(policy.encoder.parameters(), lr=0.1)
+    with policy.cached.caching():
+        for _ in range(2):
+            with torch.no_grad():
+                found = policy.cached(views, goal_views)
+            torch.testing.assert_close(found, plain(policy, views, goal_views))
+            gradients(policy.encoder, policy.cached(views, goal_views))
+            optimiser.step()
+
+
+@pytest.mark.parametrize("context", ["caching", "frozen"])
+def test_after_the_context_nothing_is_kept(context):
+    policy, _ = cached_and_plain(Attention, SURROUNDING)
+    views, goal_views, _ = seen()
+    with torch.no_grad():
+        with getattr(policy.cached, context)():
+            policy.cached(views, goal_views)
+        policy.encoder.query.weight.data = policy.encoder.query.weight.data + 1  # without a trace in its version
+        torch.testing.assert_close(policy.cached(views, goal_views), plain(policy, views, goal_views))
+
+
+def test_an_encoder_without_parts_trains_on_features():
+    policy, expected = cached_and_plain(Whole, SURROUNDING)
+    assert policy.cached is None
+    rows = batch_of(*seen())
+    (fused, logits), wanted = (policy.trunk()(rows.copy())[key] for key in ("fused", "hidden")), expected(rows.copy())
+    torch.testing.assert_close(fused, plain(expected, *seen()[:2]))
+    torch.testing.assert_close(logits, wanted["hidden"])
+    gradients(policy, policy(rows.copy())["logits"])
+    assert policy.encoder.layer.weight.grad.abs().sum() > 0
+
+
+def test_a_copy_of_a_cached_policy_embeds_with_its_own_weights():
+    policy, _ = cached_and_plain(Attention, SURROUNDING)
+    copied, (views, goal_views, _) = copy.deepcopy(policy), seen()
+    with torch.no_grad():
+        for parameter in copied.encoder.parameters():
+            parameter.mul_(2)
+    torch.testing.assert_close(copied.cached(views, goal_views), plain(copied, views, goal_views))
+    torch.testing.assert_close(policy.cached(views, goal_views), plain(policy, views, goal_views))

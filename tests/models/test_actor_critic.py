@@ -1,0 +1,179 @@
+import math
+
+import pytest
+import torch
+from networks import (
+    FEATURES,
+    SCENES,
+    SURROUNDING,
+    WIDTH,
+    batch_of,
+    embedded_rows,
+    make_policy,
+    plain,
+    seen,
+    standardised_policy,
+)
+from tensordict import TensorDict
+from torch import nn
+from torchrl.modules import set_recurrent_mode
+
+from dirl.experts import RandomPolicy
+from dirl.models import caching, count_parameters, frozen, initial_state, plain_weights, recurrent_keys
+
+OUTPUTS = ("hidden", "logits", "state_value")
+
+
+@pytest.fixture
+def policy():
+    return standardised_policy()
+
+
+def test_two_heads_lie_on_a_layer_of_the_scene(policy):
+    views, goal_views, scene = seen(rows=20)
+    found, fused = policy(batch_of(views, goal_views, scene)), plain(policy, views, goal_views)
+    for row, s in enumerate(scene):
+        name = SCENES[s]
+        hidden = policy.heads.trunk.scenes[name][0](fused[row]).relu()
+        torch.testing.assert_close(found["hidden"][row], hidden)
+        torch.testing.assert_close(found["logits"][row], policy.heads.policy.scenes[name](hidden))
+        torch.testing.assert_close(found["state_value"][row], policy.heads.value.scenes[name](hidden))
+    assert found["logits"].shape == (20, 4)
+    assert found["state_value"].shape == (20, 1)
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_torchrls_operators_compute_what_the_network_computes(policy, cached):
+    given = batch_of(*seen())
+    expected = policy(given.copy())
+    if cached:
+        policy.cache(SURROUNDING)
+    calls = embedded_rows(policy.encoder)
+    out = policy.operator()(given)
+    for key in ("logits", "state_value"):
+        torch.testing.assert_close(out[key], expected[key])
+    chosen = expected["logits"].log_softmax(-1).gather(-1, out["action"].unsqueeze(-1)).squeeze(-1)
+    torch.testing.assert_close(out["action_log_prob"], chosen)
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_batches_of_agents_and_time_are_read_as_rows(policy, cached):
+    if cached:
+        policy.cache(SURROUNDING)
+    rows = batch_of(*seen())
+    expected, found = policy(rows.copy()), policy(rows.copy().reshape(8, 10))
+    assert found["logits"].shape == (8, 10, 4)
+    for key in OUTPUTS:
+        torch.testing.assert_close(found[key].flatten(0, 1), expected[key])
+
+
+def test_its_keys_are_what_it_reads_and_writes(policy):
+    given = batch_of(*seen(rows=5))
+    assert set(policy.in_keys) == set(given.keys())
+    assert set(policy.out_keys) <= set(policy(given).keys())
+
+
+def test_the_published_network_has_its_number_of_parameters():
+    made = make_policy(torch.zeros(1, 2048), ["a", "b", "c", "d"], width=512)
+    assert count_parameters(made) == 5_780_500
+
+
+def test_shared_heads_are_one_scenes_heads():
+    shared = make_policy(torch.zeros(1, FEATURES), SCENES, shared=True)
+    single = make_policy(torch.zeros(1, FEATURES), SCENES[:1])
+    assert count_parameters(shared) == count_parameters(single)
+    assert "heads.policy.scenes.shared.weight" in shared.state_dict()
+
+
+def test_frozen_parameters_are_not_counted(policy):
+    before = count_parameters(policy)
+    policy.encoder.fusion.weight.requires_grad_(False)
+    assert count_parameters(policy) == before - 2 * WIDTH * WIDTH
+
+
+def test_weights_and_biases_start_within_one_over_the_root_of_fan_in():
+    made = make_policy(torch.zeros(1, 64), SCENES, width=64)
+    layers = [module for module in made.modules() if isinstance(module, nn.Linear)]
+    assert len(layers) == 2 + 3 * len(SCENES)
+    for layer in layers:
+        bound = 1 / math.sqrt(layer.in_features)
+        for values in (layer.weight, layer.bias):
+            assert values.abs().max() <= bound
+        assert layer.weight.abs().max() > 0.9 * bound
+    biases = torch.cat([layer.bias * math.sqrt(layer.in_features) for layer in layers])
+    assert biases.abs().max() > 0.9
+
+
+@pytest.mark.parametrize("principal", [False, True])
+def test_its_plain_weights_are_those_without_what_makes_it_fast(policy, principal):
+    expected = {name: value.clone() for name, value in policy.state_dict().items()}
+    policy.cache(SURROUNDING, principal=principal)
+    found = plain_weights(policy)
+    assert found.keys() == expected.keys()
+    torch.testing.assert_close(found, expected)
+
+
+def test_a_policy_that_cannot_be_cached_needs_no_context():
+    policy = RandomPolicy()
+    assert (plain_weights(policy), recurrent_keys(policy), count_parameters(policy)) == ({}, [], 0)
+    assert initial_state(policy, 3, torch.device("cpu")) == {}
+    for context in (caching, frozen):
+        with context(policy):
+            assert (
+                policy(TensorDict({"state": torch.zeros(2, dtype=torch.int64)}, [2]))["logits"].tolist()
+                == [[0] * 4] * 2
+            )
+
+
+@pytest.fixture
+def remembering():
+    """A policy with a memory, cached."""
+    made = standardised_policy(memory=True)
+    made.cache(SURROUNDING)
+    return made
+
+
+def test_a_memory_begins_empty(remembering, policy):
+    (key,) = recurrent_keys(remembering)
+    assert recurrent_keys(policy) == []
+    assert {"is_init", key} <= set(remembering.in_keys)
+    (state,) = initial_state(remembering, 5, torch.device("cpu")).values()
+    assert state.shape == (5, 1, WIDTH)
+    assert not state.any()
+
+
+def walked(policy, steps, begins):
+    """Step by step: what a policy with memory writes for ``[B, T]``, and the batch as a rollout would hold it."""
+    batch, outputs = [], []
+    state = initial_state(policy, len(begins), torch.device("cpu"))
+    for time in range(steps):
+        views, goal_views, scene = seen(seed=time, rows=len(begins))
+        state = {key: value.where(~begins[:, time, None, None], 0) for key, value in state.items()}  # as a primer does
+        given = batch_of(views, goal_views, scene % 2).update({"is_init": begins[:, time : time + 1], **state})
+        batch.append(given.copy())
+        outputs.append(policy(given).select(*OUTPUTS))
+        state = {key: given["next", key] for key in recurrent_keys(policy)}
+    return torch.stack(batch, 1), torch.stack(outputs, 1)
+
+
+def test_a_memory_makes_of_whole_episodes_what_it_makes_step_by_step(remembering):
+    begins = torch.zeros(6, 9, dtype=torch.bool)
+    begins[:, 0] = True
+    begins[1, 4] = begins[3, 1] = begins[3, 2] = begins[5, 8] = True
+    batch, stepped = walked(remembering, 9, begins)
+    with set_recurrent_mode(True):
+        whole = remembering(batch)
+    for key in OUTPUTS:
+        torch.testing.assert_close(whole[key], stepped[key])
+
+
+def test_what_was_seen_before_matters_to_a_memory_until_a_new_episode_begins(remembering):
+    begins = torch.tensor([[True, False, False, True]])
+    batch, before = walked(remembering, 4, begins)
+    changed = batch.clone()
+    changed["view_ids"][:, 0] = (changed["view_ids"][:, 0] + 1) % 30
+    with set_recurrent_mode(True):
+        after = remembering(changed)
+    same = torch.isclose(after["logits"], before["logits"]).all(-1).squeeze(0)
+    assert same.tolist() == [False, False, False, True]

@@ -1,0 +1,54 @@
+import copy
+
+import torch
+from networks import FEATURES, WIDTH
+from torch import nn
+
+from dirl.models import SiameseEncoder
+
+
+def encoder():
+    torch.manual_seed(0)
+    return SiameseEncoder(FEATURES, WIDTH)
+
+
+def observations(*shape):
+    return torch.randn(2, *shape, 4, FEATURES, generator=torch.Generator().manual_seed(1))
+
+
+def test_four_views_are_embedded_together_and_both_embeddings_fused():
+    made, (observation, goal_observation) = encoder(), observations(9)
+    rows = []
+    for views, goal_views in zip(observation, goal_observation, strict=True):
+        both = [(made.embedding.weight @ torch.cat(list(four)) + made.embedding.bias) for four in (views, goal_views)]
+        rows.append((made.fusion.weight @ torch.cat(both).relu() + made.fusion.bias).relu())
+    torch.testing.assert_close(made(observation, goal_observation), torch.stack(rows))
+
+
+def test_it_fuses_what_it_embeds():
+    made, (observation, goal_observation) = encoder(), observations(9)
+    fused = made.fuse(made.embed(observation), made.embed(goal_observation))
+    torch.testing.assert_close(made(observation, goal_observation), fused)
+
+
+def test_observation_and_goal_are_embedded_by_the_same_weights():
+    made, (observation, goal_observation) = encoder(), observations(9)
+    swapped = copy.deepcopy(made)
+    with torch.no_grad():
+        swapped.fusion.weight.copy_(made.fusion.weight.roll(WIDTH, 1))
+    torch.testing.assert_close(swapped(goal_observation, observation), made(observation, goal_observation))
+    assert [name for name, _ in swapped.named_parameters()] == [
+        "embedding.weight", "embedding.bias", "fusion.weight", "fusion.bias"
+    ]  # fmt: skip
+
+
+def test_any_dimensions_may_lead():
+    made, both = encoder(), observations(3, 5)
+    fused = made(*both)
+    assert fused.shape == (3, 5, WIDTH)
+    torch.testing.assert_close(fused.flatten(0, 1), made(*both.flatten(1, 2)))
+
+
+def test_its_layers_are_two():
+    layers = [module for module in encoder().modules() if isinstance(module, nn.Linear)]
+    assert [(layer.in_features, layer.out_features) for layer in layers] == [(4 * FEATURES, WIDTH), (2 * WIDTH, WIDTH)]

@@ -1,0 +1,97 @@
+"""Digests: every writer leaves one, and every change to what means something is noticed."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from rooms import grid_scene, read_here
+
+from dirl.scenes import SceneError, write_dump
+from dirl.scenes.io.digest import compute_digest
+from dirl.scenes.io.icra17 import export_icra17
+from dirl.scenes.io.write import replace_features
+from dirl.scenes.views import encode
+
+ABOUT = {"extractor": "ResNet-50", "preprocessing": "/255", "weights": "v2"}
+
+
+@pytest.fixture
+def room(tmp_path):
+    rng = np.random.default_rng(0)
+    views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8)) for _ in range(24)]
+    scene = replace(grid_scene(name="hall", goals=(3,)), patches=rng.normal(size=(24, 2, 3)).astype(np.float16))
+    write_dump(
+        tmp_path / "room.h5", scene, views, feature_attributes=ABOUT, patch_attributes={"projection": "sha256:1"}
+    )
+    return tmp_path / "room.h5"
+
+
+def digests(path):
+    with h5py.File(path) as file:
+        return [file.attrs["digest"], file["graph"].attrs["digest"], compute_digest(file)]
+
+
+def test_every_writer_leaves_a_digest(room):
+    export_icra17(read_here(room), room.with_name("icra17.h5"))
+    replace_features(room, room.with_name("new.h5"), np.eye(24, dtype="f4"), {"extractor": "none"})
+    for path in (room, room.with_name("icra17.h5"), room.with_name("new.h5")):
+        assert len(set(digests(path))) == 1
+    assert digests(room) != digests(room.with_name("new.h5"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["graph", "location", "rotation", "resnet_feature", "patches", "shortest_path_distance", "observation_webp"],
+)
+def test_a_changed_value_is_noticed(room, name):
+    with h5py.File(room, "a") as file:
+        values = file[name][:]
+        last = values.ravel()[-1]
+        if name == "observation_webp":
+            last[-1] ^= 1
+            file[name][23] = last
+        else:
+            values.ravel()[-1] = last + 1
+            file[name][...] = values
+    with pytest.raises(SceneError, match="does not hold what was written to it"):
+        read_here(room)
+
+
+@pytest.mark.parametrize("name", ["name", "source", "goals", "actions", "extractor", "preprocessing", "weights"])
+@pytest.mark.parametrize("change", ["other", "gone"])
+def test_a_changed_attribute_is_noticed(room, name, change):
+    with h5py.File(room, "a") as file:
+        holder = file["resnet_feature"] if name in ABOUT else file
+        value = holder.attrs.pop(name)
+        if change == "other":
+            holder.attrs[name] = [4] if name == "goals" else value[::-1]
+    with pytest.raises(SceneError, match="does not hold what was written to it"):
+        read_here(room)
+
+
+@pytest.mark.parametrize("name", ["resnet_feature", "shortest_path_distance", "observation_webp"])
+def test_a_lost_dataset_is_noticed(room, name):
+    with h5py.File(room, "a") as file:
+        del file[name]
+    with pytest.raises(SceneError, match="does not hold what was written to it"):
+        read_here(room)
+
+
+def test_the_digest_is_of_the_values_not_of_how_they_are_stored(room):
+    before = digests(room)
+    with h5py.File(room, "a") as file:
+        file.attrs["note"] = "mine"
+        for name in ("location", "resnet_feature"):
+            values, about = file[name][:], dict(file[name].attrs)
+            del file[name]
+            file.create_dataset(name, data=values, compression="gzip", chunks=True).attrs.update(about)
+    assert digests(room) == before
+    assert read_here(room).name == "hall"
+
+
+def test_without_its_digests_a_changed_file_is_read(room):
+    with h5py.File(room, "a") as file:
+        file.attrs["goals"] = [4]
+        del file.attrs["digest"], file["graph"].attrs["digest"]
+    assert read_here(room).goals == (4,)

@@ -1,0 +1,157 @@
+"""Reading in another process: the same scenes, and one line if that process comes to grief."""
+
+import subprocess
+import sys
+import tracemalloc
+
+import h5py
+import numpy as np
+import pytest
+from found import VIEW, picture, views
+from malformed import make
+from rooms import grid_scene, published_dump, read_here
+
+from dirl.scenes import SceneError, SceneWarning, load_scenes, read_dump, write_dump
+from dirl.scenes.io import isolation
+from dirl.scenes.io.digest import BLOCK_BYTES
+from dirl.scenes.io.hdf5 import read_contents
+
+ARRAYS = ("graph", "positions", "headings", "features")
+
+
+def packed_views(file):
+    pixels = np.random.default_rng(0).integers(0, 256, (24, 3, 4, 3), np.uint8)
+    del file["observation"]
+    file.create_dataset("observation", data=pixels, compression="gzip", chunks=(5, 3, 4, 3))
+
+
+FILES = {
+    "ours": lambda path: write_dump(path, grid_scene(name="hall", goals=(3, 1)), [VIEW] * 24),
+    "without features": lambda path: write_dump(path, grid_scene(feature_width=1)),
+    "published": lambda path: published_dump(path, grid_scene()),
+    "in chunks": lambda path: make(path, packed_views),
+}
+
+
+@pytest.mark.parametrize("what", FILES)
+def test_a_scene_is_the_same(tmp_path, what):
+    path = tmp_path / "room.h5"
+    FILES[what](path)
+    apart, here = read_dump(path), read_here(path)
+    for name in ARRAYS:
+        assert np.array_equal(getattr(apart, name), getattr(here, name)), name
+        assert getattr(apart, name).dtype == getattr(here, name).dtype, name
+    for name in ("name", "source", "goals", "extractor", "origin"):
+        assert getattr(apart, name) == getattr(here, name), name
+    assert (apart.views is None) == (here.views is None)
+    with h5py.File(path) as file:
+        stored = file["observation"][:] if "observation" in file else None
+    for state in range(24 if apart.views else 0):
+        assert (apart.views[state] == here.views[state]).all()
+        assert stored is None or (apart.views[state] == stored[state]).all()
+        assert apart.views.encoded(state) == here.views.encoded(state)
+
+
+def test_a_malformed_file_is_refused_in_the_same_words(dump):
+    with h5py.File(dump, "a") as file:
+        file.attrs["goals"] = [99]
+        file["location"][3, 0] = np.nan
+    messages = []
+    for isolated in (True, False):
+        with pytest.raises(SceneError) as caught:
+            read_dump(dump, isolated=isolated)
+        messages.append(str(caught.value))
+    assert messages[0] == messages[1] == f"{dump}: location: state 3 holds a value that is not finite"
+
+
+def test_a_warning_comes_through(dump):
+    with h5py.File(dump, "a") as file:
+        file["shortest_path_distance"][2, 7] = 99
+    with pytest.warns(SceneWarning, match="1 entries disagree") as caught:
+        load_scenes(str(dump))
+    assert caught[0].filename == __file__
+
+
+def test_several_files_are_read_by_one_process(tmp_path, monkeypatch):
+    started, popen = [], subprocess.Popen
+    monkeypatch.setattr(subprocess, "Popen", lambda *args, **kwargs: started.append(args) or popen(*args, **kwargs))
+    paths = [published_dump(tmp_path / f"room{number}.h5", grid_scene(width=1 + number)) for number in range(3)]
+    scenes = load_scenes([str(path) for path in paths])
+    assert [(scene.name, len(scene)) for scene in scenes] == [("room0", 8), ("room1", 16), ("room2", 24)]
+    load_scenes("bathroom_02")  # a built-in room needs none
+    assert len(started) == 1
+
+
+def test_the_error_names_the_file_among_several(tmp_path):
+    paths = [published_dump(tmp_path / f"room{number}.h5", grid_scene()) for number in range(3)]
+    paths[1].write_bytes(b"")
+    with pytest.raises(SceneError, match=r"room1\.h5: not a readable HDF5 file"):
+        load_scenes([str(path) for path in paths])
+
+
+@pytest.mark.parametrize(
+    ("program", "says"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", r"libhdf5 failed on it \(SIGSEGV\); it is damaged"),
+        ("import os; os.abort()", r"libhdf5 failed on it \(SIGABRT\)"),
+        (
+            "import sys; sys.stdin.read(); sys.stdout.write('half'); sys.exit(7)",
+            r"libhdf5 failed on it \(exit status 7",
+        ),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "the process that read it was killed"),
+    ],
+)
+def test_a_process_that_ends_is_one_line(dump, tmp_path, monkeypatch, program, says):
+    monkeypatch.setattr(isolation, "PROGRAM", tmp_path / "child.py")
+    isolation.PROGRAM.write_text(program)
+    with pytest.raises(SceneError, match=rf"^{dump}: {says}") as caught:
+        read_dump(dump)
+    assert "\n" not in str(caught.value)
+
+
+def test_processor_time_is_limited(tmp_path, monkeypatch):
+    path = make(tmp_path / "room.h5", views(*[picture("PNG", (4000, 4000), "1")] * 24))  # seconds of decoding
+    monkeypatch.setattr(isolation, "SECONDS", 0.1)
+    monkeypatch.setattr(isolation, "PATIENCE", 10_000)
+    with pytest.raises(SceneError, match=r"room\.h5: was not read after \d+ s of processor time; it is damaged$"):
+        read_dump(path)
+
+
+def test_memory_is_limited(dump, monkeypatch):
+    monkeypatch.setattr(isolation, "MEMORY", 2**20)
+    with pytest.raises(SceneError) as caught:
+        read_dump(dump)
+    assert str(caught.value).startswith(f"{dump}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_clock_limits_it_as_well(dump, tmp_path, monkeypatch):
+    monkeypatch.setattr(isolation, "PROGRAM", tmp_path / "child.py")
+    isolation.PROGRAM.write_text("import time; time.sleep(1000)")
+    monkeypatch.setattr(isolation, "PATIENCE", 0.01)
+    with pytest.raises(SceneError, match="was killed: it took too long"):
+        read_dump(dump)
+
+
+def test_the_process_imports_neither_torch_nor_the_packages():
+    program = (
+        f"import runpy, sys; child = runpy.run_path({str(isolation.PROGRAM)!r}); child['_skip_the_packages']();"
+        "import dirl.scenes.io.hdf5, dirl.scenes.io.write;"
+        "print(sorted({name.split('.')[0] for name in sys.modules} & {'torch', 'matplotlib', 'gymnasium', 'hydra'}))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_float64_takes_the_memory_of_float32(dump):
+    """They are converted a block at a time: all at once took 1.7 gigabytes of a file of 12 megabytes."""
+    with h5py.File(dump, "a") as file:
+        del file["resnet_feature"]
+        file["resnet_feature"] = np.random.default_rng(0).random((24, 2**19))
+    tracemalloc.start()
+    try:
+        contents = read_contents(dump)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert contents.features.nbytes == 24 * 2**19 * 4
+    assert peak < contents.features.nbytes + 2 * BLOCK_BYTES + 2**20

@@ -1,0 +1,84 @@
+"""Views: three formats of images and no other, decoded when somebody looks."""
+
+import io
+import os
+
+import numpy as np
+import pytest
+from found import POSTSCRIPT, VIEW, picture
+from PIL import Image
+from rooms import grid_scene, read_here
+
+from dirl.scenes import write_dump
+from dirl.scenes.sources.photos import encoded_photos
+from dirl.scenes.views import FORMATS, ImageError, decode
+
+DRAWING = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 16 12\n%%EndComments\nshowpage\n%%EOF\n"
+
+
+@pytest.fixture
+def ghostscript(tmp_path, monkeypatch):
+    """A Ghostscript that leaves a file where it was started."""
+    program, trace = tmp_path / "bin" / "gs", tmp_path / "started"
+    program.parent.mkdir()
+    program.write_text(f"#!/bin/sh\ntouch {trace}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent), prepend=os.pathsep)
+    monkeypatch.setattr("PIL.EpsImagePlugin.gs_binary", None)
+    return trace
+
+
+def test_pillow_itself_would_start_ghostscript(ghostscript):
+    with pytest.raises(OSError), Image.open(io.BytesIO(DRAWING)) as image:  # noqa: PT011
+        image.load()
+    assert ghostscript.exists()
+
+
+def test_ghostscript_is_never_started(ghostscript, tmp_path):
+    for data in (DRAWING, POSTSCRIPT):
+        with pytest.raises(ImageError, match="it is not WebP, PNG or JPEG"):
+            decode(data)
+    (tmp_path / "a.jpg").write_bytes(DRAWING)
+    with pytest.raises(ValueError, match=r"a\.jpg: not a readable image \(it is not WebP, PNG or JPEG\)"):
+        list(encoded_photos([tmp_path / "a.jpg"], 12, 16))
+    with pytest.raises(ValueError, match=r"the view of state 23 is not a readable image \(it is not WebP"):
+        write_dump(tmp_path / "room.h5", grid_scene(), [VIEW] * 23 + [DRAWING])
+    assert not ghostscript.exists()
+
+
+@pytest.mark.parametrize("kind", ["BMP", "GIF", "TIFF", "PPM", "ICO", "PDF", "TGA", "PCX"])
+def test_other_formats_are_refused(kind):
+    with pytest.raises(ImageError, match=r"^it is not WebP, PNG or JPEG$"):
+        decode(picture(kind))
+
+
+def reason(data):
+    """Why an image cannot be decoded; empty if it can."""
+    try:
+        return "" if decode(data).shape[2] == 3 else "no RGB"
+    except ImageError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_damaged_images_are_one_line(kind):
+    data, rng = picture(kind, (40, 30)), np.random.default_rng(0)
+    reasons = []
+    for length in range(1, len(data), 7):
+        broken = bytearray(data[:length])
+        broken[rng.integers(length)] ^= 0xFF
+        reasons.append(reason(bytes(broken)))
+    assert any(reasons)
+    assert not any("\n" in text or "0x" in text for text in reasons)  # no addresses of objects
+
+
+def test_a_file_that_went_away_or_became_shorter_is_one_line(tmp_path):
+    path = tmp_path / "room.h5"
+    write_dump(path, grid_scene(), [VIEW] * 24)
+    views = read_here(path).views
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"room\.h5: observation_webp: state 5: the file has become shorter$"):
+        views[5]
+    path.unlink()
+    with pytest.raises(ValueError, match=r"room\.h5: observation_webp: cannot be read any more \(No such file"):
+        views.encoded(5)

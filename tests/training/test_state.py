@@ -1,0 +1,142 @@
+"""What a training is saved as: it goes on from there to the same weights, bit for bit."""
+
+import io
+
+import pytest
+import torch
+from commands import room_file
+from parts import make_parts, train_state
+from tensordict import TensorDict
+from torch import nn
+from train import learn
+
+from dirl.config.schemas import Schedule
+from dirl.training.losses import Losses, ScheduledLoss
+from dirl.training.state import random_state, restore_random_state
+
+SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "reinforcement.max_steps=9"]
+KINDS = {
+    "surrounding": [],
+    "sequential": ["observation=sequential", "preset=paper", "reinforcement.max_steps=9"],
+    "gru": ["memory=gru", "memory.hidden_size=8"],
+    "ppo": ["objective=ppo", "reinforcement.minibatches=3"],
+    "uncached": ["network.cache=off"],
+}
+
+
+def walk(parts, state, frames):
+    """Updates until so many frames, as the recipe does them."""
+
+    def record(update, paused):
+        with paused:
+            state.count(update)
+
+    learn(parts.config, state, frames, record, [])
+
+
+def through_a_file(saved):
+    """As a checkpoint holds it."""
+    stream = io.BytesIO()
+    torch.save(saved, stream)
+    stream.seek(0)
+    return torch.load(stream, weights_only=True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
+    options = [f"scene={room_file(tmp_path)}", *SMALL, *KINDS[kind]]
+    whole, first, second = (make_parts(*options) for _ in range(3))  # `first` stays as it begins
+    stop = []
+    torch.manual_seed(0)
+    state = train_state(whole)
+
+    def record(update, paused):
+        state.count(update)
+        if len(stop) == 0 and state.frames >= 120:
+            stop.append(through_a_file(state.state_dict()))
+
+    learn(whole.config, state, 300, record, [])
+    torch.manual_seed(99)
+    resumed = train_state(second)
+    resumed.load_state_dict(stop[0])
+    assert resumed.frames == stop[0]["frames"] >= 120
+    walk(second, resumed, 300)
+    assert (resumed.frames, resumed.meter.state_dict()) == (state.frames, state.meter.state_dict())
+    for name, value in state.policy.state_dict().items():
+        assert torch.equal(value, resumed.policy.state_dict()[name]), name
+    assert (resumed.agents == state.agents).all()
+    initial = first.policy.state_dict()
+    assert not torch.equal(initial["encoder.embedding.weight"], state.policy.state_dict()["encoder.embedding.weight"])
+
+
+def test_a_state_says_the_weights_for_everyone_else(tmp_path):
+    room = f"scene={room_file(tmp_path)}"
+    parts, plain = make_parts(room, *SMALL), make_parts(room, *SMALL, "network.cache=off")
+    saved = train_state(parts).state_dict()
+    assert set(saved["network"]) == set(plain.policy.state_dict())
+    torch.testing.assert_close(saved["network"], plain.policy.state_dict())
+    assert "losses" not in saved
+
+
+class Guess(nn.Module):
+    """A loss with a layer of its own, on what the trunk makes of a rollout."""
+
+    in_keys = ("hidden", "reward")
+
+    def __init__(self, width):
+        super().__init__()
+        self.layer = nn.Linear(width, 1)
+
+    def forward(self, batch):
+        return TensorDict({"loss_guess": (self.layer(batch["hidden"]) - batch["next", "reward"]).square().mean()})
+
+
+def with_own_loss(parts, seed):
+    torch.manual_seed(seed)
+    guess = ScheduledLoss(Guess(8), {"weight": Schedule(1.0, 1.0)})
+    parts.losses = Losses(parts.policy, {**parts.losses.losses, "guess": guess}, parts.demos)
+    return train_state(parts)
+
+
+def test_the_losses_own_parameters_are_trained_saved_and_restored(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *SMALL]
+    parts, others = make_parts(*options), make_parts(*options)
+    state, other = with_own_loss(parts, 1), with_own_loss(others, 2)
+    layer, fresh = (s.losses.modules_by_name["guess"].layer for s in (state, other))
+    assert any(p is layer.weight for group in state.optimiser.param_groups for p in group["params"])
+    before = layer.weight.detach().clone()
+    walk(parts, state, 60)
+    assert not torch.equal(layer.weight, before)
+    saved = through_a_file(state.state_dict())
+    other.load_state_dict(saved)
+    assert torch.equal(layer.weight, fresh.weight)
+    for one, made in ((state, parts), (other, others)):
+        restore_random_state(one.env, saved["random"])
+        walk(made, one, 120)
+    assert torch.equal(layer.weight, fresh.weight)
+    assert torch.equal(state.policy.encoder.fusion.weight, other.policy.encoder.fusion.weight)
+
+
+def test_the_random_state_is_of_actions_goals_and_starts(tmp_path):
+    state = train_state(make_parts(f"scene={room_file(tmp_path)}", *SMALL))
+    saved = random_state(state.env)
+    drawn = [(state.env.reset()["state"], torch.rand(3)) for _ in range(2)]
+    restore_random_state(state.env, saved)
+    again = [(state.env.reset()["state"], torch.rand(3)) for _ in range(2)]
+    for (states, numbers), (same_states, same_numbers) in zip(drawn, again, strict=True):
+        assert torch.equal(states, same_states)
+        assert torch.equal(numbers, same_numbers)
+
+
+def test_without_a_cache_the_same_is_learnt_up_to_rounding(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *SMALL, "network.axes=features"]
+    weights, episodes = [], []
+    for cache in ("auto", "off"):
+        parts = make_parts(*options, f"network.cache={cache}")
+        assert (parts.policy.cached is None) == (cache == "off")
+        state = train_state(parts)
+        walk(parts, state, 240)
+        weights.append(state.state_dict()["network"])
+        episodes.append(state.meter.state_dict())
+    assert episodes[0] == episodes[1]
+    torch.testing.assert_close(*weights, rtol=1e-3, atol=1e-4)
