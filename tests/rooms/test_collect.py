@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import h5py
 import pytest
-from closet import closet
+from closet import closet, start_with_closets
 
 pytest.importorskip("embreex")
 
@@ -112,16 +112,6 @@ def test_features_and_patches_say_what_made_them(drawn, tmp_path):
         assert dict(file["patches"].attrs) == patch_attributes()
     assert settings.stored(settings.load_encoder()) == entry.settings
     assert entry.settings["patches"] != "none"
-
-
-def start_with_closets(settings, threads):
-    """What each process of the pool begins with: closets instead of random rooms, whose walls depend on the seed."""
-
-    def draw(kind, seed):
-        room = replace(closet("#c8553d", f"#{seed:06d}"), name=f"{kind}_{seed}")
-        return room, look_around(room)
-
-    collect.sample_views = draw
 
 
 def test_two_processes_make_rooms(tmp_path, monkeypatch):
