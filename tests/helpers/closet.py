@@ -53,7 +53,7 @@ def closet(old="", new=""):
 
 
 def start_with_closets(settings, threads):
-    """What a process of `dirl.rooms.collect` begins with: closets for random rooms, with the seed's colour on a wall."""
+    """What a process of `dirl.rooms.collect` begins with: closets for random rooms, papered in the seed's colour."""
     from dirl.rooms import collect
     from dirl.rooms.sampling.sample import look_around
 

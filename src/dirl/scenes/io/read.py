@@ -13,9 +13,9 @@
 
 ``graph``, ``location`` and ``rotation`` are required. File attributes, all optional: ``name``, ``source``, ``goals``
 and ``actions`` (the order of the columns of ``graph``, if not the one above). Attributes of ``resnet_feature``:
-``extractor``, ``preprocessing``, ``weights``; of ``patches``: ``extractor``, ``projection``. Attribute ``digest`` of the
-file and of ``graph``, which all files that dirl writes have: a SHA-256 over all of these; a file that differs from it is
-refused.
+``extractor``, ``preprocessing``, ``weights``; of ``patches``: ``extractor``, ``projection``. Attribute ``digest`` of
+the file and of ``graph``, which all files that dirl writes have: a SHA-256 over all of these; a file that differs from
+it is refused.
 """
 
 import warnings
