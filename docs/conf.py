@@ -81,7 +81,8 @@ def public_name(cls):
     cls = get_origin(cls) or cls
     parts = cls.__module__.split(".")
     prefixes = (".".join(parts[:length]) for length in range(1, len(parts) + 1))
-    module = next(name for name in prefixes if getattr(sys.modules.get(name), cls.__name__, None) is cls)
+    found = (name for name in prefixes if getattr(sys.modules.get(name), cls.__name__, None) is cls)
+    module = next(found, cls.__module__)  # some classes are members of none, e.g. those made in a function
     return cls.__name__ if module == "builtins" else f"{module}.{cls.__name__}"
 
 

@@ -107,20 +107,26 @@ def test_the_code_of_a_page_runs(page, example_run, tmp_path, monkeypatch):
             if file.name != "config.yaml":
                 file.unlink()
     names = {"__name__": page.stem}
-    for language, caption, text in blocks(page):
-        if is_file(caption):
-            Path(caption).parent.mkdir(exist_ok=True)
-            Path(caption).write_text(text)
-        elif caption:
-            continue
-        elif language == "python":
-            for old, new in SHORTER.get(page.name, {}).items():
-                text = text.replace(old, new)
-            exec(compile(text, str(page), "exec"), names)
-        elif language == "bash":
-            for line in text.replace("\\\n", "").splitlines():
-                if not line.startswith("pip install"):
-                    run_line(line, monkeypatch)
+    for block in blocks(page):
+        run_block(block, page, names, monkeypatch)
+
+
+def run_block(block, page, names, monkeypatch):
+    """Write a file of the reader's; run code in a page's names, or the lines of a shell."""
+    language, caption, text = block
+    if is_file(caption):
+        Path(caption).parent.mkdir(exist_ok=True)
+        Path(caption).write_text(text)
+    elif caption:
+        return
+    elif language == "python":
+        for old, new in SHORTER.get(page.name, {}).items():
+            text = text.replace(old, new)
+        exec(compile(text, str(page), "exec"), names)
+    elif language == "bash":
+        for line in text.replace("\\\n", "").splitlines():
+            if not line.startswith("pip install"):
+                run_line(line, monkeypatch)
 
 
 def test_pages_have_only_code_that_is_run_or_says_why_it_is_not():

@@ -1,5 +1,6 @@
 import csv
 import json
+import os
 import signal
 import subprocess
 import time
@@ -142,6 +143,40 @@ def test_ctrl_c_saves_a_checkpoint_and_says_how_to_go_on(tmp_path):
     assert process.returncode == 1
     assert "resume=stopped" in errors
     assert list((tmp_path / "stopped" / "checkpoints").glob("*.pt"))
+
+
+OWN_ENCODER = """
+import torch
+from torch import nn
+
+class Mean(nn.Module):
+    def __init__(self, num_features: int, width: int = 8) -> None:
+        super().__init__()
+        self.layer = nn.Linear(2 * num_features, width)
+
+    def forward(self, observation, goal_observation):
+        return self.layer(torch.cat([observation, goal_observation], -1).mean(1))
+"""
+
+
+def test_an_encoder_of_ones_own_comes_from_outside_and_is_trusted_by_name(tmp_path, monkeypatch):
+    (tmp_path / "my_house.py").write_text(OWN_ENCODER)
+    (tmp_path / "conf" / "encoder").mkdir(parents=True)
+    (tmp_path / "conf" / "encoder" / "mean.yaml").write_text("_target_: my_house.Mean\nwidth: 12\n")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
+    options = [option for option in TINY if not option.startswith("encoder.")]
+    options += [f"scene={room_file(tmp_path)}", "encoder=mean", "hydra.run.dir=run"]
+    status, _, errors = run_recipe(tmp_path, "train", f"--config-dir={tmp_path / 'conf'}", *options)
+    assert status == 0, errors
+    asked = ["checkpoint=run", "seed=3", "max_steps=50"]
+    status, _, errors = run_recipe(tmp_path, "evaluate", *asked)
+    assert status == 1
+    assert errors.count("\n") == 1
+    assert "trust=[my_house]" in errors
+    status, _, errors = run_recipe(tmp_path, "evaluate", *asked, "trust=[my_house]", "out=e.json")
+    assert status == 0, errors
+    again = json.loads((tmp_path / "e.json").read_text())
+    assert again["greedy"] == read_summary(tmp_path / "run")["greedy"]
 
 
 def test_benchmark_measures_every_loop(tmp_path):

@@ -10,7 +10,7 @@ from rooms import grid_scene
 
 from dirl.scenes import SceneError, make_world
 
-TENSORS = {name: torch.int64 for name in ("graph", "surrounding", "scene_of", "goals", "row")}
+TENSORS = dict.fromkeys(("graph", "surrounding", "scene_of", "goals", "row"), torch.int64)
 TENSORS |= {"features": torch.float32, "distances": torch.int16}
 
 
@@ -76,7 +76,7 @@ def test_distances_have_a_block_per_goal_of_the_states_of_its_scene(world, scene
     assert world.goals.tolist() == [0, 24 + 5, 24 + 31, 56 + 7]
     expected = [scenes[scene].distances[:, goal].tolist() for scene, goal in GOALS]
     assert [world.block(world.distances, index).tolist() for index in range(4)] == expected
-    assert world.distances.tolist() == sum(expected, [])
+    assert world.distances.tolist() == [steps for block in expected for steps in block]
     assert -1 in expected[1]  # the part behind the wall
 
 

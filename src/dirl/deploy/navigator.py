@@ -16,7 +16,7 @@ from dirl.backbones import ViewEncoder, load_encoder
 from dirl.backbones.registry import BATCH
 from dirl.config.components import TARGET, find_class
 from dirl.config.saved import read_config
-from dirl.config.schemas import Match, TrainConfig
+from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state, recurrent_keys
 from dirl.runs.folder import load_checkpoint
@@ -320,10 +320,13 @@ def _rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, orig
     weights = saved["network"]
     mean = weights.get("features.mean", weights.get("encoder.table.mean"))
     if mean is None:
-        raise NavigatorError(f"{origin}: its policy does not read features, as an ActorCritic does")
+        raise NavigatorError(f"{origin}: the weights do not fit a policy on features; they lack features.mean")
     names = [scene or saved["scenes"][0]]
-    policy = build_policy(config, FeatureTable(torch.empty(0, len(mean))), names)
-    load_weights(policy, weights, origin, names)
+    try:
+        policy = build_policy(config, FeatureTable(torch.empty(0, len(mean))), names)
+        load_weights(policy, weights, origin, names)
+    except ConfigError as error:
+        raise NavigatorError(str(error)) from None
     return policy.requires_grad_(False)
 
 

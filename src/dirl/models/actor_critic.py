@@ -12,6 +12,7 @@ from torch.distributions import Categorical
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
 from torchrl.modules.utils import get_primers_from_module
 
+from dirl.envs.transforms import VIEWS
 from dirl.models.fast.caching import Cacheable, CachedEncoder
 from dirl.models.fast.siamese import CachedSiamese
 from dirl.models.features import FeatureTable
@@ -90,8 +91,18 @@ class ActorCritic(TensorDictModuleBase):
         # A subclass may embed or fuse otherwise, which the specialised form would not know.
         if type(self.encoder) is SiameseEncoder:
             self.cached = CachedSiamese(self.encoder, self.features, surrounding, principal=principal)
-        elif isinstance(self.encoder, Cacheable):
+        elif isinstance(self.encoder, Cacheable) and self._is_its_parts():
             self.cached = CachedEncoder(self.encoder, self.features, surrounding)
+
+    @torch.no_grad()
+    def _is_its_parts(self) -> bool:
+        """Whether the encoder gives ``fuse(embed(o), embed(g))``; one that overrides ``forward`` may not."""
+        encoder: Any = self.encoder
+        device = self.features.table.device
+        drawn = torch.randn(2, 3, VIEWS, self.features.width, generator=torch.Generator().manual_seed(0)).to(device)
+        with torch.random.fork_rng(devices=[]):
+            whole, parts = encoder(*drawn), encoder.fuse(*(encoder.embed(observed) for observed in drawn))
+        return whole.shape == parts.shape and torch.allclose(whole, parts, rtol=1e-4, atol=1e-5)
 
     def restore(self) -> None:
         """Make the embedding a layer on features again if it was learnt in principal axes."""

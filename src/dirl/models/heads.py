@@ -42,8 +42,8 @@ class SceneTrunks(nn.Module):
     """One module for each scene; row by row the one that ``scene`` names is applied.
 
     Rows are sorted by scene, split, and put back. On a GPU and in ``torch.vmap`` every layer is applied to all of them:
-    counting the rows of each scene would be a host-device synchronisation, and ``vmap`` allows none. (A stacked parameter would lose the scenes' names in the
-    state_dict, and with them adding or freezing a scene.)
+    counting the rows of each scene would be a host-device synchronisation, and ``vmap`` allows none. (A stacked
+    parameter would lose the scenes' names in the state_dict, and with them adding or freezing a scene.)
 
     Args:
         scenes: the scenes' names, in the order of the world; a single name serves every scene.

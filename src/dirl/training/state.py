@@ -65,7 +65,7 @@ class TrainState:
 
     def _own_of_losses(self) -> dict[str, Any]:
         """The part of the losses' state_dict that is not the policy's: weights, buffers, extra state."""
-        shared = {_place(value) for value in self.policy.state_dict().values()}
+        shared = {_place(value) for value in (*self.policy.parameters(), *self.policy.buffers())}
         return {name: value for name, value in self.losses.state_dict().items() if _place(value) not in shared}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
