@@ -2,7 +2,7 @@
 
     python recipes/train.py -m experiment=fig8 && python recipes/report.py experiment=fig8
     python recipes/report.py experiment=table2 preset=paper out=table2_paper
-    python recipes/report.py experiment=stop encoder=resnet50.pth      # disturbs views, and encodes them anew
+    python recipes/report.py experiment=stop encoder=resnet50      # disturbs views, and encodes them anew
 
 A report is a folder: README.md with the tables, CSV files with the value of every run, figures as PNG and SVG.
 All options with their values: conf/report/report.yaml.
@@ -35,7 +35,9 @@ def main(composed: DictConfig) -> None:
         if name is None:
             raise ConfigError(f"name what to report: experiment=<one of {', '.join(ExperimentName)}>")
         if name == ExperimentName.stop and options.encoder is None:
-            raise ConfigError("experiment=stop encodes disturbed views: name what made the features, encoder=<weights>")
+            raise ConfigError(
+                "experiment=stop encodes disturbed views: name what made the features, as encoder=resnet50"
+            )
         hint = f"{command('train')} -m experiment={name} preset={options.preset}"
         runs = chosen(options, finished_runs(Path(options.runs) / options.preset, hint), hint)
         out = Path(options.out or f"reports/{options.preset}/{name}")

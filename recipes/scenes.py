@@ -1,10 +1,10 @@
 """Take, build, convert, encode and check scenes.
 
-    python recipes/scenes.py thor scene=FloorPlan401 out=dumps/FloorPlan401.h5 encoder=resnet50.pth
-    python recipes/scenes.py photos folder=my_office out=my_office.h5 encoder=resnet50.pth
-    python recipes/scenes.py build description=bathroom_02 out=bathroom.h5 encoder=resnet50.pth
-    python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom encoder=resnet50.pth
-    python recipes/scenes.py encode scene=room.h5 encoder=resnet50.pth out=room_resnet.h5
+    python recipes/scenes.py thor scene=FloorPlan401 out=dumps/FloorPlan401.h5
+    python recipes/scenes.py photos folder=my_office out=my_office.h5
+    python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
+    python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
+    python recipes/scenes.py encode scene=room.h5 encoder=facebook/dinov2-small out=room_dino.h5
     python recipes/scenes.py export scene=bathroom_02 layout=icra17 out=icra17/bathroom_02.h5
     python recipes/scenes.py import scene=data/bathroom_02.h5 source=thor out=bathroom_02.h5
     python recipes/scenes.py inspect scene=bathroom_02 out=pictures
@@ -14,7 +14,7 @@ All options of each command with their values: conf/scenes/<command>.yaml.
 
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_scene, encode_views, load_encoder
+from dirl.backbones.patches import patch_attributes
 from dirl.config.command_line import SCHEMAS, choose_command, one_line_errors, prepare, register
 from dirl.config.places import CONF
 from dirl.config.scene_schemas import (
@@ -35,12 +36,14 @@ from dirl.config.scene_schemas import (
     SampleConfig,
     ThorConfig,
 )
-from dirl.config.schemas import ConfigError, Match, typed
+from dirl.config.schemas import ConfigError, typed
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
-from dirl.rooms import KINDS, RoomDescription, build_room, built_in_rooms, sample_room, write_description
-from dirl.rooms.checks import far_apart
+from dirl.rooms import KINDS, build_room, built_in_rooms, read_description
+from dirl.rooms.collect import RoomSettings, make_rooms, missing_rooms
+from dirl.rooms.options import check_keys
 from dirl.rooms.sheet import draw_sheet, preview
 from dirl.scenes import Scene, load_scenes, write_dump
+from dirl.scenes.collection import Entry
 from dirl.scenes.diagnostics import THRESHOLDS, Inspection, inspect_scene
 from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.io.write import replace_features
@@ -51,6 +54,9 @@ from dirl.scenes.views import encode as webp
 
 SHOWN_PAIRS = 10
 """Of the ambiguous ones."""
+
+SHEET = 32
+"""Random rooms that are drawn on one contact sheet at most; a room takes as long as some ten of its views."""
 
 
 def thor(options: ThorConfig) -> None:
@@ -113,53 +119,46 @@ def build(options: BuildConfig) -> None:
 
 
 def sample(options: SampleConfig) -> None:
-    """Furnish random rooms and build them, each with its description beside it, and a contact sheet of all."""
-    folder = new_file(options.out, ending="")
+    """Furnish random rooms and build them into a collection, each with its description; those that are there stay."""
+    if options.out is None:
+        raise ConfigError("say where to write: out=<a folder>")
     if options.kind is None:
         raise ConfigError(f"name a kind of room: kind=<{' | '.join(KINDS)} | all>")
-    kinds = list(KINDS) if options.kind == "all" else [options.kind]
-    encoder, previews = chosen_encoder(options), []
-    for kind in kinds:
-        for seed in range(options.seed, options.seed + options.count):
-            room = sample_room(kind, seed)
-            folder.mkdir(parents=True, exist_ok=True)
-            write_description(room, folder / f"{room.name}.toml")
-            problems = build_room(
-                room,
-                folder / f"{room.name}.h5",
-                size=(options.height, options.width),
-                turn=options.turn,
-                fine=options.fine,
-                workers=options.workers,
-                encoder=encoder,
-            )
-            previews.append(preview(room))
-            if len(previews) == 1:
-                print("| room | metres | pieces | places | states | parts | alike: one view | four views | problems |")
-                print("|---|---|--:|--:|--:|--:|--:|--:|---|")
-            scene = one_scene(str(folder / f"{room.name}.h5"))
-            print("| " + " | ".join(sampled(room, scene, problems)), "|", flush=True)
-    draw_sheet(previews, folder / "rooms.png")
-    print(f"\n{len(previews)} rooms: {folder}")
+    check_keys({} if options.kind == "all" else {options.kind: 0}, KINDS, "kind")
+    folder, names = Path(options.out), [field.name for field in fields(RoomSettings)]
+    settings = RoomSettings(**{name: getattr(options, name) for name in names})
+    seeds = range(options.seed, options.seed + options.count)
+    wanted = [(kind, seed) for seed in seeds for kind in KINDS if options.kind in (kind, "all")]
+    todo = missing_rooms(folder, wanted, settings.stored(settings.load_encoder()))
+    print(f"{folder}: {len(wanted) - len(todo)} of {len(wanted)} rooms are there", flush=True)
+    if todo:
+        print("| room | split | metres | pieces | places | states | parts | alike: one view | four views | problems |")
+        print("|---|---|---|--:|--:|--:|--:|--:|--:|---|", flush=True)
+    left_out = []
+    for made in make_rooms(folder, todo, settings, options.workers) if todo else ():
+        if isinstance(made, Entry):
+            print("| " + " | ".join(sampled(made)), "|", flush=True)
+        else:
+            left_out.append(made)
+    for error in left_out:
+        print(f"left out: {error}")
+    print(f"\n{len(wanted) - len(left_out)} rooms: {folder}")
+    if todo and options.sheet and len(wanted) <= SHEET:
+        made_of = [folder / f"{kind}_{seed}.toml" for kind, seed in wanted]
+        draw_sheet([preview(read_description(path)) for path in made_of if path.is_file()], folder / "rooms.png")
 
 
-def sampled(room: RoomDescription, scene: Scene, problems: list[str]) -> list[str]:
-    """The table's row of a random room; with features also how many pairs of states that are far apart match."""
-    found = {match: inspect_scene(scene, match=match) for match in Match}
-    apart = far_apart(scene.positions, scene.headings)
-    far = {match: sum(bool(apart[a, b]) for a, b, *_ in one.ambiguous) for match, one in found.items()}
-    none = scene.features is None
-    problems = problems if none else problems + found[Match.views].problems
+def sampled(entry: Entry) -> list[str]:
+    """The table's row of a random room."""
+    found = entry.checks
     return [
-        room.name,
-        "{:g} x {:g} x {:g}".format(*room.size),
-        f"{len(room.furniture)}",
-        f"{room.grid.places}",
-        f"{len(scene)}",
-        f"{found[Match.views].parts.max() + 1}",
-        "-" if none else f"{far[Match.front]}",
-        "-" if none else f"{far[Match.views]}",
-        "; ".join(problems) or "none",
+        entry.name,
+        entry.split or "-",
+        "{:g} x {:g} x {:g}".format(*found["size"]),
+        *(str(found[key]) for key in ("pieces", "places")),
+        f"{entry.states}",
+        *(str(found.get(key, "-")) for key in ("parts", "alike_front", "alike_views")),
+        "; ".join(found["problems"]) or "none",
     ]
 
 
@@ -168,13 +167,14 @@ def encode(options: EncodeConfig) -> None:
     out = new_file(options.out)
     scene = one_scene(options.scene)
     if options.encoder is None:
-        raise ConfigError("name the encoder: encoder=<weights of ResNet-50>, torchvision, or a Hugging Face model")
-    encoder = chosen_encoder(options)
-    assert encoder is not None
-    features = encode_scene(scene, encoder)
+        raise ConfigError("name the encoder: encoder=resnet50, weights of one, torchvision, or a Hugging Face model")
+    encoder = load_encoder(options.encoder, options.device, precision=options.precision, patches=options.patches)
+    features, patches = encode_scene(scene, encoder)
     assert scene.views is not None
-    replace_features(scene.views.path, out, features, encoder.attributes)
-    print(f"{out}: {len(scene)} states, {features.shape[1]} features each\nextractor: {encoder.extractor}")
+    about = None if patches is None else patch_attributes()
+    replace_features(scene.views.path, out, features, encoder.attributes, patches, about)
+    of_each = f"{features.shape[1]} features each" + ("" if patches is None else f", patches {patches.shape[1:]}")
+    print(f"{out}: {len(scene)} states, {of_each}\nextractor: {encoder.extractor}")
 
 
 def export(options: ExportConfig) -> None:
@@ -236,9 +236,7 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     print(f"\npictures: {folder}")
 
 
-def chosen_encoder(
-    options: ThorConfig | PhotosConfig | BuildConfig | SampleConfig | EncodeConfig,
-) -> ViewEncoder | None:
+def chosen_encoder(options: ThorConfig | PhotosConfig | BuildConfig) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names."""
     return None if options.encoder is None else load_encoder(options.encoder, options.device)
 

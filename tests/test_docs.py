@@ -33,14 +33,8 @@ SHORTER = {
 NOT_RUN = {
     "gpu.md": ["needs CUDA"],
     "loggers.md": ["needs pip install -e '.[tensorboard]', which they do without"],
-    "make_scenes.md": ["needs AI2-THOR's build", "needs the weights of a ResNet-50"],
-    "navigator.md": ["needs the weights of a ResNet-50"],
-    "rooms.md": [
-        "needs the weights of a ResNet-50",
-        "takes minutes",
-        "needs the weights of a ResNet-50",
-        "needs the weights of a ResNet-50",
-    ],
+    "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
+    "rooms.md": ["takes minutes", "takes minutes", "takes an hour", "takes minutes", "takes minutes"],
     "sweeps.md": ["needs launchers and clusters"],
     "thor_dumps.md": ["needs the published dumps"],
 }

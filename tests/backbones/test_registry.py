@@ -12,7 +12,8 @@ from commands import train_config
 from rooms import grid_scene
 
 from dirl.backbones import EncoderError, ResNet50, ViewEncoder, encode_scene, encode_views, load_encoder, preprocess
-from dirl.backbones.registry import weights_hash
+from dirl.backbones.encoder import weights_hash
+from dirl.backbones.registry import encode_all
 from dirl.evaluation import metrics
 from dirl.scenes import SceneError, make_world, read_dump, write_dump
 from dirl.scenes.io.write import replace_features
@@ -87,6 +88,33 @@ def test_the_hash_is_of_the_values_not_of_the_file(weights, tmp_path):
     torch.save(state, tmp_path / "changed.pth")
     assert load_encoder(str(tmp_path / "changed.pth")).extractor != load_encoder(str(weights)).extractor
     assert len(load_encoder(str(weights)).attributes["weights"].removeprefix("sha256:")) == 64
+
+
+def test_a_quarter_of_the_digits_moves_features_by_a_hundredth(weights):
+    exact, rounded = (load_encoder(str(weights), precision=precision)(VIEWS) for precision in ("float32", "bfloat16"))
+    assert rounded.dtype == torch.float32
+    assert 0 < (exact - rounded).norm() < 0.05 * exact.norm()
+
+
+def test_precisions_that_are_not_there_are_refused(weights, monkeypatch):
+    with pytest.raises(EncoderError, match="precision=float8: choose from float32, bfloat16"):
+        load_encoder(str(weights), precision="float8")
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    with pytest.raises(EncoderError, match="precision=bfloat16: encoder=some/model computes in float32 only"):
+        load_encoder("some/model", precision="bfloat16")
+
+
+def test_patches_are_the_same_beside_any_encoder(weights):
+    alone, beside = (load_encoder(name, patches=True) for name in ("resnet50_small", str(weights)))
+    small, patches = alone.forward_patches(VIEWS)
+    features, again = beside.forward_patches(VIEWS)
+    assert patches.shape == (5, 8, 96)
+    torch.testing.assert_close(patches, again, rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(features, load_encoder(str(weights))(VIEWS), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(small, load_encoder("resnet50_small")(VIEWS), rtol=1e-4, atol=1e-5)
+    found = encode_all(alone, VIEWS.numpy(), 5, "here")
+    assert found.patches.dtype == np.float16
+    np.testing.assert_allclose(found.patches, patches, rtol=2e-3, atol=2e-3)
 
 
 def test_torchvision_brings_its_own_weights(weights, monkeypatch):
@@ -166,7 +194,8 @@ def counting(width=3):
 
 def test_a_scene_is_encoded_state_by_state(tmp_path):
     scene = room_with_views(tmp_path / "room.h5", width=40, depth=3)  # 36 states: more than one batch, not two
-    features = encode_scene(scene, counting())
+    features, patches = encode_scene(scene, counting())
+    assert patches is None
     assert features.dtype == np.float32
     assert features.tolist() == [
         [pytest.approx(scene.views[s][..., 0].mean(), rel=1e-5)] * 3 for s in range(len(scene))
@@ -193,7 +222,9 @@ def test_a_scene_without_views_is_refused(scene):
 def test_only_the_features_of_a_dump_are_replaced(tmp_path):
     scene = room_with_views(tmp_path / "room.h5", goals=(3, 13))
     encoder = counting(width=7)
-    replace_features(tmp_path / "room.h5", tmp_path / "new.h5", encode_scene(scene, encoder), encoder.attributes)
+    replace_features(
+        tmp_path / "room.h5", tmp_path / "new.h5", encode_scene(scene, encoder).features, encoder.attributes
+    )
     again = read_dump(tmp_path / "new.h5")
     assert (again.extractor, again.features.shape) == ("mean red", (24, 7))
     assert [again.views.encoded(s) for s in range(24)] == [scene.views.encoded(s) for s in range(24)]

@@ -30,7 +30,7 @@ def test_options_are_named_with_dots():
     ],
 )
 def test_known_options_pass(arguments):
-    assert prepare(TrainConfig, arguments, CONF) == arguments
+    assert prepare(TrainConfig, ["-m", *arguments], CONF) == ["-m", *arguments]
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_an_unknown_option_is_told_its_neighbours(name, told):
 )
 def test_a_value_of_another_type_is_told_the_one_that_is_wanted(recipe, argument, told):
     with pytest.raises(ConfigError) as raised:
-        prepare(SCHEMAS[recipe], [argument], CONF if recipe == "train" else None)
+        prepare(SCHEMAS[recipe], ["-m", argument], CONF if recipe == "train" else None)
     assert str(raised.value) == told
 
 
@@ -93,7 +93,7 @@ def test_the_new_names_exist():
 )
 def test_an_unknown_choice_of_a_group_is_told_the_choices(argument, told):
     with pytest.raises(ConfigError) as raised:
-        prepare(TrainConfig, [argument], CONF)
+        prepare(TrainConfig, ["-m", argument], CONF)
     assert str(raised.value).startswith(told)
     assert "\n" not in str(raised.value)
 
@@ -125,7 +125,7 @@ def test_options_of_components_get_the_prefix_by_which_hydra_adds_what_is_not_li
     ],
 )
 def test_a_number_is_a_constant_schedule(argument, prepared):
-    assert prepare(TrainConfig, [argument], CONF) == [prepared]
+    assert prepare(TrainConfig, ["-m", argument], CONF) == ["-m", prepared]
     if not argument.startswith("imitation.bc_coef=0,"):
         train_config(prepared)  # Hydra takes it
 
@@ -177,3 +177,8 @@ def test_the_package_tells_versions_device_and_scenes():
     ).stdout
     for words in ("dirl 0.", "torchrl 0.", "device=cuda", "kitchen_02: 676 states"):
         assert words in printed
+
+
+def test_a_sweep_without_its_flag_is_told_the_flag():
+    with pytest.raises(ConfigError, match=r"seed=1,2: several values are a sweep; add -m"):
+        prepare(TrainConfig, ["scene=bathroom_02", "seed=1,2"], CONF)

@@ -1,5 +1,7 @@
 """The smallest room that has everything, for the tests of what builds rooms."""
 
+from dataclasses import replace
+
 from dirl.rooms.description import parse_description
 
 CLOSET = """
@@ -48,3 +50,15 @@ def closet(old="", new=""):
     """The room, or one that differs in a piece of its text."""
     assert old in CLOSET
     return parse_description(CLOSET.replace(old, new, 1) if old else CLOSET)
+
+
+def start_with_closets(settings, threads):
+    """What a process of `dirl.rooms.collect` begins with: closets for random rooms, papered in the seed's colour."""
+    from dirl.rooms import collect
+    from dirl.rooms.sampling.sample import look_around
+
+    def draw(kind, seed):
+        room = replace(closet("#c8553d", f"#{seed:06d}"), name=f"{kind}_{seed}")
+        return room, look_around(room)
+
+    collect.sample_views = draw

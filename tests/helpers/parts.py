@@ -41,16 +41,18 @@ def make_parts(*options):
 
 def train_state(parts):
     """The state before the first update."""
-    return begin(parts.config, parts.policy, parts.losses, parts.protocol)
+    run = SimpleNamespace(config=parts.config, saved=None)
+    return begin(run, parts.policy, parts.losses, parts.protocol)
 
 
 def train_in(folder, parts):
     """Imitate, reinforce and finish as the recipe does; the summary of the reinforcement."""
     run = Run(folder, parts.config)
+    state = begin(run, parts.policy, parts.losses, parts.protocol)
     run.begin(parts.world, parts.observation.order)
     if len(parts.demos):
-        imitate(parts.config, run, parts.policy, parts.demos)
-    result = reinforce(parts.config, run, parts.policy, parts.losses, parts.protocol)
+        imitate(run, parts.policy, parts.demos)
+    result = reinforce(run, state, parts.protocol)
     parts.policy.restore()
     run.finish({"frames": result["frames"], "network": plain_weights(parts.policy)}, {})
     return result

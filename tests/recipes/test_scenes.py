@@ -16,10 +16,10 @@ from scenes import COMMANDS
 from simulator import Simulator
 
 from dirl.backbones import ResNet50
-from dirl.config.command_line import SCHEMAS, check_overrides, choose_command, register
+from dirl.config.command_line import SCHEMAS, choose_command, prepare, register
 from dirl.config.schemas import ConfigError, Match, typed
 from dirl.rooms.checks import far_apart
-from dirl.scenes import read_dump, write_dump
+from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
 from dirl.scenes.diagnostics import inspect_scene
 from dirl.scenes.views import encode
 
@@ -45,7 +45,7 @@ def run(line):
     command, arguments = choose_command(
         {name: meaning for name, (meaning, _) in COMMANDS.items()}, shlex.split(line), ""
     )
-    check_overrides(SCHEMAS[command], arguments)
+    arguments = prepare(SCHEMAS[command], arguments)
     with initialize_config_dir(str(ROOT / "conf" / "scenes"), version_base="1.3"):
         options = typed(compose(command, arguments))
     COMMANDS[command][1](options)
@@ -85,7 +85,13 @@ def test_a_mistyped_command_is_told_its_neighbour(name, says):
     ("line", "says"),
     [
         ("encode sceen=a.h5", "there is no option 'sceen'; did you mean scene?"),
-        ("encode scene=room.h5 out=new.h5", "name the encoder: encoder=<"),
+        ("encode scene=room.h5 out=new.h5 encoder=null", "name the encoder: encoder=resnet50"),
+        ("sample kind=bedroom", "say where to write: out=<a folder>"),
+        ("sample out=new", "name a kind of room: kind=<bathroom |"),
+        ("sample kind=bedrom out=new", "kind: there is no 'bedrom'; did you mean 'bedroom'?"),
+        ("sample kind=bedroom out=new count=0", "count=0: must be at least 1"),
+        ("sample kind=bedroom out=room.h5", "room.h5: is there already, and is no collection"),
+        ("sample kind=bedroom out=. encoder=null", "is there already, and is no collection"),
         ("encode scene=room.h5 out=room.h5 encoder=x", "out=room.h5: there is such a file already"),
         ("export scene=bathrom_02 out=new.h5", "there is no scene 'bathrom_02' (did you mean 'bathroom_02'?)"),
         ("export scene=room.h5 out=new.zip", "out=new.zip: the name must end in .h5"),
@@ -115,13 +121,14 @@ def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
             ahead = {("hall", 2): "door", ("door", 6): "hall"}.get((location, turn), "")
             lines.append(f"{name},{location},{45 * turn},{x},0,{ahead},{'yes' if name == 'door2.jpg' else ''}")
     (folder / "states.csv").write_text("\n".join(lines))
-    run("photos folder=office out=office.h5 height=60 width=80")
+    run("photos folder=office out=office.h5 height=60 width=80 encoder=null")
     assert "office.h5: 16 states (source: photos)" in capsys.readouterr().out
     torch.save(ResNet50().state_dict(), here / "weights.pth")
-    run("encode scene=office.h5 encoder=weights.pth out=encoded.h5")
+    run("encode scene=office.h5 encoder=weights.pth patches=true out=encoded.h5")
     assert "extractor: ResNet-50, global average pool; RGB resized to 224x224" in capsys.readouterr().out
     scene = read_dump("encoded.h5")
     assert (scene.name, scene.goals, scene.features.shape) == ("office", (10,), (16, 2048))
+    assert scene.patches.shape == (16, 8, 96)
     assert scene.views[0].shape == (60, 80, 3)
     run("photos folder=office out=at_once.h5 height=60 width=80 encoder=weights.pth")
     assert read_dump("at_once.h5").extractor == scene.extractor
@@ -135,35 +142,47 @@ def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
 def test_live_thor_becomes_a_dump(here, monkeypatch, capsys):
     simulator = Simulator([(0, 0), (1, 0), (1, 1)], nowhere=[(1, 1)], shape=(60, 80))
     monkeypatch.setattr(sys.modules["scenes"], "start_simulator", lambda scene, **asked: simulator)
-    run("thor scene=FloorPlan401 out=dumps/401.h5 height=60 width=80")
+    run("thor scene=FloorPlan401 out=dumps/401.h5 height=60 width=80")  # with the encoder that comes along
     printed = capsys.readouterr().out
     assert "left out: 0.50_0.50: Collided with: Sink_3." in printed
     assert "dumps/401.h5: 8 states (source: thor)" in printed
     scene = read_dump("dumps/401.h5")
-    assert (scene.name, scene.source, scene.features) == ("FloorPlan401", "thor", None)
+    assert (scene.name, scene.source) == ("FloorPlan401", "thor")
+    assert scene.extractor == load_scenes("bathroom_02")[0].extractor
     assert scene.views[3].shape == (60, 80, 3)
 
 
 def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch):
     pytest.importorskip("embreex")
     torch.save(ResNet50().state_dict(), here / "weights.pth")
+    asked = []
 
     def room(kind, seed):
-        return replace(closet(), name=f"{kind}_{seed}")
+        asked.append((kind, seed))
+        return replace(closet(), name=f"{kind}_{seed}"), []
 
-    monkeypatch.setattr(sys.modules["scenes"], "sample_room", room)
-    run("sample kind=bedroom seed=3 count=2 out=many height=24 width=32 fine=false workers=1 encoder=weights.pth")
-    table = capsys.readouterr().out.splitlines()
+    monkeypatch.setattr("dirl.rooms.collect.sample_views", room)
+    line = "sample kind=bedroom seed=29999 count=2 out=many height=24 width=32 fine=false workers=1 encoder=weights.pth"
+    run(line)
+    first, *table = capsys.readouterr().out.splitlines()
+    assert first == "many: 0 of 2 rooms are there"
     assert len(table) == 6
-    scene = read_dump("many/bedroom_4.h5")
+    scene = read_dump("many/bedroom_30000.h5")
     apart = far_apart(scene.positions, scene.headings)
     alike = {match: inspect_scene(scene, match=match).ambiguous for match in Match}
     far = [sum(apart[a, b] for a, b, *_ in alike[match]) for match in (Match.front, Match.views)]
     assert 0 < far[1] < len(alike[Match.views])  # weights at random tell little apart
-    assert table[3].startswith(f"| bedroom_4 | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | {far[0]} | {far[1]} | states ")
+    assert table[2].startswith("| bedroom_29999 | validation | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | ")
+    assert table[3].startswith(f"| bedroom_30000 | train | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | {far[0]} | {far[1]} | ")
     assert table[-1] == "2 rooms: many"
-    names = ["bedroom_3.h5", "bedroom_3.toml", "bedroom_4.h5", "bedroom_4.toml", "rooms.png"]
-    assert sorted(path.name for path in (here / "many").iterdir()) == names
+    made = [f"bedroom_{seed}.{ending}" for seed in (29999, 30000) for ending in ("h5", "toml")]
+    assert sorted(path.name for path in (here / "many").iterdir()) == [*made, "collection.jsonl", "rooms.png"]
+    assert asked == [("bedroom", 29999), ("bedroom", 30000)]
+    run(line.replace("count=2", "count=3"))
+    assert asked[2:] == [("bedroom", 30001)]
+    assert capsys.readouterr().out.startswith("many: 2 of 3 rooms are there")
+    with pytest.raises(SceneError, match="bedroom_29999 was made with height=24, not 25"):
+        run(line.replace("height=24", "height=25"))
 
 
 def test_a_dump_goes_out_and_comes_back_as_it_was(room, capsys):

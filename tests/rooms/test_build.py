@@ -22,7 +22,7 @@ from dirl.rooms.view import Renderer
 from dirl.scenes import SceneError, read_dump
 from dirl.scenes.catalogue import ROOMS
 
-REFERENCES = Path(__file__).parent / "data" / "bathroom_02"
+REFERENCES = Path(__file__).parents[1] / "data" / "bathroom_02"
 """Views of the bathroom, 60x80 PNG, as they were rendered when the built-in rooms were made; named by their states."""
 
 SMALL = {"size": (24, 32), "workers": 1, "fine": False, "progress": False}

@@ -9,6 +9,8 @@ from dirl.rooms.description import Piece, description_text, parse_description
 from dirl.rooms.navigation import walk
 from dirl.rooms.sampling import KINDS, sample_room
 from dirl.rooms.sampling.draft import Draft
+from dirl.rooms.sampling.sample import draw_room
+from dirl.rooms.sampling.splits import EVERYTHING, HELD_OUT, TEST, TRAIN, repertoire_of, split_of
 from dirl.rooms.sampling.styles import Style
 from dirl.scenes import SceneError
 
@@ -78,3 +80,46 @@ def test_no_wall_stays_bare(draft):
     draft.dress_walls(towels=False)
     for wall in ("north", "east", "south", "west"):
         assert all(end - start < 1.0 for start, end in draft._bare(wall))
+
+
+def test_seeds_fix_the_split():
+    found = {seed: split_of(seed) for seed in (0, 9_999, 10_000, 19_999, 20_000, 29_999, 30_000, 10**9)}
+    assert list(found.values()) == [None, None, "test", "test", "validation", "validation", "train", "train"]
+    assert repertoire_of(5) is EVERYTHING
+    assert repertoire_of(10_005) is TEST
+    assert repertoire_of(20_005) is repertoire_of(30_005) is TRAIN
+
+
+@pytest.mark.parametrize("part", [*HELD_OUT, "seeds"])
+def test_training_and_test_rooms_have_nothing_of_the_repertoire_in_common(part):
+    whole, train, test = (getattr(one, part) for one in (EVERYTHING, TRAIN, TEST))
+    if part == "seeds":
+        whole, train, test = range(*whole), range(*train), range(*test)
+    assert set(train)
+    assert set(test)
+    assert set(train) & set(test) == set()
+    assert set(train) | set(test) == set(whole)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rooms_keep_to_the_repertoire_of_their_split(kind):
+    shown = {}
+    for first, other in ((10_000, TRAIN), (30_000, TEST)):
+        materials, seeds = [], []
+        for seed in range(first, first + 3):
+            room = draw_room(kind, seed)
+            materials += [(name, one) for name, one in room.materials.items() if name != "screen"]  # of stock
+            seeds += [piece.options["seed"] for piece in room.furniture if "seed" in piece.options]
+        kinds = {one.kind for _, one in materials}
+        absent = {*other.wallpapers, *other.paintings, *other.rugs, *other.outlooks}
+        assert kinds & (absent - {"plain"}) == set()
+        woods = {(one.options["a"], one.options["b"]) for name, one in materials if one.kind == "wood"}
+        assert woods <= set(EVERYTHING.woods.values()) - set(other.woods.values())
+        assert all(seed not in range(*other.seeds) for seed in seeds)
+        shown[first] = kinds
+    assert shown[10_000] != shown[30_000]
+
+
+def test_rooms_outside_the_splits_have_the_whole_repertoire():
+    kinds = {one.kind for seed in range(12) for one in draw_room("bedroom", seed).materials.values()}
+    assert {*EVERYTHING.wallpapers, *EVERYTHING.rugs} <= kinds

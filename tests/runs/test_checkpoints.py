@@ -12,6 +12,7 @@ STATE = {
     "network": {"w": torch.arange(1000.0)},
     "config": "a: 1",
     "extractor": "random",
+    "schema": 2,
     "scenes": ["room"],
     "optimiser": {"state": {0: {"step": torch.tensor(1.0)}}, "param_groups": [{"betas": (0.9, 0.999), "eps": None}]},
 }

@@ -1,13 +1,16 @@
 """Frozen image encoders, which turn views into features."""
 
-from dirl.backbones.registry import EncoderError, ViewEncoder, encode_scene, encode_views, load_encoder
+from dirl.backbones.encoder import EncoderError, ViewEncoder
+from dirl.backbones.registry import Encoded, encode_all, encode_scene, encode_views, load_encoder
 from dirl.backbones.resnet import ResNet50, encode, load_backbone, preprocess
 
 __all__ = [
+    "Encoded",
     "EncoderError",
     "ResNet50",
     "ViewEncoder",
     "encode",
+    "encode_all",
     "encode_scene",
     "encode_views",
     "load_backbone",

@@ -1,5 +1,6 @@
 """The frozen backbone: ResNet-50 with torchvision's parameter names, from camera views to features."""
 
+import copy
 from pathlib import Path
 from typing import Self
 
@@ -8,9 +9,10 @@ import torch
 import torch.nn.functional as F
 from PIL import Image
 from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-SIZE = 224
-"""Height and width, in pixels, that views are resized to."""
+SIZE = (224, 224)
+"""Height and width, in pixels, that views are resized to unless a caller says otherwise."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of ImageNet's red, green and blue, on a scale from 0 to 1."""
 
@@ -65,33 +67,41 @@ class ResNet50(nn.Module):
         return super().train(False)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Normalised images (see `preprocess`), float32 ``[B, 3, 224, 224]``, to features, float32 ``[B, 2048]``."""
+        """Normalised images (see `preprocess`), ``[B, 3, H, W]``, to their global average pool, ``[B, 2048]``."""
+        return self.pool(self.third_stage(images))
+
+    def third_stage(self, images: Tensor) -> Tensor:
+        """Normalised images, ``[B, 3, H, W]``, to the third stage's map, ``[B, 1024, H / 16, W / 16]``."""
         x = F.relu(self.bn1(self.conv1(images)))
         x = F.max_pool2d(x, 3, 2, padding=1)
-        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
-        return x.mean((2, 3))
+        return self.layer3(self.layer2(self.layer1(x)))
+
+    def pool(self, third_stage: Tensor) -> Tensor:
+        """From the third stage's map to features, ``[B, 2048]``."""
+        return self.layer4(third_stage).mean((2, 3))
 
 
-def preprocess(views: Tensor) -> Tensor:
-    """Views as the backbone wants them: 224x224, on a scale from 0 to 1, and normalised as on ImageNet.
+def preprocess(views: Tensor, size: tuple[int, int] = SIZE) -> Tensor:
+    """Views as the backbone wants them: resized, on a scale from 0 to 1, and normalised as on ImageNet.
 
     The resizing is Pillow's, one view at a time, because the features of the built-in rooms were made so. torch's
     own antialiasing rounds otherwise and moves features by 0.2 %; without antialiasing they move by 15 %.
 
     Args:
         views: RGB, uint8 ``[B, H, W, 3]``.
+        size: height and width to resize to, pixels.
 
     Returns:
-        float32 ``[B, 3, 224, 224]``, on the device of the views.
+        float32 ``[B, 3, *size]``, on the device of the views.
 
     Raises:
         ValueError: the views have another shape or type.
     """
     if views.dtype != torch.uint8 or views.ndim != 4 or views.shape[-1] != 3:
         raise ValueError(f"views are uint8 [B, H, W, 3], not {views.dtype} {list(views.shape)}")
-    images = torch.empty(len(views), SIZE, SIZE, 3)
+    images = torch.empty(len(views), *size, 3)
     for image, view in zip(images, views.cpu().numpy(), strict=True):
-        resized = Image.fromarray(view).resize((SIZE, SIZE), Image.Resampling.BILINEAR)
+        resized = Image.fromarray(view).resize(size[::-1], Image.Resampling.BILINEAR)
         image[:] = torch.from_numpy(np.array(resized))
     normalised = (images / 255 - torch.tensor(MEAN)) / torch.tensor(STD)
     return normalised.permute(0, 3, 1, 2).contiguous().to(views.device)
@@ -110,6 +120,18 @@ def encode(backbone: ResNet50, views: Tensor, batch: int = 32) -> Tensor:
     """
     device = backbone.conv1.weight.device
     return torch.cat([backbone(preprocess(part).to(device)).to(views.device) for part in views.split(batch)])
+
+
+def fused(backbone: ResNet50) -> ResNet50:
+    """A copy with every batch norm multiplied into its convolution: the same features up to float32 rounding."""
+    backbone = copy.deepcopy(backbone)
+    for module in list(backbone.modules()):
+        for k in [name.removeprefix("conv") for name, _ in module.named_children() if name.startswith("conv")]:
+            setattr(module, f"conv{k}", fuse_conv_bn_eval(getattr(module, f"conv{k}"), getattr(module, f"bn{k}")))
+            setattr(module, f"bn{k}", nn.Identity())
+        if isinstance(module, Bottleneck) and len(module.downsample):
+            module.downsample = nn.Sequential(fuse_conv_bn_eval(*module.downsample))
+    return backbone
 
 
 def load_backbone(path: str | Path) -> ResNet50:

@@ -8,6 +8,7 @@ from omegaconf import MISSING
 from dirl.config.schemas import Device, Match
 
 Layout = StrEnum("Layout", ["icra17"])
+Precision = StrEnum("Precision", ["float32", "bfloat16"])
 
 
 @dataclass
@@ -69,7 +70,10 @@ class SampleConfig:
     fine: bool = MISSING
     workers: int | None = None
     encoder: str | None = None
+    precision: Precision = MISSING
+    patches: bool = MISSING
     device: Device = MISSING
+    sheet: bool = MISSING
 
 
 @dataclass
@@ -79,6 +83,8 @@ class EncodeConfig:
     scene: str | None = None
     out: str | None = None
     encoder: str | None = None
+    precision: Precision = MISSING
+    patches: bool = MISSING
     device: Device = MISSING
 
 

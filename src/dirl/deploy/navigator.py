@@ -12,7 +12,8 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 
-from dirl.backbones import encode, load_backbone
+from dirl.backbones import ViewEncoder, load_encoder
+from dirl.backbones.registry import BATCH
 from dirl.config.components import TARGET, find_class
 from dirl.config.saved import read_config
 from dirl.config.schemas import ConfigError, Match, TrainConfig
@@ -147,18 +148,19 @@ class Navigator:
 
         Args:
             checkpoint: the folder of a run, or a ``.pt`` file in one.
-            encoder: a function of images (see `Encoder`), or the path of ResNet-50 weights (see
-                `dirl.backbones.load_backbone`).
+            encoder: what `dirl.backbones.load_encoder` loads, by name (``resnet50``) or as a file of ResNet-50
+                weights; one that it has loaded; or a function of images (see `Encoder`).
             extractor: what the encoder is, in the words of the dump whose features it reproduces (``Scene.extractor``).
-                It must be the text that the checkpoint was trained with. Required for a function. A file of weights
-                does not tell where it is from: without this argument there is a warning that nothing was compared.
+                It must be the text that the checkpoint was trained with. Required for a function; encoders of dirl
+                say it themselves. A file of weights may be what a dump describes in other words: if the texts differ,
+                there is a warning unless this argument says that they mean the same.
             scene: whose layers decide. It may be left out where there is no choice: one scene, or shared layers.
             device: ``cpu`` or ``cuda``.
             trust: packages whose classes the checkpoint's configuration may name, besides dirl's own.
 
         Raises:
             NavigatorError: another extractor, an unknown scene, no such device, or weights that fit no network.
-            ValueError: no checkpoint, or no ResNet-50 weights, at these paths.
+            ValueError: there is no such checkpoint, or no such encoder.
         """
         if torch.device(device).type == "cuda" and not torch.cuda.is_available():
             raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
@@ -172,7 +174,7 @@ class Navigator:
         scene = _choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
         policy = FeaturePolicy(_rebuild(saved, config, scene, str(checkpoint)), _front(config, order))
         if not callable(encoder):
-            encoder = _backbone_encoder(encoder, device)
+            encoder = _load_encoder(encoder, device, None if extractor else saved["extractor"])
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
         return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts)
 
@@ -287,17 +289,13 @@ class Navigator:
 
 
 def _check_extractor(encoder: Encoder | str | Path, given: str | None, trained: str) -> None:
+    if given is None and isinstance(encoder, ViewEncoder):
+        given = encoder.extractor
     if given is not None and given != trained:
         raise NavigatorError(f"the checkpoint was trained on features of another extractor: '{trained}', not '{given}'")
     if given is None and callable(encoder):
         raise NavigatorError(
             f"say which extractor the encoder is by extractor=...; the checkpoint was trained with '{trained}'"
-        )
-    if given is None:
-        warnings.warn(
-            f"nobody has compared the weights in {encoder} with the extractor that the checkpoint was trained with, "
-            f"'{trained}'; if they are the same, say so by extractor=...",
-            stacklevel=3,
         )
 
 
@@ -346,6 +344,21 @@ def _in_plain_operations(memory: nn.Module | None) -> nn.Module | None:
     return plain.to(layers.weight_hh_l0.device).requires_grad_(False)
 
 
-def _backbone_encoder(path: str | Path, device: str | torch.device) -> Encoder:
-    backbone = load_backbone(path).to(device)
-    return lambda images: encode(backbone, images)
+def _load_encoder(name: str | Path, device: str | torch.device, trained: str | None) -> Encoder:
+    """The encoder of a name or a file, compared with the extractor that a checkpoint was trained with, if one is given.
+
+    It takes any number of images.
+    """
+    encoder = load_encoder(str(name), device)
+    if trained is not None and encoder.extractor != trained:
+        if not Path(name).is_file():
+            raise NavigatorError(
+                f"the checkpoint was trained on features of another extractor: '{trained}', not '{encoder.extractor}' "
+                f"(encoder={name}); if they are the same in other words, say so by extractor=..."
+            )
+        warnings.warn(
+            f"the weights in {name} are '{encoder.extractor}', and the checkpoint was trained with '{trained}'; if "
+            "they are the same, say so by extractor=...",
+            stacklevel=3,
+        )
+    return lambda images: torch.cat([encoder(part) for part in images.split(BATCH)])

@@ -12,7 +12,7 @@ from PIL import Image, ImageEnhance, ImageFilter
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from dirl.backbones.registry import ViewEncoder, encode_views
+from dirl.backbones import ViewEncoder, encode_views
 from dirl.episodes import run_episodes
 from dirl.evaluation import metrics
 from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables

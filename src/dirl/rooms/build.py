@@ -2,7 +2,7 @@
 
 import importlib.util
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -89,32 +89,76 @@ def build_room(
         SceneError: the room cannot be made, ``out`` exists, or an argument is out of range. All this is found before
             the long work begins.
     """
-    for package in ("embreex", "tomli_w"):
-        if importlib.util.find_spec(package) is None:
-            raise SceneError(f"to build rooms, {package} is missing: pip install 'dirl[rooms]'")
+    check_packages()
     room, out = describe_room(description), Path(out)
     if out.exists():
         raise SceneError(f"{out}: there is such a file already; it is not overwritten")
-    if not (min(size) >= 8 and max(size) <= 4096):
-        raise SceneError(f"size={list(size)}: views are 8 to 4096 pixels high and wide")
+    check_size(size)
     if workers is not None and workers < 1:
         raise SceneError(f"workers={workers}: at least one process is needed")
     way = walk(room, turn)
-    scene = scene_of(room, way, source="rooms" if str(description) in built_in_rooms() else "synthetic")
-    problems = check_room(room)
+    source = "rooms" if str(description) in built_in_rooms() else "synthetic"
     views = list(take_views(Renderer.of(room, fine=fine), room.camera, poses(way), size, quality, workers, progress))
-    problems += check_views(np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views]), way)
-    about = {"extractor": "none"}
+    scene = scene_of(room, way, source=source)
+    about = {"room": description_text(room), "step": room.grid.step, "turn": float(turn)}
+    write_room(out, scene, views, encoder, attributes=about, provenance=provenance, progress=progress)
+    thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
+    return check_room(room) + check_views(thumbnails, contrasts, way)
+
+
+def check_packages() -> None:
+    """Raise `SceneError` unless the extra ``rooms`` is installed."""
+    for package in ("embreex", "tomli_w"):
+        if importlib.util.find_spec(package) is None:
+            raise SceneError(f"to build rooms, {package} is missing: pip install 'dirl[rooms]'")
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Raise `SceneError` unless views can have this height and width."""
+    if not (min(size) >= 8 and max(size) <= 4096):
+        raise SceneError(f"size={list(size)}: views are 8 to 4096 pixels high and wide")
+
+
+def write_room(
+    out: Path,
+    scene: Scene,
+    views: Sequence["View"],
+    encoder: "ViewEncoder | None",
+    *,
+    attributes: dict[str, Any],
+    provenance: str = "",
+    progress: bool = False,
+) -> None:
+    """Encode the views of a room, as they are stored, and write its dump; it appears whole or not at all.
+
+    Args:
+        out: the dump; an existing one is replaced.
+        scene: the room without features.
+        views: of its states.
+        encoder: what makes the features, and patches; neither if None.
+        attributes: of the file.
+        provenance: where the encoder's weights come from, if it does not say so itself.
+        progress: show a progress bar.
+    """
+    about, about_patches = {"extractor": "none"}, {}
     if encoder is not None:
-        from dirl.backbones import encode_views
+        from dirl.backbones import encode_all
+        from dirl.backbones.patches import patch_attributes
 
         stored = (decode(view.encoded) for view in views)
-        features = encode_views(encoder, stored, len(views), str(out)).astype(np.float16)
-        scene = replace(scene, features=features, extractor=encoder.extractor)
+        found = encode_all(encoder, stored, len(views), str(out), progress=progress)
+        features = found.features.astype(np.float16)
+        scene = replace(scene, features=features, extractor=encoder.extractor, patches=found.patches)
         about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
-    attributes = {"room": description_text(room), "step": room.grid.step, "turn": float(turn)}
-    write_dump(out, scene, (view.encoded for view in views), attributes=attributes, feature_attributes=about)
-    return problems
+        about_patches = patch_attributes() if found.patches is not None else {}
+    write_dump(
+        out,
+        scene,
+        (view.encoded for view in views),
+        attributes=attributes,
+        feature_attributes=about,
+        patch_attributes=about_patches,
+    )
 
 
 def scene_of(room: RoomDescription, way: Walk, *, source: str = "synthetic") -> Scene:

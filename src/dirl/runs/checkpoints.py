@@ -100,14 +100,17 @@ def read_checkpoint(file: Path) -> dict[str, Any]:
     """
     data = file.read_bytes()
     sealed = _check_digest(data, file)
+    unsealed = f"{file}: is damaged or no checkpoint of this version of dirl: it does not end with a digest"
     try:
         state = _unpack(data)
     except Exception as error:  # zipfile and torch raise many kinds for what they cannot read
+        if not sealed:
+            raise RunError(unsealed) from None
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{file}: is no checkpoint of dirl ({reason})") from None
     check_plain(state, file, 4 * len(data))
     if not sealed and (not isinstance(state, dict) or "schema" in state):  # dirl 0.1 wrote neither
-        raise RunError(f"{file}: is damaged or no checkpoint of dirl: it does not end with a digest")
+        raise RunError(unsealed)
     return check_header(state, file)
 
 

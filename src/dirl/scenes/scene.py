@@ -34,6 +34,8 @@ class Scene:
         source: where the scene comes from: ``rooms`` (built in), ``synthetic`` (generated) or ``thor``.
         extractor: what made the features; scenes with different extractors cannot share a `World`.
         origin: the file or function that made it, named in errors.
+        patches: what each part of each view shows (`dirl.backbones.patches`), float16 ``[N, cells, channels]``, or
+            None; of a scene that was read from a file they stay there until they are used.
 
     Raises:
         SceneError: an array has the wrong shape or type, or the first offending state of it is named.
@@ -49,6 +51,7 @@ class Scene:
     source: str = "synthetic"
     extractor: str = "unknown"
     origin: str = "a scene made in memory"
+    patches: NDArray[np.float16] | None = None
 
     def __post_init__(self) -> None:
         given = self._array("graph", self.graph, np.integer, (None, 4))
@@ -75,6 +78,8 @@ class Scene:
                     f"{self.origin}: {name}: state {far[0]} holds {values[far[0]].tolist()}; expected at most "
                     f"{LARGEST:,.0f} {unit}"
                 )
+        if self.patches is not None:
+            arrays["patches"] = self._array("patches", self.patches, np.float16, (states, None, None))
         self._check_turns(graph, positions)
         if self.views is not None and len(self.views) != states:
             raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")

@@ -1,5 +1,7 @@
 """Digests: every writer leaves one, and every change to what means something is noticed."""
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
@@ -18,7 +20,10 @@ ABOUT = {"extractor": "ResNet-50", "preprocessing": "/255", "weights": "v2"}
 def room(tmp_path):
     rng = np.random.default_rng(0)
     views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8)) for _ in range(24)]
-    write_dump(tmp_path / "room.h5", grid_scene(name="hall", goals=(3,)), views, feature_attributes=ABOUT)
+    scene = replace(grid_scene(name="hall", goals=(3,)), patches=rng.normal(size=(24, 2, 3)).astype(np.float16))
+    write_dump(
+        tmp_path / "room.h5", scene, views, feature_attributes=ABOUT, patch_attributes={"projection": "sha256:1"}
+    )
     return tmp_path / "room.h5"
 
 
@@ -36,7 +41,8 @@ def test_every_writer_leaves_a_digest(room):
 
 
 @pytest.mark.parametrize(
-    "name", ["graph", "location", "rotation", "resnet_feature", "shortest_path_distance", "observation_webp"]
+    "name",
+    ["graph", "location", "rotation", "resnet_feature", "patches", "shortest_path_distance", "observation_webp"],
 )
 def test_a_changed_value_is_noticed(room, name):
     with h5py.File(room, "a") as file:

@@ -145,7 +145,7 @@ def test_a_block_without_moves_is_read_and_cannot_be_left(tmp_path, scene, dump)
     assert (read.distances[:24, 24:] == -1).all()
     world = make_world([read], [0])
     assert world.graph[24:].tolist() == [[state] * 4 for state in range(24, 28)]
-    assert world.distances[0, 24:].tolist() == [-1] * 4
+    assert world.block(world.distances, 0)[24:].tolist() == [-1] * 4
 
 
 def test_a_block_behind_walls_is_read(tmp_path):

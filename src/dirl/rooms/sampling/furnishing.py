@@ -105,7 +105,7 @@ def nightstand(draft: Draft, wall: str, along: float, wood: str) -> None:
     if rng.random() < 0.6:
         draft.on_top(stand, "lamp", (0.28, 0.28, 1.05))
     else:
-        draft.on_top(stand, "vase", (0.22, 0.22, 0.4), seed=any_seed(rng), body=draft.style.worktop())
+        draft.on_top(stand, "vase", (0.22, 0.22, 0.4), seed=any_seed(draft), body=draft.style.worktop())
 
 
 def kitchen(draft: Draft) -> None:
@@ -125,7 +125,7 @@ def kitchen(draft: Draft) -> None:
         island = draft.freely("counter", size, yaws=(0, 90, 180, 270), top=top, body=body, doors=4)
         if island is not None:
             draft.on_top(island, "bowl", (0.36, 0.36, 0.14), shift=-0.4)
-            draft.on_top(island, "vase", (0.3, 0.3, 0.5), shift=0.5, seed=any_seed(rng))
+            draft.on_top(island, "vase", (0.3, 0.3, 0.5), shift=0.5, seed=any_seed(draft))
     if rng.random() < 0.5:
         draft.against_wall("washer", (0.62, 0.6, 0.9))
     board = chest(draft, between(rng, 1.0, 1.6)) if rng.random() < 0.7 else None

@@ -14,9 +14,9 @@ def between(rng: np.random.Generator, low: float, high: float) -> float:
     return round(float(rng.uniform(low, high)), 2)
 
 
-def any_seed(rng: np.random.Generator) -> int:
+def any_seed(draft: Draft) -> int:
     """For a piece that is drawn at random itself."""
-    return int(rng.integers(1000))
+    return int(draft.rng.integers(*draft.style.repertoire.seeds))
 
 
 def has(draft: Draft, kind: str) -> bool:
@@ -46,7 +46,9 @@ def windows(draft: Draft, door: str | None, count: int, *, curtains: float) -> N
 def shower(draft: Draft) -> None:
     """A shower in a corner, the wall on the left of who stands in it with the back to its own wall."""
     rng = draft.rng
-    curtain = draft.style.paper("leaf", float(rng.random())) if rng.random() < 0.6 else draft.style.cloth()
+    patterns = draft.style.repertoire.wallpapers
+    pattern = "leaf" if "leaf" in patterns else patterns[0]
+    curtain = draft.style.paper(pattern, float(rng.random())) if rng.random() < 0.6 else draft.style.cloth()
     for wall in rng.permutation(SIDES):
         along = 0.5 if wall in ("north", "west") else draft.length(str(wall)) - 0.5
         shower = Piece("shower", (1.0, 0.95, 2.0), wall=str(wall), along=round(along, 2), options={"curtain": curtain})
@@ -62,7 +64,7 @@ def chest(draft: Draft, width: float) -> Piece | None:
     made = draft.against_wall("cabinet", size, body=draft.style.wood(), rows=rows, doors=max(1, round(width / 0.5)))
     if made is not None:
         draft.keep_front_free(made)
-        draft.on_top(made, "bottles", (0.3, 0.2, 0.26), shift=round(width / 4, 2), seed=any_seed(rng))
+        draft.on_top(made, "bottles", (0.3, 0.2, 0.26), shift=round(width / 4, 2), seed=any_seed(draft))
     return made
 
 
@@ -107,7 +109,7 @@ def dining(draft: Draft, chairs: int) -> None:
             break
     else:
         return
-    draft.on_top(table, "vase", (0.3, 0.3, between(rng, 0.4, 0.6)), seed=any_seed(rng), body="pot")
+    draft.on_top(table, "vase", (0.3, 0.3, between(rng, 0.4, 0.6)), seed=any_seed(draft), body="pot")
     slots = [(side, k) for side in (-1, 1) for k in ((-0.25, 0.25) if width > 1.3 and not is_round else (0.0,))]
     turn = np.radians(yaw)
     for slot in rng.permutation(len(slots))[:chairs]:
@@ -157,7 +159,7 @@ def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> N
                 cupboard = {"body": units["body"], "doors": max(1, round(width / 0.45)), "glass": glass, "z": 1.55}
                 if rng.random() < 0.75:
                     above(draft, piece, "wall_cupboard", (width, 0.36, 0.75), **cupboard)
-                draft.on_top(piece, "bottles", (round(width * 0.6, 2), 0.25, 0.28), seed=any_seed(rng))
+                draft.on_top(piece, "bottles", (round(width * 0.6, 2), 0.25, 0.28), seed=any_seed(draft))
             elif extra.get("sink") and rng.random() < 0.6:
                 window = {"z": 1.8, "panes": (3, 1), "outlook": draft.style.outlook()}
                 above(draft, piece, "window", (round(width - 0.1, 2), 0.1, 0.95), **window)
@@ -238,7 +240,7 @@ def corner_things(draft: Draft, count: int) -> None:
         if kind == "plant":
             side = between(rng, 0.42, 0.55)
             size = (side, side, between(rng, 0.9, 1.7))
-            draft.in_corner("plant", size, seed=any_seed(rng), pot=str(rng.choice(["accent", "pot", "wicker"])))
+            draft.in_corner("plant", size, seed=any_seed(draft), pot=str(rng.choice(["accent", "pot", "wicker"])))
         elif kind == "basket":
             draft.against_wall("basket", (0.42, 0.42, between(rng, 0.45, 0.65)), fill=draft.style.cloth())
         else:

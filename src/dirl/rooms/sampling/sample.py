@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dirl.rooms.build import poses, take_views
+from dirl.rooms.build import View, poses, take_views
 from dirl.rooms.checks import check_room, check_views
 from dirl.rooms.description import Grid, RoomDescription
 from dirl.rooms.layout import assemble
@@ -14,6 +14,7 @@ from dirl.rooms.navigation import walk
 from dirl.rooms.options import check_keys
 from dirl.rooms.sampling import furnishing
 from dirl.rooms.sampling.draft import Draft
+from dirl.rooms.sampling.splits import repertoire_of
 from dirl.rooms.sampling.styles import Style
 from dirl.rooms.view import Renderer
 from dirl.scenes.scene import SceneError
@@ -59,15 +60,29 @@ def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = 
         SceneError: there is no such kind, the seed is negative, or no attempt passed; the message says why the last
             one did not.
     """
+    return sample_views(kind, seed, attempts=attempts, look=look)[0]
+
+
+def sample_views(
+    kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True
+) -> tuple[RoomDescription, list[View]]:
+    """The room that `sample_room` gives, and the views that it was checked by: of `LOOK` pixels, in coarse light.
+
+    They are those that `dirl.rooms.build_room` takes with that ``size`` and without ``fine``; none without ``look``.
+    """
     check_keys({kind: 0}, KINDS, "kind")
     if seed < 0:
         raise SceneError(f"seed={seed}: must not be negative")
     problems = ["attempts must be at least 1"]
     for attempt in range(attempts):
         room = draw_room(kind, seed, attempt)
-        problems = problems_of(room, KINDS[kind], look=look)
+        problems = problems_of(room, KINDS[kind])
+        views = look_around(room) if look and not problems else []
+        if views:
+            thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
+            problems = check_views(thumbnails, contrasts, walk(room))
         if not problems:
-            return room
+            return room, views
     raise SceneError(f"kind={kind} seed={seed}: none of {attempts} rooms passed the checks; the last: {problems[0]}")
 
 
@@ -77,7 +92,7 @@ def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
     made = KINDS[kind]
     width, depth = (round(float(rng.uniform(*made.extent)), 1) for _ in range(2))
     size = (width, depth, round(float(rng.uniform(2.5, 2.9)), 2))
-    style = Style(rng, wet=made.wet)
+    style = Style(rng, wet=made.wet, repertoire=repertoire_of(seed))
     walls, floor = style.walls(size[2]), style.floor()
     skirting = "white_paint" if rng.random() < 0.6 else style.wood()
     draft = Draft(size, style, rng)
@@ -106,8 +121,8 @@ def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
     return replace(room, goals=goals, grid=Grid(origin=room.grid.origin, places=places))
 
 
-def problems_of(room: RoomDescription, kind: Kind, *, look: bool) -> list[str]:
-    """What keeps a room from being used, one line each."""
+def problems_of(room: RoomDescription, kind: Kind) -> list[str]:
+    """What keeps a room from being used, by its furniture and places, one line each."""
     try:
         way = walk(room)
     except SceneError as error:
@@ -115,9 +130,10 @@ def problems_of(room: RoomDescription, kind: Kind, *, look: bool) -> list[str]:
     if len(way.places) < kind.places:
         return [f"only {len(way.places)} places; at least {kind.places} are wanted"]
     kinds = {piece.kind for piece in room.furniture} | {"table" for piece in room.furniture if "table" in piece.kind}
-    problems = [f"there was no room for a {need}" for need in kind.needs if need not in kinds] + check_room(room)
-    if problems or not look:
-        return problems
+    return [f"there was no room for a {need}" for need in kind.needs if need not in kinds] + check_room(room)
+
+
+def look_around(room: RoomDescription) -> list[View]:
+    """The views of all states, of `LOOK` pixels, in coarse light."""
     renderer = Renderer.of(room, fine=False)
-    views = list(take_views(renderer, room.camera, poses(way), LOOK, progress=False))
-    return check_views(np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views]), way)
+    return list(take_views(renderer, room.camera, poses(walk(room)), LOOK, progress=False))

@@ -8,32 +8,10 @@ import numpy as np
 
 from dirl.rooms.description import SIDES, Band, Material
 from dirl.rooms.materials import STOCK
+from dirl.rooms.sampling.splits import EVERYTHING, Repertoire
 
-WOODS = {
-    "birch": ("#c9a97c", "#ead7b5"),
-    "oak": ("#9a6b3f", "#d6ab74"),
-    "teak": ("#7a4a26", "#b77b45"),
-    "walnut": ("#4a2d1b", "#835838"),
-    "mahogany": ("#4b1f16", "#8a4130"),
-    "ebony": ("#211a16", "#4a3d34"),
-    "ash": ("#8f8371", "#cfc4b0"),
-    "limed": ("#8f7f63", "#eee5d2"),
-}
-"""Dark and light colour of the grain."""
-
-SKIES = (
-    ("#5f9fd6", "#f6dfbf"),
-    ("#7fb2e5", "#fbe3c0"),
-    ("#9fb4c4", "#e4e6e4"),
-    ("#4d7fc0", "#f4f0e6"),
-    ("#6a6fb5", "#f2b28c"),
-    ("#86a9c9", "#f7d6d0"),
-)
 HUES = ((0.0, 0.4, 0.55, 0.65, 0.85, 0.92, 1.0), (0.0, 0.14, 0.3, 0.48, 0.64, 0.85, 1.0))
 """Quantiles of the hues that are drawn: shares, and hues (red 0, yellow 0.17, green 0.33, blue 0.67)."""
-
-WALLPAPERS = ("damask", "stripe", "leaf", "dots", "trellis", "chevron")
-PAINTINGS = ("abstract", "blocks", "circles", "bouquet", "landscape", "skyline", "sea")
 
 
 class Style:
@@ -42,19 +20,20 @@ class Style:
     Args:
         rng: what everything is drawn from.
         wet: whether walls and floor have tiles.
+        repertoire: what there is to choose from.
     """
 
-    def __init__(self, rng: np.random.Generator, *, wet: bool) -> None:
-        self.rng, self.wet = rng, wet
+    def __init__(self, rng: np.random.Generator, *, wet: bool, repertoire: Repertoire = EVERYTHING) -> None:
+        self.rng, self.wet, self.repertoire = rng, wet, repertoire
         self.materials: dict[str, Material] = {}
         # Two neighbouring hues for most of the room and one far from them: rooms with all hues look alike. People
         # paint warm or blue more often than green or purple, which are half of the circle of hues.
         hue, apart = float(np.interp(rng.random(), *HUES)), rng.uniform(0.03, 0.12)
         self.hues = [hue, (hue + apart) % 1, (hue + rng.uniform(0.4, 0.6)) % 1]
         self.vivid = rng.uniform(0.2, 0.6)
-        for name, wood in zip(("wood", "wood_dark", "wood_c"), rng.permutation(list(WOODS)), strict=False):
-            self._add_wood(name, *WOODS[wood])
-        self._add_wood("door", *WOODS[str(rng.choice(["birch", "oak", "teak", "walnut", "limed"]))])
+        for name, wood in zip(("wood", "wood_dark", "wood_c"), rng.permutation(list(repertoire.woods)), strict=False):
+            self._add_wood(name, *repertoire.woods[wood])
+        self._add_wood("door", *self._one_wood("birch", "oak", "teak", "walnut", "limed"))
         self._recolor()
 
     def add(self, material: Material, prefix: str) -> str:
@@ -104,13 +83,13 @@ class Style:
 
     def rug(self) -> str:
         """A rug."""
-        kind = str(self.rng.choice(["rug", "kilim"]))
+        kind = str(self.rng.choice(self.repertoire.rugs))
         dark, ornament, border, line = self.colors(4)
         return self.add(Material(kind, {"colors": (dark, line, border, ornament)}, size=0, rough=1.0), "rug")
 
     def painting(self) -> str:
         """A picture unlike any other in the room."""
-        kind = str(self.rng.choice(PAINTINGS))
+        kind = str(self.rng.choice(self.repertoire.paintings))
         options: dict[str, Any] = (
             self._scenery(kind) if kind in ("landscape", "skyline", "sea") else {"colors": self._bold()}
         )
@@ -124,13 +103,14 @@ class Style:
 
     def outlook(self) -> str:
         """What a window shows; it lights the room."""
-        kind = str(self.rng.choice(["landscape", "skyline", "sea"], p=[0.5, 0.3, 0.2]))
+        shares = np.array(list(self.repertoire.outlooks.values()))
+        kind = str(self.rng.choice(list(self.repertoire.outlooks), p=shares / shares.sum()))
         light = self.rng.uniform(2.6, 3.8)
         return self.add(Material(kind, self._scenery(kind), size=0, emit=light, glow=1.5), "outlook")
 
     def walls(self, height: float) -> dict[str, tuple[Band, ...]]:
-        """Four walls, no two of the same pattern and colour, some with a dado."""
-        patterns = [str(p) for p in self.rng.permutation(WALLPAPERS)]
+        """Four walls, some with a dado, each with another pattern as long as there are enough."""
+        patterns = [str(p) for p in self.rng.permutation(self.repertoire.wallpapers)]
         dado, dado_height = self.rng.random() < (0.7 if self.wet else 0.4), float(self.rng.choice([0.9, 1.0, 1.2, 1.5]))
         walls: dict[str, tuple[Band, ...]] = {}
         order = self.rng.permutation([0, 0, 1, 2 if self.rng.random() < 0.5 else 1])
@@ -139,7 +119,7 @@ class Style:
             if self.wet and self.rng.random() < 0.25:
                 walls[side] = ((height, self._tiles(hue)),)
                 continue
-            paper = self.paper(patterns[k], hue)
+            paper = self.paper(patterns[k % len(patterns)], hue)
             if dado and self.rng.random() < 0.75:
                 foot = self._tiles(hue) if self.wet else self._panel()
                 walls[side] = ((dado_height, foot), (height, paper))
@@ -151,10 +131,10 @@ class Style:
 
     def floor(self) -> str:
         """Boards or parquet, or where it is wet tiles."""
-        kinds = ["tile", "checker", "terrazzo"] if self.wet else ["planks", "planks", "herringbone", "tile"]
+        kinds = self.repertoire.wet_floors if self.wet else self.repertoire.floors
         kind, size = str(self.rng.choice(kinds)), self.rng.uniform(1.6, 2.4)
         if kind in ("planks", "herringbone"):
-            a, b = WOODS[str(self.rng.choice(["oak", "teak", "walnut", "ash", "mahogany", "birch"]))]
+            a, b = self._one_wood("oak", "teak", "walnut", "ash", "mahogany", "birch")
             rows = int(self.rng.integers(5, 10))
             made = Material(kind, {"a": a, "b": b, "rows": rows}, rough=0.3, size=size, resolution=1024)
         elif kind == "terrazzo":
@@ -169,6 +149,10 @@ class Style:
             options = {"colors": colors, "checker": kind == "checker", "nx": n, "ny": n, "grout": light}
             made = Material("tile", options, rough=0.25, size=size, resolution=1024)
         return self.add(made, "floor")
+
+    def _one_wood(self, *names: str) -> tuple[str, str]:
+        """The colours of one of some woods that is in the repertoire."""
+        return self.repertoire.woods[str(self.rng.choice(self.repertoire.some_woods(names)))]
 
     def _add_wood(self, name: str, a: str, b: str) -> None:
         size, rough, seed = self.rng.uniform(0.7, 1.2), self.rng.uniform(0.35, 0.5), int(self.rng.integers(1 << 30))
@@ -205,12 +189,12 @@ class Style:
     def _tiles(self, hue: float) -> str:
         colors = [self.color(hue=hue, saturation=self.rng.uniform(0.05, 0.4), value=self.rng.uniform(0.45, 0.95))
                   for _ in range(int(self.rng.integers(2, 5)))]  # fmt: skip
-        nx, ny, brick = ((6, 12, True), (8, 8, False), (12, 12, False), (5, 5, False))[self.rng.integers(4)]
+        nx, ny, brick = self.repertoire.tiles[self.rng.integers(len(self.repertoire.tiles))]
         options = {"colors": tuple(colors), "nx": nx, "ny": ny, "brick": brick, "grout": "#d5d2ca"}
         return self.add(Material("tile", options, size=1.25, rough=0.14), "tiles")
 
     def _panel(self) -> str:
-        a, b = WOODS[str(self.rng.choice(["birch", "walnut", "limed", "teak"]))]
+        a, b = self._one_wood("birch", "walnut", "limed", "teak")
         return self.add(Material("planks", {"a": a, "b": b, "rows": 8}, size=1.2, rough=0.45), "panel")
 
     def _bold(self) -> tuple[str, ...]:
@@ -223,7 +207,7 @@ class Style:
         )
 
     def _scenery(self, kind: str) -> dict[str, Any]:
-        sky = SKIES[self.rng.integers(len(SKIES))]
+        sky = self.repertoire.skies[self.rng.integers(len(self.repertoire.skies))]
         if kind == "landscape":
             ground, far = self.color(hue=self.rng.uniform(0.1, 0.4), value=0.45), self.color(value=0.7, saturation=0.2)
             return {"sky": sky, "hills": int(self.rng.integers(3, 7)), "ground": ground, "far": far}

@@ -65,12 +65,13 @@ def _read(path: str) -> Answer:
     return {"values": values, "arrays": shapes}, list(arrays.values())
 
 
-def _replace_features(dump: str, path: str, features: str, attributes: dict[str, str]) -> Answer:
+def _replace_features(dump: str, path: str, arrays: dict[str, str], attributes: dict[str, dict[str, str]]) -> Answer:
     import numpy as np
 
-    from dirl.scenes.io.write import copy_with_features
+    from dirl.scenes.io.write import copy_with
 
-    copy_with_features(Path(dump), Path(path), np.load(features, mmap_mode="r"), attributes)
+    loaded = {name: np.load(file, mmap_mode="r") for name, file in arrays.items()}
+    copy_with(Path(dump), Path(path), loaded, attributes)
     return {}, []
 
 

@@ -16,6 +16,7 @@ DATASETS = (
     "location",
     "rotation",
     "resnet_feature",
+    "patches",
     "shortest_path_distance",
     "observation",
     "observation_webp",
@@ -23,6 +24,7 @@ DATASETS = (
 
 FILE_ATTRIBUTES = ("name", "source", "goals", "actions")
 EXTRACTOR_ATTRIBUTES = ("extractor", "preprocessing", "weights")
+PATCH_ATTRIBUTES = ("extractor", "projection")
 
 DIGEST = "digest"
 """The attribute. The file has it and so has ``graph``, for damage can also make attributes disappear."""
@@ -56,8 +58,8 @@ def check_digest(file: h5py.File) -> bool:
 def compute_digest(file: h5py.File) -> str:
     """The SHA-256 over the datasets and attributes of a dump that mean something, as hexadecimal digits.
 
-    It covers the names, types, shapes and values of `DATASETS`, the file's attributes `FILE_ATTRIBUTES`, and the
-    `EXTRACTOR_ATTRIBUTES` of the features; not how HDF5 stores them.
+    It covers the names, types, shapes and values of `DATASETS`, the file's attributes `FILE_ATTRIBUTES`, the
+    `EXTRACTOR_ATTRIBUTES` of the features and the `PATCH_ATTRIBUTES` of patches; not how HDF5 stores them.
     """
     digest = hashlib.sha256()
     digest.update(_attributes(file, FILE_ATTRIBUTES))
@@ -66,7 +68,7 @@ def compute_digest(file: h5py.File) -> str:
             continue
         dataset = file[name]
         digest.update(json.dumps([name, dataset.dtype.str, dataset.shape]).encode())
-        digest.update(_attributes(dataset, EXTRACTOR_ATTRIBUTES))
+        digest.update(_attributes(dataset, PATCH_ATTRIBUTES if name == "patches" else EXTRACTOR_ATTRIBUTES))
         for rows in blocks(dataset):
             values = dataset[rows]
             for part in values if dataset.dtype.kind == "O" else [values]:

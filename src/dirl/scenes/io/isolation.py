@@ -43,13 +43,15 @@ def read_apart(paths: Sequence[Path]) -> Iterator[Contents]:
         yield Contents(**{**header["values"], **arrays})
 
 
-def replace_features_apart(dump: Path, path: Path, features: Path, attributes: dict[str, str]) -> None:
-    """Let another process do `dirl.scenes.io.write.copy_with_features`, with the features in a ``.npy`` file.
+def replace_features_apart(
+    dump: Path, path: Path, arrays: dict[str, str], attributes: dict[str, dict[str, str]]
+) -> None:
+    """Let another process do `dirl.scenes.io.write.copy_with`, with each array in a ``.npy`` file.
 
     Raises:
         SceneError: the dump cannot be read, or the file not written.
     """
-    files = {"dump": os.path.abspath(dump), "path": os.path.abspath(path), "features": os.path.abspath(features)}
+    files = {"dump": os.path.abspath(dump), "path": os.path.abspath(path), "arrays": arrays}
     task = {"task": "replace_features", **files, "attributes": attributes, "seconds": seconds_for(dump)}
     for _ in _answers([task]):
         pass

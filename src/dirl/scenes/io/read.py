@@ -6,14 +6,16 @@
 | ``location`` | number ``[N, 2]`` | x, z in metres |
 | ``rotation`` | number ``[N]`` | heading in degrees |
 | ``resnet_feature`` | float16 or float32 ``[N, D]`` or ``[N, k, D]`` | features; of ``k`` crops the first is used |
+| ``patches`` | float16 ``[N, cells, channels]`` | what each part of each view shows (our files); in one piece |
 | ``shortest_path_distance`` | number ``[N, N]`` | only compared: distances are always recomputed |
 | ``observation`` | uint8 ``[N, H, W, 3]`` | raw views (published files) |
 | ``observation_webp`` | N byte strings | encoded views (our files): WebP, PNG or JPEG |
 
 ``graph``, ``location`` and ``rotation`` are required. File attributes, all optional: ``name``, ``source``, ``goals``
 and ``actions`` (the order of the columns of ``graph``, if not the one above). Attributes of ``resnet_feature``:
-``extractor``, ``preprocessing``, ``weights``. Attribute ``digest`` of the file and of ``graph``, which all files that
-dirl writes have: a SHA-256 over all of these; a file that differs from it is refused.
+``extractor``, ``preprocessing``, ``weights``; of ``patches``: ``extractor``, ``projection``. Attribute ``digest`` of
+the file and of ``graph``, which all files that dirl writes have: a SHA-256 over all of these; a file that differs from
+it is refused.
 """
 
 import warnings
@@ -24,6 +26,7 @@ from pathlib import Path
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.hdf5 import Contents, read_contents
 from dirl.scenes.io.isolation import read_apart
+from dirl.scenes.io.patches import map_patches
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 
@@ -42,6 +45,8 @@ class Dump:
     path: Path
     name: str | None = None
     source: str | None = None
+    sha256: str | None = None
+    """Of the file, as an index that we wrote says. Where it is right, the file is as it was written."""
 
 
 def read_dump(path: str | Path, *, name: str | None = None, source: str | None = None, isolated: bool = True) -> Scene:
@@ -70,7 +75,7 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
     for dump in dumps:
         if not dump.path.is_file():
             raise SceneError(f"{dump.path}: there is no such file")
-    intact = [_is_intact_room(dump.path) for dump in dumps]
+    intact = [_is_intact(dump) for dump in dumps]
     unknown = [dump.path for dump, known in zip(dumps, intact, strict=True) if not known]
     apart = read_apart(unknown) if isolated and unknown else map(read_contents, unknown)
     scenes = []
@@ -99,7 +104,15 @@ def _scene(dump: Dump, contents: Contents) -> Scene:
         source=dump.source or contents.source or "unlabelled",
         extractor=contents.extractor,
         origin=str(dump.path),
+        patches=map_patches(dump.path, contents.patch_offset, contents.patch_shape),
     )
+
+
+def _is_intact(dump: Dump) -> bool:
+    """Whether a file is as dirl wrote it, byte for byte."""
+    if dump.sha256 is not None:
+        return file_digest(dump.path) == dump.sha256
+    return _is_intact_room(dump.path)
 
 
 def _is_intact_room(path: Path) -> bool:

@@ -27,6 +27,7 @@ def write_dump(
     *,
     attributes: dict[str, Any] | None = None,
     feature_attributes: dict[str, str] | None = None,
+    patch_attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write one scene; the file appears whole or not at all.
 
@@ -37,6 +38,7 @@ def write_dump(
         attributes: further file attributes, beside the scene's own.
         feature_attributes: how the features were made: ``extractor``, ``preprocessing``, ``weights``; the scene's own
             description if left out.
+        patch_attributes: how the patches were made: ``extractor``, ``projection``.
 
     Raises:
         SceneError: the scene's name will not do, or a view cannot be decoded.
@@ -65,6 +67,9 @@ def write_dump(
         if scene.features is not None:
             file["resnet_feature"] = scene.features[:, None]
             file["resnet_feature"].attrs.update(feature_attributes or {"extractor": scene.extractor})
+        if scene.patches is not None:
+            file["patches"] = scene.patches  # in one piece, so that a reader can map it into memory
+            file["patches"].attrs.update(patch_attributes or {})
         if encoded is not None:
             stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
             for state, view in enumerate(encoded):
@@ -72,7 +77,12 @@ def write_dump(
 
 
 def replace_features(
-    dump: str | Path, path: str | Path, features: NDArray[np.floating], feature_attributes: Mapping[str, str]
+    dump: str | Path,
+    path: str | Path,
+    features: NDArray[np.floating],
+    feature_attributes: Mapping[str, str],
+    patches: NDArray[np.float16] | None = None,
+    patch_attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write a dump once more with other features; everything else stays as it is, the file attributes too.
 
@@ -81,30 +91,39 @@ def replace_features(
         path: the file to write; it appears whole or not at all.
         features: of every state, ``[N, D]``.
         feature_attributes: how they were made: ``extractor``, ``preprocessing``, ``weights``.
+        patches: of every state, ``[N, cells, channels]``; those of the dump if left out.
+        patch_attributes: how they were made: ``extractor``, ``projection``.
 
     Raises:
         SceneError: the dump cannot be copied.
     """
+    arrays: dict[str, NDArray[Any]] = {"resnet_feature": features[:, None]}
+    attributes = {"resnet_feature": dict(feature_attributes)}
+    if patches is not None:
+        arrays["patches"] = patches
+        attributes["patches"] = dict(patch_attributes or {})
     with TemporaryDirectory() as folder:
-        stored = Path(folder) / "features.npy"
-        np.save(stored, features)
+        files = {name: os.path.abspath(Path(folder) / f"{name}.npy") for name in arrays}
+        for name, array in arrays.items():
+            np.save(files[name], array)
         try:
-            replace_features_apart(Path(dump), Path(path), stored, dict(feature_attributes))
+            replace_features_apart(Path(dump), Path(path), files, attributes)
         except SceneError as error:
             raise SceneError(f"{dump}: {error}") from None
 
 
-def copy_with_features(
-    dump: Path, path: Path, features: NDArray[np.floating], feature_attributes: Mapping[str, str]
+def copy_with(
+    dump: Path, path: Path, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Mapping[str, str]]
 ) -> None:
-    """As `replace_features`, in this process."""
+    """Write a dump once more, in this process, with other values and attributes of some datasets, by their names."""
     with h5py.File(dump) as old, whole_file(path) as new:
         new.attrs.update(old.attrs)
         for name in DATASETS:
-            if name in old and name != "resnet_feature":
+            if name in old and name not in arrays:
                 old.copy(name, new)
-        new["resnet_feature"] = features[:, None]
-        new["resnet_feature"].attrs.update(feature_attributes)
+        for name, array in arrays.items():
+            new[name] = array
+            new[name].attrs.update(attributes[name])
 
 
 @contextmanager

@@ -1,0 +1,50 @@
+"""What an encoder is: a frozen backbone with its preprocessing, and exactly what it says of itself."""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from dirl.scenes.io.hdf5 import extractor_text
+
+
+class EncoderError(ValueError):
+    """An encoder that cannot be had, or cannot encode these views."""
+
+
+@dataclass(frozen=True)
+class ViewEncoder:
+    """A frozen backbone with its preprocessing. Made by `load_encoder`; also a `dirl.Navigator` takes it.
+
+    Args:
+        forward: RGB views, uint8 ``[B, H, W, 3]``, to features, float32 ``[B, D]``.
+        attributes: what a dump stores of it: ``extractor``, ``preprocessing``, ``weights`` (a SHA-256 over the
+            parameters that are used, whatever file they came in), ``provenance``.
+        forward_patches: RGB views to features and patches (see `dirl.backbones.patches`), float32 ``[B, D]`` and
+            ``[B, cells, channels]``; None where no patches were asked for.
+    """
+
+    forward: Callable[[Tensor], Tensor]
+    attributes: Mapping[str, str]
+    forward_patches: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
+
+    @property
+    def extractor(self) -> str:
+        """The attributes as one text; scenes can share a world only if theirs are equal (``Scene.extractor``)."""
+        return extractor_text(self.attributes)
+
+    def __call__(self, views: Tensor) -> Tensor:
+        """Features, float32 ``[B, D]``, of RGB views, uint8 ``[B, H, W, 3]``."""
+        return self.forward(views)
+
+
+def weights_hash(parameters: Mapping[str, Tensor]) -> str:
+    """``sha256:`` and 64 digits, over the names, shapes and values (as float32) of a state_dict, in order of names."""
+    digest = hashlib.sha256()
+    for name in sorted(parameters):
+        values = parameters[name].detach().cpu()
+        values = values.float() if values.is_floating_point() else values
+        digest.update(f"{name} {list(values.shape)}\n".encode())
+        digest.update(values.contiguous().numpy().tobytes())
+    return f"sha256:{digest.hexdigest()}"

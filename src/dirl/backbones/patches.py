@@ -1,0 +1,75 @@
+"""Patch features: what each part of a view shows, for agents that compare views part by part.
+
+The third stage of the shipped ResNet-50, of views at 96x128 pixels, is averaged over 2 x 4 cells and projected from
+1024 to 96 channels of about unit variance. The projection is the same wherever patches are computed, so that an agent
+meets the same ones in every room: principal components of training rooms, see ``data/NOTICE.md``.
+"""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+PATCH_SIZE = (96, 128)
+"""Height and width that views are resized to, pixels."""
+
+CELLS = (2, 4)
+"""Rows and columns."""
+
+PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
+
+
+def load_projection(device: str | torch.device = "cpu") -> Callable[[Tensor], Tensor]:
+    """The shipped projection: the third stage's map, ``[B, 1024, H, W]``, to patches, float32 ``[B, cells, 96]``.
+
+    Cells are numbered row by row, from the upper left.
+    """
+    stored = torch.load(PROJECTION, map_location=device, weights_only=True)
+    mean, components = stored["mean"].float(), stored["components"].float()
+
+    def project(third_stage: Tensor) -> Tensor:
+        return (cells_of(third_stage) - mean) @ components
+
+    return project
+
+
+def cells_of(third_stage: Tensor) -> Tensor:
+    """The means over cells of a map, ``[B, 1024, H, W]``, float32 ``[B, cells, 1024]``."""
+    return F.adaptive_avg_pool2d(third_stage.float(), CELLS).flatten(2).transpose(1, 2)
+
+
+def fit_projection(cells: Tensor, channels: int = 96, floor: float = 0.05) -> dict[str, Tensor]:
+    """Principal components of cells, scaled to unit variance.
+
+    Args:
+        cells: ``[N, 1024]``, of training rooms only.
+        channels: how many components to keep.
+        floor: components that vary less than this share of the first are scaled as if they varied as much, because
+            what is blown up there is noise.
+
+    Returns:
+        ``mean`` ``[1024]``, ``components`` ``[1024, channels]`` (float16), and ``explained``, the share of the variance
+        that each component holds, ``[channels]``.
+    """
+    cells = cells.double()
+    mean = cells.mean(0)
+    values, vectors = torch.linalg.eigh(torch.cov(cells.T))
+    values, vectors = values.flip(0).clamp(min=0), vectors.flip(1)[:, :channels]
+    vectors = vectors * vectors.gather(0, vectors.abs().argmax(0, keepdim=True)).sign()  # eigh leaves the signs open
+    deviations = values[:channels].sqrt()
+    components = vectors / deviations.clamp(min=floor * deviations[0])
+    explained = values[:channels] / values.sum()
+    return {"mean": mean.half(), "components": components.half(), "explained": explained.float()}
+
+
+def patch_attributes() -> dict[str, str]:
+    """What a dump stores of its patches."""
+    digest = hashlib.sha256(PROJECTION.read_bytes()).hexdigest()
+    height, width = PATCH_SIZE
+    return {
+        "extractor": f"ResNet-50 as shipped, third stage, views at {height}x{width}, {CELLS[0]}x{CELLS[1]} cells",
+        "projection": f"sha256:{digest}",
+    }

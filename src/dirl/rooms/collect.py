@@ -1,0 +1,227 @@
+"""Many random rooms into a collection: in parallel, and going on where it was stopped."""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dirl.rooms.build import check_packages, check_size, poses, scene_of, take_views, write_room
+from dirl.rooms.checks import check_room, check_views, far_apart
+from dirl.rooms.description import RoomDescription, description_text
+from dirl.rooms.navigation import walk
+from dirl.rooms.sampling.sample import LOOK, sample_views
+from dirl.rooms.sampling.splits import split_of
+from dirl.rooms.view import Renderer
+from dirl.scenes import Scene, SceneError, read_dump
+from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
+from dirl.scenes.io.digest import file_digest
+
+if TYPE_CHECKING:  # the models are built on the scenes
+    from dirl.backbones import ViewEncoder
+
+Wanted = tuple[str, int]
+"""A kind and a seed."""
+
+
+@dataclass(frozen=True)
+class RoomSettings:
+    """How rooms of a collection are made; all of them in the same way.
+
+    Args:
+        height, width: of the views, pixels.
+        turn: degrees of a turn.
+        fine: the light of the built-in rooms; otherwise a coarser one, ten times quicker.
+        encoder: see `dirl.backbones.load_encoder`; None for no features.
+        precision: of the encoder.
+        patches: whether to store patches too.
+        device: of the encoder; the only setting that rooms of one collection need not share.
+    """
+
+    height: int = 300
+    width: int = 400
+    turn: float = 90
+    fine: bool = True
+    encoder: str | None = "resnet50"
+    precision: str = "float32"
+    patches: bool = False
+    device: str = "cpu"
+
+    def load_encoder(self) -> "ViewEncoder | None":
+        """The encoder that the settings name."""
+        if self.encoder is None:
+            return None
+        from dirl.backbones import load_encoder
+
+        return load_encoder(self.encoder, self.device, precision=self.precision, patches=self.patches)
+
+    def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
+        """What the index keeps of them: the encoder by what it says of itself, not by its name here."""
+        kept = {key: value for key, value in asdict(self).items() if key not in ("encoder", "device", "patches")}
+        kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
+        if encoder is not None and self.patches:
+            from dirl.backbones.patches import patch_attributes
+
+            kept |= {"patches": "; ".join(patch_attributes().values())}
+        return kept
+
+
+def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]) -> list[Wanted]:
+    """Which of some rooms are not in a collection yet, whole and as the index says.
+
+    Args:
+        folder: of the collection; it may not exist yet.
+        wanted: kinds and seeds.
+        stored: the settings, see `RoomSettings.stored`.
+
+    Raises:
+        SceneError: the folder holds something else, or rooms that were made with other settings.
+    """
+    if not (folder / INDEX).is_file():
+        # A job that was killed before its first room was whole may have left a description and an unfinished dump.
+        if folder.exists() and not (folder.is_dir() and _names(folder) <= {f"{kind}_{seed}" for kind, seed in wanted}):
+            raise SceneError(f"{folder}: is there already, and is no collection; it is not written to")
+        return list(wanted)
+    collection = read_collection(folder)
+    for entry in collection.entries:
+        for key, value in stored.items():
+            if entry.settings.get(key) != value:
+                raise SceneError(
+                    f"{folder}: {entry.name} was made with {key}={entry.settings.get(key)}, not {value}; give the same "
+                    "options, or another folder"
+                )
+    whole = {(e.kind, e.seed) for e in collection.entries if is_whole(collection.path(e), e)}
+    return [one for one in wanted if one not in whole]
+
+
+def make_rooms(
+    folder: str | Path, wanted: Sequence[Wanted], settings: RoomSettings, workers: int | None = None
+) -> Iterator[Entry | SceneError]:
+    """Make random rooms: the dump of each, its description beside it, and a line in the index; as they get ready.
+
+    One process makes one room at a time; of a single room they take the views together. The same rooms come out
+    whatever the number of processes.
+
+    Args:
+        folder: the collection's.
+        wanted: kinds and seeds.
+        settings: how they are made.
+        workers: processes; all cores if left out. Each needs about 1 GB.
+
+    Yields:
+        The entries of rooms that are whole; and for a seed of which no attempt passed the checks, the error.
+
+    Raises:
+        SceneError: the rooms cannot be made, or a process was killed, perhaps for want of memory.
+    """
+    check_packages()
+    check_size((settings.height, settings.width))
+    workers = os.cpu_count() or 1 if workers is None else workers
+    if workers < 1:
+        raise SceneError(f"workers={workers}: at least one process is needed")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    if workers == 1 or len(wanted) == 1:
+        _start(settings)
+        for one in wanted:
+            yield _index(folder, make_room(folder, one, settings, _ENCODER[0], workers))
+        return
+    processes = min(workers, len(wanted))
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _start, (settings, 1))
+    try:
+        for done in as_completed([pool.submit(_make_here, folder, one, settings) for one in wanted]):
+            yield _index(folder, done.result())
+    except BrokenProcessPool:
+        raise SceneError(
+            f"{folder}: a process that made a room was killed, perhaps for want of memory; the same command goes on; "
+            f"if it happens again, give workers={max(1, processes // 2)}"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def make_room(
+    folder: Path, one: Wanted, settings: RoomSettings, encoder: "ViewEncoder | None", workers: int = 1
+) -> Entry | SceneError:
+    """Draw a room, take and encode its views, and write its dump and its description; see `make_rooms`."""
+    kind, seed = one
+    try:
+        room, views = sample_views(kind, seed)
+    except SceneError as error:
+        return error
+    way, size = walk(room, settings.turn), (settings.height, settings.width)
+    if size != LOOK or settings.fine or settings.turn != 90:  # else the views of the look are the ones that are wanted
+        renderer = Renderer.of(room, fine=settings.fine)
+        views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
+    about = {"room": description_text(room), "step": room.grid.step, "turn": settings.turn, "seed": seed}
+    dump = folder / f"{room.name}.h5"
+    unfinished = folder / f"{room.name}.toml.tmp"
+    unfinished.write_text(description_text(room), encoding="utf-8")
+    os.replace(unfinished, folder / f"{room.name}.toml")  # also over what a killed job left
+    write_room(dump, scene_of(room, way), views, encoder, attributes=about)
+    thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
+    problems = check_room(room) + check_views(thumbnails, contrasts, way)
+    scene = read_dump(dump, isolated=False)  # just written here
+    return Entry(
+        name=room.name,
+        kind=kind,
+        seed=seed,
+        split=split_of(seed),
+        states=len(scene),
+        checks=checks(room, scene, problems),
+        settings=settings.stored(encoder),
+        sha256=file_digest(dump),
+    )
+
+
+def checks(room: RoomDescription, scene: Scene, problems: list[str]) -> dict[str, Any]:
+    """What the index says of a room: its measures, connected parts, and with features how many far states match.
+
+    ``alike_front`` and ``alike_views`` count pairs of states that are far apart (`far_apart`) and match above 0.9 by
+    one view, and by the four views that decide a stop.
+    """
+    from dirl.scenes.diagnostics import inspect_scene
+
+    found = {match: inspect_scene(scene, match=match) for match in ("front", "views")}
+    apart = far_apart(scene.positions, scene.headings)
+    measures = {
+        "size": list(room.size),
+        "pieces": len(room.furniture),
+        "places": room.grid.places,
+        "parts": int(found["views"].parts.max() + 1),
+    }
+    if scene.features is None:
+        return measures | {"problems": problems}
+    far = {f"alike_{match}": sum(bool(apart[a, b]) for a, b, *_ in one.ambiguous) for match, one in found.items()}
+    return measures | far | {"problems": problems + found["views"].problems}
+
+
+def _index(folder: Path, made: Entry | SceneError) -> Entry | SceneError:
+    if isinstance(made, Entry):
+        add_entry(folder, made)
+    return made
+
+
+def _names(folder: Path) -> set[str]:
+    return {path.name.split(".")[0] for path in folder.iterdir()}
+
+
+_ENCODER: "list[ViewEncoder | None]" = [None]
+"""In a process that makes rooms: what encodes their views, which is loaded once."""
+
+
+def _start(settings: RoomSettings, threads: int | None = None) -> None:
+    if threads is not None:
+        import torch
+
+        torch.set_num_threads(threads)
+    _ENCODER[0] = settings.load_encoder()
+
+
+def _make_here(folder: Path, one: Wanted, settings: RoomSettings) -> Entry | SceneError:
+    return make_room(folder, one, settings, _ENCODER[0])

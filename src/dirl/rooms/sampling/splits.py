@@ -1,0 +1,124 @@
+"""Training, validation and test rooms: which seeds they have, and what only some of them may show.
+
+| seeds | split | repertoire |
+|---|---|---|
+| 0 to 9,999 | none | everything |
+| 10,000 to 19,999 | test | `TEST` |
+| 20,000 to 29,999 | validation | `TRAIN` |
+| from 30,000 on | train | `TRAIN` |
+
+`TRAIN` and `TEST` have no wood, sky, wallpaper, picture, window outlook, rug, floor, tile layout or potted plant, vase
+and set of bottles (a piece's own ``seed``) in common. They share the shapes of furniture (the same functions, each time
+with other sizes and options), the fabrics' weaves, the range of colours, the sizes of rooms, the rules of furnishing,
+and the plain materials of stock: paint, ceramic, metal, marble, brick, wicker.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+FIRST_SEEDS = {"test": 10_000, "validation": 20_000, "train": 30_000}
+"""The first seed of each split; it ends where the next begins."""
+
+Colors = tuple[str, str]
+Tiling = tuple[int, int, bool]
+
+
+@dataclass(frozen=True)
+class Repertoire:
+    """What a random room may be made of.
+
+    Args:
+        woods: dark and light colour of the grain, by name.
+        skies: colours above and at the horizon.
+        wallpapers: kinds of texture.
+        paintings: likewise.
+        outlooks: what windows show, with the share of each.
+        rugs: kinds of texture.
+        floors: likewise; a kind named twice is drawn twice as often.
+        wet_floors: likewise, of bathrooms and kitchens.
+        tiles: columns and rows of tiles, and whether they are laid like bricks.
+        seeds: of pieces that are drawn at random themselves: the first, and the one after the last.
+    """
+
+    woods: dict[str, Colors]
+    skies: tuple[Colors, ...]
+    wallpapers: tuple[str, ...]
+    paintings: tuple[str, ...]
+    outlooks: dict[str, float]
+    rugs: tuple[str, ...]
+    floors: tuple[str, ...]
+    wet_floors: tuple[str, ...]
+    tiles: tuple[Tiling, ...]
+    seeds: tuple[int, int]
+
+    def some_woods(self, names: Sequence[str]) -> list[str]:
+        """Those of the woods that are in the repertoire."""
+        return [name for name in names if name in self.woods]
+
+
+EVERYTHING = Repertoire(
+    woods={
+        "birch": ("#c9a97c", "#ead7b5"),
+        "oak": ("#9a6b3f", "#d6ab74"),
+        "teak": ("#7a4a26", "#b77b45"),
+        "walnut": ("#4a2d1b", "#835838"),
+        "mahogany": ("#4b1f16", "#8a4130"),
+        "ebony": ("#211a16", "#4a3d34"),
+        "ash": ("#8f8371", "#cfc4b0"),
+        "limed": ("#8f7f63", "#eee5d2"),
+    },
+    skies=(
+        ("#5f9fd6", "#f6dfbf"),
+        ("#7fb2e5", "#fbe3c0"),
+        ("#9fb4c4", "#e4e6e4"),
+        ("#4d7fc0", "#f4f0e6"),
+        ("#6a6fb5", "#f2b28c"),
+        ("#86a9c9", "#f7d6d0"),
+    ),
+    wallpapers=("damask", "stripe", "leaf", "dots", "trellis", "chevron"),
+    paintings=("abstract", "blocks", "circles", "bouquet", "landscape", "skyline", "sea"),
+    outlooks={"landscape": 0.5, "skyline": 0.3, "sea": 0.2},
+    rugs=("rug", "kilim"),
+    floors=("planks", "planks", "herringbone", "tile"),
+    wet_floors=("tile", "checker", "terrazzo"),
+    tiles=((6, 12, True), (8, 8, False), (12, 12, False), (5, 5, False)),
+    seeds=(0, 1000),
+)
+
+HELD_OUT = {
+    "woods": ("teak", "mahogany", "limed"),
+    "skies": EVERYTHING.skies[4:],
+    "wallpapers": ("trellis", "chevron"),
+    "paintings": ("blocks", "circles", "sea"),
+    "outlooks": ("sea",),
+    "rugs": ("kilim",),
+    "floors": ("herringbone",),
+    "wet_floors": ("terrazzo",),
+    "tiles": ((5, 5, False),),
+}
+"""Of each part of the repertoire, what only the test rooms show."""
+
+
+def _repertoire(*, held_out: bool) -> Repertoire:
+    parts: dict[str, Any] = {}
+    for part, names in HELD_OUT.items():
+        choices = getattr(EVERYTHING, part)
+        kept = [choice for choice in choices if (choice in names) == held_out]
+        parts[part] = {name: choices[name] for name in kept} if isinstance(choices, dict) else tuple(kept)
+    return Repertoire(**parts, seeds=(800, 1000) if held_out else (0, 800))
+
+
+TRAIN, TEST = _repertoire(held_out=False), _repertoire(held_out=True)
+
+
+def split_of(seed: int) -> str | None:
+    """The split that the rooms of a seed belong to: test, validation or train; None below all of them."""
+    splits = [split for split, first in FIRST_SEEDS.items() if seed >= first]
+    return splits[-1] if splits else None
+
+
+def repertoire_of(seed: int) -> Repertoire:
+    """What the rooms of a seed may be made of."""
+    split = split_of(seed)
+    return EVERYTHING if split is None else TEST if split == "test" else TRAIN

@@ -1,0 +1,157 @@
+"""Collections: folders of many dumps with an index, from which scenes are read when they are asked for.
+
+``collection.jsonl`` has one line of JSON for each room that is whole. Lines are only ever appended, so that several
+processes can add rooms, and one that is killed leaves at most an unfinished line, which is ignored. Of two lines with
+one name the later counts.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, overload
+
+from dirl.scenes.io.digest import file_digest
+from dirl.scenes.io.read import Dump, read_dumps
+from dirl.scenes.scene import Scene, SceneError
+
+INDEX = "collection.jsonl"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the index says of one room.
+
+    Args:
+        name: of the room; its dump is ``<name>.h5``.
+        kind: bathroom, bedroom, kitchen or living_room.
+        seed: of its drawing.
+        split: train, validation or test; None for a room of none of them.
+        states: how many it has.
+        checks: what was found in it, by name; ``problems`` is a list of lines.
+        settings: how it was made, by name; rooms of one collection share them.
+        sha256: of the dump.
+    """
+
+    name: str
+    kind: str
+    seed: int
+    split: str | None
+    states: int
+    checks: dict[str, Any]
+    settings: dict[str, Any]
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Collection(Sequence[Scene]):
+    """Scenes of a folder. Each is read when it is asked for, and not kept.
+
+    Args:
+        folder: holds the dumps.
+        entries: the rooms, in the order of their seeds, kinds interleaved.
+    """
+
+    folder: Path
+    entries: tuple[Entry, ...]
+
+    def __len__(self) -> int:
+        """The number of rooms."""
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int) -> Scene: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Collection": ...
+    def __getitem__(self, index: int | slice) -> "Scene | Collection":
+        """One scene, read now; or some of the rooms.
+
+        Raises:
+            SceneError: the dump is missing, damaged, or another one than the index says.
+        """
+        if isinstance(index, slice):
+            return replace(self, entries=self.entries[index])
+        entry = self.entries[index]
+        # A file that is as it was written is read in this process: to start another takes longer than to read a room.
+        (scene,) = read_dumps([Dump(self.path(entry), entry.name, sha256=entry.sha256)])
+        if len(scene) != entry.states:
+            raise SceneError(f"{scene.origin}: has {len(scene)} states; {INDEX} says {entry.states}")
+        return scene
+
+    def path(self, entry: Entry) -> Path:
+        """The dump of a room."""
+        return self.folder / f"{entry.name}.h5"
+
+    def select(self, *, split: str | None = None, kind: str | None = None) -> "Collection":
+        """The rooms of a split, of a kind, or of both; what is not said is not asked for.
+
+        Raises:
+            SceneError: there are none.
+        """
+        chosen = tuple(e for e in self.entries if split in (None, e.split) and kind in (None, e.kind))
+        if not chosen:
+            splits, kinds = ({getattr(e, key) or "none" for e in self.entries} for key in ("split", "kind"))
+            asked = ", ".join(f"{key}={value}" for key, value in (("split", split), ("kind", kind)) if value)
+            raise SceneError(
+                f"{self.folder}: has no room with {asked}; splits: {sorted(splits)}, kinds: {sorted(kinds)}"
+            )
+        return replace(self, entries=chosen)
+
+    def damaged(self) -> Iterator[str]:
+        """The names of rooms whose dumps are missing or differ from the index; reads every file."""
+        yield from (entry.name for entry in self.entries if not is_whole(self.path(entry), entry))
+
+
+def read_collection(folder: str | Path) -> Collection:
+    """The collection in a folder; no dump is read.
+
+    Raises:
+        SceneError: the folder holds no index, or it cannot be understood; the message names the line.
+    """
+    folder = Path(folder)
+    index = folder / INDEX
+    if not index.is_file():
+        raise SceneError(f"{folder}: is no collection; it holds no {INDEX} (made by: scenes.py sample)")
+    entries: dict[str, Entry] = {}
+    *lines, _ = index.read_text(encoding="utf-8", errors="replace").split("\n")  # what follows the last is unfinished
+    for number, line in enumerate(lines, 1):
+        if line.endswith(UNFINISHED) or not line:
+            continue
+        entry = _entry(line, f"{index}: line {number}")
+        entries[entry.name] = entry
+    return Collection(folder, tuple(sorted(entries.values(), key=lambda entry: (entry.seed, entry.kind))))
+
+
+UNFINISHED = "\0"
+"""Ends a line that was cut short by a killed process."""
+
+
+def add_entry(folder: Path, entry: Entry) -> None:
+    """Append a room to the index of a collection, which is made if there is none."""
+    line = json.dumps(asdict(entry), sort_keys=True) + "\n"
+    with (folder / INDEX).open("a+b") as file:
+        if file.tell():
+            file.seek(-1, 2)
+            line = line if file.read() == b"\n" else f"{UNFINISHED}\n{line}"
+        file.write(line.encode())  # in one piece: the file is opened for appending
+
+
+def is_whole(dump: Path, entry: Entry) -> bool:
+    """Whether a dump is there, and the one that the index means."""
+    return dump.is_file() and file_digest(dump) == entry.sha256
+
+
+def _entry(line: str, where: str) -> Entry:
+    try:
+        found = json.loads(line)
+        entry = Entry(**found)
+    except (ValueError, TypeError) as error:
+        raise SceneError(f"{where}: is no entry of a collection ({error})") from None
+    for field in fields(Entry):
+        kinds = {"seed": int, "states": int, "checks": dict, "settings": dict}
+        value = found[field.name]
+        if not (isinstance(value, kinds.get(field.name, str)) or (field.name == "split" and value is None)):
+            raise SceneError(f"{where}: {field.name}: found {value!r}")
+    if Path(entry.name).name != entry.name:
+        raise SceneError(f"{where}: name: expected one without slashes, found {entry.name!r}")
+    return entry

@@ -1,0 +1,98 @@
+"""Patches in a dump: written, mapped into memory, replaced, and refused where they are malformed."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from rooms import grid_scene, read_here
+
+from dirl.scenes import SceneError, read_dump, write_dump
+from dirl.scenes.io.patches import locate_patches
+from dirl.scenes.io.write import replace_features
+
+PATCHES = np.random.default_rng(0).normal(size=(24, 8, 6)).astype(np.float16)
+
+
+@pytest.fixture
+def room(tmp_path):
+    write_dump(tmp_path / "room.h5", replace(grid_scene(), patches=PATCHES), patch_attributes={"projection": "none"})
+    return tmp_path / "room.h5"
+
+
+def without_digest(file):
+    """As if another program had written it."""
+    del file.attrs["digest"], file["graph"].attrs["digest"]
+
+
+@pytest.mark.parametrize("isolated", [True, False])
+def test_patches_come_back_from_a_map_of_the_file(room, isolated):
+    scene = read_dump(room, isolated=isolated)
+    assert (scene.patches == PATCHES).all()
+    base = scene.patches
+    while not isinstance(base, np.memmap):
+        base = base.base
+    assert base.mode == "r"
+    assert not scene.patches.flags.writeable
+    with h5py.File(room) as file:
+        assert file["patches"].attrs["projection"] == "none"
+
+
+def test_a_dump_without_patches_has_none(tmp_path):
+    write_dump(tmp_path / "room.h5", grid_scene())
+    assert read_dump(tmp_path / "room.h5").patches is None
+
+
+@pytest.mark.parametrize("stored", [{"compression": "gzip"}, {"chunks": (24, 8, 6)}])
+def test_patches_that_cannot_be_mapped_are_refused(room, stored):
+    with h5py.File(room, "a") as file:
+        del file["patches"]
+        file.create_dataset("patches", data=PATCHES, **stored)
+    with pytest.raises(SceneError, match=r"patches: are not stored in one piece \(h5repack .*\)"):
+        read_here(room)
+
+
+def test_patches_that_the_file_does_not_hold_are_refused(room, monkeypatch):
+    with h5py.File(room) as file:
+        end = file["patches"].id.get_offset() + PATCHES.nbytes
+        cut = os.stat_result((0,) * 6 + (end - 1,) + (0,) * 3)
+        monkeypatch.setattr(Path, "stat", lambda *_, **__: cut)
+        with pytest.raises(SceneError, match="patches: the file ends before they do"):
+            locate_patches(file, room, 24)
+
+
+def test_new_features_leave_patches_or_replace_them(room, tmp_path):
+    features = np.eye(24, 3, dtype=np.float32)
+    replace_features(room, tmp_path / "kept.h5", features, {"extractor": "eye"})
+    assert (read_dump(tmp_path / "kept.h5").patches == PATCHES).all()
+    replace_features(room, tmp_path / "new.h5", features, {"extractor": "eye"}, -PATCHES, {"projection": "other"})
+    assert (read_dump(tmp_path / "new.h5").patches == -PATCHES).all()
+    with h5py.File(tmp_path / "new.h5") as file:
+        assert dict(file["patches"].attrs) == {"projection": "other"}
+
+
+@pytest.mark.parametrize(
+    ("patches", "says"),
+    [
+        (PATCHES[:5], r"patches: expected shape \(24, any, any\), found \(5, 8, 6\)"),
+        (PATCHES.astype(np.float32), r"patches: expected float16 values, .* found float32"),
+        (PATCHES.astype(">f2"), r"patches: expected float16 values, .* found >f2"),
+        (PATCHES[:, :0], r"patches: expected float16 values, .* found float16 \(24, 0, 6\)"),
+        (np.where(np.arange(6) == 3, np.float16("nan"), PATCHES), "patches: state 0 holds a value that is not finite"),
+    ],
+)
+def test_malformed_patches_are_told_in_one_line(room, patches, says):
+    with h5py.File(room, "a") as file:
+        del file["patches"]
+        file["patches"] = patches
+        without_digest(file)
+    with pytest.raises(SceneError, match=says) as caught:
+        read_here(room)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scene_checks_its_patches():
+    with pytest.raises(SceneError, match=r"patches: expected shape \(24, 'any', 'any'\), found \(24, 48\)"):
+        replace(grid_scene(), patches=PATCHES.reshape(24, 48))

@@ -1,0 +1,122 @@
+"""Collections: an index that survives being killed, and scenes that are read when they are asked for."""
+
+import json
+from dataclasses import asdict, replace
+
+import pytest
+from rooms import grid_scene
+
+from dirl.scenes import SceneError, write_dump
+from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
+from dirl.scenes.io.digest import file_digest
+
+
+def add(folder, kind, seed, split, **options):
+    name = f"{kind}_{seed}"
+    folder.mkdir(exist_ok=True)
+    scene = grid_scene(name=name, **options)
+    write_dump(folder / f"{name}.h5", scene)
+    entry = Entry(
+        name, kind, seed, split, len(scene), {"problems": []}, {"width": 64}, file_digest(folder / f"{name}.h5")
+    )
+    add_entry(folder, entry)
+    return entry
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Four rooms, out of order."""
+    folder = tmp_path / "many"
+    for kind, seed, split in (
+        ("bedroom", 30001, "train"),
+        ("bathroom", 30000, "train"),
+        ("bedroom", 10000, "test"),
+        ("bedroom", 30000, "train"),
+    ):
+        add(folder, kind, seed, split, depth=2 + (kind == "bedroom"))
+    return folder
+
+
+def test_scenes_are_read_one_at_a_time_by_seed_and_kind(folder):
+    collection = read_collection(folder)
+    assert [scene.name for scene in collection] == ["bedroom_10000", "bathroom_30000", "bedroom_30000", "bedroom_30001"]
+    assert (len(collection), len(collection[1]), len(collection[-1])) == (4, 24, 36)
+    assert [entry.seed for entry in collection[2:].entries] == [30000, 30001]
+    (folder / "bedroom_30001.h5").unlink()
+    assert collection[0].name == "bedroom_10000"  # no other dump is touched
+    with pytest.raises(SceneError, match=r"bedroom_30001\.h5: there is no such file"):
+        collection[3]
+
+
+def test_splits_and_kinds_are_selected(folder):
+    collection = read_collection(folder)
+    assert [entry.name for entry in collection.select(split="train", kind="bedroom").entries] == [
+        "bedroom_30000",
+        "bedroom_30001",
+    ]
+    assert len(collection.select(split="test")) == 1
+    with pytest.raises(SceneError, match=r"no room with split=validation; splits: \['test', 'train'\]"):
+        collection.select(split="validation")
+
+
+def test_a_changed_or_missing_dump_is_found(folder):
+    collection = read_collection(folder)
+    assert list(collection.damaged()) == []
+    (folder / "bathroom_30000.h5").unlink()
+    with (folder / "bedroom_10000.h5").open("ab") as file:
+        file.write(b"x")
+    assert list(collection.damaged()) == ["bedroom_10000", "bathroom_30000"]
+    assert not is_whole(collection.path(collection.entries[0]), collection.entries[0])
+
+
+def test_another_room_under_the_same_name_is_refused(folder):
+    write_dump(folder / "bedroom_10000.h5", grid_scene())
+    with pytest.raises(SceneError, match=r"bedroom_10000\.h5: has 24 states; collection\.jsonl says 36"):
+        read_collection(folder)[0]
+
+
+@pytest.mark.parametrize("kept", [1, 40, -2, -1])
+def test_a_line_that_was_cut_short_is_forgotten(folder, kept):
+    index = folder / INDEX
+    before = index.read_bytes()
+    entry = read_collection(folder).entries[-1]
+    line = (json.dumps(asdict(replace(entry, name="bedroom_7", seed=7))) + "\n").encode()
+    index.write_bytes(before + line[:kept])
+    assert len(read_collection(folder)) == 4
+    add(folder, "kitchen", 5, None)
+    assert read_collection(folder).entries[0].name == "kitchen_5"
+    assert len(read_collection(folder)) == 5
+
+
+def test_the_later_line_of_a_room_counts(folder):
+    entry = read_collection(folder).entries[0]
+    add_entry(folder, replace(entry, sha256="0" * 64))
+    assert read_collection(folder).entries[0].sha256 == "0" * 64
+    assert len(read_collection(folder)) == 4
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("{}", "line 5: is no entry of a collection"),
+        ("nonsense", "line 5: is no entry of a collection"),
+        ("[1]", "line 5: is no entry of a collection"),
+        ('"text"', "line 5: is no entry of a collection"),
+        ("seed", "line 5: seed: found '30001'"),
+        ("name", "line 5: name: expected one without slashes, found '../up'"),
+    ],
+)
+def test_a_spoilt_index_names_the_line(folder, line, says):
+    changed = {"seed": {"seed": "30001"}, "name": {"name": "../up"}}
+    if line in changed:
+        line = json.dumps(asdict(read_collection(folder).entries[0]) | changed[line])
+    with (folder / INDEX).open("a") as file:
+        file.write(line + "\n")
+    with pytest.raises(SceneError, match=says) as caught:
+        read_collection(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_an_index_is_no_collection(tmp_path):
+    with pytest.raises(SceneError, match=r"is no collection; it holds no collection\.jsonl"):
+        read_collection(tmp_path)
