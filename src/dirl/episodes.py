@@ -16,6 +16,9 @@ from dirl.scenes import ACTIONS, World
 
 PAIRS_AT_ONCE = 16_384
 
+MANY = 50_000
+"""Agents for more than which actions are drawn by one random number each, where `torch.multinomial` draws four."""
+
 Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 """Of B agents the episode, state, view ids ``[B, 4]`` and goal index, int64, to logits ``[B, 4]``."""
 
@@ -133,7 +136,12 @@ def choose(logits: Tensor, generator: torch.Generator, *, greedy: bool) -> Tenso
     """The most probable action, or one drawn by its probability, of logits ``[B, 4]``; int64 ``[B]``."""
     if greedy:
         return logits.argmax(-1)
-    return torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
+    probabilities = logits.softmax(-1)
+    if len(logits) <= MANY:
+        return torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
+    drawn = torch.rand((len(logits), 1), generator=generator, device=logits.device)
+    # The last bound is 1 up to rounding, and must not let a number beyond it.
+    return (drawn >= probabilities.cumsum(-1)[:, :-1]).sum(-1)
 
 
 def deciding(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
