@@ -1,7 +1,7 @@
 """Goals by rule: all states of a scene, every so many, or a share of its places; and places held out of training."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,7 +44,8 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
         return ChosenGoals(goals, {}, {})  # type: ignore[arg-type]
     if not isinstance(goals, Mapping | str | None) and len(scenes) > 1:
         return ChosenGoals(goals, {}, {})  # make_world says what is wrong with it
-    trained, held_out, left_out = dict(by_name), {}, {}
+    trained: Any = dict(by_name)
+    held_out, left_out = {}, {}
     for scene in scenes:
         rule = by_name.get(scene.name)
         named = _named(scene, rule)
@@ -68,7 +69,7 @@ def well_reached(scene: Scene) -> np.ndarray:
     return reached_from == reached_from.max()
 
 
-def _named(scene: Scene, rule: str | int | Sequence[int] | None) -> tuple[int, ...]:
+def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
     """The goals that are given by number."""
     if isinstance(rule, str):
         return ()

@@ -22,7 +22,7 @@ EXPERT = "expert_action"
 FULL_BATCH = 20_000
 """Demonstrations that an update learns from all together, unless ``imitation.batch_size`` says otherwise."""
 
-MINIBATCH = 1_024
+MINIBATCH = 512
 """Of more than that so many are drawn."""
 
 
