@@ -44,6 +44,7 @@ from dirl.training.build import (
     build_demonstrations,
     build_env,
     build_expert,
+    build_goals,
     build_losses,
     build_observation,
     build_optimiser,
@@ -57,8 +58,8 @@ from dirl.training.build import (
 from dirl.training.losses import (
     Advantages,
     Losses,
-    as_first_steps,
     clip_gradients,
+    demonstration_batches,
     minibatches,
     set_learning_rate,
     total_loss,
@@ -97,9 +98,12 @@ def train(composed: DictConfig, folder: Path, errors: AbstractContextManager[Any
         policy = learning_policy(run.config, world, observation)
         demos = build_demonstrations(run.config, world, observation)
         losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
-        protocol = build_protocol(run.config, world, observation)
+        goals = build_goals(run.config, world.scenes)
+        protocol = build_protocol(run.config, world, observation, goals.held_out)
         state = None if losses is None else begin(run, policy, losses, protocol)
         run.begin(world, observation.order)
+    for name, count in goals.left_out.items():
+        print(f"{name}: {count} states are no goals, because not every state can reach them")
     with one_line_exits(run.how_to_go_on):
         run_stages(run, policy, demos, state, protocol)
 
@@ -138,7 +142,7 @@ def run_stages(
 
 
 def imitate(run: Run, policy: Any, demos: TensorDictBase, done: int = 0) -> int:
-    """Clone the expert, by full-batch steps until its actions are learnt (paper section 3.3).
+    """Clone the expert, on all demonstrations or minibatches, until its actions are learnt (paper section 3.3).
 
     Args:
         run: gets a row of ``imitation.csv`` a step.
@@ -150,11 +154,11 @@ def imitate(run: Run, policy: Any, demos: TensorDictBase, done: int = 0) -> int:
         Steps so far.
     """
     options = run.config.imitation
-    rows, trunk = as_first_steps(policy, demos), policy.trunk()
+    draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()
     loss = ImitationLoss(policy.operator().get_policy_head())
     optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)  # the value head gets no gradient
     for step in range(done + 1, done + options.max_steps + 1):
-        result = loss(trunk(rows.copy()))
+        result = loss(trunk(draw().copy()))
         optimiser.zero_grad()
         result["loss_imitation"].backward()
         optimiser.step()
@@ -273,7 +277,11 @@ def due(before: int, now: int, total: int, times: int) -> bool:
 
 def evaluate(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:
     """Evaluate the policy as it is, greedily."""
-    run.write("evaluation", frames, {"frames": frames, **metrics(protocol.run(policy))})
+    row = {"frames": frames, **metrics(protocol.run(policy))}
+    if protocol.held_out is not None:
+        apart = metrics(protocol.held_out.run(policy))
+        row |= {f"held_out_{key}": apart[key] for key in ("sr", "spl")}
+    run.write("evaluation", frames, row)
 
 
 def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """Episodes of a policy in a world: from given starts, until it stops, without rewards."""
 
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
+from tqdm import tqdm
 
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
@@ -15,6 +17,9 @@ from dirl.models.fast.caching import EmbeddingCache, pack, unpack
 from dirl.scenes import ACTIONS, World
 
 PAIRS_AT_ONCE = 16_384
+
+MANY = 50_000
+"""Agents for more than which actions are drawn by one random number each, where `torch.multinomial` draws four."""
 
 Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 """Of B agents the episode, state, view ids ``[B, 4]`` and goal index, int64, to logits ``[B, 4]``."""
@@ -106,7 +111,10 @@ def run_episodes(
     success, false_stop, missed_stop = (torch.zeros_like(start, dtype=torch.bool) for _ in range(3))
     walking = torch.arange(len(start), device=world.device)
     state, view_ids = start, observation.begin(start)
-    with frozen(policy):
+    often = 0.2 if sys.stderr.isatty() else 10.0
+    few = len(start) <= MANY
+    bar = tqdm(total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=often, disable=few)
+    with frozen(policy), bar:
         decide = deciding(policy, world, observation, len(start))
         for step in range(1, max_steps + 1):
             wanted = goal_index[walking]
@@ -125,6 +133,8 @@ def run_episodes(
                 break
             view_ids = observation.follow(view_ids, state)[going]
             walking, state = walking[going], state[going]
+            if not few:
+                bar.update(len(start) - len(walking) - bar.n)
     shortest = world.distance(goal_index, start)
     return Episodes(goal_index, start, shortest, steps, success, false_stop, missed_stop)
 
@@ -133,7 +143,12 @@ def choose(logits: Tensor, generator: torch.Generator, *, greedy: bool) -> Tenso
     """The most probable action, or one drawn by its probability, of logits ``[B, 4]``; int64 ``[B]``."""
     if greedy:
         return logits.argmax(-1)
-    return torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
+    probabilities = logits.softmax(-1)
+    if len(logits) <= MANY:
+        return torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
+    drawn = torch.rand((len(logits), 1), generator=generator, device=logits.device)
+    # The last bound is 1 up to rounding, and must not let a number beyond it.
+    return (drawn >= probabilities.cumsum(-1)[:, :-1]).sum(-1)
 
 
 def deciding(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
@@ -148,7 +163,7 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
     if observation.history:
         return _once_a_case(policy, world, observation)
     table, _ = answers(policy, world, observation)
-    return lambda episode, state, view_ids, wanted: table[world.pair(wanted, state)]
+    return lambda episode, state, view_ids, wanted: table.index_select(0, world.pair(wanted, state))
 
 
 def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide:

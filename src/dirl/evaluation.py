@@ -27,6 +27,8 @@ class EvaluationProtocol:
     """An episode that has not arrived by then has failed."""
     seed: int = 0
     """Of drawn actions."""
+    held_out: "EvaluationProtocol | None" = None
+    """The same for goals that were held out of the training, if there are any."""
 
     def run(self, policy: nn.Module, *, greedy: bool = True) -> Episodes:
         """One episode from each start."""
@@ -56,8 +58,12 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
     """The metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
 
     A policy without parameters has one measure for both: the random policy is sampled, and the expert is what it is
-    compared with.
+    compared with. Goals that were held out are measured apart, under ``held_out``.
     """
+    if protocol.held_out is not None:
+        apart = assess(policy, protocol.held_out)
+        held_out = {key: apart[key] for key in ("greedy", "sampled", "random")}
+        return {**assess(policy, replace(protocol, held_out=None)), "held_out": held_out}
     world = protocol.world
     baselines = {
         "shortest_path": report(shortest_episodes(world, protocol.starts), world),
@@ -110,11 +116,12 @@ def metrics(episodes: Episodes) -> dict[str, float]:
 def report(episodes: Episodes, world: World) -> dict[str, Any]:
     """`metrics` overall; under ``scenes`` those of each scene, and under its ``goals`` those of each goal's state."""
     summary: dict[str, Any] = {**metrics(episodes), "scenes": {}}
-    for index, goal in enumerate(world.goals.tolist()):
+    order = torch.argsort(episodes.goal_index, stable=True)
+    sizes = torch.bincount(episodes.goal_index, minlength=len(world.goals)).tolist()
+    for goal, those in zip(world.goals.tolist(), order.split(sizes), strict=True):
         scene, local = world.local(goal)
         if scene.name not in summary["scenes"]:
             inside = world.scene_of[episodes.start] == world.scene_of[goal]
             summary["scenes"][scene.name] = {**metrics(episodes.select(inside)), "goals": {}}
-        of_goal = episodes.select(episodes.goal_index == index)
-        summary["scenes"][scene.name]["goals"][str(local)] = metrics(of_goal)
+        summary["scenes"][scene.name]["goals"][str(local)] = metrics(episodes.select(those))
     return summary

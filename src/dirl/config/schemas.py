@@ -73,6 +73,7 @@ class ImitationConfig:
     max_steps: int = MISSING
     loss_threshold: float = MISSING
     bc_coef: Schedule = field(default_factory=Schedule)
+    batch_size: int | None = None
     rounds: int = MISSING
     walk_steps: int = MISSING
 
@@ -149,6 +150,7 @@ class TrainConfig:
 
     scene: Any = None
     goals: Any = None
+    hold_out: float = 0.0
     seed: int = MISSING
     device: Device = MISSING
     precision: Precision = MISSING
@@ -227,12 +229,14 @@ class BenchmarkConfig:
 
 LIMITS: Mapping[str, Bounds] = {
     "seed": Bounds(0, 2**63 - 1),
+    "hold_out": Bounds(0, 0.99),
     "imitation.fraction": Bounds(0, 1),
     "imitation.lr": Bounds(0),
     "imitation.max_steps": Bounds(1),
     "imitation.loss_threshold": Bounds(0),
     "imitation.bc_coef.start": Bounds(0),
     "imitation.bc_coef.end": Bounds(0),
+    "imitation.batch_size": Bounds(1),
     "imitation.rounds": Bounds(0),
     "imitation.walk_steps": Bounds(1),
     "reinforcement.frames_per_scene": Bounds(1, 10**12),

@@ -18,6 +18,9 @@ MEASURES = (
 
 SECTIONS = {"shortest path": "shortest_path", "random": "random", "greedy": "greedy", "sampled": "sampled"}
 
+MOST_GOALS = 40
+"""Rows of the table by goal; of more goals only ``summary.json`` has the measures of each."""
+
 
 def result_table(rows: Mapping[str, Mapping[str, float | None]]) -> str:
     """One line a row, one column a measure.
@@ -53,12 +56,16 @@ def summary_table(summary: Mapping[str, Any]) -> str:
             ``greedy`` also those of each scene and goal, as `dirl.evaluation.report` gives them.
 
     Returns:
-        A heading line, the table of the policies and that of the greedy policy by scene and goal; Markdown.
+        A heading line, the table of the policies, that of held-out goals if there are any, and that of the greedy
+        policy by scene and goal if it has at most `MOST_GOALS` rows; Markdown.
     """
     parts = [_heading(summary)]
     parts.append(result_table({label: summary[key] for label, key in SECTIONS.items() if summary.get(key)}))
+    if held_out := summary.get("held_out"):
+        rows = {label: held_out[key] for label, key in SECTIONS.items() if held_out.get(key)}
+        parts += ["Goals held out of the training:", result_table(rows)]
     by_goal = _by_goal((summary.get("greedy") or {}).get("scenes", {}))
-    if by_goal:
+    if 0 < len(by_goal) <= MOST_GOALS:
         parts += ["Greedy policy by goal:", result_table(by_goal)]
     return "\n\n".join(parts)
 

@@ -1,7 +1,8 @@
 """A world: several scenes as one state space, in tensors, with the goals to be reached in it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -96,6 +97,10 @@ class World:
         """The places in ``goals`` of those in one scene, given by its place in ``scenes``."""
         return torch.nonzero(self.scene_of[self.goals] == scene).flatten().tolist()
 
+    def with_goals(self, goals: "Goals") -> "World":
+        """The same scenes with other goals, see `make_world`; what does not depend on goals is shared."""
+        return replace(self, **_goal_tables(self.scenes, self.offsets, _goals(self.scenes, goals))).to(self.device)
+
     def to(self, device: torch.device | str) -> "World":
         """The same world with its tensors on a device."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -143,11 +148,6 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
     chosen = _goals(scenes, goals)
     sizes = [len(scene) for scene in scenes]
     offsets = tuple(int(offset) for offset in np.cumsum([0, *sizes[:-1]]))
-    blocks, rows, pairs = [], [], 0
-    for scene, offset, states in zip(scenes, offsets, chosen, strict=True):
-        blocks.append(shortest_distances(scene.graph, np.array(states)).T.astype(np.int16).ravel())
-        rows += [pairs + place * len(scene) - offset for place in range(len(states))]
-        pairs += len(states) * len(scene)
     parts = list(zip(scenes, offsets, strict=True))
     graphs = [np.where(s.graph < 0, np.arange(len(s))[:, None], s.graph) + offset for s, offset in parts]
     return World(
@@ -157,10 +157,22 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
         features=torch.from_numpy(np.concatenate([s.features for s in scenes]).astype(np.float32)),
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
-        goals=torch.tensor([g + offset for goal, offset in zip(chosen, offsets, strict=True) for g in goal]),
-        distances=torch.from_numpy(np.concatenate(blocks)),
-        row=torch.tensor(rows),
+        **_goal_tables(scenes, offsets, chosen),
     )
+
+
+def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:
+    """What of a world depends on its goals, by the name of the field."""
+    blocks, rows, pairs = [], [], 0
+    for scene, offset, states in zip(scenes, offsets, chosen, strict=True):
+        blocks.append(shortest_distances(scene.graph, np.array(states)).T.astype(np.int16).ravel())
+        rows += [pairs + place * len(scene) - offset for place in range(len(states))]
+        pairs += len(states) * len(scene)
+    return {
+        "goals": torch.tensor([g + offset for goal, offset in zip(chosen, offsets, strict=True) for g in goal]),
+        "distances": torch.from_numpy(np.concatenate(blocks)),
+        "row": torch.tensor(rows),
+    }
 
 
 def _goals(scenes: Sequence[Scene], goals: Goals) -> list[tuple[int, ...]]:

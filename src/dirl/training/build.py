@@ -19,8 +19,10 @@ from dirl.episodes import every_start, sampled_starts
 from dirl.evaluation import EvaluationProtocol
 from dirl.experts import demonstrations
 from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys
-from dirl.scenes import ACTIONS, World, load_scenes, make_world
+from dirl.scenes import ACTIONS, Scene, World, load_scenes, make_world
+from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.matching import TemplateStop
+from dirl.scenes.world import Goals
 from dirl.training.losses import Losses, ScheduledLoss
 
 
@@ -39,7 +41,12 @@ def build_world(config: TrainConfig) -> World:
         raise ConfigError(f"reinforcement.workers={workers}: there are only {agents} agents to share among them")
     if workers > 1 and config.device != Device.cpu:
         raise ConfigError(f"reinforcement.workers={workers}: several workers learn on the CPU only; use device=cpu")
-    return make_world(scenes, config.goals).to(config.device)
+    return make_world(scenes, build_goals(config, scenes).trained).to(config.device)
+
+
+def build_goals(config: TrainConfig, scenes: Sequence[Scene]) -> ChosenGoals:
+    """Which goals are trained and which are held out."""
+    return choose_goals(scenes, config.goals, config.hold_out, config.seed)
 
 
 def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
@@ -107,8 +114,16 @@ def feature_table(config: TrainConfig, world: World) -> FeatureTable:
 
 def learning_policy(config: TrainConfig, world: World, observation: SurroundingViews) -> nn.Module:
     """`build_policy` for training: with ``network.cache=auto`` each distinct observation is embedded once."""
-    policy = build_policy(config, feature_table(config, world), world.names, world=world)
+    everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
+    policy = build_policy(config, feature_table(config, world), world.names, world=everywhere)
     return cached(policy, config, world, observation, principal=config.network.axes == Axes.principal)
+
+
+def _all_goals(config: TrainConfig, world: World) -> dict[str, tuple[int, ...]]:
+    """The trained and the held-out goals of each scene, which a policy that knows the world walks to; empty if same."""
+    held_out = build_goals(config, world.scenes).held_out
+    own = (world.goals[world.goals_in(index)] - offset for index, offset in enumerate(world.offsets))
+    return {name: (*goals.tolist(), *held_out[name]) for name, goals in zip(world.names, own, strict=True) if held_out}
 
 
 def cached(
@@ -262,7 +277,12 @@ def build_losses(config: TrainConfig, policy: Any, world: World, demos: TensorDi
             if not loss.on_demonstrations or (len(demos) and (weight.start or weight.end)):
                 found[name.removeprefix("losses.")] = loss
     # Of equal losses those on demonstrations come last, whatever the order of the configuration.
-    return Losses(policy, dict(sorted(found.items(), key=lambda item: item[1].on_demonstrations)), demos)
+    return Losses(
+        policy,
+        dict(sorted(found.items(), key=lambda item: item[1].on_demonstrations)),
+        demos,
+        config.imitation.batch_size,
+    )
 
 
 def _check_loss(name: str, module: Any, policy: nn.Module, workers: int) -> None:
@@ -296,8 +316,17 @@ def matching(config: TrainConfig) -> TemplateStop:
     return TemplateStop(config.stop.threshold, config.stop.match)
 
 
-def build_protocol(config: TrainConfig, world: World, observation: SurroundingViews) -> EvaluationProtocol:
-    """The conditions of an evaluation."""
+def build_protocol(
+    config: TrainConfig, world: World, observation: SurroundingViews, held_out: Goals = None
+) -> EvaluationProtocol:
+    """The conditions of an evaluation.
+
+    Args:
+        config: of the run.
+        world: with the goals to be evaluated.
+        observation: what is observed.
+        held_out: goals to be evaluated apart, see `ChosenGoals`; none if empty or left out.
+    """
     options = config.evaluation
     return EvaluationProtocol(
         world,
@@ -308,6 +337,7 @@ def build_protocol(config: TrainConfig, world: World, observation: SurroundingVi
         stop=stop_table(config, config.stop.evaluation, world),
         max_steps=options.max_steps,
         seed=config.seed,
+        held_out=build_protocol(config, world.with_goals(held_out), observation) if held_out else None,
     )
 
 

@@ -1,6 +1,7 @@
 """Trained policies from checkpoints, with the conditions under which they are evaluated."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from torch import nn
@@ -8,7 +9,7 @@ from torch import nn
 from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
 from dirl.evaluation import EvaluationProtocol
-from dirl.training.build import build_observation, build_protocol, build_world, trained_policy
+from dirl.training.build import build_goals, build_observation, build_protocol, build_world, trained_policy
 
 
 class Trained(NamedTuple):
@@ -38,8 +39,16 @@ def load_trained(
         ConfigError: the configuration, or what it makes, cannot be used; or the weights do not fit.
         SceneError: a scene or goal that does not exist or cannot be used.
     """
-    config = read_config(saved["config"], origin, changes, trust)
+    given = dict(changes or {})
+    if "goals" in given:
+        given.setdefault("hold_out", 0.0)
+    # Goals that are drawn are drawn by the seed of the training: by another, trained ones would count as held out.
+    seed = given.pop("seed", None)
+    config = read_config(saved["config"], origin, given, trust)
     world = build_world(config)
+    held_out = build_goals(config, world.scenes).held_out
+    if seed is not None:
+        config = replace(config, seed=seed)
     observation = build_observation(config, world)
     policy = trained_policy(saved, origin, config, world, observation)
-    return Trained(config, policy, build_protocol(config, world, observation))
+    return Trained(config, policy, build_protocol(config, world, observation, held_out))

@@ -1,6 +1,6 @@
 """The losses of an update: one pass through the trunk, then every loss on the heads."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,12 @@ from dirl.objectives.reinforcement import make_advantages
 
 EXPERT = "expert_action"
 """A loss that reads this key is computed on demonstrations; every other one on rollouts."""
+
+FULL_BATCH = 20_000
+"""Demonstrations that an update learns from all together, unless ``imitation.batch_size`` says otherwise."""
+
+MINIBATCH = 512
+"""Of more than that so many are drawn."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +57,22 @@ class Losses(nn.Module):
         policy: with a ``trunk`` from observations to ``hidden``, see `dirl.models.ActorCritic`.
         losses: by name.
         demonstrations: ``[M]``, of an expert.
+        batch_size: of the demonstrations of an update, see `demonstration_batches`.
     """
 
-    def __init__(self, policy: Any, losses: Mapping[str, ScheduledLoss], demonstrations: TensorDictBase) -> None:
+    def __init__(
+        self,
+        policy: Any,
+        losses: Mapping[str, ScheduledLoss],
+        demonstrations: TensorDictBase,
+        batch_size: int | None = None,
+    ) -> None:
         super().__init__()
         self.trunk: Any = policy.trunk()
         self.modules_by_name = nn.ModuleDict({name: loss.module for name, loss in losses.items()})
         self.losses = dict(losses)
         self.recurrent = recurrent_keys(policy)
-        self.demonstrations = as_first_steps(policy, demonstrations)
+        self.draw = demonstration_batches(policy, demonstrations, batch_size)
 
     @property
     def on_rollouts(self) -> bool:
@@ -77,7 +90,7 @@ class Losses(nn.Module):
             ``loss_*`` entries, scalars that carry gradients, and what else the losses report.
         """
         demonstrated = any(loss.on_demonstrations for loss in self.losses.values())
-        batch, rows = self._with_hidden(batch, self.demonstrations if demonstrated else None)
+        batch, rows = self._with_hidden(batch, self.draw() if demonstrated else None)
         result = TensorDict()
         for name, loss in self.losses.items():
             loss.set_schedules(left)
@@ -105,6 +118,26 @@ class Losses(nn.Module):
         hidden = self.trunk(torch.cat([batch.select(*keys), rows.select(*keys)]))["hidden"]
         batch.set("hidden", hidden[: len(batch)])
         return batch, rows.copy().set("hidden", hidden[len(batch) :])
+
+
+def demonstration_batches(
+    policy: nn.Module, demonstrations: TensorDictBase, batch_size: int | None
+) -> Callable[[], TensorDictBase]:
+    """A function that gives the demonstrations of an update, see `as_first_steps`.
+
+    Args:
+        policy: that learns from them.
+        demonstrations: ``[M]``.
+        batch_size: rows drawn anew for each update, uniformly with replacement; all of them if it is not less than M.
+            None: all, or `MINIBATCH` of more than `FULL_BATCH`.
+    """
+    count = len(demonstrations)
+    wanted = batch_size or (count if count <= FULL_BATCH else MINIBATCH)
+    if wanted >= count:
+        rows = as_first_steps(policy, demonstrations)
+        return lambda: rows
+    device = demonstrations["state"].device
+    return lambda: as_first_steps(policy, demonstrations[torch.randint(count, (wanted,), device=device)])
 
 
 def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorDictBase:

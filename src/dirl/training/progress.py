@@ -25,6 +25,8 @@ class EpisodeMeter:
     def __init__(self, shortest: Sequence[float]) -> None:
         self.shortest = shortest
         self.steps: list[deque[int]] = [deque(maxlen=WINDOW) for _ in shortest]
+        self.totals = [0] * len(shortest)
+        """Of ``steps``, so that an update does not add up the episodes of hundreds of goals again."""
         self.episodes = 0
         self.stable_at: int | None = None
         self.near_at: int | None = None
@@ -37,7 +39,9 @@ class EpisodeMeter:
         `NEAR` times the fewest steps.
         """
         for goal, length in zip(goal_index, steps, strict=True):
-            self.steps[goal].append(length)
+            last = self.steps[goal]
+            self.totals[goal] += length - (last[0] if len(last) == WINDOW else 0)
+            last.append(length)
         self.episodes += len(steps)
         self.stable_at = self._since(self.stable_at, frames, [STABLE_ATL] * len(self.steps))
         self.near_at = self._since(self.near_at, frames, [NEAR * fewest for fewest in self.shortest])
@@ -45,7 +49,8 @@ class EpisodeMeter:
     def _since(self, before: int | None, frames: int, limits: Sequence[float]) -> int | None:
         """Since when every goal is within its limit, given what it was before these frames."""
         within = (
-            len(last) == WINDOW and sum(last) <= limit * WINDOW for last, limit in zip(self.steps, limits, strict=True)
+            len(last) == WINDOW and total <= limit * WINDOW
+            for last, total, limit in zip(self.steps, self.totals, limits, strict=True)
         )
         if not all(within):
             return None
@@ -63,7 +68,7 @@ class EpisodeMeter:
         return max(self._means(), default=math.nan)
 
     def _means(self) -> list[float]:
-        return [sum(last) / len(last) for last in self.steps if last]
+        return [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
 
     def state_dict(self) -> dict[str, Any]:
         """What `load_state_dict` takes."""
@@ -77,4 +82,5 @@ class EpisodeMeter:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state."""
         self.steps = [deque(last, maxlen=WINDOW) for last in state["steps"]]
+        self.totals = [sum(last) for last in self.steps]
         self.episodes, self.stable_at, self.near_at = state["episodes"], state["stable_at"], state["near_at"]

@@ -1,0 +1,125 @@
+"""Goals by rule: all states of a scene, every so many, or a share of its places; and places held out of training."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dirl.scenes.graph import IntArray, places
+from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.world import Goals
+
+RULES = "all, every:N (every N-th state) or share:S (a share of the places, above 0 and at most 1)"
+
+
+class ChosenGoals(NamedTuple):
+    """Which states are goals."""
+
+    trained: Goals
+    """As `dirl.scenes.make_world` takes them."""
+    held_out: dict[str, tuple[int, ...]]
+    """Those of the places held out, by scene; empty if none are."""
+    left_out: dict[str, int]
+    """How many states of each scene are no goals because some states cannot reach them; scenes without are left out."""
+
+
+def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 0.0, seed: int = 0) -> ChosenGoals:
+    """Goals by rule.
+
+    The seed puts the places of each scene in an order, alone for the scene: the first of them are held out, and a share
+    is taken from the end. With the same seed a larger share contains a smaller one, and what is held out does not
+    depend on the rule. Places with a goal that is named by its number are not held out.
+
+    Args:
+        scenes: of distinct names.
+        goals: `RULES`, for all scenes, or in a mapping for one; else states as `dirl.scenes.make_world` takes them.
+        hold_out: the share of each scene's places whose states are no goals of the training, 0 to below 1.
+        seed: of the order of places.
+
+    Raises:
+        SceneError: a rule that does not exist, or that leaves a scene without a goal.
+    """
+    by_name = goals if isinstance(goals, Mapping) else {scene.name: goals for scene in scenes}
+    if not hold_out and not any(isinstance(rule, str) for rule in by_name.values()):
+        return ChosenGoals(goals, {}, {})  # type: ignore[arg-type]
+    if not isinstance(goals, Mapping | str | None) and len(scenes) > 1:
+        return ChosenGoals(goals, {}, {})  # make_world says what is wrong with it
+    trained: Any = dict(by_name)
+    held_out, left_out = {}, {}
+    for scene in scenes:
+        rule = by_name.get(scene.name)
+        named = _named(scene, rule)
+        reached = well_reached(scene)
+        order = _order(scene, seed, named)
+        held = np.isin(places(scene.graph), order[: _count(hold_out, scene)] if hold_out else [])
+        if isinstance(rule, str):
+            trained[scene.name] = _states(scene, _by_rule(scene, rule, order, hold_out) & reached & ~held, f"={rule}")
+        else:
+            trained[scene.name] = named
+        if hold_out:
+            held_out[scene.name] = _states(scene, held & reached, f", hold_out={hold_out:g}")
+        if not reached.all():
+            left_out[scene.name] = int((~reached).sum())
+    return ChosenGoals(trained, held_out, left_out)
+
+
+def well_reached(scene: Scene) -> np.ndarray:
+    """Whether as many states reach a state as reach any, bool ``[N]``: in a scene without walled-off parts, all do."""
+    reached_from = (scene.distances >= 0).sum(0)
+    return reached_from == reached_from.max()
+
+
+def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
+    """The goals that are given by number."""
+    if isinstance(rule, str):
+        return ()
+    if rule is None:
+        return scene.goals
+    states = tuple(rule) if isinstance(rule, Sequence) else (rule,)
+    for goal in states:
+        scene.check_goal(goal)
+    return states
+
+
+def _order(scene: Scene, seed: int, named: Sequence[int]) -> IntArray:
+    """The places that have no named goal, int64, in an order drawn by the seed."""
+    place = places(scene.graph)
+    drawn = np.random.default_rng(seed).permutation(int(place.max()) + 1)
+    return drawn[~np.isin(drawn, place[list(named)])]
+
+
+def _count(share: float, scene: Scene) -> int:
+    """How many places a share is; at least one."""
+    return max(1, round(share * (int(places(scene.graph).max()) + 1)))
+
+
+def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.ndarray:
+    """Which states a rule chooses, bool ``[N]``."""
+    kind, _, given = rule.partition(":")
+    states = np.arange(len(scene))
+    if rule == "all":
+        return states >= 0
+    number = _number(given)
+    if kind == "every" and number >= 1 and number == int(number):
+        return states % int(number) == 0
+    if kind != "share" or not 0 < number <= 1:
+        raise SceneError(f"{scene.name}: goals={rule}: must be states, or one of {RULES}")
+    if number + hold_out > 1 + 1e-9:
+        raise SceneError(f"{scene.name}: goals={rule} and hold_out={hold_out:g} are more than all places")
+    return np.isin(places(scene.graph), order[-_count(number, scene) :])
+
+
+def _number(text: str) -> float:
+    """A number, or -1 if the text is none that is finite."""
+    try:
+        value = float(text)
+    except ValueError:
+        return -1.0
+    return value if np.isfinite(value) else -1.0
+
+
+def _states(scene: Scene, chosen: np.ndarray, rule: str) -> tuple[int, ...]:
+    states = tuple(np.flatnonzero(chosen).tolist())
+    if not states:
+        raise SceneError(f"{scene.name}: goals{rule}: leaves no goal")
+    return states

@@ -1,0 +1,98 @@
+"""Goals by rule, and places held out of the training."""
+
+import numpy as np
+import pytest
+import torch
+from rooms import grid_scene
+
+from dirl.experts import ShortestPathPolicy
+from dirl.scenes import SceneError, make_world
+from dirl.scenes.goals import choose_goals
+from dirl.scenes.graph import places
+
+
+def states(chosen):
+    """The trained goals of the one scene."""
+    return np.array(chosen.trained["grid"])
+
+
+def test_what_names_no_rule_is_left_as_it_is(scene):
+    for goals in (None, 5, [1, 2], {"grid": [3]}):
+        assert choose_goals([scene], goals) == (goals, {}, {})
+
+
+def test_all_and_every_n_th_state_become_goals(scene):
+    assert states(choose_goals([scene], "all")).tolist() == list(range(24))
+    assert states(choose_goals([scene], "every:5")).tolist() == [0, 5, 10, 15, 20]
+
+
+def test_a_share_is_of_whole_places_drawn_by_the_seed(scene):
+    place = places(scene.graph)
+    chosen = [states(choose_goals([scene], "share:0.5", seed=seed)) for seed in range(4)]
+    for one in chosen:
+        assert len(one) == 12
+        assert np.isin(place, place[one]).sum() == 12
+    assert len({tuple(one) for one in chosen}) > 1
+    assert set(chosen[0]) <= set(states(choose_goals([scene], "share:0.8", seed=0)))
+
+
+@pytest.mark.parametrize("rule", ["all", "every:3", "share:0.5", None, [0, 13]])
+def test_places_held_out_are_never_trained(scene, rule):
+    chosen = choose_goals([scene], rule, hold_out=1 / 3, seed=2)
+    held, place = np.array(chosen.held_out["grid"]), places(scene.graph)
+    assert len(held) == 8
+    assert not np.isin(place[states(chosen)], place[held]).any()
+    if isinstance(rule, str):
+        assert chosen.held_out == choose_goals([scene], "all", hold_out=1 / 3, seed=2).held_out
+
+
+def test_share_and_places_held_out_make_up_the_scene(scene):
+    chosen = choose_goals([scene], "share:0.5", hold_out=0.5, seed=1)
+    assert sorted([*states(chosen), *chosen.held_out["grid"]]) == list(range(24))
+
+
+def test_scenes_have_rules_of_their_own(scene):
+    other = grid_scene(2, 1, name="closet", goals=(7,))
+    chosen = choose_goals([scene, other], {"grid": "every:12"})
+    assert make_world([scene, other], chosen.trained).goals.tolist() == [0, 12, 24 + 7]
+
+
+def test_states_that_not_all_others_reach_are_no_goals():
+    hall = grid_scene(width=4, depth=3, name="grid", goals=(5,), blocked=[(2, 0), (2, 1), (2, 2), (3, 2)])
+    chosen = choose_goals([hall], "all")
+    reached_from = (hall.distances >= 0).sum(0)
+    assert reached_from.min() < reached_from.max()
+    assert states(chosen).tolist() == np.flatnonzero(reached_from == reached_from.max()).tolist()
+    assert chosen.left_out == {"grid": 32 - len(states(chosen))}
+
+
+@pytest.mark.parametrize(
+    ("goals", "hold_out", "message"),
+    [
+        ("most", 0, "must be states, or one of all, every:N"),
+        ("every:0", 0, "must be states"),
+        ("every:1.5", 0, "must be states"),
+        ("share:nan", 0, "must be states"),
+        ("share:1.5", 0, "must be states"),
+        ("share:0.75", 0.5, "more than all places"),
+        ("every:24", 0.99, "leaves no goal"),
+    ],
+)
+def test_rules_that_cannot_be_used_are_named(scene, goals, hold_out, message):
+    with pytest.raises(SceneError, match=message):
+        choose_goals([scene], goals, hold_out=hold_out)
+
+
+def test_a_world_with_other_goals_is_the_world_made_with_them(scene):
+    world, expected = make_world([scene]).with_goals([4, 9]), make_world([scene], [4, 9])
+    for name in ("goals", "distances", "row", "graph", "features"):
+        assert torch.equal(getattr(world, name), getattr(expected, name))
+    assert ShortestPathPolicy(world).world.goal_index[9] == 1
+
+
+def test_every_table_of_goals_is_in_blocks_of_a_scene():
+    rooms = [grid_scene(3, 2, name=f"room{number}", seed=number) for number in range(6)]
+    world = make_world(rooms, choose_goals(rooms, "all").trained)
+    assert len(world.distances) == 6 * 24 * 24
+    largest = max(value.numel() for value in vars(world).values() if isinstance(value, torch.Tensor))
+    assert largest <= max(len(world.distances), world.features.numel())
