@@ -168,7 +168,8 @@ def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBa
     Returns:
         ``[M]`` rows of `DEMONSTRATED`. Left out are those for which the expert has no advice.
     """
-    parts = visited.select(*DEMONSTRATED[:-1]).clone().split(LABELS_AT_ONCE)
+    rows = visited.select(*DEMONSTRATED[:-1]).clone()
+    parts = rows.split(LABELS_AT_ONCE) if len(rows) else [rows]  # tensordict does not split an empty one
     rows = TensorDict.cat([expert(part) for part in parts])
     return rows[rows["expert_action"] >= 0].select(*DEMONSTRATED)
 

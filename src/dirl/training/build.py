@@ -235,7 +235,7 @@ def build_env(
         stop=stop_table(config, config.stop.training, world),
         seed=config.seed if seed is None else seed,
     )
-    transforms = [StepCounter(max_steps=config.reinforcement.max_steps), observation]
+    transforms = [StepCounter(max_steps=config.reinforcement.max_steps), observation.clone()]
     if recurrent_keys(policy):
         transforms += [InitTracker(), get_primers_from_module(policy)]
     return TransformedEnv(env, Compose(*transforms))
