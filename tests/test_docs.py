@@ -21,7 +21,8 @@ from commands import ROOT, TINY
 DOCS = ROOT / "docs"
 PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "howto").glob("*.md"))]
 
-QUICK = [option for option in TINY if "evaluation.max_steps" not in option] + ["evaluation.max_steps=10"]
+QUICK = [option for option in TINY if not option.startswith(("evaluation.max_steps", "checkpoint"))]
+QUICK += ["evaluation.max_steps=10"]
 """Behind every training of a page, but for the options that it gives itself."""
 
 SHORTER = {
