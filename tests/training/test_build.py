@@ -14,7 +14,8 @@ from dirl.config.schemas import ConfigError
 from dirl.models import FeatureTable, plain_weights, recurrent_keys
 from dirl.models.fast.siamese import CachedSiamese
 from dirl.scenes import write_dump
-from dirl.training.build import build_env, build_policy, build_world, load_weights, trained_policy
+from dirl.training.build import build_env, build_policy, build_world
+from dirl.training.load import load_weights, trained_policy
 
 SMALL = ["encoder.width=8", "heads.width=8"]
 

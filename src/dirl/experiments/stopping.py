@@ -21,8 +21,8 @@ from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain, tell_cut
 from dirl.runs.folder import RunError
 from dirl.scenes import Scene
 from dirl.scenes.matching import ncc, template_vectors
-from dirl.training.build import build_policy, load_weights
-from dirl.training.load import Trained
+from dirl.training.build import build_policy
+from dirl.training.load import Trained, load_weights
 
 DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "noise": ("deviation, grey levels", (8, 16, 32, 64)),

@@ -1,6 +1,6 @@
 """From a configuration to the parts of a run, one function each."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import torch
@@ -136,76 +136,6 @@ def cached(
         policy.cache(None if observation.history else world.surrounding, principal=principal)
     made: nn.Module = policy
     return made
-
-
-def trained_policy(
-    saved: Mapping[str, Any], origin: str, config: TrainConfig, world: World, observation: SurroundingViews
-) -> nn.Module:
-    """The policy of a checkpoint.
-
-    Args:
-        saved: see `dirl.runs.checkpoints.load_checkpoint`.
-        origin: where it stood, for errors.
-        config: its configuration, or one with other goals or conditions of evaluation.
-        world: of that configuration.
-        observation: what it observes there.
-
-    Raises:
-        ConfigError: the scenes' features are of another extractor, or the weights do not fit the configuration.
-    """
-    extractor = world.scenes[0].extractor
-    if extractor != saved["extractor"]:
-        raise ConfigError(
-            f"the scenes' features are of another extractor than those {origin} was trained on: "
-            f"'{extractor}', not '{saved['extractor']}'"
-        )
-    names = _scenes(saved["scenes"], world.names)
-    policy = build_policy(config, feature_table(config, world), names, world=world)
-    load_weights(policy, saved["network"], origin, names)
-    return cached(policy, config, world, observation)
-
-
-def _scenes(trained: Sequence[str], names: Sequence[str]) -> Sequence[str]:
-    """The names by which a policy's heads serve the scenes of a world: their own, or of as many others in order."""
-    return names if set(names) <= set(trained) or len(names) != len(trained) else trained
-
-
-def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, scenes: Sequence[str] = ()) -> None:
-    """Load a checkpoint's weights, also those of schema 1.
-
-    Args:
-        policy: gets them.
-        weights: by name.
-        origin: where they stood, for errors.
-        scenes: of a policy for some of the scenes only; the weights of other scenes are left out.
-
-    Raises:
-        ConfigError: they do not fit.
-    """
-    own = {name.replace(".", "_") for name in scenes} | {"shared"}
-    try:
-        found = {
-            name: value
-            for name, value in _renamed(weights).items()
-            if not scenes or ".scenes." not in name or name.split(".scenes.")[1].split(".")[0] in own
-        }
-        policy.load_state_dict(found)
-    except (RuntimeError, KeyError, AttributeError) as error:
-        reason = " ".join(str(error).split())[:300]
-        raise ConfigError(f"{origin}: the weights do not fit the network of its configuration ({reason})") from None
-
-
-def _renamed(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights by the names they have today."""
-    if "encoder.table.mean" not in weights:
-        return dict(weights)
-    heads = {"hidden.": "heads.trunk.", "policy.": "heads.policy.", "value.": "heads.value."}
-    names = {"encoder.table.": "features.", **heads}
-    found = {}
-    for name, value in weights.items():
-        old = next((prefix for prefix in names if name.startswith(prefix)), "")
-        found[names.get(old, "") + name.removeprefix(old)] = value
-    return found
 
 
 def build_env(
