@@ -1,11 +1,9 @@
 """Training, validation and test rooms: which seeds they have, and what only some of them may show.
 
-| seeds | split | repertoire |
-|---|---|---|
-| 0 to 9,999 | none | everything |
-| 10,000 to 19,999 | test | `TEST` |
-| 20,000 to 29,999 | validation | `TRAIN` |
-| from 30,000 on | train | `TRAIN` |
+- Seeds 0 to 9,999 are of no split and may show everything.
+- Seeds 10,000 to 19,999 are test rooms, which show `TEST`.
+- Seeds 20,000 to 29,999 are validation rooms, which show `TRAIN`.
+- Seeds from 30,000 on are training rooms, which show `TRAIN`.
 
 `TRAIN` and `TEST` have no wood, sky, wallpaper, picture, window outlook, rug, floor, tile layout or potted plant, vase
 and set of bottles (a piece's own ``seed``) in common. They share the shapes of furniture (the same functions, each time
