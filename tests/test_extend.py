@@ -119,8 +119,8 @@ def test_attention_is_cached_to_the_same_result(attention):
 
 
 def test_attention_learns_what_the_expert_shows(parts):
-    _, protocol, state = parts("++encoder={_target_:attention.AttentionEncoder,heads:4}", "imitation.fraction=1")
-    policy, rows = state.policy, state.losses.demonstrations
+    config, protocol, state = parts("encoder._target_=attention.AttentionEncoder", "imitation.fraction=1")
+    policy, rows = state.policy, build_demonstrations(config, protocol.world, protocol.observation)
     trunk, loss = policy.trunk(), ImitationLoss(policy.operator().get_policy_head())
     optimiser = torch.optim.Adam(policy.parameters(), 3e-3)
     assert metrics(protocol.run(policy))["sr"] < 0.5
@@ -205,7 +205,8 @@ def test_the_seed_alone_decides_the_weights_of_a_loss(parts):
     def head(seed):
         config, protocol, state = parts(*INVERSE)
         torch.manual_seed(seed)
-        made = build_losses(config, state.policy, protocol.world, state.losses.demonstrations)
+        demos = build_demonstrations(config, protocol.world, protocol.observation)
+        made = build_losses(config, state.policy, protocol.world, demos)
         return made.losses["inverse"].module.head[0].weight
 
     assert torch.equal(head(1), head(2))
