@@ -24,10 +24,10 @@ from omegaconf import DictConfig
 from ours import evaluation_seconds, learning, operations_per_frame, peak_memory_mb, rollout, train_config, training
 from tqdm import tqdm
 
+from dirl.atomic import write_json
 from dirl.config.command_line import one_line_errors, prepare, register
 from dirl.config.components import check_components
 from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig, typed
-from dirl.runs.folder import write_json
 from dirl.training.build import build_world
 
 SLOW = 20

@@ -16,13 +16,14 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig
 
-from dirl.atomic import write_text
+from dirl.atomic import write_json, write_text
 from dirl.config.command_line import one_line_errors, prepare, register
 from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation import assess
 from dirl.reporting import run_title, summary_table, viewer_pages
-from dirl.runs.folder import RunError, load_checkpoint, write_json
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.checks import RunError
 from dirl.training.build import describe, matching
 from dirl.training.load import Trained, load_trained
 

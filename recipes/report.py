@@ -23,7 +23,7 @@ from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
-from dirl.runs.folder import RunError
+from dirl.runs.checks import RunError
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF / "report"), config_name="report")

@@ -79,14 +79,17 @@ def main(composed: DictConfig) -> None:
     folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         with job_errors(folder):
-            train(composed, folder, nullcontext())
+            train(composed, folder, alone=False)
     else:
-        train(composed, folder, one_line_errors(folder))
+        train(composed, folder, alone=True)
 
 
-def train(composed: DictConfig, folder: Path, errors: AbstractContextManager[Any]) -> None:
-    """Make the parts of the run, before anything is written; then run its stages."""
-    with errors:
+def train(composed: DictConfig, folder: Path, *, alone: bool) -> None:
+    """Make the parts of the run, before anything is written; then run its stages.
+
+    An error ends a run that is alone with one line. In a sweep it is the job's, and Hydra goes on with the others.
+    """
+    with one_line_errors(folder) if alone else nullcontext():
         config: TrainConfig = typed(composed)
         check_components(config, config.trust)
         run = open_run(config, folder, HydraConfig.get().overrides.task)
@@ -104,7 +107,7 @@ def train(composed: DictConfig, folder: Path, errors: AbstractContextManager[Any
         run.begin(world, observation.order)
     for name, count in goals.left_out.items():
         print(f"{name}: {count} states are no goals, because not every state can reach them")
-    with one_line_exits(run.how_to_go_on):
+    with one_line_exits(run.how_to_go_on) if alone else nullcontext():
         run_stages(run, policy, demos, state, protocol)
 
 

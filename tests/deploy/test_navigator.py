@@ -17,7 +17,8 @@ from dirl.deploy.onnx import export_onnx
 from dirl.episodes import every_start, observe
 from dirl.evaluation import EvaluationProtocol
 from dirl.models import recurrent_keys
-from dirl.runs.folder import Run, load_checkpoint, save_checkpoint
+from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
+from dirl.runs.folder import Run
 from dirl.scenes import make_world
 from dirl.scenes.matching import TemplateStop
 from dirl.training.build import build_observation, build_policy, feature_table

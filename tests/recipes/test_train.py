@@ -222,3 +222,13 @@ def test_bad_input_ends_with_one_clear_message_and_leaves_nothing_behind(tmp_pat
     assert "Traceback" not in errors
     assert all(words in errors for words in told), errors
     assert not list(tmp_path.rglob("*.*"))
+
+
+def test_an_error_of_the_machine_in_one_job_of_a_sweep_leaves_the_others(tmp_path):
+    (tmp_path / "sweep" / "0" / "learning_curve.png").mkdir(parents=True)  # where a file is to be
+    options = [f"scene={room_file(tmp_path)}", *TINY[1:], "hydra.sweep.dir=sweep", "seed=3,4"]
+    status, _, errors = run_recipe(tmp_path, "train", "-m", *options)
+    assert status != 0
+    assert "failed: sweep/0: " in errors
+    assert (tmp_path / "sweep" / "1" / "learning_curve.png").is_file()
+    assert (tmp_path / "sweep" / "1" / "summary.json").is_file()

@@ -26,10 +26,6 @@ Starts = StrEnum("Starts", ["every", "sampled"])
 LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
 
 
-COMPONENTS = ("observation", "encoder", "memory", "heads", "policy", "expert", "losses", "optimiser")
-"""Options whose values name a class and its arguments, see `dirl.config.components`."""
-
-
 class ConfigError(ValueError):
     """A configuration that cannot be run; the message says which option, and what it may be."""
 
@@ -278,8 +274,8 @@ def typed(config: DictConfig) -> Any:
     try:
         made = OmegaConf.to_object(config)
         for name, value in config.items():
-            if name in COMPONENTS and isinstance(value, DictConfig):  # plain, also what was interpolated
-                setattr(made, name, OmegaConf.to_container(value, resolve=True, enum_to_str=True))
+            if isinstance(value, DictConfig) and OmegaConf.get_type(value) is dict:  # plain, also what is interpolated
+                setattr(made, str(name), OmegaConf.to_container(value, resolve=True, enum_to_str=True))
     except OmegaConfBaseException as error:
         raise ConfigError(str(error)) from None
     scene = OmegaConf.select(config, "scene")

@@ -18,7 +18,7 @@ from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.deploy.feature_policy import FeaturePolicy
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state
-from dirl.runs.folder import load_checkpoint
+from dirl.runs.checkpoints import load_checkpoint
 from dirl.training.build import build_policy
 from dirl.training.load import load_weights
 

@@ -25,7 +25,7 @@ from dirl.experiments.results import (
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
-from dirl.runs.folder import RunError
+from dirl.runs.checks import RunError
 from dirl.scenes import World
 
 DISTANCES = (1, 2, 4, 8)

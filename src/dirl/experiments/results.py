@@ -17,7 +17,9 @@ from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import summarised
 from dirl.reporting.style import SYSTEM_COLORS, write_figure
-from dirl.runs.folder import RunError, is_finished, load_checkpoint
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.checks import RunError
+from dirl.runs.folder import is_finished
 from dirl.training.load import Trained, load_trained
 
 NAMES = {

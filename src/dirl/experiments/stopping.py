@@ -18,7 +18,7 @@ from dirl.evaluation import metrics
 from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
 from dirl.models import FeatureTable
 from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain, tell_cut
-from dirl.runs.folder import RunError
+from dirl.runs.checks import RunError
 from dirl.scenes import Scene
 from dirl.scenes.matching import ncc, template_vectors
 from dirl.training.build import build_policy

@@ -21,30 +21,13 @@ from dirl.config.schemas import Existing, LoggerName, TrainConfig, leaves
 from dirl.runs.checkpoints import (
     SUFFIX,
     latest_checkpoint,
-    load_checkpoint,
     save_checkpoint,
     training_checkpoints,
 )
 from dirl.runs.checks import RunError, check_progress
-from dirl.runs.exits import interruptible
 from dirl.runs.locks import FolderLock, claim, config_file, is_numbered
 from dirl.runs.loggers import make_logger
 from dirl.scenes import World
-
-# Some are here for those who know them from here; where they are written says the import above.
-__all__ = [
-    "SCHEMA",
-    "Run",
-    "RunError",
-    "interruptible",
-    "is_finished",
-    "load_checkpoint",
-    "make_logger",
-    "open_run",
-    "save_checkpoint",
-    "training_checkpoints",
-    "write_json",
-]
 
 SCHEMA = 2
 """Of configurations and checkpoints; 1 was dirl 0.1."""

@@ -40,7 +40,7 @@ def load_trained(
     """The policy of a checkpoint, in the world of its configuration.
 
     Args:
-        saved: see `dirl.runs.folder.load_checkpoint`.
+        saved: see `dirl.runs.checkpoints.load_checkpoint`.
         origin: where it stood, for errors.
         changes: options to replace in its configuration, by dotted name.
         trust: packages whose classes it may name, see `dirl.config.components.find_class`.

@@ -158,7 +158,7 @@ class Advantages:
     """Writes advantages and value targets into rollouts by generalised advantage estimation (paper equations 5, 6).
 
     Args:
-        policy: whose critic; one without has no advantages.
+        policy: whose critic.
         gamma: discount.
         lmbda: of the estimation; 1 gives the paper's n-step return minus the value.
     """
