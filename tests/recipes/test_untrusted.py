@@ -84,6 +84,16 @@ def test_a_configuration_from_a_file_builds_nothing_foreign(trained, trap, tmp_p
     assert "trap" not in sys.modules
 
 
+def test_a_folder_that_a_grid_comes_back_to_builds_nothing_foreign(trained, trap, tmp_path):
+    saved = load_checkpoint(trained / "run")
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "config.yaml").write_text(poisoned(saved["config"], "encoder", "trap.Trap"))
+    with pytest.raises(ConfigError) as error:
+        open_run(train_config(f"scene={trained / 'room.h5'}", *TINY, "existing=keep"), tmp_path / "kept", [])
+    one_line(error)
+    assert not trap.exists()
+
+
 def test_the_recipes_say_it_in_one_line(trained, trap, tmp_path):
     saved = load_checkpoint(trained / "run")
     text = poisoned(saved["config"], "encoder", "trap.Trap")

@@ -73,6 +73,11 @@ def components(config: Any) -> dict[str, dict[str, Any]]:
     return found
 
 
+def named_packages(config: Any) -> set[str]:
+    """The packages whose classes a configuration names."""
+    return {str(options[TARGET]).partition(".")[0] for options in components(config).values()}
+
+
 def check_components(config: Any, trust: Collection[str] | None = None) -> None:
     """Find every component's class and check its options, before anything is made.
 

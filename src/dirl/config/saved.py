@@ -43,7 +43,7 @@ def config_text(config: TrainConfig) -> str:
 
 
 def read_config(
-    text: str, origin: str, changes: Mapping[str, Any] | None = None, trust: Collection[str] | None = ()
+    text: str, origin: str, changes: Mapping[str, Any] | None = None, trust: Collection[str] = ()
 ) -> TrainConfig:
     """A configuration that a run saved. Nothing is made; its components' classes are found and checked.
 
@@ -59,7 +59,7 @@ def read_config(
     try:
         values = _plain(text)
         values = _upgraded(values) if isinstance(values.get("objective"), dict) else values
-        values = {**values, "resume": None, "trust": None if trust is None else list(trust)}
+        values = {**values, "resume": None, "trust": list(trust)}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
         config: TrainConfig = typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), values))  # type: ignore[arg-type]

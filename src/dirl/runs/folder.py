@@ -6,7 +6,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from torchrl.record.loggers import Logger
 
 from dirl.atomic import remove_unfinished, write_json, write_text
+from dirl.config.components import named_packages
 from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, LoggerName, TrainConfig, leaves
@@ -210,7 +211,7 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
             return Run(folder, config)
         if config.existing == Existing.refuse:
             raise RunError(f"{folder}: holds a run already; go on with it by resume={folder}, or choose another folder")
-        changed = _changes(config, _saved_config(folder, None))
+        changed = _changes(config, _saved_config(folder, named_packages(config)))
         if changed:
             raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
         return Run(folder, config) if is_finished(folder) else _go_on(folder, config)
@@ -246,7 +247,7 @@ def _config_text(folder: Path) -> str:
     return file.read_text(encoding="utf-8", errors="replace").strip() if file.is_file() else ""
 
 
-def _saved_config(folder: Path, trust: Sequence[str] | None) -> TrainConfig:
+def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:
     """The configuration of a run, from its file, or else from its latest checkpoint."""
     text, file = _config_text(folder), config_file(folder)
     if text or not training_checkpoints(folder):

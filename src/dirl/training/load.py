@@ -35,7 +35,7 @@ def load_trained(
     saved: Mapping[str, Any],
     origin: str,
     changes: Mapping[str, Any] | None = None,
-    trust: Collection[str] | None = (),
+    trust: Collection[str] = (),
 ) -> Trained:
     """The policy of a checkpoint, in the world of its configuration.
 
