@@ -1,6 +1,7 @@
 """What is read from a file somebody else may have written never runs code of its choosing."""
 
 import sys
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -37,6 +38,12 @@ def trained(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def composed():
+    """The configuration of a command line."""
+    return train_config()
+
+
 @pytest.fixture
 def trap(tmp_path, monkeypatch):
     """A package on the path that would leave a file when it is imported."""
@@ -64,14 +71,14 @@ def one_line(error):
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("target", TARGETS)
-def test_a_configuration_from_a_file_builds_nothing_foreign(trained, trap, tmp_path, group, target):
+def test_a_configuration_from_a_file_builds_nothing_foreign(trained, composed, trap, tmp_path, group, target):
     saved = load_checkpoint(trained / "run")
     text = poisoned(saved["config"], group, target)
     resumed = tmp_path / "resumed"
     resumed.mkdir()
     (resumed / "config.yaml").write_text(text)
     with pytest.raises(ConfigError) as error:
-        open_run(train_config(f"resume={resumed}"), resumed, [f"resume={resumed}"])
+        open_run(replace(composed, resume=str(resumed)), resumed, [f"resume={resumed}"])
     one_line(error)
     with pytest.raises(ConfigError) as error:
         load_trained({**saved, "config": text}, "the checkpoint")

@@ -12,6 +12,14 @@ import torch
 from dirl.runs.exits import interruptible, one_line_exits
 
 
+@pytest.fixture(autouse=True)
+def interrupts():
+    """Ctrl-C as a terminal's programs have it: those that a shell starts in the background ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def ended(problem, capsys):
     """The status and the lines that a program ends with in which something is raised."""
     with pytest.raises(SystemExit) as caught, one_line_exits(lambda: "all is safe"):
