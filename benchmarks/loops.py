@@ -46,7 +46,7 @@ def bare_tensors(config: TrainConfig, updates: int) -> float:
     options, world = config.reinforcement, build_world(config)
     observation = build_observation(config, world)
     policy: Any = learning_policy(config, world, observation)
-    rows = build_demonstrations(config, world, observation)
+    rows: Any = build_demonstrations(config, world, observation)
     agents, steps, limit = options.agents_per_scene * len(world.scenes), options.n_steps, options.max_steps
     optimiser = build_optimiser(config, policy)
     network, demos = partial(logits_and_value, policy), [rows[key] for key in ("view_ids", "goal_view_ids", "scene")]
@@ -196,7 +196,7 @@ def stock_torchrl(config: TrainConfig, updates: int) -> float:
     def make_env() -> EnvBase:
         reward = Reward(config.reward.goal, config.reward.step, config.reward.collision)
         scaled = RewardScaling(loc=0.0, scale=config.reward.scale)
-        seen = SurroundingViews(world), ViewFeatures(table.table)
+        seen = SurroundingViews(world), ViewFeatures(table.known)
         transforms = Compose(StepCounter(options.max_steps), scaled, *seen)
         return TransformedEnv(NavigationEnv(world, agents, reward=reward), transforms)
 

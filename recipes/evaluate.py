@@ -5,7 +5,7 @@
     python recipes/evaluate.py checkpoint=... goals=[51] stop=goal
     python recipes/evaluate.py checkpoint=... viewer=true              # a web page to step through episodes
 
-All options with their values: conf/evaluate.yaml.
+All options with their values: conf/evaluate/evaluate.yaml.
 """
 
 import sys
@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from dirl.atomic import write_json, write_text
 from dirl.config.command_line import one_line_errors, prepare, register
 from dirl.config.places import CONF
-from dirl.config.schemas import EvaluateConfig, typed
+from dirl.config.schemas import ConfigError, EvaluateConfig, leaves, typed
 from dirl.evaluation import assess
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
@@ -28,7 +28,7 @@ from dirl.training.build import describe, matching
 from dirl.training.load import Trained, load_trained
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="evaluate")
+@hydra.main(version_base="1.3", config_path=str(CONF / "evaluate"), config_name="evaluate")
 def main(composed: DictConfig) -> None:
     """Read the checkpoint, run the episodes, print the tables."""
     with one_line_errors():
@@ -45,8 +45,10 @@ def main(composed: DictConfig) -> None:
             "device": options.device,
             "seed": options.seed,
             "stop.evaluation": options.stop,
+            **goal_view(options.goal_view),
             "stop.threshold": options.threshold,
             "stop.match": options.match,
+            "episodic_memory": group("episodic_memory", options.episodic_memory),
             "evaluation.starts": options.starts,
             "evaluation.episodes_per_goal": options.episodes_per_goal,
             "evaluation.max_steps": options.max_steps,
@@ -71,6 +73,26 @@ def main(composed: DictConfig) -> None:
         print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 
+def group(name: str, choice: str | None) -> dict[str, Any] | None:
+    """The options of a choice of a group of ``conf/``; None if nothing is chosen."""
+    if choice is None:
+        return None
+    file = CONF / name / f"{choice}.yaml"
+    choices = sorted(path.stem for path in file.parent.glob("*.yaml"))
+    if choice not in choices:
+        raise ConfigError(f"{name}={choice}: choose from {', '.join(choices)}")
+    options: Any = OmegaConf.to_container(OmegaConf.load(file))
+    return dict(options)
+
+
+def goal_view(choice: str | None) -> dict[str, Any]:
+    """The options by which goals are shown, by dotted name, see ``conf/goal_view``."""
+    found = leaves(group("goal_view", choice) or {})
+    if choice == "surrounding":
+        found |= {"observation.goal_view": "surrounding", "stop.match": "views", "stop.threshold": 0.9}
+    return found
+
+
 def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
     """The pages of the policy's greedy episodes, by file name, under the conditions of the evaluation."""
     config, policy, protocol = trained
@@ -82,6 +104,7 @@ def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
         stop=protocol.stop,
         max_steps=protocol.max_steps,
         title=run_title(facts),
+        memory=protocol.memory,
     )
 
 

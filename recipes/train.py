@@ -33,8 +33,7 @@ from dirl.config.places import CONF
 from dirl.config.schemas import Precision, TrainConfig, typed
 from dirl.evaluation import EvaluationProtocol, assess, mean_shortest, metrics
 from dirl.experts import label, merge_demonstrations
-from dirl.models import caching, count_parameters, plain_weights, recurrent_keys
-from dirl.objectives import ImitationLoss
+from dirl.models import caching, count_parameters, noisy, plain_weights, recurrent_keys
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.exits import interruptible, leave, one_line_exits
 from dirl.runs.folder import Run, open_run
@@ -45,6 +44,7 @@ from dirl.training.build import (
     build_env,
     build_expert,
     build_goals,
+    build_imitation_loss,
     build_losses,
     build_observation,
     build_optimiser,
@@ -158,10 +158,13 @@ def imitate(run: Run, policy: Any, demos: TensorDictBase, done: int = 0) -> int:
     """
     options = run.config.imitation
     draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()
-    loss = ImitationLoss(policy.operator().get_policy_head())
+    loss = build_imitation_loss(run.config, policy)
     optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)  # the value head gets no gradient
-    for step in range(done + 1, done + options.max_steps + 1):
-        result = loss(trunk(draw().copy()))
+    for step in tqdm(range(done + 1, done + options.max_steps + 1), unit=" steps", disable=not options.drawn):
+        if options.lr_decay:
+            set_learning_rate(optimiser, options.lr * (1 - (step - done - 1) / options.max_steps))
+        with noisy(policy, options.noise):
+            result = loss(trunk(draw().copy()))
         optimiser.zero_grad()
         result["loss_imitation"].backward()
         optimiser.step()

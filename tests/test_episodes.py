@@ -6,12 +6,14 @@ from rooms import grid_scene
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
+from dirl import decisions as decisions_module
 from dirl import episodes as episodes_module
+from dirl.decisions import answers
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
-from dirl.episodes import answers, every_start, run_episodes, sampled_starts, shortest_episodes
+from dirl.episodes import every_start, run_episodes, sampled_starts, shortest_episodes
 from dirl.evaluation import action_values, metrics
 from dirl.experts import RandomPolicy
-from dirl.models import initial_state, recurrent_keys
+from dirl.models import EpisodicMemory, initial_state, recurrent_keys
 from dirl.scenes import make_world
 
 KINDS = (SurroundingViews, SequentialViews)
@@ -194,7 +196,7 @@ def test_a_limit_on_how_many_are_asked_at_once_changes_nothing(world, monkeypatc
     options = {"world": world, "starts": every_start(world), "observation": SurroundingViews(world)}
     policy = expert(world)
     whole = run_episodes(policy, **options)
-    monkeypatch.setattr(episodes_module, "PAIRS_AT_ONCE", 7)
+    monkeypatch.setattr(decisions_module, "PAIRS_AT_ONCE", 7)
     parts = run_episodes(policy, **options)
     # Every state of a scene with every goal of it.
     assert policy.sizes == [68] + [7] * 9 + [5]
@@ -239,3 +241,49 @@ def test_answers_are_those_of_the_policy_asked_for_each_pair(world):
 def test_a_policy_without_values_answers_zero(world):
     _, values = answers(RandomPolicy(), world, SurroundingViews(world))
     assert not values.any()
+
+
+def test_a_memory_ends_the_circles_of_a_greedy_policy(world):
+    """A policy that always turns right finds only goals in its place; with the memory it tries what it has not."""
+    starts = every_start(world)
+    options = {"observation": SurroundingViews(world), "max_steps": 200}
+    without = run_episodes(always(RIGHT, 1.0), world, starts, **options)
+    remembered = run_episodes(always(RIGHT, 1.0), world, starts, memory=EpisodicMemory(), **options)
+    assert without.success.float().mean() < 0.3
+    assert remembered.success.all()
+
+
+def test_the_memory_knows_places_by_what_they_look_like(world):
+    """Where everything looks alike, every action is soon tried everywhere: the count is of looks, not of states."""
+    starts = every_start(world)
+    options = {"observation": SurroundingViews(world), "max_steps": 30}
+    states, looks = [
+        run_episodes(always(RIGHT, 1.0), world, starts, memory=EpisodicMemory(threshold=threshold), **options)
+        for threshold in (0.9, -1.0)
+    ]
+    assert not torch.equal(states.steps, looks.steps)
+
+
+def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch):
+    starts, options = every_start(world), {"observation": SurroundingViews(world), "memory": EpisodicMemory()}
+    whole = run_episodes(always(BACK, 1.0), world, starts, **options)
+    monkeypatch.setattr(episodes_module, "MANY", 7)
+    parts = run_episodes(always(BACK, 1.0), world, starts, **options)
+    assert all(torch.equal(a, b) for a, b in zip(vars(whole).values(), vars(parts).values(), strict=True))
+
+
+def test_a_policy_may_be_shown_another_goal(world):
+    """The expert walks to the goal that it is shown; the episode is of the true one."""
+    goal_index, start = (part[:23] for part in every_start(world))
+    shown = torch.tensor([1, 0, 2, 3])
+    episodes = run_episodes(
+        expert(world), world, (goal_index, start), observation=SurroundingViews(world), shown=shown, max_steps=20
+    )
+    on_the_way = {0} & set(start.tolist())
+    assert not on_the_way
+    assert episodes.success.float().mean() < 0.5
+    same = run_episodes(
+        expert(world), world, (goal_index, start), observation=SurroundingViews(world), shown=torch.arange(4)
+    )
+    assert same.success.all()
+    assert torch.equal(same.steps, same.shortest)

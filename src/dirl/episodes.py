@@ -1,28 +1,23 @@
 """Episodes of a policy in a world: from given starts, until it stops, without rewards."""
 
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from dirl.decisions import Decide, deciding
 from dirl.envs import SurroundingViews
-from dirl.envs.transforms import VIEWS
-from dirl.models import frozen, initial_state, recurrent_keys
-from dirl.models.fast.caching import EmbeddingCache, pack, unpack
+from dirl.experts import RandomPolicy
+from dirl.models import EpisodicMemory, frozen
 from dirl.scenes import ACTIONS, World
-
-PAIRS_AT_ONCE = 16_384
+from dirl.scenes.matching import look_alike
 
 MANY = 50_000
 """Agents for more than which actions are drawn by one random number each, where `torch.multinomial` draws four."""
-
-Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
-"""Of B agents the episode, state, view ids ``[B, 4]`` and goal index, int64, to logits ``[B, 4]``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +82,8 @@ def run_episodes(
     max_steps: int = 200,
     greedy: bool = True,
     seed: int = 0,
+    memory: EpisodicMemory | None = None,
+    shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> Episodes:
     """One episode from each start.
@@ -103,40 +100,116 @@ def run_episodes(
         max_steps: an episode that has not reached its goal by then has failed.
         greedy: take the most probable action (of equal ones the first), else draw one.
         seed: of the draws.
+        memory: lowers logits by what was done in the episode, see `EpisodicMemory`.
+        shown: the goal that the policy is shown in the place of each, int64 ``[G]``; it must be of the same scene.
         watch: called after each step with the episodes still going on and their states, int64 ``[W]`` each.
     """
     goal_index, start = starts
+    never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
+    episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
+    recall = None if memory is None else _Recall(memory, world)
     generator = torch.Generator(world.device).manual_seed(seed)
-    steps = torch.full_like(start, max_steps)
-    success, false_stop, missed_stop = (torch.zeros_like(start, dtype=torch.bool) for _ in range(3))
-    walking = torch.arange(len(start), device=world.device)
-    state, view_ids = start, observation.begin(start)
     often = 0.2 if sys.stderr.isatty() else 10.0
     few = len(start) <= MANY
     bar = tqdm(total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=often, disable=few)
     with frozen(policy), bar:
-        decide = deciding(policy, world, observation, len(start))
-        for step in range(1, max_steps + 1):
-            wanted = goal_index[walking]
-            action = choose(decide(walking, state, view_ids, wanted), generator, greedy=greedy)
-            state = world.graph[state, action]
-            if watch is not None:
-                watch(walking, state)
-            at_goal = state == world.goals[wanted]
-            stopped = at_goal if stop is None else stop[world.pair(wanted, state)]
-            success[walking] = stopped & at_goal
-            false_stop[walking] = stopped & ~at_goal
-            missed_stop[walking] |= at_goal & ~stopped
-            steps[walking[stopped & at_goal]] = step
-            going = ~stopped
-            if not going.any():
-                break
-            view_ids = observation.follow(view_ids, state)[going]
-            walking, state = walking[going], state[going]
-            if not few:
-                bar.update(len(start) - len(walking) - bar.n)
-    shortest = world.distance(goal_index, start)
-    return Episodes(goal_index, start, shortest, steps, success, false_stop, missed_stop)
+        if isinstance(policy, RandomPolicy) and not (greedy or few or recall):
+            act = partial(_any_action, generator)
+        else:
+            decide = deciding(policy, world, observation, len(start))
+            act = partial(_chosen_action, decide, recall, generator, greedy, shown)
+        # A memory of many episodes takes much space until they have ended.
+        for walking in torch.arange(len(start), device=world.device).split(MANY if recall else max(1, len(start))):
+            walk = _Walk(walking, start[walking], observation.begin(start[walking]))
+            if recall:
+                recall.begin(len(walking))
+            for step in range(1, max_steps + 1):
+                before, going = walk.state, _take_step(walk, act, world, episodes, stop, step)
+                if watch is not None:
+                    watch(walk.episode, walk.state)
+                bar.update(len(going) - int(going.sum()))
+                if not going.any():
+                    break
+                if recall:
+                    recall.record(before, walk.action, walk.state, going)
+                walk = walk.going_on(observation, going)
+    return episodes
+
+
+@dataclass
+class _Walk:
+    """Agents on their way."""
+
+    episode: Tensor
+    """int64 ``[W]``."""
+    state: Tensor
+    """Where they are, int64 ``[W]``."""
+    view_ids: Tensor
+    """What they saw before their last step, int64 ``[W, 4]``."""
+    action: Tensor = field(default_factory=lambda: torch.empty(0))
+    """Their last step, int64 ``[W]``."""
+
+    def going_on(self, observation: SurroundingViews, going: Tensor) -> "_Walk":
+        """Those that do not stop."""
+        return _Walk(self.episode[going], self.state[going], observation.follow(self.view_ids, self.state)[going])
+
+
+Act = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
+"""Of W agents the episode, state, view ids ``[W, 4]`` and goal index, int64, to their actions, int64 ``[W]``."""
+
+
+def _take_step(walk: _Walk, act: Act, world: World, episodes: Episodes, stop: Tensor | None, step: int) -> Tensor:
+    """One step of all agents; which of them go on, bool ``[W]``."""
+    wanted = episodes.goal_index[walk.episode]
+    walk.action = act(walk.episode, walk.state, walk.view_ids, wanted)
+    walk.state = world.graph[walk.state, walk.action]
+    at_goal = walk.state == world.goals[wanted]
+    stopped = at_goal if stop is None else stop[world.pair(wanted, walk.state)]
+    episodes.success[walk.episode] = stopped & at_goal
+    episodes.false_stop[walk.episode] = stopped & ~at_goal
+    episodes.missed_stop[walk.episode] |= at_goal & ~stopped
+    episodes.steps[walk.episode[stopped & at_goal]] = step
+    return ~stopped
+
+
+def _any_action(generator: torch.Generator, episode: Tensor, *_: Tensor) -> Tensor:
+    """Each action with the same probability."""
+    return torch.randint(len(ACTIONS), episode.shape, generator=generator, device=episode.device)
+
+
+def _chosen_action(
+    decide: Decide,
+    recall: "_Recall | None",
+    generator: torch.Generator,
+    greedy: bool,
+    shown: Tensor | None,
+    episode: Tensor,
+    state: Tensor,
+    view_ids: Tensor,
+    wanted: Tensor,
+) -> Tensor:
+    """What a policy does, with a memory if any, on the way to the goals that it is shown."""
+    logits = decide(episode, state, view_ids, wanted if shown is None else shown[wanted])
+    return choose(recall(logits, state) if recall else logits, generator, greedy=greedy)
+
+
+class _Recall:
+    """An episodic memory of agents that walk in a world: states whose views match are the same place."""
+
+    def __init__(self, memory: EpisodicMemory, world: World) -> None:
+        self.memory, self.device = memory, world.device
+        self.alike, self.row = look_alike(world, memory.threshold)
+
+    def begin(self, agents: int) -> None:
+        self.trace = self.memory.begin(agents, self.device)
+
+    def __call__(self, logits: Tensor, state: Tensor) -> Tensor:
+        same = self.alike[self.row[self.trace.place] + state.unsqueeze(-1)]
+        return self.memory.adjust(logits, self.trace, same)
+
+    def record(self, before: Tensor, action: Tensor, after: Tensor, going: Tensor) -> None:
+        moved = ~self.alike[self.row[before] + after]
+        self.trace = self.memory.record(self.trace, before, action, after, moved).select(going)
 
 
 def choose(logits: Tensor, generator: torch.Generator, *, greedy: bool) -> Tensor:
@@ -149,111 +222,3 @@ def choose(logits: Tensor, generator: torch.Generator, *, greedy: bool) -> Tenso
     drawn = torch.rand((len(logits), 1), generator=generator, device=logits.device)
     # The last bound is 1 up to rounding, and must not let a number beyond it.
     return (drawn >= probabilities.cumsum(-1)[:, :-1]).sum(-1)
-
-
-def deciding(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
-    """A function of where agents are that gives their logits, asking the policy as little as possible.
-
-    A policy without memory on views of its surroundings has one answer for each pair of goal and state: all are asked
-    beforehand. On views with a history every distinct case is asked once, when it comes up. A policy with memory is
-    asked at every step.
-    """
-    if recurrent_keys(policy):
-        return _with_memory(policy, world, observation, episodes)
-    if observation.history:
-        return _once_a_case(policy, world, observation)
-    table, _ = answers(policy, world, observation)
-    return lambda episode, state, view_ids, wanted: table.index_select(0, world.pair(wanted, state))
-
-
-def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide:
-    states, goals = len(world), len(world.goals)
-    seen, answered = EmbeddingCache(), EmbeddingCache()
-
-    def decide(episode: Tensor, state: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        row = seen.places(pack(view_ids, states), lambda keys: (unpack(keys, states, VIEWS),))
-
-        def answer(cases: Tensor) -> tuple[Tensor]:
-            goal, ids = cases % goals, seen.rows[0][cases // goals]
-            return (policy(observe(world, observation, ids[:, -1], ids, goal))["logits"],)
-
-        place = answered.places(row * goals + wanted, answer)
-        return answered.rows[0][place]
-
-    return decide
-
-
-def _with_memory(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
-    memory = initial_state(policy, episodes, world.device)
-    begins = torch.ones((episodes, 1), dtype=torch.bool, device=world.device)
-
-    def decide(episode: Tensor, state: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        asked = observe(world, observation, state, view_ids, wanted)
-        asked.update({"is_init": begins[episode], **{key: value[episode] for key, value in memory.items()}})
-        logits: Tensor = policy(asked)["logits"]
-        for key, value in memory.items():
-            value[episode] = asked["next", key]
-        begins[episode] = False
-        return logits
-
-    return decide
-
-
-def observe(
-    world: World, observation: SurroundingViews, state: Tensor, view_ids: Tensor, goal_index: Tensor
-) -> TensorDict:
-    """What a policy reads, ``[B]``: state, goal, scene, and the view ids of both."""
-    goal = world.goals[goal_index]
-    return TensorDict(
-        {
-            "state": state,
-            "goal": goal,
-            "scene": world.scene_of[goal],
-            "view_ids": view_ids,
-            "goal_view_ids": observation.begin(goal),
-        },
-        batch_size=[len(state)],
-    )
-
-
-@torch.no_grad()
-def answers(
-    policy: nn.Module, world: World, observation: SurroundingViews, goal_index: int | None = None
-) -> tuple[Tensor, Tensor]:
-    """What a policy makes of every pair of a goal and a state of its scene.
-
-    Views that hold a history are those at the start of an episode, and so is a memory. Asked for all goals, the policy
-    is asked in the same batches as by `run_episodes`, so that the rounding, too, is the same.
-
-    Args:
-        policy: see `run_episodes`.
-        world: where.
-        observation: what the policy observes.
-        goal_index: one goal by its place in ``world.goals``; all of them if left out.
-
-    Returns:
-        Logits, float32 ``[P, 4]``, and state values, ``[P]``, zero if the policy has none; of one goal, of the states
-        of its scene only.
-    """
-    goals, states = world.pairs()
-    if goal_index is not None:
-        goals, states = world.block(goals, goal_index), world.block(states, goal_index)
-    logits = torch.zeros((len(goals), len(ACTIONS)), device=world.device)
-    values = torch.zeros(len(goals), device=world.device)
-    with frozen(policy):
-        for place, wanted, state in _batches(goals, states):
-            asked: Any = observe(world, observation, state, observation.begin(state), wanted)
-            asked["is_init"] = torch.ones((len(state), 1), dtype=torch.bool, device=world.device)
-            asked.update(initial_state(policy, len(state), world.device))
-            answered = policy(asked)
-            logits[place] = answered["logits"]
-            if "state_value" in answered:
-                values[place] = answered["state_value"].squeeze(-1)
-    return logits, values
-
-
-def _batches(goals: Tensor, states: Tensor) -> Iterator[tuple[slice, Tensor, Tensor]]:
-    """`PAIRS_AT_ONCE` pairs at a time, and their places."""
-    for first in range(0, len(goals), PAIRS_AT_ONCE):
-        place = slice(first, first + PAIRS_AT_ONCE)
-        yield place, goals[place], states[place]

@@ -6,9 +6,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from dirl.decisions import answers
 from dirl.envs import SurroundingViews
-from dirl.episodes import Episodes, answers, run_episodes, shortest_episodes
+from dirl.episodes import Episodes, run_episodes, shortest_episodes
 from dirl.experts import RandomPolicy
+from dirl.models import EpisodicMemory
 from dirl.scenes import World
 
 
@@ -27,6 +29,10 @@ class EvaluationProtocol:
     """An episode that has not arrived by then has failed."""
     seed: int = 0
     """Of drawn actions."""
+    memory: EpisodicMemory | None = None
+    """Lowers the policies' logits by what was done in the episode."""
+    shown: Tensor | None = None
+    """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
     held_out: "EvaluationProtocol | None" = None
     """The same for goals that were held out of the training, if there are any."""
 
@@ -36,7 +42,7 @@ class EvaluationProtocol:
 
     def run_random(self) -> Episodes:
         """The same for a random walker, which the environment stops: it shall only be lost, not also misled."""
-        return replace(self, stop=None).run(RandomPolicy(), greedy=False)
+        return replace(self, stop=None, memory=None).run(RandomPolicy(), greedy=False)
 
     def trajectories(
         self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
@@ -51,7 +57,8 @@ class EvaluationProtocol:
         return run_episodes(policy, self.world, starts, greedy=greedy, watch=watch, **self._conditions()), paths
 
     def _conditions(self) -> dict[str, Any]:
-        return {"observation": self.observation, "stop": self.stop, "max_steps": self.max_steps, "seed": self.seed}
+        names = ("observation", "stop", "max_steps", "seed", "memory", "shown")
+        return {name: getattr(self, name) for name in names}
 
 
 def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[str, Any]]:

@@ -16,6 +16,9 @@ RULES = ("interval", "interval_pos", "random")
 DEMONSTRATED = ("state", "goal", "scene", "view_ids", "goal_view_ids", "expert_action")
 """The keys of a demonstration."""
 
+OPTIONAL = ("optimal_actions",)
+"""What it holds besides if the expert writes it."""
+
 LABELS_AT_ONCE = 65_536
 """Rows that an expert is asked for together."""
 
@@ -24,31 +27,33 @@ class ShortestPathExpert(TensorDictModuleBase):
     """Takes a first action of a shortest path: of several the first in the order of `ACTIONS`.
 
     An expert is any module that reads ``state`` and ``goal``, int64 ``[B]``, and writes ``expert_action``, int64
-    ``[B]``: -1 where it has no advice, here at the goal and where the goal cannot be reached.
+    ``[B]``: -1 where it has no advice, here at the goal and where the goal cannot be reached. It may also write
+    ``optimal_actions``, bool ``[B, 4]``, all that it holds for right; `dirl.objectives.OptimalActionsLoss` reads them.
 
     Args:
         world: where to walk.
     """
 
     in_keys: ClassVar = ["state", "goal"]
-    out_keys: ClassVar = ["expert_action"]
+    out_keys: ClassVar = ["expert_action", "optimal_actions"]
 
     def __init__(self, world: World) -> None:
         super().__init__()
         self.world = world
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``expert_action``."""
+        """Write ``expert_action`` and ``optimal_actions``."""
         goal_index, state = self.world.goal_index[tensordict["goal"]], tensordict["state"]
-        action = optimal_actions(self.world, goal_index, state).int().argmax(-1)
+        optimal = optimal_actions(self.world, goal_index, state)
         advises = self.world.distance(goal_index, state) > 0
-        return tensordict.set("expert_action", torch.where(advises, action, -1))
+        tensordict["expert_action"] = torch.where(advises, optimal.int().argmax(-1), -1)
+        return tensordict.set("optimal_actions", optimal)
 
 
 class ShortestPathPolicy(ShortestPathExpert):
     """The expert as a policy: writes ``logits``, float32 ``[B, 4]``, 0 for its action and -inf for the others."""
 
-    out_keys: ClassVar = ["expert_action", "logits"]
+    out_keys: ClassVar = ["expert_action", "optimal_actions", "logits"]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``logits``; without advice every action is as good."""
@@ -137,12 +142,8 @@ def demonstrations(
     Returns:
         ``[M]`` rows of `DEMONSTRATED`, all int64.
     """
-    generator = torch.Generator().manual_seed(seed)
-    shown = [
-        demonstration_states(torch.from_numpy(places(scene.graph)), fraction, rule, generator) for scene in world.scenes
-    ]
     goal_index, state = world.pairs()
-    chosen = torch.cat(shown).to(world.device)[state]
+    chosen = shown_states(world, fraction, rule, seed)[state]
     goal, state = world.goals[goal_index[chosen]], state[chosen]
     rows = TensorDict(
         {
@@ -150,12 +151,19 @@ def demonstrations(
             "goal": goal,
             "scene": world.scene_of[state],
             "view_ids": observation.begin(state),
-            "goal_view_ids": observation.begin(goal),
+            "goal_view_ids": observation.of_goal(goal),
         },
         batch_size=[len(state)],
         device=world.device,
     )
     return label(expert, rows)
+
+
+def shown_states(world: World, fraction: float, rule: str, seed: int) -> Tensor:
+    """Which states of a world the expert shows, bool ``[N]``; see `demonstration_states`."""
+    generator = torch.Generator().manual_seed(seed)
+    place = (torch.from_numpy(places(scene.graph)) for scene in world.scenes)
+    return torch.cat([demonstration_states(one, fraction, rule, generator) for one in place]).to(world.device)
 
 
 def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBase:
@@ -171,12 +179,12 @@ def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBa
     rows = visited.select(*DEMONSTRATED[:-1]).clone()
     parts = rows.split(LABELS_AT_ONCE) if len(rows) else [rows]  # tensordict does not split an empty one
     rows = TensorDict.cat([expert(part) for part in parts])
-    return rows[rows["expert_action"] >= 0].select(*DEMONSTRATED)
+    return rows[rows["expert_action"] >= 0].select(*DEMONSTRATED, *OPTIONAL, strict=False)
 
 
 def merge_demonstrations(*parts: TensorDictBase) -> TensorDictBase:
     """All demonstrations, one of each that observe the same on the way to the same goal; in order of these."""
-    rows = TensorDict.cat([part.select(*DEMONSTRATED) for part in parts])
+    rows = TensorDict.cat([part.select(*DEMONSTRATED, *OPTIONAL, strict=False) for part in parts])
     # The rank of each row, column by column: twenty times as fast as `torch.unique` of rows.
     which = rows["goal"].new_zeros(len(rows))
     for column in (*rows["view_ids"].unbind(-1), rows["goal"]):

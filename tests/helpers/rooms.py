@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 
+from dirl.backbones.patches import PATCH_SHAPE
 from dirl.scenes import Scene, read_dump
 
 CELL = 0.5
@@ -10,7 +11,17 @@ CELL = 0.5
 
 
 def grid_scene(
-    width=3, depth=2, *, name="grid", goals=(0,), feature_width=16, seed=0, headings=4, blocked=(), extractor="random"
+    width=3,
+    depth=2,
+    *,
+    name="grid",
+    goals=(0,),
+    feature_width=16,
+    seed=0,
+    headings=4,
+    blocked=(),
+    extractor="random",
+    patches=False,
 ):
     """A rectangular room with one place per cell, all of them connected unless cells are blocked.
 
@@ -21,6 +32,7 @@ def grid_scene(
         width, depth: cells along x and z.
         headings: turns in a full circle, a multiple of 4; ahead and back only move along the axes.
         blocked: cells ``(x, z)`` without a place, e.g. ``[(1, 0)]``.
+        patches: with patches, which are random.
     """
     cells = [(x, z) for z in range(depth) for x in range(width) if (x, z) not in set(blocked)]
     place_of = {cell: place for place, cell in enumerate(cells)}
@@ -38,7 +50,8 @@ def grid_scene(
                     beside = place_of.get((x + sign * dx, z + sign * dz))
                     if beside is not None:
                         graph[first + turn, action] = headings * beside + turn
-    features = np.random.default_rng(seed).random((len(graph), feature_width), np.float32)
+    rng = np.random.default_rng(seed)
+    features = rng.random((len(graph), feature_width), np.float32)
     return Scene(
         name=name,
         graph=graph,
@@ -48,6 +61,7 @@ def grid_scene(
         goals=tuple(goals),
         extractor=extractor,
         origin="grid_scene",
+        patches=rng.normal(size=(len(graph), *PATCH_SHAPE)).astype(np.float16) if patches else None,
     )
 
 

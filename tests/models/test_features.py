@@ -1,7 +1,7 @@
 import torch
 from networks import SCENES, batch_of, make_policy, seen, standardised_policy
 
-from dirl.models import FeatureTable, feature_statistics
+from dirl.models import FeatureTable, feature_statistics, whitening
 
 
 def test_features_are_standardised_dimension_by_dimension():
@@ -29,3 +29,23 @@ def test_a_loaded_network_standardises_as_the_one_that_was_saved():
     found, expected = (made(batch_of(*seen())) for made in (fresh, policy))
     for key in ("logits", "state_value"):
         torch.testing.assert_close(found[key], expected[key])
+
+
+def test_a_view_that_is_not_known_is_zeros_whatever_the_noise():
+    table = FeatureTable(torch.randn(3, 4), torch.ones(4), torch.full((4,), 2.0))
+    assert table(torch.tensor([3, 3])).tolist() == [[0] * 4] * 2
+    with table.noisy(0.5):
+        noisy = table(torch.tensor([0, 0, 3]))
+    assert not torch.equal(noisy[0], noisy[1])
+    assert noisy[2].tolist() == [0] * 4
+    assert torch.equal(table(torch.tensor([0])), table.known[:1])
+
+
+def test_pooled_features_become_principal_components_and_patches_stay():
+    torch.manual_seed(0)
+    pooled, patches = torch.randn(50, 3) @ torch.randn(3, 6) + 2, torch.randn(50, 4)
+    table = FeatureTable(torch.cat([pooled, patches], 1), *whitening(pooled, 5))
+    assert table.width == 3 + 4  # the features span three dimensions
+    torch.testing.assert_close(table.known[:, :3].T.cov(), torch.eye(3), atol=1e-4, rtol=0)
+    assert torch.equal(table.known[:, 3:], patches)
+    assert sorted(table.state_dict()) == ["axes", "mean", "std"]

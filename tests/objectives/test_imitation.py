@@ -4,7 +4,7 @@ import torch.nn.functional as F
 from networks import make_policy
 from tensordict import TensorDict
 
-from dirl.objectives import ImitationLoss
+from dirl.objectives import ImitationLoss, OptimalActionsLoss
 
 STATES, SCENES, ROWS = 20, ("a", "b"), 12
 
@@ -71,3 +71,23 @@ def test_imitation_has_the_keys_of_a_torchrl_loss(network, demonstrations):
     loss.set_keys(expert_action="label")
     renamed = demonstrations.rename_key_("expert_action", "label")
     torch.testing.assert_close(value, loss(renamed)["loss_imitation"])
+
+
+def test_any_optimal_action_is_right(network, demonstrations):
+    optimal = torch.rand(ROWS, 4, generator=torch.Generator().manual_seed(1)) < 0.5
+    optimal[torch.arange(ROWS), demonstrations["expert_action"]] = True
+    batch = network.trunk()(demonstrations.copy()).set("optimal_actions", optimal)
+    result = OptimalActionsLoss(network.operator().get_policy_head())(batch)
+    logits = logits_of(network, demonstrations)
+    chance = (logits.softmax(-1) * optimal).sum(-1)
+    torch.testing.assert_close(result["loss_imitation"], -chance.log().mean())
+    right = optimal[torch.arange(ROWS), logits.argmax(-1)]
+    assert result["accuracy"].item() == pytest.approx(right.float().mean().item())
+
+
+def test_with_one_optimal_action_it_is_the_cross_entropy(network, demonstrations):
+    batch = network.trunk()(demonstrations.copy())
+    batch["optimal_actions"] = F.one_hot(demonstrations["expert_action"], 4).bool()
+    head = network.operator().get_policy_head()
+    losses = [made(head)(batch)["loss_imitation"] for made in (OptimalActionsLoss, ImitationLoss)]
+    torch.testing.assert_close(*losses)

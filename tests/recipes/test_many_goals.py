@@ -1,5 +1,6 @@
 """Training with every state as a goal, and places held out."""
 
+import csv
 import json
 
 import pytest
@@ -45,3 +46,65 @@ def test_goals_held_out_are_evaluated_apart(tmp_path, policy):
     evaluated = json.loads((tmp_path / "e.json").read_text())
     assert evaluated["greedy"] == summary["greedy"]
     assert evaluated["held_out"]["greedy"] == summary["held_out"]["greedy"]
+
+
+ANY_GOAL = [
+    "seed=3",
+    "system=any_goal",
+    "hold_out=0.34",
+    "network.components=8",
+    "encoder.width=32",
+    "encoder.comparison=16",
+    "heads.width=32",
+    "imitation.batch_size=64",
+    "imitation.max_steps=40",
+    "evaluation.max_steps=30",
+]
+
+
+@pytest.fixture(scope="module")
+def any_goal(tmp_path_factory):
+    """A folder with a room with patches and a run that was trained for any goal of it."""
+    folder = tmp_path_factory.mktemp("any_goal")
+    write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
+    status, printed, errors = run_recipe(folder, "train", *ANY_GOAL, "scene=room.h5", "hydra.run.dir=run")
+    assert status == 0, errors
+    assert "Goals held out of the training:" in printed
+    return folder
+
+
+def test_a_policy_for_any_goal_is_trained_by_imitation_of_drawn_pairs(any_goal):
+    with (any_goal / "run" / "imitation.csv").open() as lines:
+        rows = list(csv.DictReader(lines))
+    assert len(rows) == 40
+    assert float(rows[-1]["loss"]) < 0.95 * float(rows[0]["loss"])
+
+
+def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
+    found = {}
+    for name, options in {
+        "four": [],
+        "photo": ["goal_view=front"],
+        "alone": ["episodic_memory=none"],
+    }.items():
+        asked = [f"checkpoint={any_goal / 'run'}", f"out={any_goal / name}.json", *options]
+        status, _, errors = run_recipe(any_goal, "evaluate", *asked)
+        assert status == 0, errors
+        found[name] = json.loads((any_goal / f"{name}.json").read_text())["greedy"]["atl"]
+    summary = json.loads((any_goal / "run" / "summary.json").read_text())
+    assert found["four"] == summary["greedy"]["atl"]
+    assert len(set(found.values())) == 3
+
+
+def test_an_unknown_choice_is_one_line(any_goal):
+    status, _, errors = run_recipe(any_goal, "evaluate", "checkpoint=run", "episodic_memory=some")
+    assert status == 1
+    assert errors.splitlines()[-1].endswith("episodic_memory=some: choose from counts, none")
+
+
+def test_a_room_without_patches_is_told_before_anything_is_made(any_goal):
+    write_dump(any_goal / "bare.h5", grid_scene(goals=(0, 13), feature_width=32))
+    status, _, errors = run_recipe(any_goal, "train", *ANY_GOAL, "scene=bare.h5", "hydra.run.dir=bare")
+    assert status == 1
+    assert not (any_goal / "bare").exists()
+    assert "grid has none; encode it again by scenes.py encode ... patches=true" in errors.splitlines()[-1]

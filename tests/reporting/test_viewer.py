@@ -15,7 +15,8 @@ from rooms import grid_scene
 from train import imitate
 
 from dirl.config.schemas import TrainConfig
-from dirl.episodes import every_start, observe
+from dirl.decisions import observe
+from dirl.episodes import every_start
 from dirl.evaluation import EvaluationProtocol
 from dirl.models import plain_weights
 from dirl.reporting import viewer_pages

@@ -13,11 +13,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from dirl.backbones.principal import principal_components
+
 PATCH_SIZE = (96, 128)
 """Height and width that views are resized to, pixels."""
 
 CELLS = (2, 4)
 """Rows and columns."""
+
+PATCH_SHAPE = (8, 96)
+"""Patches of a view, and channels of a patch."""
 
 PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
 
@@ -41,7 +46,7 @@ def cells_of(third_stage: Tensor) -> Tensor:
     return F.adaptive_avg_pool2d(third_stage.float(), CELLS).flatten(2).transpose(1, 2)
 
 
-def fit_projection(cells: Tensor, channels: int = 96, floor: float = 0.05) -> dict[str, Tensor]:
+def fit_projection(cells: Tensor, channels: int = PATCH_SHAPE[1], floor: float = 0.05) -> dict[str, Tensor]:
     """Principal components of cells, scaled to unit variance.
 
     Args:
@@ -54,15 +59,8 @@ def fit_projection(cells: Tensor, channels: int = 96, floor: float = 0.05) -> di
         ``mean`` ``[1024]``, ``components`` ``[1024, channels]`` (float16), and ``explained``, the share of the variance
         that each component holds, ``[channels]``.
     """
-    cells = cells.double()
-    mean = cells.mean(0)
-    values, vectors = torch.linalg.eigh(torch.cov(cells.T))
-    values, vectors = values.flip(0).clamp(min=0), vectors.flip(1)[:, :channels]
-    vectors = vectors * vectors.gather(0, vectors.abs().argmax(0, keepdim=True)).sign()  # eigh leaves the signs open
-    deviations = values[:channels].sqrt()
-    components = vectors / deviations.clamp(min=floor * deviations[0])
-    explained = values[:channels] / values.sum()
-    return {"mean": mean.half(), "components": components.half(), "explained": explained.float()}
+    found = principal_components(cells, channels, floor)
+    return {"mean": found.mean.half(), "components": found.axes.half(), "explained": found.explained}
 
 
 def patch_attributes() -> dict[str, str]:

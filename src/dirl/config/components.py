@@ -22,10 +22,11 @@ TARGET = "_target_"
 
 GROUPS: Mapping[str, frozenset[str]] = {
     "observation": frozenset({"world"}),
-    "encoder": frozenset({"num_features"}),
+    "encoder": frozenset({"num_features", "patch_shape"}),
     "memory": frozenset({"input_size", "in_key", "out_key"}),
     "heads": frozenset({"scenes", "in_features", "num_actions"}),
     "policy": frozenset({"world", "features", "encoder", "heads", "memory"}),
+    "episodic_memory": frozenset(),
     "expert": frozenset({"world", "seed"}),
     "losses": frozenset({"policy", "actor_network", "actor", "critic_network", "world"}),
     "optimiser": frozenset({"params"}),

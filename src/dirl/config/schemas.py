@@ -21,6 +21,7 @@ ExperimentName = StrEnum("ExperimentName", ["table1", "table2", "fig4", "fig5", 
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Reduction = StrEnum("Reduction", ["mean", "sum"])
 Stop = StrEnum("Stop", ["goal", "match"])
+GoalView = StrEnum("GoalView", ["surrounding", "front"])
 Match = StrEnum("Match", ["views", "front"])
 Starts = StrEnum("Starts", ["every", "sampled"])
 LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
@@ -57,6 +58,7 @@ class NetworkConfig:
     standardise: bool = MISSING
     cache: Cache = MISSING
     axes: Axes = MISSING
+    components: int | None = None
 
 
 @dataclass
@@ -70,6 +72,10 @@ class ImitationConfig:
     loss_threshold: float = MISSING
     bc_coef: Schedule = field(default_factory=Schedule)
     batch_size: int | None = None
+    drawn: bool = False
+    front_only: float = 0.0
+    noise: float = 0.0
+    lr_decay: bool = False
     rounds: int = MISSING
     walk_steps: int = MISSING
 
@@ -160,6 +166,7 @@ class TrainConfig:
     memory: Any = MISSING
     heads: Any = MISSING
     policy: Any = MISSING
+    episodic_memory: Any = field(default_factory=lambda: {"_target_": None})
     expert: Any = MISSING
     losses: Any = MISSING
     optimiser: Any = MISSING
@@ -188,6 +195,8 @@ class EvaluateConfig:
     stop: Stop | None = None
     threshold: float | None = None
     match: Match | None = None
+    goal_view: GoalView | None = None
+    episodic_memory: str | None = None
     starts: Starts | None = None
     episodes_per_goal: int | None = None
     max_steps: int | None = None
@@ -233,6 +242,9 @@ LIMITS: Mapping[str, Bounds] = {
     "imitation.bc_coef.start": Bounds(0),
     "imitation.bc_coef.end": Bounds(0),
     "imitation.batch_size": Bounds(1),
+    "imitation.front_only": Bounds(0, 1),
+    "imitation.noise": Bounds(0, 100),
+    "network.components": Bounds(1, 65_536),
     "imitation.rounds": Bounds(0),
     "imitation.walk_steps": Bounds(1),
     "reinforcement.frames_per_scene": Bounds(1, 10**12),

@@ -31,8 +31,9 @@ class FeaturePolicy(nn.Module):
         """Decide and match.
 
         Args:
-            features: of the four views, as the backbone gave them, float32 ``[B, 4, D]``.
-            goal_features: of the goal's.
+            features: of the four views, as the backbone gave them, float32 ``[B, 4, D]``; if the encoder compares
+                patches, they follow the pooled features.
+            goal_features: of the goal's. A view of which nothing is known is zeros: with one photo, all but the first.
             state: the recurrent state, ``[B, ...]`` each; zeros at the beginning of an episode.
 
         Returns:
@@ -40,17 +41,25 @@ class FeaturePolicy(nn.Module):
         """
         # Not `len`, which would make of a number of agents that ONNX leaves open the one that it is traced with.
         policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
-        encoded = policy.encoder(policy.features.standardise(features), policy.features.standardise(goal_features))
+        known = (goal_features != 0).any(-1, keepdim=True)
+        goal = torch.where(known, policy.features.standardise(goal_features), 0.0)
+        encoded = policy.encoder(policy.features.standardise(features), goal)
         after: tuple[Tensor, ...] = ()
         if self.state_keys:
             encoded, after = self._remember(encoded, state)
         hidden = policy.heads.trunk(encoded, scene)
-        # As in dirl.scenes.matching, the features are matched as the backbone gave them.
-        if self.front is None:
-            matching = ncc(features.flatten(1), goal_features.flatten(1))
-        else:
-            matching = ncc(features[:, self.front], goal_features[:, self.front])
+        matching = self._matching(features, goal_features, known[:, 1:].any(1).squeeze(-1))
         return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene), matching, *after
+
+    def _matching(self, features: Tensor, goal_features: Tensor, whole: Tensor) -> Tensor:
+        """The coefficient ``[B]``: of all views where the goal's are known (``whole``, bool ``[B]``), else of one."""
+        # As in dirl.scenes.matching, the pooled features are matched as the backbone gave them.
+        pooled = len(self.policy.features.mean)
+        features, goal_features = features[..., :pooled], goal_features[..., :pooled]
+        front = ncc(features[:, self.front or 0], goal_features[:, self.front or 0])
+        if self.front is not None:
+            return front
+        return torch.where(whole, ncc(features.flatten(1), goal_features.flatten(1)), front)
 
     def _remember(self, encoded: Tensor, state: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
         """One step of the memory: its output, and the next state."""

@@ -1,34 +1,31 @@
 """A trained agent outside its scenes: from camera images to actions, as a robot calls it."""
 
-import warnings
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor, nn
+import torch.nn.functional as F
+from torch import Tensor
 
-from dirl.backbones import ViewEncoder, load_encoder
-from dirl.backbones.registry import BATCH
-from dirl.config.components import TARGET, find_class
+from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
-from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.deploy.feature_policy import FeaturePolicy
+from dirl.deploy.images import Images, NavigatorError, checked_images
+from dirl.deploy.loading import (
+    Encoder,
+    check_extractor,
+    choose_scene,
+    encoder_of_images,
+    matched_view,
+    rebuild,
+)
+from dirl.deploy.recall import Recall
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.training.build import build_policy
-from dirl.training.load import load_weights
-
-Images = Tensor | NDArray[np.uint8]
-Encoder = Callable[[Tensor], Any]
-"""RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""
-
-
-class NavigatorError(ValueError):
-    """Something a `Navigator` cannot work with; the message says what, and what to do."""
+from dirl.scenes.matching import FRONT_THRESHOLD
+from dirl.training.build import reads_patches
 
 
 class Scores(NamedTuple):
@@ -60,18 +57,27 @@ class Navigator:
         policy: see `FeaturePolicy`.
         encoder: images to features, see `Encoder`.
         view_order: what the four views are; the last of a history is called ``now``.
-        threshold: stop above this matching coefficient.
+        threshold: stop above this matching coefficient. A goal of one photo that is matched where four views are the
+            rule needs at least `FRONT_THRESHOLD`.
         facts: ``scene`` and ``extractor``, which an exported file is labelled with.
+        recall: what was seen and done in the episode, where the policy has an episodic memory.
     """
 
     def __init__(
-        self, policy: FeaturePolicy, encoder: Encoder, view_order: list[str], threshold: float, facts: dict[str, str]
+        self,
+        policy: FeaturePolicy,
+        encoder: Encoder,
+        view_order: list[str],
+        threshold: float,
+        facts: dict[str, str],
+        recall: Recall | None = None,
     ) -> None:
         self.policy = policy
         self.view_order = view_order
         self.sequential = view_order[-1] == "now"
         self.threshold = threshold
         self.facts = facts
+        self.recall = recall
         self._encoder = encoder
         self._goal: Tensor | None = None
         self._views: Tensor | None = None
@@ -110,17 +116,22 @@ class Navigator:
             raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
         saved = load_checkpoint(checkpoint)
         config = read_config(saved["config"], str(checkpoint), trust=trust)
-        _check_extractor(encoder, extractor, saved["extractor"])
+        check_extractor(encoder, extractor, saved["extractor"])
         own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
         order = saved.get("views", own)  # checkpoints of older versions name none
         if order != own:
             raise NavigatorError(f"{checkpoint}: was trained on the views {order}, not {own}")
-        scene = _choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
-        policy = FeaturePolicy(_rebuild(saved, config, scene, str(checkpoint)), _front(config, order))
+        scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
+        policy = FeaturePolicy(rebuild(saved, config, scene, str(checkpoint)), matched_view(config, order))
         if not callable(encoder):
-            encoder = _load_encoder(encoder, device, None if extractor else saved["extractor"])
+            expected = None if extractor else saved["extractor"]
+            encoder = encoder_of_images(encoder, device, expected, patches=reads_patches(config))
+        memory = make("episodic_memory", config.episodic_memory, trust)
+        if memory is not None and order[-1] == "now":
+            raise NavigatorError(f"{checkpoint}: an episodic memory knows places by four views, not by the last four")
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
-        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts)
+        recall = None if memory is None else Recall(memory)
+        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, recall)
 
     @property
     def _table(self) -> FeatureTable:
@@ -134,8 +145,8 @@ class Navigator:
 
     @property
     def width(self) -> int:
-        """The number of features of a view, D."""
-        return self._table.width
+        """The number of features of a view, D, as the encoder gives them."""
+        return self._table.features.shape[1]
 
     @torch.no_grad()
     def reset(self, goal_images: Images) -> None:
@@ -143,15 +154,22 @@ class Navigator:
 
         Args:
             goal_images: what is seen at the goal, uint8 RGB ``[4, H, W, 3]`` (ahead, right, back, left) or
-                ``[B, 4, H, W, 3]``; with sequential views one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal
-                also serves a batch of agents.
+                ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well a policy finds goals
+                by one depends on its training (``imitation.front_only``, ``goal_view=front``). With sequential views
+                one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents.
 
         Raises:
             NavigatorError: images of another shape or type, or an encoder that gives other features than it should.
         """
         views = self._encode(goal_images, "goal_images")[0]
-        self._goal = views.expand(-1, VIEWS, -1)
+        if self.sequential:
+            views = views.expand(-1, VIEWS, -1)
+        elif views.shape[1] == 1:  # what is not known of a goal is zeros
+            views = F.pad(views, (0, 0, 0, VIEWS - 1))
+        self._goal = views
         self._views = self._state = None
+        if self.recall is not None:
+            self.recall.clear()
 
     @torch.no_grad()
     def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
@@ -175,15 +193,25 @@ class Navigator:
         state = self._recurrent_state(agents)
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
         self._state = tuple(after)
+        if self.recall is not None:
+            logits = self.recall.adjust(views[..., : len(self._table.mean)], logits)
         probabilities = logits.softmax(-1)
         if sample:
             action = torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
         else:
             action = logits.argmax(-1)
-        stop = matching > self.threshold
+        if self.recall is not None:
+            self.recall.acted(action)
+        stop = matching > self._threshold_now()
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
+
+    def _threshold_now(self) -> float:
+        """What the coefficient must exceed: more for one photo, where the threshold is that of four views."""
+        assert self._goal is not None
+        photo = self.policy.front is None and not self._goal[:, 1:].any()
+        return max(self.threshold, FRONT_THRESHOLD) if photo else self.threshold
 
     def _recurrent_state(self, agents: int) -> tuple[Tensor, ...]:
         if self._state is None:
@@ -206,89 +234,15 @@ class Navigator:
 
     def _encode(self, images: Images, name: str) -> tuple[Tensor, bool]:
         """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
-        if not isinstance(images, Tensor | np.ndarray):
-            raise NavigatorError(f"{name}: expected a numpy array or a torch tensor, found {type(images).__name__}")
-        # Copied, because what a camera driver or an image library hands out may be read-only or flipped.
-        pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.array(images, order="C"))
-        many = not self.sequential
-        wanted = (VIEWS,) if many else ()
-        shape = tuple(pixels.shape)
-        dims = len(wanted) + 3
-        fits = len(shape) in (dims, dims + 1) and shape[-1] == 3 and (not many or shape[-4] == VIEWS) and 0 not in shape
-        if pixels.dtype != torch.uint8 or not fits:
-            text = "[4, H, W, 3] (ahead, right, back, left) or [B, 4, H, W, 3]" if many else "[H, W, 3] or [B, H, W, 3]"
-            raise NavigatorError(f"{name}: expected uint8 {text}, found {pixels.dtype} {list(shape)}")
-        height, width = shape[-3:-1]
-        features = torch.as_tensor(self._encoder(pixels.to(self.device).reshape(-1, height, width, 3)))
-        count = pixels.numel() // (height * width * 3)
-        if features.shape != (count, self.width) or not features.is_floating_point():
+        pixels, count, batched = checked_images(images, name, sequential=self.sequential)
+        features = torch.as_tensor(self._encoder(pixels.to(self.device)))
+        if features.shape != (len(pixels), self.width) or not features.is_floating_point():
             raise NavigatorError(
-                f"the encoder gave {features.dtype} {list(features.shape)} for {count} images; the checkpoint was "
-                f"trained on {self.width} features a view, float [{count}, {self.width}]: {self.facts['extractor']}"
+                f"the encoder gave {features.dtype} {list(features.shape)} for {len(pixels)} images; the checkpoint "
+                f"was trained on {self.width} features a view, float [{len(pixels)}, {self.width}]: "
+                f"{self.facts['extractor']}"
             )
         features = features.to(self.device, torch.float32)
         if not features.isfinite().all():
             raise NavigatorError("the encoder gave features that are not finite")
-        return features.reshape(-1, VIEWS if many else 1, self.width), len(shape) > dims
-
-
-def _check_extractor(encoder: Encoder | str | Path, given: str | None, trained: str) -> None:
-    if given is None and isinstance(encoder, ViewEncoder):
-        given = encoder.extractor
-    if given is not None and given != trained:
-        raise NavigatorError(f"the checkpoint was trained on features of another extractor: '{trained}', not '{given}'")
-    if given is None and callable(encoder):
-        raise NavigatorError(
-            f"say which extractor the encoder is by extractor=...; the checkpoint was trained with '{trained}'"
-        )
-
-
-def _choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str | None:
-    """The name of the scene's layers in the network; None for shared ones."""
-    if scene is None and not shared and len(scenes) > 1:
-        raise NavigatorError(f"say in which scene the agent is by scene=...; choose from {scenes}")
-    if scene is not None and scene not in scenes:
-        raise NavigatorError(f"the checkpoint was not trained in '{scene}'; choose from {scenes}")
-    return None if shared else (scene or scenes[0])
-
-
-def _front(config: TrainConfig, order: list[str]) -> int | None:
-    """Which of the four views is matched with the goal's, None for all."""
-    if order[-1] == "now":
-        return VIEWS - 1  # the newest: there is no other of where the agent is now
-    return 0 if config.stop.match == Match.front else None
-
-
-def _rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
-    """The trained policy of one scene, over a table of no states."""
-    weights = saved["network"]
-    mean = weights.get("features.mean", weights.get("encoder.table.mean"))
-    if mean is None:
-        raise NavigatorError(f"{origin}: the weights do not fit a policy on features; they lack features.mean")
-    names = [scene or saved["scenes"][0]]
-    try:
-        policy = build_policy(config, FeatureTable(torch.empty(0, len(mean))), names)
-        load_weights(policy, weights, origin, names)
-    except ConfigError as error:
-        raise NavigatorError(str(error)) from None
-    return policy.requires_grad_(False)
-
-
-def _load_encoder(name: str | Path, device: str | torch.device, trained: str | None) -> Encoder:
-    """The encoder of a name or a file, compared with the extractor that a checkpoint was trained with, if one is given.
-
-    It takes any number of images.
-    """
-    encoder = load_encoder(str(name), device)
-    if trained is not None and encoder.extractor != trained:
-        if not Path(name).is_file():
-            raise NavigatorError(
-                f"the checkpoint was trained on features of another extractor: '{trained}', not '{encoder.extractor}' "
-                f"(encoder={name}); if they are the same in other words, say so by extractor=..."
-            )
-        warnings.warn(
-            f"the weights in {name} are '{encoder.extractor}', and the checkpoint was trained with '{trained}'; if "
-            "they are the same, say so by extractor=...",
-            stacklevel=3,
-        )
-    return lambda images: torch.cat([encoder(part) for part in images.split(BATCH)])
+        return features.reshape(-1, count, self.width), batched

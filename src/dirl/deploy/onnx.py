@@ -9,7 +9,8 @@ from pathlib import Path
 import torch
 
 from dirl.atomic import atomic_path
-from dirl.deploy.navigator import Navigator, NavigatorError
+from dirl.deploy.images import NavigatorError
+from dirl.deploy.navigator import Navigator
 from dirl.envs.transforms import VIEWS
 from dirl.models import initial_state
 

@@ -40,10 +40,12 @@ class Task:
         goal: a state of the scene; None = each reset draws one of the scene's own goals.
         observation: ``features``, ``views`` or ``both``.
         reward: what a step earns.
+        goal_view: ``surrounding``, the four views of the goal; or ``front``, one photo of it (ImageNav): then what
+            observations hold of the goal is ``[1, ...]`` instead of ``[4, ...]``.
 
     Raises:
         SceneError: no such scene, goal or views.
-        ValueError: an unknown ``observation``.
+        ValueError: an unknown ``observation`` or ``goal_view``.
     """
 
     def __init__(
@@ -54,7 +56,11 @@ class Task:
         goal: int | None = None,
         observation: str = "features",
         reward: Reward | None = None,
+        goal_view: str = "surrounding",
     ) -> None:
+        if goal_view not in ("surrounding", "front"):
+            raise ValueError(f"there is no goal_view '{goal_view}'; choose 'surrounding' or 'front'")
+        self.goal_views = VIEWS if goal_view == "surrounding" else 1
         if observation not in OBSERVED:
             raise ValueError(f"there is no observation '{observation}'; choose one of {list(OBSERVED)}")
         if scene == "all" or not isinstance(scene, str | Path):
@@ -87,13 +93,13 @@ class Task:
     def space(self) -> spaces.Space[Any]:
         """The observations of one agent."""
         made: dict[str, spaces.Space[Any]] = {}
-        for prefix in ("", "goal_"):
+        for prefix, count in (("", VIEWS), ("goal_", self.goal_views)):
             for key in self.observed:
                 if key == "features":
                     low, high = self.features.min(), self.features.max()
-                    made[prefix + key] = spaces.Box(low, high, (VIEWS, self.features.shape[1]), np.float32)
+                    made[prefix + key] = spaces.Box(low, high, (count, self.features.shape[1]), np.float32)
                 else:
-                    made[prefix + key] = spaces.Box(0, 255, (VIEWS, *self.view(0).shape), np.uint8)
+                    made[prefix + key] = spaces.Box(0, 255, (count, *self.view(0).shape), np.uint8)
         return spaces.Dict(made)
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Ints, Ints]:
@@ -122,8 +128,8 @@ class Task:
     def observe(self, goal: Ints, state: Ints) -> Observation:
         """What agents see: features float32 ``[..., 4, D]``, views uint8 ``[..., 4, H, W, 3]``."""
         made: Observation = {}
-        for prefix, at in (("", state), ("goal_", self.goals[goal])):
-            around = self.surrounding[at]
+        for prefix, at, count in (("", state, VIEWS), ("goal_", self.goals[goal], self.goal_views)):
+            around = self.surrounding[at][..., :count]
             for key in self.observed:
                 if key == "features":
                     made[prefix + key] = self.features[around]

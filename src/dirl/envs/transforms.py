@@ -5,6 +5,8 @@
 them up in the environment instead, for networks that read features. All work on an environment and on a replay buffer.
 """
 
+from typing import Literal
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -21,6 +23,8 @@ class SurroundingViews(Transform):
 
     Args:
         world: where the agents walk.
+        goal_view: ``surrounding``, all four views of the goal; or ``front``, the one ahead, as a person's photo shows
+            it (the field's ImageNav). Its other three are the number of states, which stands for no view.
     """
 
     history = False
@@ -29,21 +33,33 @@ class SurroundingViews(Transform):
     order: tuple[str, ...] = ("ahead", "right", "back", "left")
     """What the four views are; a checkpoint says it."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, goal_view: Literal["surrounding", "front"] = "surrounding") -> None:
         super().__init__(in_keys=["state", "goal"], out_keys=["view_ids", "goal_view_ids"])
         self.states = len(world)
+        self.goal_view = goal_view
         self.register_buffer("surrounding", world.surrounding)
 
     def begin(self, state: Tensor) -> Tensor:
-        """What is seen at the start of an episode, and of a goal, int64 ``[...]`` to ``[..., 4]``."""
+        """What is seen at the start of an episode, int64 ``[...]`` to ``[..., 4]``."""
         return self.surrounding[state]
+
+    def of_goal(self, goal: Tensor) -> Tensor:
+        """What is shown of a goal, int64 ``[...]`` to ``[..., 4]``."""
+        views = self.begin(goal)
+        return views if self.goal_view == "surrounding" else front_only(views, self.states)
 
     def follow(self, view_ids: Tensor, state: Tensor) -> Tensor:
         """What is seen after a step to ``state``, int64 ``[...]``, where ``view_ids`` were seen before it."""
         return self.begin(state)
 
-    def _apply_transform(self, state: Tensor) -> Tensor:
-        return self.begin(state)
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        next_tensordict["view_ids"] = self.begin(next_tensordict["state"])
+        next_tensordict["goal_view_ids"] = self.of_goal(next_tensordict["goal"])
+        return next_tensordict
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``view_ids`` and ``goal_view_ids`` of a replayed batch."""
+        return self._call(tensordict)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self._call(tensordict_reset)
@@ -56,9 +72,15 @@ class SurroundingViews(Transform):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add ``view_ids`` and ``goal_view_ids``."""
         shape = (*observation_spec.shape, VIEWS)
-        for key in self.out_keys:
-            observation_spec[key] = Categorical(self.states, shape=shape, device=observation_spec.device)
+        counts = {"view_ids": self.states, "goal_view_ids": self.states + (self.goal_view == "front")}
+        for key, count in counts.items():
+            observation_spec[key] = Categorical(count, shape=shape, device=observation_spec.device)
         return observation_spec
+
+
+def front_only(views: Tensor, unknown: int) -> Tensor:
+    """The first of the four views, int64 ``[..., 4]``; the others are ``unknown``."""
+    return torch.where(torch.arange(VIEWS, device=views.device) == 0, views, unknown)
 
 
 class SequentialViews(SurroundingViews):
@@ -72,6 +94,10 @@ class SequentialViews(SurroundingViews):
     """
 
     history = True
+
+    def __init__(self, world: World) -> None:
+        super().__init__(world)
+
     order = ("three steps ago", "two steps ago", "one step ago", "now")
 
     def begin(self, state: Tensor) -> Tensor:
@@ -91,7 +117,7 @@ class SequentialViews(SurroundingViews):
             longer = self.follow(view_ids[..., time - 1, :], state[..., time])
             view_ids[..., time, :] = torch.where(begins, view_ids[..., time, :], longer)
         tensordict["view_ids"] = view_ids
-        tensordict["goal_view_ids"] = self.begin(tensordict["goal"])
+        tensordict["goal_view_ids"] = self.of_goal(tensordict["goal"])
         return tensordict
 
 
@@ -99,12 +125,12 @@ class ViewFeatures(Transform):
     """The features behind view ids, as ``observation`` and ``goal_observation``, float32 ``[..., 4, D]``.
 
     Args:
-        table: features of all states, float32 ``[N, D]``.
+        table: features of all N states, float32 ``[N, D]``; view id N, a view that is not known, has zeros.
     """
 
     def __init__(self, table: Tensor) -> None:
         super().__init__(in_keys=["view_ids", "goal_view_ids"], out_keys=["observation", "goal_observation"])
-        self.register_buffer("table", table)
+        self.register_buffer("table", torch.cat([table, table.new_zeros(1, table.shape[1])]))
 
     def _apply_transform(self, view_ids: Tensor) -> Tensor:
         return self.table[view_ids]

@@ -7,24 +7,32 @@ from dirl.models.actor_critic import (
     count_parameters,
     frozen,
     initial_state,
+    noisy,
     plain_weights,
     recurrent_keys,
 )
-from dirl.models.features import FeatureTable, feature_statistics
+from dirl.models.comparing import ComparingEncoder
+from dirl.models.episodic import EpisodicMemory, Trace
+from dirl.models.features import FeatureTable, feature_statistics, whitening
 from dirl.models.heads import ActorCriticHeads
 from dirl.models.siamese import SiameseEncoder
 
 __all__ = [
     "ActorCritic",
     "ActorCriticHeads",
+    "ComparingEncoder",
+    "EpisodicMemory",
     "FeatureTable",
     "KeyedModule",
     "SiameseEncoder",
+    "Trace",
     "caching",
     "count_parameters",
     "feature_statistics",
     "frozen",
     "initial_state",
+    "noisy",
     "plain_weights",
     "recurrent_keys",
+    "whitening",
 ]

@@ -80,19 +80,23 @@ class ActorCritic(TensorDictModuleBase):
         self.in_keys = [*VIEW_IDS, "scene", *([] if memory is None else memory.in_keys[1:])]
         self.out_keys = ["hidden", "logits", "state_value", *([] if memory is None else memory.out_keys[1:])]
 
-    def cache(self, surrounding: Tensor | None, *, principal: bool = False) -> None:
+    def cache(
+        self, surrounding: Tensor | None, *, front: bool = False, noisy: bool = False, principal: bool = False
+    ) -> None:
         """Embed each distinct observation once, if the encoder can be cached; see `dirl.models.fast`.
 
         Args:
             surrounding: as for `CachedEncoder`.
+            front: as for `CachedEncoder`.
+            noisy: views will be read with noise, which the specialised form of a Siamese encoder draws twice.
             principal: learn a Siamese encoder's embedding in principal axes, see `CachedSiamese`; to be called before
                 an optimiser is made.
         """
         # A subclass may embed or fuse otherwise, which the specialised form would not know.
-        if type(self.encoder) is SiameseEncoder:
-            self.cached = CachedSiamese(self.encoder, self.features, surrounding, principal=principal)
+        if type(self.encoder) is SiameseEncoder and not noisy:
+            self.cached = CachedSiamese(self.encoder, self.features, surrounding, front=front, principal=principal)
         elif isinstance(self.encoder, Cacheable) and self._is_its_parts():
-            self.cached = CachedEncoder(self.encoder, self.features, surrounding)
+            self.cached = CachedEncoder(self.encoder, self.features, surrounding, front=front)
 
     @torch.no_grad()
     def _is_its_parts(self) -> bool:
@@ -168,6 +172,11 @@ def frozen(policy: nn.Module) -> AbstractContextManager[None]:
     """A context for evaluation, in which the weights must not change, so that a policy may compute things once."""
     cached = getattr(policy, "cached", None)
     return nullcontext() if cached is None else cached.frozen()
+
+
+def noisy(policy: nn.Module, deviation: float) -> AbstractContextManager[None]:
+    """A context in which views are read with Gaussian noise, see `FeatureTable`."""
+    return policy.features.noisy(deviation) if deviation else nullcontext()  # type: ignore[union-attr, operator]
 
 
 def plain_weights(policy: nn.Module) -> dict[str, Tensor]:

@@ -1,55 +1,95 @@
 """The frozen backbone, as the table of its outputs: what is known of a view without computing anything."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 from torch import Tensor, nn
 
+from dirl.backbones.principal import principal_components
+
 
 class FeatureTable(nn.Module):
-    """Features of states, standardised dimension by dimension.
+    """Features of N states as a network reads them: standardised or in principal components, then patches if any.
 
-    The table itself is data, not a parameter, and stays out of the state_dict; ``mean`` and ``std`` are kept there,
-    because a network is worth nothing without them.
+    The table itself is data, not a parameter, and stays out of the state_dict. ``mean``, ``std`` and ``axes`` are kept
+    there, because a network is worth nothing without them. State N stands for a view that is not known, as three of
+    the four of a goal that is given by one photo; its features are zeros, the mean of all views.
 
     Args:
-        features: the backbone's output for every state, float32 ``[N, D]``.
-        mean: subtracted, float32 ``[D]``; zero if left out.
+        features: of every state, float32 ``[N, D]``; or ``[N, D + patch features]``, the pooled features first.
+        mean: subtracted from the pooled features, float32 ``[D]``; zero if left out.
         std: divided by, float32 ``[D]``; one if left out.
+        axes: what they are multiplied by, float32 ``[D, components]``, see `dirl.backbones.principal`; or None.
     """
 
-    def __init__(self, features: Tensor, mean: Tensor | None = None, std: Tensor | None = None) -> None:
+    def __init__(
+        self, features: Tensor, mean: Tensor | None = None, std: Tensor | None = None, axes: Tensor | None = None
+    ) -> None:
         super().__init__()
         width = features.shape[1]
+        self.noise = 0.0
+        """Deviation of the Gaussian noise that is added to what is read, see `noisy`."""
         self.register_buffer("mean", torch.zeros(width) if mean is None else mean)
-        self.register_buffer("std", torch.ones(width) if std is None else std)
+        self.register_buffer("std", torch.ones(len(self.mean)) if std is None else std)
+        self.register_buffer("axes", axes)
         self.register_buffer("features", features, persistent=False)
-        self.register_buffer("table", self.standardise(features), persistent=False)
+        self.register_buffer("table", self._computed(), persistent=False)
         self.register_load_state_dict_post_hook(lambda table, _: table.refresh())
 
     mean: Tensor
     std: Tensor
+    axes: Tensor | None
     features: Tensor
     table: Tensor
+    """float32 ``[N + 1, width]``."""
 
     def refresh(self) -> None:
-        """Standardise the features anew, with the mean and deviation as they are now."""
-        self.table = self.standardise(self.features)
+        """Compute the table anew, with the mean, deviation and axes as they are now."""
+        self.table = self._computed()
+
+    def _computed(self) -> Tensor:
+        known = self.standardise(self.features)
+        return torch.cat([known, known.new_zeros(1, known.shape[1])])
 
     def __len__(self) -> int:
         """The number of states, N."""
-        return len(self.table)
+        return len(self.table) - 1
 
     @property
     def width(self) -> int:
-        """The number of features of a view, D."""
+        """The number of features of a view as the network reads it."""
         return self.table.shape[1]
 
+    @property
+    def known(self) -> Tensor:
+        """The rows of the N states."""
+        return self.table[:-1]
+
     def standardise(self, features: Tensor) -> Tensor:
-        """Raw features of the backbone as the network wants them, float32 ``[..., D]``."""
-        return (features - self.mean) / self.std
+        """What the backbone gives, float32 ``[..., D + patch features]``, as the network reads it, ``[..., width]``."""
+        pooled = features[..., : len(self.mean)]
+        pooled = (pooled - self.mean) / self.std
+        if self.axes is not None:
+            pooled = pooled @ self.axes
+        patches = features[..., len(self.mean) :]
+        return torch.cat([pooled, patches], -1) if patches.shape[-1] else pooled
 
     def forward(self, states: Tensor) -> Tensor:
-        """The standardised features of states, int64 ``[...]`` to float32 ``[..., D]``."""
-        return self.table[states]
+        """The features of states, int64 ``[...]`` to float32 ``[..., width]``."""
+        rows = self.table[states]
+        if self.noise:
+            rows = rows + self.noise * torch.randn_like(rows) * (states < len(self)).unsqueeze(-1)
+        return rows
+
+    @contextmanager
+    def noisy(self, deviation: float) -> Iterator[None]:
+        """Within this context Gaussian noise is added to known views, drawn anew whenever they are read."""
+        self.noise = deviation
+        try:
+            yield
+        finally:
+            self.noise = 0.0
 
 
 def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:
@@ -59,3 +99,9 @@ def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:
     """
     mean, std = features.mean(0), features.std(0)
     return mean, torch.where(std > 1e-6, std, torch.ones_like(std))
+
+
+def whitening(features: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean, deviation (ones) and axes by which features become principal components of unit variance."""
+    mean, axes, _ = principal_components(features, count)
+    return mean, torch.ones_like(mean), axes

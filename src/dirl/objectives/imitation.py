@@ -1,7 +1,8 @@
-"""Behaviour cloning as a TorchRL loss (paper section 3.3)."""
+"""Behaviour cloning as TorchRL losses (paper section 3.3)."""
 
 from dataclasses import dataclass
 
+import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
 from torchrl.objectives import LossModule
@@ -49,4 +50,51 @@ class ImitationLoss(LossModule):
         expert = tensordict.get(self.tensor_keys.expert_action)
         loss = self._reduce_loss(-dist.log_prob(expert), tensordict)
         accuracy = (dist.mode == expert).float().mean()
+        return TensorDict({"loss_imitation": loss, "accuracy": accuracy})
+
+
+class OptimalActionsLoss(LossModule):
+    """Negative log-probability that the actor takes any of the optimal actions.
+
+    Often several actions begin a shortest path. The cross-entropy with one of them (`ImitationLoss`) punishes the
+    others; this loss leaves the choice to the actor, and is 0 once it takes optimal actions only.
+
+    Args:
+        actor: as for `ImitationLoss`.
+        reduction: ``mean``, ``sum`` or ``none``.
+
+    Returns of ``forward``: ``loss_imitation`` (scalar) and ``accuracy``, the share of rows in which the most probable
+    action is optimal. In keys are the actor's and ``optimal_actions``, bool ``[B, A]``.
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        optimal_actions: NestedKey = "optimal_actions"
+
+    default_keys = _AcceptedKeys
+    tensor_keys: _AcceptedKeys
+    out_keys = ("loss_imitation", "accuracy")
+    functional = False
+
+    def __init__(self, actor: ProbabilisticTensorDictSequential, *, reduction: str = "mean") -> None:
+        super().__init__()
+        self.actor_network = actor
+        self.reduction = reduction
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """What the loss reads."""
+        return [self.tensor_keys.optimal_actions, *self.actor_network.in_keys]
+
+    def _forward_value_estimator_keys(self, **_: object) -> None:
+        """There is no value estimator."""
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The loss of a batch of demonstrations, see the class."""
+        dist = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys))
+        optimal = tensordict.get(self.tensor_keys.optimal_actions)
+        chances = dist.logits.log_softmax(-1).masked_fill(~optimal, -torch.inf).logsumexp(-1)
+        loss = self._reduce_loss(-chances, tensordict)
+        accuracy = optimal.gather(-1, dist.mode.unsqueeze(-1)).float().mean()
         return TensorDict({"loss_imitation": loss, "accuracy": accuracy})

@@ -7,17 +7,29 @@ const floats = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.c
 const goals = D.goals.map((g) => ({ ...g, logits: floats(g.logits), values: floats(g.values),
   scores: floats(g.scores), stops: new Set(g.stops) }));
 
-// An episode: its states, who took each action ("policy" or "hand"), and the step that is shown.
-let goal = goals[0], path = [], by = [], blocked = [], at = 0, timer = null;
+// An episode: its states, the actions between, who took each ("policy" or "hand"), and the step that is shown.
+let goal = goals[0], path = [], taken = [], by = [], blocked = [], at = 0, timer = null;
 
-// The same as dirl.evaluation: the first of the most probable actions; stop only after a step.
-function chosenAction(state) {
-  let best = 0;
-  for (let a = 1; a < 4; a++) if (goal.logits[4 * state + a] > goal.logits[4 * state + best]) best = a;
-  return best;
+// The same as dirl.models.EpisodicMemory: what was done here in this episode is less likely to be done again.
+const OPPOSITE = [3, 2, 1, 0];
+function logitsNow() {
+  const state = path[at], logits = Float32Array.from(goal.logits.subarray(4 * state, 4 * state + 4)), m = D.memory;
+  if (!m) return logits;
+  const alike = (a, b) => m.alike[a].includes(b);
+  for (let i = 0; i < at; i++) {
+    const [before, action, after] = [path[i], taken[i + 1], path[i + 1]], moved = !alike(before, after);
+    if (alike(before, state)) logits[action] -= m.penalty * (moved ? 1 : m.blocked);
+    if (moved && alike(after, state)) logits[OPPOSITE[action]] -= m.penalty * m.opposite;
+  }
+  return logits;
 }
-function probabilities(state) {
-  const logits = goal.logits.subarray(4 * state, 4 * state + 4), top = Math.max(...logits);
+// The same as dirl.evaluation: the first of the most probable actions; stop only after a step.
+function chosenAction() {
+  const logits = logitsNow();
+  return logits.indexOf(Math.max(...logits));
+}
+function probabilities() {
+  const logits = logitsNow(), top = Math.max(...logits);
   const weights = Array.from(logits, (x) => Math.exp(x - top)), sum = weights.reduce((a, b) => a + b);
   return weights.map((w) => w / sum);
 }
@@ -26,21 +38,22 @@ const ended = (step) => stopped(step) || step >= D.max_steps;
 
 function take(action, who) {
   const next = D.graph[path[at]][action];
-  path.length = by.length = blocked.length = at + 1;
+  path.length = taken.length = by.length = blocked.length = at + 1;
   path.push(next < 0 ? path[at] : next);
+  taken.push(action);
   by.push(who);
   blocked.push(next < 0);
   at++;
 }
 function forward() {  // along what has been walked already, then on as the policy says
   if (at < path.length - 1) at++;
-  else if (!ended(at)) take(chosenAction(path[at]), "policy");
+  else if (!ended(at)) take(chosenAction(), "policy");
 }
 const canGoOn = () => at < path.length - 1 || !ended(at);
 function toTheEnd() { while (canGoOn()) forward(); }
 function begin(state) {
   pause();
-  path = [state]; by = [null]; blocked = [false]; at = 0;
+  path = [state]; taken = [null]; by = [null]; blocked = [false]; at = 0;
   byId("start").value = state;
   show();
 }
@@ -125,8 +138,8 @@ function drawEpisode() {
     points: join([beside(state, 22), beside(state, 17, 2.5), beside(state, 8, Math.PI), beside(state, 17, -2.5)]) });
 }
 
-function makeViews(parent) {
-  return LOOKS.map(([column, name]) => {
+function makeViews(parent, looks = LOOKS) {
+  return looks.map(([column, name]) => {
     const figure = parent.appendChild(document.createElement("figure"));
     figure.className = name;
     const image = figure.appendChild(document.createElement(D.views ? "img" : "div"));
@@ -138,7 +151,7 @@ function makeViews(parent) {
     };
   });
 }
-const agentViews = makeViews(byId("views")), goalViews = makeViews(byId("goal-views"));
+const agentViews = makeViews(byId("views")), goalViews = makeViews(byId("goal-views"), D.goal_view === "front" ? [LOOKS[1]] : LOOKS);
 const rows = D.actions.map((name, action) => {
   const row = byId("actions").appendChild(document.createElement("button"));
   row.className = "act";
@@ -163,8 +176,8 @@ function show() {
   byId("play").textContent = timer === null ? "Play" : "Pause";
   byId("back").disabled = at === 0;
   byId("step").disabled = byId("end").disabled = !canGoOn();
-  const chosen = chosenAction(state);
-  probabilities(state).forEach((p, action) => {
+  const chosen = chosenAction();
+  probabilities().forEach((p, action) => {
     rows[action].classList.toggle("chosen", action === chosen);
     rows[action].querySelector("i").style.width = percent(p);
     rows[action].children[2].textContent = percent(p);

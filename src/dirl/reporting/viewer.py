@@ -9,12 +9,12 @@ from urllib.parse import quote
 import torch
 from torch import Tensor, nn
 
+from dirl.decisions import answers
 from dirl.envs import SurroundingViews
-from dirl.episodes import answers
-from dirl.models import recurrent_keys
+from dirl.models import EpisodicMemory, recurrent_keys
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
-from dirl.scenes.matching import TemplateStop
+from dirl.scenes.matching import TemplateStop, look_alike
 from dirl.scenes.views import encode
 
 
@@ -27,6 +27,7 @@ def viewer_pages(
     stop: Tensor | None,
     max_steps: int,
     title: str,
+    memory: EpisodicMemory | None = None,
 ) -> dict[str, str]:
     """Pages in which a person steps through greedy episodes and walks the scenes with the keyboard.
 
@@ -41,6 +42,7 @@ def viewer_pages(
         stop: where an agent stops on its way to each goal, bool ``[P]``; at the goal itself if None.
         max_steps: an episode that has not arrived by then has failed.
         title: says whose episodes these are; the same for all scenes.
+        memory: lowers logits by what was done in the episode.
 
     Returns:
         The HTML text of each scene's page by its file name, ``viewer_<scene>.html``. The pages name each other, and
@@ -63,6 +65,7 @@ def viewer_pages(
         "stops_by": "goal" if stop is None else "match",
         "threshold": matching.threshold,
         "match": matching.match,
+        "goal_view": observation.goal_view,
         "scenes": [{"name": name, "file": file_name(name)} for name in world.names],
     }
     pages = {}
@@ -80,7 +83,8 @@ def viewer_pages(
                     "stops": [goal] if stop is None else torch.nonzero(world.block(stop, row)).flatten().tolist(),
                 }
             )
-        pages[file_name(scene.name)] = _page({**common, **_room(scene), "goals": goals})
+        recall = None if memory is None else _memory(memory, world, index)
+        pages[file_name(scene.name)] = _page({**common, **_room(scene), "memory": recall, "goals": goals})
     return pages
 
 
@@ -100,6 +104,16 @@ def _room(scene: Scene) -> dict[str, Any]:
         "side": round(step_length(scene), 4),
         "views": None if scene.views is None else [_view(scene, state) for state in range(len(scene))],
     }
+
+
+def _memory(memory: EpisodicMemory, world: World, index: int) -> dict[str, Any]:
+    """What a page must know of an episodic memory: its options, and the states that look like each state."""
+    alike, row = look_alike(world, memory.threshold)
+    offset, size = world.offsets[index], len(world.scenes[index])
+    first = int(row[offset]) + offset
+    same = alike[first : first + size * size].view(size, size)
+    options = {name: getattr(memory, name) for name in ("penalty", "opposite", "blocked")}
+    return {**options, "alike": [torch.nonzero(states).flatten().tolist() for states in same]}
 
 
 def _view(scene: Scene, state: int) -> str:

@@ -8,6 +8,9 @@ from torch import Tensor
 
 from dirl.scenes.world import World
 
+FRONT_THRESHOLD = 0.95
+"""Above which one photo matches: other places are more like a goal in one view than in four, see docs/results.md."""
+
 
 def ncc(observation: Tensor, goal: Tensor) -> Tensor:
     """Normalised cross-correlation of feature vectors, i.e. Pearson's coefficient (paper equation 13).
@@ -19,10 +22,11 @@ def ncc(observation: Tensor, goal: Tensor) -> Tensor:
     Returns:
         float ``[...]`` in [-1, 1]; 0 where one of the vectors is constant.
     """
-    return (_normal(observation) * _normal(goal)).sum(-1)
+    return (normal_vectors(observation) * normal_vectors(goal)).sum(-1)
 
 
-def _normal(vector: Tensor) -> Tensor:
+def normal_vectors(vector: Tensor) -> Tensor:
+    """Vectors, float ``[..., D]``, without their mean and of length one; the product of two is their `ncc`."""
     centred = vector - vector.mean(-1, keepdim=True)
     # The mean of a constant vector is rounded; what is left of it then must not be blown up to length one.
     constant = vector.amax(-1, keepdim=True) == vector.amin(-1, keepdim=True)
@@ -37,7 +41,25 @@ def template_vectors(features: Tensor, surrounding: Tensor, match: str) -> Tenso
         surrounding: the states ahead, right, back and left of each, int64 ``[N, 4]``.
         match: ``views`` or ``front``, see `TemplateStop`.
     """
-    return _normal(features if match == "front" else features[surrounding].flatten(1))
+    return normal_vectors(features if match == "front" else features[surrounding].flatten(1))
+
+
+def look_alike(world: World, threshold: float) -> tuple[Tensor, Tensor]:
+    """Which states of a scene look alike by their four views: known by sight, not by number.
+
+    Returns:
+        A table, bool ``[Q]``, and of each state its row, int64 ``[N]``: states a and b of one scene look alike where
+        ``table[row[a] + b]``. Q is the sum of squares of the scenes' states.
+    """
+    vectors = template_vectors(world.features, world.surrounding, "views")
+    blocks, rows, place = [], [], 0
+    for scene, offset in zip(world.scenes, world.offsets, strict=True):
+        size = len(scene)
+        of_scene = vectors[offset : offset + size]
+        blocks.append((of_scene @ of_scene.T > threshold).flatten())
+        rows.append(place - offset + size * torch.arange(size, device=world.device))
+        place += size * size
+    return torch.cat(blocks), torch.cat(rows)
 
 
 @dataclass(frozen=True)

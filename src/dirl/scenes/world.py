@@ -29,6 +29,8 @@ class World:
     """The states ahead, right, back and left of each state, int64 ``[N, 4]``."""
     features: Tensor
     """The frozen backbone's output, float32 ``[N, D]``."""
+    patches: Tensor | None
+    """What each part of each view shows, float16 ``[N, cells, channels]``; None if a scene has none."""
     scene_of: Tensor
     """The scene of each state, int64 ``[N]``."""
     goals: Tensor
@@ -156,9 +158,21 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         graph=torch.from_numpy(np.concatenate(graphs)),
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
         features=torch.from_numpy(np.concatenate([s.features for s in scenes]).astype(np.float32)),
+        patches=_patches(scenes),
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         **_goal_tables(scenes, offsets, chosen),
     )
+
+
+def _patches(scenes: Sequence[Scene]) -> Tensor | None:
+    """The patches of all scenes, one behind the other."""
+    found = [scene.patches for scene in scenes if scene.patches is not None]
+    if len(found) < len(scenes):
+        return None
+    shapes = sorted({patches.shape[1:] for patches in found})
+    if len(shapes) > 1:
+        raise SceneError(f"the scenes' patches have different shapes, {shapes}; encode them alike")
+    return torch.from_numpy(np.concatenate(found))
 
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:

@@ -1,29 +1,32 @@
 """From a configuration to the parts of a run, one function each."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
-from dirl.config.components import components, make, schedules
+from dirl.backbones.patches import PATCH_SHAPE
+from dirl.config.components import TARGET, accepted, components, find_class, make, schedules
 from dirl.config.schemas import Axes, Cache, ConfigError, Device, Starts, Stop, TrainConfig
 from dirl.envs import NavigationEnv, Reward, SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.episodes import every_start, sampled_starts
 from dirl.evaluation import EvaluationProtocol
-from dirl.experts import demonstrations
-from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys
+from dirl.experts import demonstrations, shown_states
+from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
+from dirl.objectives import ImitationLoss
 from dirl.scenes import ACTIONS, Scene, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.matching import TemplateStop
 from dirl.scenes.world import Goals
-from dirl.training.losses import Losses, ScheduledLoss
+from dirl.training.losses import Demonstrations, Losses, ScheduledLoss
+from dirl.training.pairs import DrawnPairs
 
 
 def build_world(config: TrainConfig) -> World:
@@ -76,7 +79,8 @@ def build_policy(
     trust, width = config.trust, features.width
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        encoder = make("encoder", config.encoder, trust, num_features=width)
+        # Patches have one shape wherever they are computed, see dirl.backbones.patches.
+        encoder = make("encoder", config.encoder, trust, num_features=width, patch_shape=PATCH_SHAPE)
         fused = _output_width("encoder", lambda: encoder(*torch.zeros(2, 1, VIEWS, width)))
         memory = make("memory", config.memory, trust, input_size=fused, in_key="fused", out_key="memory")
         encoded = fused if memory is None else _output_width("memory", lambda: _remember(memory, fused))
@@ -106,17 +110,51 @@ def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
     return result
 
 
-def feature_table(config: TrainConfig, world: World) -> FeatureTable:
-    """The features of the world's states, standardised if the configuration says so."""
+def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tensor] | None = None) -> FeatureTable:
+    """The features of the world's states, as the configuration says that the network reads them.
+
+    Args:
+        config: of the run.
+        world: whose states.
+        weights: of a trained network, whose mean, deviation and axes are used; those of the world if left out.
+
+    Raises:
+        ConfigError: the encoder reads patches, and the scenes have none.
+    """
+    features = world.features
+    if reads_patches(config):
+        if world.patches is None:
+            raise ConfigError(
+                f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again "
+                "by scenes.py encode ... patches=true"
+            )
+        features = torch.cat([features, world.patches.flatten(1).float()], 1)
+    if weights is not None:
+        return FeatureTable(features, *saved_statistics(weights)).to(world.device)
+    if config.network.components:
+        return FeatureTable(features, *whitening(world.features, config.network.components)).to(world.device)
     statistics = feature_statistics(world.features) if config.network.standardise else ()
-    return FeatureTable(world.features, *statistics).to(world.device)
+    return FeatureTable(features, *statistics or (torch.zeros(world.features.shape[1]),)).to(world.device)
+
+
+def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, ...]:
+    """Mean, deviation and axes of the features that a network was trained on."""
+    found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
+    return tuple(found.get(f"features.{name}") for name in ("mean", "std", "axes"))
+
+
+def reads_patches(config: TrainConfig) -> bool:
+    """Whether the encoder compares patches: its constructor takes ``patch_shape``."""
+    return "patch_shape" in accepted(find_class("encoder", config.encoder[TARGET], config.trust))
 
 
 def learning_policy(config: TrainConfig, world: World, observation: SurroundingViews) -> nn.Module:
     """`build_policy` for training: with ``network.cache=auto`` each distinct observation is embedded once."""
     everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
     policy = build_policy(config, feature_table(config, world), world.names, world=everywhere)
-    return cached(policy, config, world, observation, principal=config.network.axes == Axes.principal)
+    noisy, front = config.imitation.noise > 0, config.imitation.front_only > 0
+    principal = config.network.axes == Axes.principal and not noisy
+    return cached(policy, config, world, observation, front=front, noisy=noisy, principal=principal)
 
 
 def _all_goals(config: TrainConfig, world: World) -> dict[str, tuple[int, ...]]:
@@ -127,13 +165,22 @@ def _all_goals(config: TrainConfig, world: World) -> dict[str, tuple[int, ...]]:
 
 
 def cached(
-    policy: Any, config: TrainConfig, world: World, observation: SurroundingViews, *, principal: bool = False
+    policy: Any,
+    config: TrainConfig,
+    world: World,
+    observation: SurroundingViews,
+    *,
+    front: bool = False,
+    noisy: bool = False,
+    principal: bool = False,
 ) -> nn.Module:
     """The policy, which embeds each distinct observation once if the configuration lets it."""
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
         # With more states than features of a view there is next to nothing to save by principal axes.
-        principal = principal and len(world) <= world.features.shape[1]
-        policy.cache(None if observation.history else world.surrounding, principal=principal)
+        front = front or observation.goal_view == "front"
+        principal = principal and not front and len(world) <= world.features.shape[1]
+        surrounding = None if observation.history else world.surrounding
+        policy.cache(surrounding, front=front, noisy=noisy, principal=principal)
     made: nn.Module = policy
     return made
 
@@ -171,10 +218,19 @@ def build_env(
     return TransformedEnv(env, Compose(*transforms))
 
 
-def build_demonstrations(config: TrainConfig, world: World, observation: SurroundingViews) -> TensorDictBase:
-    """What the expert shows, ``[M]``; see `dirl.experts.demonstrations`."""
-    options = config.imitation
-    return demonstrations(world, build_expert(config, world), observation, options.fraction, options.rule, config.seed)
+def build_demonstrations(config: TrainConfig, world: World, observation: SurroundingViews) -> Demonstrations:
+    """What the expert shows: rows ``[M]``, see `dirl.experts.demonstrations`; or pairs that are drawn.
+
+    Raises:
+        ConfigError: goals given by a photo where there is a table of demonstrations.
+    """
+    options, expert = config.imitation, build_expert(config, world)
+    if not options.drawn:
+        if options.front_only:
+            raise ConfigError("imitation.front_only: is a share of drawn pairs; add imitation.drawn=true")
+        return demonstrations(world, expert, observation, options.fraction, options.rule, config.seed)
+    shown = shown_states(world, options.fraction, options.rule, config.seed)
+    return DrawnPairs(world, expert, observation, shown, options.front_only)
 
 
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
@@ -183,7 +239,15 @@ def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
     return made
 
 
-def build_losses(config: TrainConfig, policy: Any, world: World, demos: TensorDictBase) -> Losses:
+def build_imitation_loss(config: TrainConfig, policy: Any) -> Any:
+    """The loss of the imitation before reinforcement: that which is called ``imitation`` among the losses."""
+    actor = policy.operator().get_policy_head()
+    if "imitation" not in config.losses:
+        return ImitationLoss(actor)
+    return make("losses.imitation", config.losses["imitation"], config.trust, actor=actor, actor_network=actor)
+
+
+def build_losses(config: TrainConfig, policy: Any, world: World, demos: Demonstrations) -> Losses:
     """The losses of an update; those on demonstrations, where there are none or they have no weight, are left out.
 
     Raises:
@@ -267,6 +331,7 @@ def build_protocol(
         stop=stop_table(config, config.stop.evaluation, world),
         max_steps=options.max_steps,
         seed=config.seed,
+        memory=make("episodic_memory", config.episodic_memory, config.trust),
         held_out=build_protocol(config, world.with_goals(held_out), observation) if held_out else None,
     )
 

@@ -86,7 +86,7 @@ def trained_policy(
             f"'{extractor}', not '{saved['extractor']}'"
         )
     names = _scenes(saved["scenes"], world.names)
-    policy = build_policy(config, feature_table(config, world), names, world=world)
+    policy = build_policy(config, feature_table(config, world, saved["network"]), names, world=world)
     load_weights(policy, saved["network"], origin, names)
     return cached(policy, config, world, observation)
 

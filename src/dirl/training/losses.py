@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,9 +15,13 @@ from dirl.config.schemas import ConfigError, Schedule
 from dirl.models import initial_state, recurrent_keys
 from dirl.objectives import bootstrap, clip_each
 from dirl.objectives.reinforcement import make_advantages
+from dirl.training.pairs import DrawnPairs
 
-EXPERT = "expert_action"
-"""A loss that reads this key is computed on demonstrations; every other one on rollouts."""
+EXPERT = {"expert_action", "optimal_actions"}
+"""A loss that reads one of these keys is computed on demonstrations; every other one on rollouts."""
+
+Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
+"""Rows ``[M]``, see `dirl.experts.demonstrations`, or pairs that are drawn."""
 
 FULL_BATCH = 20_000
 """Demonstrations that an update learns from all together, unless ``imitation.batch_size`` says otherwise."""
@@ -38,7 +42,7 @@ class ScheduledLoss:
     @property
     def on_demonstrations(self) -> bool:
         """Whether it is computed on demonstrations."""
-        return EXPERT in self.module.in_keys
+        return not EXPERT.isdisjoint(self.module.in_keys)
 
     def set_schedules(self, left: float) -> None:
         """Set the module's attributes for a share ``left`` of the training, 1 to 0, that is still to come."""
@@ -56,7 +60,7 @@ class Losses(nn.Module):
     Args:
         policy: with a ``trunk`` from observations to ``hidden``, see `dirl.models.ActorCritic`.
         losses: by name.
-        demonstrations: ``[M]``, of an expert.
+        demonstrations: of an expert.
         batch_size: of the demonstrations of an update, see `demonstration_batches`.
     """
 
@@ -64,7 +68,7 @@ class Losses(nn.Module):
         self,
         policy: Any,
         losses: Mapping[str, ScheduledLoss],
-        demonstrations: TensorDictBase,
+        demonstrations: Demonstrations,
         batch_size: int | None = None,
     ) -> None:
         super().__init__()
@@ -121,16 +125,18 @@ class Losses(nn.Module):
 
 
 def demonstration_batches(
-    policy: nn.Module, demonstrations: TensorDictBase, batch_size: int | None
+    policy: nn.Module, demonstrations: Demonstrations, batch_size: int | None
 ) -> Callable[[], TensorDictBase]:
     """A function that gives the demonstrations of an update, see `as_first_steps`.
 
     Args:
         policy: that learns from them.
-        demonstrations: ``[M]``.
+        demonstrations: ``[M]``; or pairs, of which a batch is drawn for each update.
         batch_size: rows drawn anew for each update, uniformly with replacement; all of them if it is not less than M.
-            None: all, or `MINIBATCH` of more than `FULL_BATCH`.
+            None: all, or `MINIBATCH` of more than `FULL_BATCH`; of pairs always `MINIBATCH`.
     """
+    if isinstance(demonstrations, DrawnPairs):
+        return lambda: as_first_steps(policy, demonstrations.draw(batch_size or MINIBATCH))
     count = len(demonstrations)
     wanted = batch_size or (count if count <= FULL_BATCH else MINIBATCH)
     if wanted >= count:

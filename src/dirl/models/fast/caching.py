@@ -12,7 +12,7 @@ import torch
 from tensordict import is_batchedtensor
 from torch import Tensor, nn
 
-from dirl.envs.transforms import VIEWS
+from dirl.envs.transforms import VIEWS, front_only
 from dirl.models.features import FeatureTable
 
 
@@ -108,11 +108,17 @@ class CachedEncoder(nn.Module):
         table: the features of the N states that view ids stand for.
         surrounding: the four states observed from each state, int64 ``[N, 4]``, where the observation depends on the
             state alone; None where any four states can be observed together.
+        front: whether goals may also be given by their front view alone, see `dirl.envs.SurroundingViews`.
     """
 
-    def __init__(self, encoder: Cacheable, table: FeatureTable, surrounding: Tensor | None = None) -> None:
+    def __init__(
+        self, encoder: Cacheable, table: FeatureTable, surrounding: Tensor | None = None, *, front: bool = False
+    ) -> None:
         super().__init__()
         self._wrapped: tuple[Any, FeatureTable] = (encoder, table)  # in a tuple, which torch does not register
+        self.front = front and surrounding is not None
+        if front and surrounding is not None:
+            surrounding = torch.cat([surrounding, front_only(surrounding, len(table))])
         self.register_buffer("surrounding", surrounding, persistent=False)
         self._keeps = False
         self._cache: Any = None
@@ -142,11 +148,14 @@ class CachedEncoder(nn.Module):
 
     def _pack(self, view_ids: Tensor) -> Tensor:
         """A key for each observation, int64 ``[B, 4]`` to ``[B]``."""
-        return pack(view_ids[:, : self.slots], len(self._wrapped[1]))
+        unknown = len(self._wrapped[1])
+        if self.front:  # states first, then goals of which only the front view is known
+            return view_ids[:, 0] + unknown * (view_ids[:, 1] == unknown)
+        return pack(view_ids[:, : self.slots], unknown + 1)
 
     def _views(self, keys: Tensor) -> Tensor:
         """The view ids of keys, int64 ``[R]`` to ``[R, 4]``."""
-        return unpack(keys, len(self._wrapped[1]), VIEWS) if self.surrounding is None else self.surrounding[keys]
+        return unpack(keys, len(self._wrapped[1]) + 1, VIEWS) if self.surrounding is None else self.surrounding[keys]
 
     @property
     def slots(self) -> int:
@@ -165,8 +174,8 @@ class CachedEncoder(nn.Module):
 
     def _every(self) -> int | None:
         """See `EmbeddingCache`."""
-        table = self._wrapped[1]
-        return len(table) if self.slots == 1 and avoid_host_sync(table.table) else None
+        known = self.surrounding is not None and avoid_host_sync(self._wrapped[1].table)
+        return len(self.surrounding) if known else None  # type: ignore[arg-type]
 
     @contextmanager
     def caching(self) -> Iterator[None]:

@@ -27,18 +27,25 @@ class CachedSiamese(CachedEncoder):
         encoder: to wrap. With ``principal`` its embedding becomes a layer on coordinates until `restore`.
         table: as for `CachedEncoder`.
         surrounding: as for `CachedEncoder`.
-        principal: learn the embedding in principal axes.
+        front: as for `CachedEncoder`.
+        principal: learn the embedding in principal axes; not with ``front``.
     """
 
     def __init__(
-        self, encoder: SiameseEncoder, table: FeatureTable, surrounding: Tensor | None, *, principal: bool = False
+        self,
+        encoder: SiameseEncoder,
+        table: FeatureTable,
+        surrounding: Tensor | None,
+        *,
+        front: bool = False,
+        principal: bool = False,
     ) -> None:
-        super().__init__(encoder, table, surrounding)
+        super().__init__(encoder, table, surrounding, front=front)
         self.axes: PrincipalAxes | None = None
         self._projected: Tensor | None = None
         if principal:
             with torch.no_grad():
-                self.axes = PrincipalAxes(table.table, surrounding, encoder.embedding.weight)
+                self.axes = PrincipalAxes(table.known, surrounding, encoder.embedding.weight)
                 encoder.embedding = _linear(self.axes.narrow(encoder.embedding.weight), encoder.embedding.bias)
 
     @torch.no_grad()

@@ -23,6 +23,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.hdf5 import Contents, read_contents
 from dirl.scenes.io.isolation import read_apart
@@ -104,8 +107,17 @@ def _scene(dump: Dump, contents: Contents) -> Scene:
         source=dump.source or contents.source or "unlabelled",
         extractor=contents.extractor,
         origin=str(dump.path),
-        patches=map_patches(dump.path, contents.patch_offset, contents.patch_shape),
+        patches=_patches(dump.path, contents),
     )
+
+
+def _patches(path: Path, contents: Contents) -> NDArray[np.float16] | None:
+    """The patches of a dump; those of a built-in room lie in a file beside it."""
+    beside = path.with_suffix(".patches.npy")
+    if contents.patch_shape is None and _is_intact_room(path) and beside.is_file():
+        _is_intact_room(beside)
+        return np.load(beside, mmap_mode="r", allow_pickle=False)
+    return map_patches(path, contents.patch_offset, contents.patch_shape)
 
 
 def _is_intact(dump: Dump) -> bool:

@@ -1,0 +1,38 @@
+"""Principal components: the directions in which vectors vary most, each scaled to unit variance."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Components(NamedTuple):
+    """Of vectors of width D. What is projected is ``(vectors - mean) @ axes``."""
+
+    mean: Tensor
+    """float32 ``[D]``."""
+    axes: Tensor
+    """float32 ``[D, count]``; fewer columns if the vectors span fewer dimensions."""
+    explained: Tensor
+    """The share of the variance that each component holds, float32 ``[count]``."""
+
+
+def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> Components:
+    """The first principal components of vectors.
+
+    Args:
+        vectors: ``[N, D]``.
+        count: how many to keep.
+        floor: components whose deviation is below this share of the first one's are scaled as if they had that share,
+            because what would be blown up there is noise.
+    """
+    vectors = vectors.double()
+    mean = vectors.mean(0)
+    values, axes = torch.linalg.eigh(torch.cov(vectors.T))
+    values, axes = values.flip(0).clamp(min=0), axes.flip(1)
+    kept = min(count, int((values > 1e-12 * values[0]).sum()))
+    axes = axes[:, :kept]
+    axes = axes * axes.gather(0, axes.abs().argmax(0, keepdim=True)).sign()  # eigh leaves the signs open
+    deviations = values[:kept].sqrt()
+    axes = axes / deviations.clamp(min=floor * deviations[0])
+    return Components(mean.float(), axes.float(), (values[:kept] / values.sum()).float())

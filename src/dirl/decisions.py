@@ -1,0 +1,127 @@
+"""What a policy decides in the states of a world, asked as little as possible."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from dirl.envs import SurroundingViews
+from dirl.envs.transforms import VIEWS
+from dirl.models import frozen, initial_state, recurrent_keys
+from dirl.models.fast.caching import EmbeddingCache, pack, unpack
+from dirl.scenes import ACTIONS, World
+
+PAIRS_AT_ONCE = 16_384
+
+Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
+"""Of B agents the episode, state, view ids ``[B, 4]`` and goal index, int64, to logits ``[B, 4]``."""
+
+
+def deciding(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
+    """A function of where agents are that gives their logits, asking the policy as little as possible.
+
+    A policy without memory on views of its surroundings has one answer for each pair of goal and state: all are asked
+    beforehand. On views with a history every distinct case is asked once, when it comes up. A policy with memory is
+    asked at every step.
+    """
+    if recurrent_keys(policy):
+        return _with_memory(policy, world, observation, episodes)
+    if observation.history:
+        return _once_a_case(policy, world, observation)
+    table, _ = answers(policy, world, observation)
+    return lambda episode, state, view_ids, wanted: table.index_select(0, world.pair(wanted, state))
+
+
+def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide:
+    states, goals = len(world), len(world.goals)
+    seen, answered = EmbeddingCache(), EmbeddingCache()
+
+    def decide(episode: Tensor, state: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
+        row = seen.places(pack(view_ids, states), lambda keys: (unpack(keys, states, VIEWS),))
+
+        def answer(cases: Tensor) -> tuple[Tensor]:
+            goal, ids = cases % goals, seen.rows[0][cases // goals]
+            return (policy(observe(world, observation, ids[:, -1], ids, goal))["logits"],)
+
+        place = answered.places(row * goals + wanted, answer)
+        return answered.rows[0][place]
+
+    return decide
+
+
+def _with_memory(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
+    memory = initial_state(policy, episodes, world.device)
+    begins = torch.ones((episodes, 1), dtype=torch.bool, device=world.device)
+
+    def decide(episode: Tensor, state: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
+        asked = observe(world, observation, state, view_ids, wanted)
+        asked.update({"is_init": begins[episode], **{key: value[episode] for key, value in memory.items()}})
+        logits: Tensor = policy(asked)["logits"]
+        for key, value in memory.items():
+            value[episode] = asked["next", key]
+        begins[episode] = False
+        return logits
+
+    return decide
+
+
+def observe(
+    world: World, observation: SurroundingViews, state: Tensor, view_ids: Tensor, goal_index: Tensor
+) -> TensorDict:
+    """What a policy reads, ``[B]``: state, goal, scene, and the view ids of both."""
+    goal = world.goals[goal_index]
+    return TensorDict(
+        {
+            "state": state,
+            "goal": goal,
+            "scene": world.scene_of[goal],
+            "view_ids": view_ids,
+            "goal_view_ids": observation.of_goal(goal),
+        },
+        batch_size=[len(state)],
+    )
+
+
+@torch.no_grad()
+def answers(
+    policy: nn.Module, world: World, observation: SurroundingViews, goal_index: int | None = None
+) -> tuple[Tensor, Tensor]:
+    """What a policy makes of every pair of a goal and a state of its scene.
+
+    Views that hold a history are those at the start of an episode, and so is a memory. Asked for all goals, the policy
+    is asked in the same batches as by `run_episodes`, so that the rounding, too, is the same.
+
+    Args:
+        policy: see `run_episodes`.
+        world: where.
+        observation: what the policy observes.
+        goal_index: one goal by its place in ``world.goals``; all of them if left out.
+
+    Returns:
+        Logits, float32 ``[P, 4]``, and state values, ``[P]``, zero if the policy has none; of one goal, of the states
+        of its scene only.
+    """
+    goals, states = world.pairs()
+    if goal_index is not None:
+        goals, states = world.block(goals, goal_index), world.block(states, goal_index)
+    logits = torch.zeros((len(goals), len(ACTIONS)), device=world.device)
+    values = torch.zeros(len(goals), device=world.device)
+    with frozen(policy):
+        for place, wanted, state in _batches(goals, states):
+            asked: Any = observe(world, observation, state, observation.begin(state), wanted)
+            asked["is_init"] = torch.ones((len(state), 1), dtype=torch.bool, device=world.device)
+            asked.update(initial_state(policy, len(state), world.device))
+            answered = policy(asked)
+            logits[place] = answered["logits"]
+            if "state_value" in answered:
+                values[place] = answered["state_value"].squeeze(-1)
+    return logits, values
+
+
+def _batches(goals: Tensor, states: Tensor) -> Iterator[tuple[slice, Tensor, Tensor]]:
+    """`PAIRS_AT_ONCE` pairs at a time, and their places."""
+    for first in range(0, len(goals), PAIRS_AT_ONCE):
+        place = slice(first, first + PAIRS_AT_ONCE)
+        yield place, goals[place], states[place]

@@ -1,0 +1,50 @@
+"""Camera images as a navigator takes them."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dirl.envs.transforms import VIEWS
+
+Images = Tensor | NDArray[np.uint8]
+
+
+class NavigatorError(ValueError):
+    """Something a `dirl.Navigator` cannot work with; the message says what, and what to do."""
+
+
+def checked_images(images: Images, name: str, *, sequential: bool) -> tuple[Tensor, int, bool]:
+    """Images one behind the other, uint8 ``[N, H, W, 3]``; how many are of each agent; and whether they were a batch.
+
+    Args:
+        images: of a policy on surrounding views ``[4, H, W, 3]`` or ``[B, 4, H, W, 3]``, and of its goal also one
+            photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; of one on sequential views ``[H, W, 3]`` or ``[B, H, W, 3]``.
+        name: ``images`` or ``goal_images``.
+        sequential: which of both.
+
+    Raises:
+        NavigatorError: another shape or type.
+    """
+    if not isinstance(images, Tensor | np.ndarray):
+        raise NavigatorError(f"{name}: expected a numpy array or a torch tensor, found {type(images).__name__}")
+    # Copied, because what a camera driver or an image library hands out may be read-only or flipped.
+    pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.array(images, order="C"))
+    shape = tuple(pixels.shape)
+    accepted = _accepted(shape, sequential=sequential, goal=name == "goal_images")
+    if pixels.dtype != torch.uint8 or shape[-1:] != (3,) or 0 in shape or not accepted:
+        text = (
+            "[H, W, 3] or [B, H, W, 3]" if sequential else "[4, H, W, 3] (ahead, right, back, left) or [B, 4, H, W, 3]"
+        )
+        photo = "" if sequential or name != "goal_images" else ", or one photo [H, W, 3] or [B, 1, H, W, 3]"
+        raise NavigatorError(f"{name}: expected uint8 {text}{photo}, found {pixels.dtype} {list(shape)}")
+    count = 1 if sequential or len(shape) == 3 else shape[-4]
+    return pixels.reshape(-1, *shape[-3:]), count, len(shape) == (4 if sequential else 5)
+
+
+def _accepted(shape: tuple[int, ...], *, sequential: bool, goal: bool) -> bool:
+    if sequential:
+        return len(shape) in (3, 4)
+    if len(shape) == 3:
+        return goal
+    return (len(shape) in (4, 5) and shape[-4] == VIEWS) or (goal and len(shape) == 5 and shape[-4] == 1)

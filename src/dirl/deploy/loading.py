@@ -1,0 +1,94 @@
+"""What a navigator is made of, out of a checkpoint."""
+
+import math
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from dirl.backbones import ViewEncoder, load_encoder
+from dirl.backbones.patches import PATCH_SHAPE
+from dirl.backbones.registry import BATCH
+from dirl.config.schemas import ConfigError, Match, TrainConfig
+from dirl.deploy.images import NavigatorError
+from dirl.envs.transforms import VIEWS
+from dirl.models import FeatureTable
+from dirl.training.build import build_policy, reads_patches, saved_statistics
+from dirl.training.load import load_weights
+
+Encoder = Callable[[Tensor], Any]
+"""RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""
+
+
+def check_extractor(encoder: Encoder | str | Path, given: str | None, trained: str) -> None:
+    """Raise `NavigatorError` unless the encoder says, or is said, to be what made the features of the training."""
+    if given is None and isinstance(encoder, ViewEncoder):
+        given = encoder.extractor
+    if given is not None and given != trained:
+        raise NavigatorError(f"the checkpoint was trained on features of another extractor: '{trained}', not '{given}'")
+    if given is None and callable(encoder):
+        raise NavigatorError(
+            f"say which extractor the encoder is by extractor=...; the checkpoint was trained with '{trained}'"
+        )
+
+
+def choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str | None:
+    """The name of the scene's layers in the network; None for shared ones."""
+    if scene is None and not shared and len(scenes) > 1:
+        raise NavigatorError(f"say in which scene the agent is by scene=...; choose from {scenes}")
+    if scene is not None and scene not in scenes:
+        raise NavigatorError(f"the checkpoint was not trained in '{scene}'; choose from {scenes}")
+    return None if shared else (scene or scenes[0])
+
+
+def matched_view(config: TrainConfig, order: list[str]) -> int | None:
+    """Which of the four views is matched with the goal's, None for all."""
+    if order[-1] == "now":
+        return VIEWS - 1  # the newest: there is no other of where the agent is now
+    return 0 if config.stop.match == Match.front else None
+
+
+def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
+    """The trained policy of one scene, over a table of no states."""
+    weights = saved["network"]
+    mean = weights.get("features.mean", weights.get("encoder.table.mean"))
+    if mean is None:
+        raise NavigatorError(f"{origin}: the weights do not fit a policy on features; they lack features.mean")
+    names = [scene or saved["scenes"][0]]
+    try:
+        width = len(mean) + (math.prod(PATCH_SHAPE) if reads_patches(config) else 0)
+        policy = build_policy(config, FeatureTable(torch.empty(0, width), *saved_statistics(weights)), names)
+        load_weights(policy, weights, origin, names)
+    except ConfigError as error:
+        raise NavigatorError(str(error)) from None
+    return policy.requires_grad_(False)
+
+
+def encoder_of_images(name: str | Path, device: str | torch.device, trained: str | None, *, patches: bool) -> Encoder:
+    """The encoder of a name or a file, compared with the extractor that a checkpoint was trained with, if one is given.
+
+    It takes any number of images; with ``patches`` their patch features follow the pooled ones.
+    """
+    encoder = load_encoder(str(name), device, patches=patches)
+    if trained is not None and encoder.extractor != trained:
+        if not Path(name).is_file():
+            raise NavigatorError(
+                f"the checkpoint was trained on features of another extractor: '{trained}', not '{encoder.extractor}' "
+                f"(encoder={name}); if they are the same in other words, say so by extractor=..."
+            )
+        warnings.warn(
+            f"the weights in {name} are '{encoder.extractor}', and the checkpoint was trained with '{trained}'; if "
+            "they are the same, say so by extractor=...",
+            stacklevel=3,
+        )
+    return lambda images: torch.cat([_both(encoder, part) for part in images.split(BATCH)])
+
+
+def _both(encoder: ViewEncoder, images: Tensor) -> Tensor:
+    if encoder.forward_patches is None:
+        return encoder(images)
+    pooled, patches = encoder.forward_patches(images)
+    return torch.cat([pooled, patches.flatten(1).to(pooled)], 1)

@@ -1,0 +1,86 @@
+"""An encoder that compares: where in what the agent sees lies what the goal shows."""
+
+from typing import Annotated
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from dirl.config.bounds import Bounds
+from dirl.envs.transforms import VIEWS
+
+SCALE = 5.0
+"""Of the cosines, so that the layers on them learn as fast as the others."""
+
+
+class ComparingEncoder(nn.Module):
+    """Four views of an agent and up to four of its goal, to one vector; the goal enters by comparison only.
+
+    The observation is embedded, as in the paper. The goal is not: a network that reads an embedding of its goal learns
+    the trained goals by heart and is lost on the way to others (docs/results_any_goal.md). Instead every patch of the
+    observed views is compared with every patch of the goal's, and every observed view with every view of the goal, by
+    cosines of learnt projections. A layer reads each of the two matrices.
+
+    Views of the goal that are not known are zeros; their cosines are zeros, as the projections have no bias.
+
+    Args:
+        num_features: of a view, its patches included.
+        patch_shape: patches of a view and channels of a patch, ``(C, Q)``; they follow the P pooled features.
+        width: of the embedding and of the fused vector.
+        comparison: width of the layer that reads the cosines of patches.
+        projection: width in which patches are compared.
+        view_projection: width in which views are compared.
+    """
+
+    def __init__(
+        self,
+        num_features: int,
+        patch_shape: tuple[int, int],
+        width: Annotated[int, Bounds(1, 65_536)] = 512,
+        comparison: Annotated[int, Bounds(1, 65_536)] = 256,
+        projection: Annotated[int, Bounds(1, 4096)] = 32,
+        view_projection: Annotated[int, Bounds(1, 4096)] = 64,
+    ) -> None:
+        super().__init__()
+        cells, channels = patch_shape
+        pooled = num_features - cells * channels
+        self.patch_shape, self.width = tuple(patch_shape), width
+        self.sizes = [width, VIEWS * cells * projection, VIEWS * view_projection]
+        """Of the parts of an embedding: of the observation, its patches, its views."""
+        self.embedding = nn.Linear(VIEWS * pooled, width)
+        self.observation = nn.Linear(width, width)
+        self.patch_projection = nn.Linear(channels, projection, bias=False)
+        self.patch_cosines = nn.Linear((VIEWS * cells) ** 2, comparison)
+        self.patch_fusion = nn.Linear(comparison, width, bias=False)
+        self.view_projection = nn.Linear(pooled, view_projection, bias=False)
+        self.view_cosines = nn.Linear(VIEWS**2, view_projection)
+        self.view_fusion = nn.Linear(view_projection, width, bias=False)
+
+    def embed(self, observation: Tensor) -> Tensor:
+        """What depends on one observation alone, float32 ``[B, 4, D]`` to ``[B, sum(sizes)]``; of goals as well."""
+        cells, channels = self.patch_shape
+        pooled, patches = observation.split([observation.shape[-1] - cells * channels, cells * channels], -1)
+        seen = self.observation(F.relu(self.embedding(pooled.flatten(-2))))
+        patches = F.normalize(self.patch_projection(patches.unflatten(-1, (cells, channels))), dim=-1)
+        views = F.normalize(self.view_projection(pooled), dim=-1)
+        return torch.cat([seen, patches.flatten(-3), views.flatten(-2)], -1)
+
+    def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
+        """The embeddings of observation and goal, ``[B, sum(sizes)]`` each, to the fused vector ``[B, width]``."""
+        seen, patches, views = embedding.split(self.sizes, -1)
+        _, goal_patches, goal_views = goal_embedding.split(self.sizes, -1)
+        by_patch = self.patch_fusion(
+            F.relu(self.patch_cosines(_cosines(patches, goal_patches, VIEWS * self.patch_shape[0])))
+        )
+        by_view = self.view_fusion(F.relu(self.view_cosines(_cosines(views, goal_views, VIEWS))))
+        return F.relu(seen + by_patch + by_view)
+
+    def forward(self, observation: Tensor, goal_observation: Tensor) -> Tensor:
+        """Features of observation and goal, float32 ``[B, 4, D]`` each, to the fused vector ``[B, width]``."""
+        return self.fuse(self.embed(observation), self.embed(goal_observation))
+
+
+def _cosines(seen: Tensor, goal: Tensor, count: int) -> Tensor:
+    """Of ``count`` vectors with as many others, ``[B, count * width]`` twice to ``[B, count * count]``, scaled."""
+    products = seen.unflatten(-1, (count, -1)) @ goal.unflatten(-1, (count, -1)).transpose(-1, -2)
+    return SCALE * products.flatten(-2)

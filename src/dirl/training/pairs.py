@@ -1,0 +1,70 @@
+"""Demonstrations of many goals: pairs of a state and a goal, drawn when they are needed."""
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from dirl.envs import SurroundingViews
+from dirl.envs.transforms import front_only
+from dirl.experts import label
+from dirl.scenes import World
+
+
+class DrawnPairs:
+    """What the expert does in pairs of a state and a goal, drawn anew for every update.
+
+    A table of all pairs grows with the square of the states. A draw takes a goal uniformly among all, then a state of
+    its scene.
+
+    Args:
+        world: where to walk; its goals are those of the pairs.
+        expert: see `dirl.experts.ShortestPathExpert`.
+        observation: what is observed. States have no history: they are observed as the start of an episode.
+        shown: which states the expert shows, bool ``[N]``.
+        front_only: the share of pairs whose goal is given by its front view alone, so that a policy learns both.
+        visited: labelled states that the learner came to, ``[M]``; half of each draw is taken from them (DAgger).
+    """
+
+    def __init__(
+        self,
+        world: World,
+        expert: TensorDictModuleBase,
+        observation: SurroundingViews,
+        shown: Tensor,
+        front_only: float = 0.0,
+        visited: TensorDictBase | None = None,
+    ) -> None:
+        self.world, self.expert, self.observation, self.visited = world, expert, observation, visited
+        self.shown, self.front_only = shown, front_only
+        self.states = torch.nonzero(shown).flatten()
+        self.count = torch.bincount(world.scene_of[self.states], minlength=len(world.scenes))
+        self.first = self.count.cumsum(0) - self.count
+
+    def __len__(self) -> int:
+        """How many pairs there are."""
+        goals = torch.bincount(self.world.scene_of[self.world.goals], minlength=len(self.world.scenes))
+        return int((goals * self.count).sum())
+
+    def draw(self, size: int) -> TensorDictBase:
+        """Up to ``size`` demonstrations; pairs for which the expert has no advice are left out."""
+        world, device = self.world, self.world.device
+        old = 0 if self.visited is None else size // 2
+        goal = world.goals[torch.randint(len(world.goals), (size - old,), device=device)]
+        scene = world.scene_of[goal]
+        state = self.states[self.first[scene] + (torch.rand(len(goal), device=device) * self.count[scene]).long()]
+        seen = {"view_ids": self.observation.begin(state), "goal_view_ids": self.observation.of_goal(goal)}
+        rows = TensorDict({"state": state, "goal": goal, "scene": scene, **seen}, batch_size=[len(goal)])
+        rows = label(self.expert, rows)
+        if self.visited is not None:
+            rows = torch.cat([rows, self.visited[torch.randint(len(self.visited), (old,), device=device)]])
+        if self.front_only:
+            photo = torch.rand((len(rows), 1), device=device) < self.front_only
+            views = rows["goal_view_ids"]
+            rows["goal_view_ids"] = torch.where(photo, front_only(views, len(world)), views)
+        return rows
+
+    def with_visited(self, rows: TensorDictBase) -> "DrawnPairs":
+        """The same with more labelled states that the learner came to, ``[M]``."""
+        visited = rows if self.visited is None else torch.cat([self.visited, rows])
+        return DrawnPairs(self.world, self.expert, self.observation, self.shown, self.front_only, visited)

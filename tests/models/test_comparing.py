@@ -1,0 +1,55 @@
+import pytest
+import torch
+
+from dirl.models import ComparingEncoder
+
+POOLED, SHAPE = 5, (2, 3)
+
+
+@pytest.fixture
+def encoder():
+    torch.manual_seed(0)
+    return ComparingEncoder(POOLED + 6, SHAPE, width=12, comparison=7, projection=4, view_projection=3)
+
+
+def views(count, seed=0):
+    return torch.randn(count, 4, POOLED + 6, generator=torch.Generator().manual_seed(seed))
+
+
+def test_it_is_its_parts_row_by_row(encoder):
+    seen, goal = views(6), views(6, seed=1)
+    fused = encoder(seen, goal)
+    assert fused.shape == (6, 12)
+    assert (fused >= 0).all()
+    torch.testing.assert_close(fused, encoder.fuse(encoder.embed(seen), encoder.embed(goal)))
+    torch.testing.assert_close(fused[2:3], encoder(seen[2:3], goal[2:3]))
+
+
+def test_the_goal_enters_by_comparison_only(encoder):
+    """With the projections at zero every cosine is zero, and goals make no difference; what is seen still does."""
+    with torch.no_grad():
+        encoder.patch_projection.weight.zero_()
+        encoder.view_projection.weight.zero_()
+    seen = views(6)
+    assert torch.equal(encoder(seen, views(6, seed=1)), encoder(seen, views(6, seed=2)))
+    assert not torch.equal(encoder(seen, views(6, seed=1)), encoder(views(6, seed=3), views(6, seed=1)))
+
+
+def test_patches_and_views_are_compared_each(encoder):
+    seen, goal = views(6), views(6, seed=1)
+    for part in (slice(0, POOLED), slice(POOLED, None)):
+        changed = goal.clone()
+        changed[..., part] = views(6, seed=2)[..., part]
+        assert not torch.allclose(encoder(seen, goal), encoder(seen, changed))
+
+
+def test_a_view_that_is_not_known_has_no_cosine_with_anything(encoder):
+    goal = views(6, seed=1)
+    goal[:, 1:] = 0
+    _, patches, of_views = encoder.embed(goal).split(encoder.sizes, -1)
+    assert patches.unflatten(1, (4, -1))[:, 1:].abs().max() == 0 == of_views.unflatten(1, (4, -1))[:, 1:].abs().max()
+
+
+def test_a_goal_turned_by_a_quarter_is_another_goal(encoder):
+    seen, goal = views(6), views(6, seed=1)
+    assert not torch.allclose(encoder(seen, goal), encoder(seen, goal.roll(1, 1)))

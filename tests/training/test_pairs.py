@@ -1,0 +1,71 @@
+from collections import Counter
+
+import pytest
+import torch
+from rooms import grid_scene
+
+from dirl.envs import SurroundingViews
+from dirl.experts import ShortestPathExpert, label, shown_states
+from dirl.scenes import make_world
+from dirl.training.pairs import DrawnPairs
+
+
+@pytest.fixture
+def world():
+    return make_world([grid_scene(goals=(0, 13)), grid_scene(2, 2, name="small", goals=(5,), seed=1)])
+
+
+def pairs(world, **options):
+    shown = options.pop("shown", torch.ones(len(world), dtype=torch.bool))
+    observation = SurroundingViews(world, options.pop("goal_view", "surrounding"))
+    return DrawnPairs(world, ShortestPathExpert(world), observation, shown, **options)
+
+
+def test_pairs_are_drawn_by_goal_and_then_among_the_states_of_its_scene(world):
+    torch.manual_seed(0)
+    drawn = pairs(world).draw(60_000)
+    counts = Counter(zip(drawn["goal"].tolist(), drawn["state"].tolist(), strict=True))
+    wanted = {(goal, state) for goal in (0, 13) for state in range(24)} | {(29, state) for state in range(24, 40)}
+    assert set(counts) == wanted - {(0, 0), (13, 13), (29, 29)}
+    assert sum(count for (goal, _), count in counts.items() if goal == 29) == pytest.approx(20_000 * 15 / 16, rel=0.03)
+    assert max(counts.values()) < 2 * min(counts[pair] for pair in counts if pair[0] == 29)
+    assert torch.equal(drawn["scene"], world.scene_of[drawn["state"]])
+    assert torch.equal(drawn["view_ids"], world.surrounding[drawn["state"]])
+
+
+def test_the_expert_says_all_optimal_actions(world):
+    drawn = pairs(world).draw(500)
+    rows = torch.arange(len(drawn))
+    assert drawn["optimal_actions"][rows, drawn["expert_action"]].all()
+    assert drawn["optimal_actions"].sum(1).max() > 1
+    there = world.graph[drawn["state"]]
+    goal_index = world.goal_index[drawn["goal"]]
+    nearer = world.distance(goal_index.unsqueeze(1), there) < world.distance(goal_index, drawn["state"]).unsqueeze(1)
+    assert torch.equal(drawn["optimal_actions"], nearer)
+
+
+def test_a_share_of_the_goals_is_shown_by_its_front_view(world):
+    drawn = pairs(world, front_only=0.3).draw(5000)
+    photo = drawn["goal_view_ids"][:, 1] == len(world)
+    assert photo.float().mean() == pytest.approx(0.3, abs=0.03)
+    assert torch.equal(drawn["goal_view_ids"][:, 0], drawn["goal"])
+    assert (drawn["goal_view_ids"][photo, 1:] == len(world)).all()
+    assert torch.equal(drawn["goal_view_ids"][~photo], world.surrounding[drawn["goal"][~photo]])
+
+
+def test_only_shown_states_are_drawn_and_counted(world):
+    shown = shown_states(world, 0.25, "random", 0)
+    some = pairs(world, shown=shown)
+    assert len(some) == 6 * 2 + 4
+    assert shown[some.draw(1000)["state"]].all()
+
+
+def test_half_of_a_draw_are_states_that_the_learner_came_to(world):
+    table = pairs(world)
+    visited = label(table.expert, table.draw(3))
+    merged = table.with_visited(visited[:1]).with_visited(visited[1:])
+    drawn = merged.draw(4000)
+    keys = set(zip(visited["state"].tolist(), visited["goal"].tolist(), strict=True))
+    found = [pair in keys for pair in zip(drawn["state"].tolist(), drawn["goal"].tolist(), strict=True)]
+    assert sum(found[-2000:]) == 2000
+    assert sum(found[:1900]) < 1000
