@@ -18,12 +18,14 @@ from dirl.backbones.registry import load_encoder
 from dirl.config.command_line import one_line_errors, prepare, register
 from dirl.config.places import CONF, command
 from dirl.config.schemas import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
+from dirl.experiments.any_goal import report_any_goal
 from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
 from dirl.runs.checks import RunError
+from dirl.training.build import reads_patches
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF / "report"), config_name="report")
@@ -58,26 +60,30 @@ def chosen(options: ReportConfig, runs: list[Result], hint: str) -> list[Result]
         RunError: there is none.
     """
     usual = OmegaConf.load(CONF / "preset" / f"{options.preset}.yaml").imitation
-
-    def belongs(config: TrainConfig) -> bool:
-        match options.experiment:
-            case ExperimentName.fig5 | ExperimentName.fig6:
-                if config.system not in SYSTEMS:
-                    return False
-            case ExperimentName.fig7:
-                return config.system in ("dirl", "td_drl") and config.imitation.fraction == 0
-            case ExperimentName.fig8:
-                return config.system == "dirl"
-            case ExperimentName.stop:
-                if config.system != "dirl":
-                    return False
-        shown = config.imitation.fraction, config.imitation.rule
-        return config.system != "dirl" or shown == (usual.fraction, usual.rule)
-
-    found = [run for run in runs if belongs(run.config)]
+    found = [run for run in runs if belongs(run.config, options.experiment, (usual.fraction, usual.rule))]
     if not found:
         raise RunError(f"no finished run is of experiment={options.experiment}; make some by: {hint}")
     return found
+
+
+def belongs(config: TrainConfig, experiment: ExperimentName | None, usual: tuple[float, str]) -> bool:
+    """Whether a run is what an experiment is about; ``usual`` is which states the expert shows, and by which rule."""
+    shown = config.imitation.fraction, config.imitation.rule
+    as_usual = config.system != "dirl" or shown == usual
+    match experiment:
+        case ExperimentName.any_goal:
+            return config.system == "any_goal" and config.hold_out > 0
+        case ExperimentName.fig5 if config.system == "any_goal":
+            return config.hold_out > 0 and config.imitation.noise > 0 and reads_patches(config)
+        case ExperimentName.fig5 | ExperimentName.fig6:
+            return config.system in SYSTEMS and as_usual
+        case ExperimentName.fig7:
+            return config.system in ("dirl", "td_drl") and config.imitation.fraction == 0
+        case ExperimentName.fig8:
+            return config.system == "dirl"
+        case ExperimentName.stop:
+            return config.system == "dirl" and as_usual
+    return as_usual
 
 
 def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
@@ -88,6 +94,8 @@ def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
             return report_performance(name, runs, out, note)
         case ExperimentName.fig4 | ExperimentName.fig7 | ExperimentName.fig8:
             return report_efficiency(name, runs, out, note)
+        case ExperimentName.any_goal:
+            return report_any_goal(runs, out, note)
         case ExperimentName.fig5:
             return report_new_goals(runs, out, note, options.starts)
         case ExperimentName.fig6:

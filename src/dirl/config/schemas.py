@@ -17,7 +17,9 @@ Axes = StrEnum("Axes", ["features", "principal"])
 Cache = StrEnum("Cache", ["auto", "off"])
 Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
-ExperimentName = StrEnum("ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop"])
+ExperimentName = StrEnum(
+    "ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop", "any_goal"]
+)
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Reduction = StrEnum("Reduction", ["mean", "sum"])
 Stop = StrEnum("Stop", ["goal", "match"])

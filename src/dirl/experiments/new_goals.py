@@ -27,6 +27,7 @@ from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
 from dirl.runs.checks import RunError
 from dirl.scenes import World
+from dirl.training.build import build_goals
 
 DISTANCES = (1, 2, 4, 8)
 """Steps from a new goal to the nearest trained one."""
@@ -38,16 +39,19 @@ MAX_STEPS = 500
 """An episode that has not arrived by then has failed."""
 
 SYSTEMS = ("dirl", "td_drl", "a3c")
-"""Those that are compared."""
+"""Those that are compared; in figure 5 also ``any_goal``, at goals that it was not trained for either."""
 
 
-def new_goals(world: World, distance: int, seed: int = 0) -> dict[str, list[int]]:
+def new_goals(
+    world: World, distance: int, seed: int = 0, among: Mapping[str, Sequence[int]] | None = None
+) -> dict[str, list[int]]:
     """Goals that are so many steps from the nearest trained one, by scene, as states of it.
 
     Args:
         world: with the trained goals.
         distance: in steps, turns among them.
         seed: of the draw.
+        among: the states to choose from, by scene; all of them if left out.
 
     Returns:
         Up to `PER_SCENE` for each scene, those that every state with a way to a trained goal reaches; a scene without
@@ -61,6 +65,8 @@ def new_goals(world: World, distance: int, seed: int = 0) -> dict[str, list[int]
         nearest = np.where(to_trained < 0, np.iinfo(np.int64).max, to_trained).min(1)
         reached = (scene.distances >= 0).sum(0) == (scene.distances >= 0).sum(0).max()
         fitting = np.flatnonzero((nearest == distance) & reached)
+        if among is not None:
+            fitting = fitting[np.isin(fitting, among[scene.name])]
         picked = generator.choice(fitting, min(PER_SCENE, len(fitting)), replace=False)
         if len(picked):
             chosen[scene.name] = sorted(picked.tolist())
@@ -89,11 +95,11 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     total = len(DISTANCES) * sum(map(len, compared.values()))
     with tqdm(total=total, desc="new goals", unit=" runs x distances", disable=None) as bar:
         for system, runs in compared.items():
-            worlds = [run.load().protocol.world for run in runs]
+            worlds = [_of_the_paper(run) for run in runs]
             for distance in DISTANCES:
                 found = []
-                for run, world in zip(runs, worlds, strict=True):
-                    chosen = new_goals(world, distance)
+                for run, (world, among) in zip(runs, worlds, strict=True):
+                    chosen = new_goals(world, distance, among=among)
                     if chosen:
                         found.append(_measured(run, chosen, starts, by_chance=system == "random"))
                     bar.update()
@@ -116,6 +122,15 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
         f"steps; the figure shows sampled policies. Paper: {published('fig5')['source']}."
     )
     return write_tables(out, "Figure 5: new goals", text, {"fig5": table}, ["fig5"])
+
+
+def _of_the_paper(run: Result) -> tuple[World, dict[str, tuple[int, ...]] | None]:
+    """The world with the scenes' own goals, and, of a run that was trained for others too, those that it was not."""
+    world = run.load().protocol.world
+    if not run.config.hold_out:
+        return world, None
+    held_out = build_goals(run.config, world.scenes).held_out
+    return world.with_goals(None), held_out
 
 
 def _measured(

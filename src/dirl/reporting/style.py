@@ -13,7 +13,7 @@ from dirl.atomic import atomic_path
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE = COLORS
 
-GREY = "#999999"
+GREY, WINE = "#999999", "#882255"
 
 SYSTEM_COLORS = {
     "dirl": BLUE,
@@ -22,6 +22,7 @@ SYSTEM_COLORS = {
     "dirl_ppo": PURPLE,
     "il": SKY,
     "dagger": ORANGE,
+    "any_goal": WINE,
     "random": GREY,
     "shortest_path": "#000000",
 }

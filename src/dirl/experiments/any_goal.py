@@ -1,0 +1,218 @@
+"""Goals held out in known rooms: how well they are found, beside controls, and what each part of the system gives."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+from tqdm import tqdm
+
+from dirl.config.components import TARGET
+from dirl.config.schemas import TrainConfig
+from dirl.episodes import Episodes, shortest_episodes
+from dirl.evaluation import metrics
+from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
+from dirl.experts import RandomPolicy
+from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, plain
+from dirl.scenes import World
+from dirl.scenes.matching import TemplateStop
+
+FOUR, PHOTO = "four views of the goal", "one photo of the goal"
+FAR = ((1, 4), (5, 9), (10, 10_000))
+"""Fewest steps from start to goal, in which episodes are told apart."""
+
+DRAWN = {
+    FOUR: BLUE,
+    PHOTO: SKY,
+    f"{FOUR}, without memory": GREEN,
+    "another goal's views": VERMILION,
+    "sweep that ignores the goal": ORANGE,
+    "random walk": GREY,
+}
+"""What the figure shows, and in which colour."""
+
+ONE_PHOTO = {
+    "observation.goal_view": "front",
+    "stop.match": "front",
+    "stop.threshold": 0.95,
+}
+"""As conf/goal_view/front.yaml."""
+
+MEASURES = {"sr": "SR", "spl": "SPL", "false_stop_rate": "false stops", "missed_stop_rate": "missed stops"}
+
+
+def wrong_goals(world: World) -> Tensor:
+    """Another goal of the same scene in the place of each, int64 ``[G]``: half the scene's goals further on."""
+    shown = torch.arange(len(world.goals), device=world.device)
+    for index in range(len(world.scenes)):
+        own = torch.tensor(world.goals_in(index), device=world.device)
+        shown[own] = own.roll(len(own) // 2)
+    return shown
+
+
+def ambiguous(world: World, threshold: float) -> Tensor:
+    """Whether another state's view ahead matches that of each goal, bool ``[G]``: one photo cannot tell them apart."""
+    elsewhere = (TemplateStop(threshold, "front").scores(world) > threshold) & (world.distances != 0)
+    return torch.stack([world.block(elsewhere, goal).any() for goal in range(len(world.goals))])
+
+
+def walked(run: Result) -> tuple[World, dict[str, Episodes]]:
+    """Episodes from every start to every goal that was held out, by what walked them."""
+    config, policy, protocol = run.load()
+    _, by_photo, photo = run.load(ONE_PHOTO)
+    held_out, photo_held_out = protocol.held_out, photo.held_out
+    assert held_out is not None
+    assert photo_held_out is not None
+    world = held_out.world
+    alone, wrong = replace(held_out, memory=None), replace(held_out, shown=wrong_goals(world), stop=None)
+    one = photo_held_out.run(by_photo)
+    told = ~ambiguous(world, config.stop.threshold)[one.goal_index]
+    return world, {
+        "shortest path": shortest_episodes(world, held_out.starts),
+        FOUR: held_out.run(policy),
+        f"{FOUR}, without memory": alone.run(policy),
+        f"{FOUR}, without memory, sampled": alone.run(policy, greedy=False),
+        PHOTO: one,
+        f"{PHOTO}, of those that no other view matches": one.select(told),
+        f"{PHOTO}, without memory": replace(photo_held_out, memory=None).run(by_photo),
+        "another goal's views": wrong.run(policy),
+        "another goal's views, without memory, sampled": replace(wrong, memory=None).run(policy, greedy=False),
+        "sweep that ignores the goal": held_out.run(RandomPolicy(), greedy=False),
+        "random walk": held_out.run_random(),
+    }
+
+
+def variant(config: TrainConfig) -> str:
+    """What a run has of the system's parts."""
+    encoder = "compared" if config.encoder[TARGET].endswith("ComparingEncoder") else "embedded side by side"
+    noise = f"noise {config.imitation.noise:g}" if config.imitation.noise else "no noise"
+    return f"goal {encoder}, {noise}, {config.imitation.front_only:.0%} photos"
+
+
+def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
+    """Write how well goals are found that were held out, and what each part of the system gives.
+
+    Args:
+        results: runs of ``system=any_goal`` with held-out goals.
+        out: a folder.
+        note: what a reader must know of the runs.
+
+    Returns:
+        The text of the README.
+    """
+    variants = grouped(results, lambda config: variant(config))
+    main = max(variants, key=lambda name: ("compared" in name, "no noise" not in name, len(variants[name])))
+    found = [walked(run) for run in tqdm(variants[main], desc="any goal", unit=" runs", disable=None)]
+    ways = list(found[0][1])
+    table = Table(Column("walks by"), Column("runs", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
+    for way in ways:
+        measured = [metrics(episodes[way]) for _, episodes in found]
+        table.add(way, len(measured), *([one[key] for one in measured] for key in MEASURES))
+    tables = {
+        "any_goal": table,
+        "any_goal_by_start": _by_distance(found, ways),
+        "any_goal_by_trained": _by_trained(variants[main], found),
+        "any_goal_parts": _parts(variants),
+    }
+    _draw(found, out)
+    single = sum(int(ambiguous(world, 0.95).sum()) for world, _ in found) / len(found)
+    goals = sum(len(world.goals) for world, _ in found) / len(found)
+    text = (
+        f"{note}\n\nGoals: {goals:.0f} states of places that were drawn and never trained; every start of their rooms, "
+        f"at most {results[0].config.evaluation.max_steps} steps, stop by template matching. The first tables are of: "
+        f"{main}. Of a photo, {single:.1f} goals look above 0.95 like another view; they are counted in all rows but "
+        "one. A sweep tries in each place the action that it tried least and stops where the goal's views match. "
+        "*Another goal's views* are shown in the place of the goal's; the environment stops the agent at the goal."
+    )
+    return write_tables(out, "Any goal of known rooms", text, tables, ["any_goal"])
+
+
+def _by_distance(found: Sequence[tuple[World, Mapping[str, Episodes]]], ways: Sequence[str]) -> Table:
+    """SPL by how far the start is from the goal."""
+    names = [f"{low} to {high} steps" if high < 1000 else f"{low} and more" for low, high in FAR]
+    table = Table(Column("SPL, walks by"), *(Column(name, ".3f") for name in names))
+    for way in ways:
+        cells = []
+        for low, high in FAR:
+            inside = [_within(episodes[way], low, high) for _, episodes in found]
+            cells.append([metrics(one)["spl"] for one in inside])
+        table.add(way, *cells)
+    return table
+
+
+def _within(episodes: Episodes, low: int, high: int) -> Episodes:
+    return episodes.select((episodes.shortest >= low) & (episodes.shortest <= high))
+
+
+def _by_trained(runs: Sequence[Result], found: Sequence[tuple[World, Mapping[str, Episodes]]]) -> Table:
+    """SR and SPL by how far a goal is from the nearest trained one."""
+    table = Table(
+        Column("steps to the nearest trained goal", "d"), Column("goals", ".0f"), Column("SR, four views", ".3f")
+    )
+    table.columns = (*table.columns, Column("SPL, four views", ".3f"), Column("SPL, one photo", ".3f"))
+    rows: dict[int, list[tuple[int, float, float, float]]] = {}
+    for run, (world, episodes) in zip(runs, found, strict=True):
+        nearest = nearest_trained(run, world)
+        for distance in nearest.unique().tolist():
+            chosen = nearest == distance
+            four, one = (metrics(episodes[way].select(chosen[episodes[way].goal_index])) for way in (FOUR, PHOTO))
+            rows.setdefault(distance, []).append((int(chosen.sum()), four["sr"], four["spl"], one["spl"]))
+    for distance, values in sorted(rows.items()):
+        table.add(distance, *map(list, zip(*values, strict=True)))
+    return table
+
+
+def nearest_trained(run: Result, world: World) -> Tensor:
+    """The fewest steps from each held-out goal to a trained one of its scene, int64 ``[G]``."""
+    trained = run.load().protocol.world
+    found = torch.zeros(len(world.goals), dtype=torch.int64)
+    for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
+        own = world.goals_in(index)
+        goals = (trained.goals[trained.goals_in(index)] - offset).tolist()
+        distances = torch.from_numpy(scene.distances[(world.goals[own] - offset).numpy()][:, goals].copy()).long()
+        found[own] = torch.where(distances < 0, 10_000, distances).min(1).values
+    return found
+
+
+def _parts(variants: Mapping[str, Sequence[Result]]) -> Table:
+    """Held-out goals found by runs that lack a part, with and without the memory."""
+    columns = [Column("part of the system"), Column("runs", "d")]
+    table = Table(
+        *columns, *(Column(f"{name}, {how}", ".3f") for how in ("memory", "no memory") for name in ("SR", "SPL"))
+    )
+    for name, runs in variants.items():
+        cells: list[list[float]] = []
+        for memory in (True, False):
+            measured = []
+            for run in runs:
+                _, policy, protocol = run.load()
+                assert protocol.held_out is not None
+                chosen = protocol.held_out if memory else replace(protocol.held_out, memory=None)
+                measured.append(metrics(chosen.run(policy)))
+            cells += [[one[key] for one in measured] for key in ("sr", "spl")]
+        table.add(name, len(runs), *cells)
+    return table
+
+
+def _draw(found: Sequence[tuple[World, Mapping[str, Episodes]]], out: Path) -> None:
+    """SR and SPL by the fewest steps from start to goal, the mean of the runs with their interval."""
+    figure = Figure(figsize=(9, 4.2), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    farthest = min(int(episodes[FOUR].shortest.max()) for _, episodes in found)
+    edges = list(range(1, farthest, max(1, farthest // 10)))
+    for axes, key in zip(panels, ("sr", "spl"), strict=True):
+        for way, color in DRAWN.items():
+            values = [
+                [metrics(_within(episodes[way], low, low + edges[1] - edges[0] - 1))[key] for low in edges]
+                for _, episodes in found
+            ]
+            low, high = bootstrap_interval(values)
+            axes.plot(edges, iqm(values), color=color, label=way if key == "sr" else None)
+            axes.fill_between(edges, low, high, color=color, alpha=0.25, linewidth=0)
+        axes.set(xlabel="fewest steps from start to goal", ylabel=MEASURES[key], ylim=(0, 1.03))
+        plain(axes)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    save_figure(figure, out, "any_goal")
