@@ -1,3 +1,4 @@
+import pytest
 import torch
 from networks import SCENES, batch_of, make_policy, seen, standardised_policy
 
@@ -31,12 +32,16 @@ def test_a_loaded_network_standardises_as_the_one_that_was_saved():
         torch.testing.assert_close(found[key], expected[key])
 
 
-def test_a_view_that_is_not_known_is_zeros_whatever_the_noise():
+@pytest.mark.parametrize("few", [0, 3])
+def test_a_view_that_is_not_known_is_zeros_whatever_the_noise(few, monkeypatch):
+    """Noise is one for each state, or in a large world one for each view that is read."""
+    monkeypatch.setattr("dirl.models.features.FEW", few)
     table = FeatureTable(torch.randn(3, 4), torch.ones(4), torch.full((4,), 2.0))
     assert table(torch.tensor([3, 3])).tolist() == [[0] * 4] * 2
     with table.noisy(0.5):
         noisy = table(torch.tensor([0, 0, 3]))
-    assert not torch.equal(noisy[0], noisy[1])
+    assert torch.equal(noisy[0], noisy[1]) == (few == 3)
+    assert not torch.equal(noisy[0], table.table[0])
     assert noisy[2].tolist() == [0] * 4
     assert torch.equal(table(torch.tensor([0])), table.known[:1])
 

@@ -8,6 +8,9 @@ from torch import Tensor, nn
 
 from dirl.backbones.principal import principal_components
 
+FEW = 5000
+"""States of whose features an update reads most."""
+
 
 class FeatureTable(nn.Module):
     """Features of N states as a network reads them: standardised or in principal components, then patches if any.
@@ -30,6 +33,7 @@ class FeatureTable(nn.Module):
         width = features.shape[1]
         self.noise = 0.0
         """Deviation of the Gaussian noise that is added to what is read, see `noisy`."""
+        self._perturbed: Tensor | None = None
         self.register_buffer("mean", torch.zeros(width) if mean is None else mean)
         self.register_buffer("std", torch.ones(len(self.mean)) if std is None else std)
         self.register_buffer("axes", axes)
@@ -77,6 +81,8 @@ class FeatureTable(nn.Module):
 
     def forward(self, states: Tensor) -> Tensor:
         """The features of states, int64 ``[...]`` to float32 ``[..., width]``."""
+        if self._perturbed is not None:
+            return self._perturbed[states]
         rows = self.table[states]
         if self.noise:
             rows = rows + self.noise * torch.randn_like(rows) * (states < len(self)).unsqueeze(-1)
@@ -84,12 +90,19 @@ class FeatureTable(nn.Module):
 
     @contextmanager
     def noisy(self, deviation: float) -> Iterator[None]:
-        """Within this context Gaussian noise is added to known views, drawn anew whenever they are read."""
+        """Within this context Gaussian noise is added to known views.
+
+        It is drawn for every state when the context begins; of more than `FEW` states, which an update reads but a part
+        of, whenever a view is read.
+        """
         self.noise = deviation
+        if len(self) <= FEW:
+            self._perturbed = self.table + deviation * torch.randn_like(self.table)
+            self._perturbed[-1] = 0
         try:
             yield
         finally:
-            self.noise = 0.0
+            self.noise, self._perturbed = 0.0, None
 
 
 def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:
