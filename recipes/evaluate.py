@@ -40,6 +40,8 @@ def main(composed: DictConfig) -> None:
         saved = load_checkpoint(options.checkpoint)
         changes = {
             "scene": options.scene,
+            "split": options.split,
+            "rooms": options.rooms,
             "goals": options.goals,
             "source.root": options.root,
             "device": options.device,

@@ -23,7 +23,6 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
-from tensordict import TensorDictBase
 from torch import nn
 from tqdm import tqdm
 
@@ -57,6 +56,7 @@ from dirl.training.build import (
 )
 from dirl.training.losses import (
     Advantages,
+    Demonstrations,
     Losses,
     clip_gradients,
     demonstration_batches,
@@ -64,9 +64,13 @@ from dirl.training.losses import (
     set_learning_rate,
     total_loss,
 )
+from dirl.training.pairs import DrawnPairs
 from dirl.training.progress import EpisodeMeter
 from dirl.training.rollout import Update, collect, summarise
 from dirl.training.state import Record, TrainState
+
+NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
+"""What a summary says of a run without reinforcement."""
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -103,7 +107,7 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> None:
         losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
         goals = build_goals(run.config, world.scenes)
         protocol = build_protocol(run.config, world, observation, goals.held_out)
-        state = None if losses is None else begin(run, policy, losses, protocol)
+        state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None
         run.begin(world, observation.order)
     for name, count in goals.left_out.items():
         print(f"{name}: {count} states are no goals, because not every state can reach them")
@@ -124,14 +128,14 @@ def begin(run: Run, policy: nn.Module, losses: Losses, protocol: EvaluationProto
 
 
 def run_stages(
-    run: Run, policy: nn.Module, demos: TensorDictBase, state: TrainState | None, protocol: EvaluationProtocol
+    run: Run, policy: nn.Module, demos: Demonstrations, state: TrainState | None, protocol: EvaluationProtocol
 ) -> None:
-    """Imitation, reinforcement, evaluation; a policy without parameters (``state`` is None) is evaluated only."""
+    """Imitation, reinforcement unless ``state`` is None, evaluation; a policy that learns nothing is evaluated only."""
     if run.saved is None:
         torch.manual_seed(run.config.seed)
     facts = describe(run.config, protocol.world) | {"demonstrations": len(demos)}
     print(f"{run_title(facts)}: {run.folder}")
-    if state is None:
+    if not count_parameters(policy):
         summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
         run.write_summary(summary)
         print(summary_table(summary))
@@ -140,17 +144,19 @@ def run_stages(
     if run.saved is None and len(demos):
         step = imitate(run, policy, demos)
         walked = aggregate(run, policy, protocol, demos, step)
-    trained = reinforce(run, state, protocol) | walked
-    conclude(run, policy, protocol, facts | trained)
+    if run.saved is None and run.config.evaluation.times:
+        evaluate(run, policy, protocol, 0)
+    trained = NOT_REINFORCED if state is None else reinforce(run, state, protocol)
+    conclude(run, policy, protocol, facts | trained | walked)
 
 
-def imitate(run: Run, policy: Any, demos: TensorDictBase, done: int = 0) -> int:
+def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
     """Clone the expert, on all demonstrations or minibatches, until its actions are learnt (paper section 3.3).
 
     Args:
         run: gets a row of ``imitation.csv`` a step.
         policy: whose encoder and policy head are trained.
-        demos: what the expert did, ``[M]``, with view ids.
+        demos: what the expert did.
         done: steps so far.
 
     Returns:
@@ -176,7 +182,7 @@ def imitate(run: Run, policy: Any, demos: TensorDictBase, done: int = 0) -> int:
     return step
 
 
-def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: TensorDictBase, done: int) -> dict[str, Any]:
+def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: Demonstrations, done: int) -> dict[str, Any]:
     """DAgger (Ross et al. 2011): the learner walks, the expert labels the states it came to, all is cloned again.
 
     Writes a row of ``dagger.csv`` a round: frames walked so far, states and goals labelled so far, and the metrics of
@@ -192,7 +198,9 @@ def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: Tensor
     for number in range(1, options.rounds + 1):
         batch, agents = collect(env, operator, agents, options.walk_steps)
         frames += batch.numel()
-        demos = merge_demonstrations(demos, label(expert, batch.reshape(-1)))
+        labelled = label(expert, batch.reshape(-1))
+        pairs = isinstance(demos, DrawnPairs)
+        demos = demos.with_visited(labelled) if pairs else merge_demonstrations(demos, labelled)
         done = imitate(run, policy, demos, done)
         row = {"round": number, "frames": frames, "labels": len(demos)}
         run.write("dagger", number, row | metrics(protocol.run(policy)))
@@ -202,10 +210,6 @@ def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: Tensor
 def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
     config = run.config
-    if run.saved is None:
-        evaluate(run, state.policy, protocol, 0)
-    if not state.losses.on_rollouts:
-        return {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
     total = config.reinforcement.frames_per_scene * len(protocol.world.scenes)
     often = 0.2 if sys.stderr.isatty() else 10.0
     bar = tqdm(total=total, initial=state.frames, unit=" frames", unit_scale=True, mininterval=often)

@@ -15,6 +15,9 @@ from dirl.scenes import ACTIONS, World
 
 PAIRS_AT_ONCE = 16_384
 
+WALKED = 50
+"""States that an episode passes, roughly; where there are more pairs to ask for beforehand, agents ask on their way."""
+
 Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 """Of B agents the episode, state, view ids ``[B, 4]`` and goal index, int64, to logits ``[B, 4]``."""
 
@@ -23,13 +26,15 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
     """A function of where agents are that gives their logits, asking the policy as little as possible.
 
     A policy without memory on views of its surroundings has one answer for each pair of goal and state: all are asked
-    beforehand. On views with a history every distinct case is asked once, when it comes up. A policy with memory is
-    asked at every step.
+    beforehand, unless episodes are few. On views with a history every distinct case is asked once, when it comes up. A
+    policy with memory is asked at every step.
     """
     if recurrent_keys(policy):
         return _with_memory(policy, world, observation, episodes)
     if observation.history:
         return _once_a_case(policy, world, observation)
+    if max(PAIRS_AT_ONCE, WALKED * episodes) < len(world.distances):
+        return lambda _, state, view_ids, wanted: policy(observe(world, observation, state, view_ids, wanted))["logits"]
     table, _ = answers(policy, world, observation)
     return lambda episode, state, view_ids, wanted: table.index_select(0, world.pair(wanted, state))
 

@@ -49,8 +49,8 @@ def test_a_view_that_is_not_known_is_zeros_whatever_the_noise(few, monkeypatch):
 def test_pooled_features_become_principal_components_and_patches_stay():
     torch.manual_seed(0)
     pooled, patches = torch.randn(50, 3) @ torch.randn(3, 6) + 2, torch.randn(50, 4)
-    table = FeatureTable(torch.cat([pooled, patches], 1), *whitening(pooled, 5))
-    assert table.width == 3 + 4  # the features span three dimensions
+    table = FeatureTable(pooled, *whitening(pooled, 5), patches=patches.view(50, 2, 2))
+    assert (table.inputs, table.width) == (6 + 4, 3 + 4)  # the features span three dimensions
     torch.testing.assert_close(table.known[:, :3].T.cov(), torch.eye(3), atol=1e-4, rtol=0)
     assert torch.equal(table.known[:, 3:], patches)
     assert sorted(table.state_dict()) == ["axes", "mean", "std"]

@@ -21,6 +21,7 @@ ExperimentName = StrEnum(
     "ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop", "any_goal"]
 )
 Existing = StrEnum("Existing", ["refuse", "keep"])
+Split = StrEnum("Split", ["train", "validation", "test"])
 Reduction = StrEnum("Reduction", ["mean", "sum"])
 Stop = StrEnum("Stop", ["goal", "match"])
 GoalView = StrEnum("GoalView", ["surrounding", "front"])
@@ -75,6 +76,7 @@ class ImitationConfig:
     bc_coef: Schedule = field(default_factory=Schedule)
     batch_size: int | None = None
     drawn: bool = False
+    scenes_at_once: int | None = None
     front_only: float = 0.0
     noise: float = 0.0
     lr_decay: bool = False
@@ -126,6 +128,7 @@ class StopConfig:
 class EvaluationConfig:
     """How a policy is measured."""
 
+    goals: int | None = None
     starts: Starts = MISSING
     episodes_per_goal: int = MISSING
     max_steps: int = MISSING
@@ -153,6 +156,8 @@ class TrainConfig:
     """Everything ``recipes/train.py`` takes."""
 
     scene: Any = None
+    split: Split | None = None
+    rooms: int | None = None
     goals: Any = None
     hold_out: float = 0.0
     seed: int = MISSING
@@ -189,6 +194,8 @@ class EvaluateConfig:
 
     checkpoint: str | None = None
     scene: Any = None
+    split: Split | None = None
+    rooms: int | None = None
     goals: Any = None
     trust: list[str] = field(default_factory=list)
     root: str | None = None
@@ -246,6 +253,9 @@ LIMITS: Mapping[str, Bounds] = {
     "imitation.batch_size": Bounds(1),
     "imitation.front_only": Bounds(0, 1),
     "imitation.noise": Bounds(0, 100),
+    "imitation.scenes_at_once": Bounds(1),
+    "rooms": Bounds(1),
+    "evaluation.goals": Bounds(1),
     "network.components": Bounds(1, 65_536),
     "imitation.rounds": Bounds(0),
     "imitation.walk_steps": Bounds(1),

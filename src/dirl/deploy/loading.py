@@ -1,6 +1,5 @@
 """What a navigator is made of, out of a checkpoint."""
 
-import math
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -59,8 +58,9 @@ def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origi
         raise NavigatorError(f"{origin}: the weights do not fit a policy on features; they lack features.mean")
     names = [scene or saved["scenes"][0]]
     try:
-        width = len(mean) + (math.prod(PATCH_SHAPE) if reads_patches(config) else 0)
-        policy = build_policy(config, FeatureTable(torch.empty(0, width), *saved_statistics(weights)), names)
+        patches = torch.empty(0, *PATCH_SHAPE) if reads_patches(config) else None
+        table = FeatureTable(torch.empty(0, len(mean)), *saved_statistics(weights), patches)
+        policy = build_policy(config, table, names)
         load_weights(policy, weights, origin, names)
     except ConfigError as error:
         raise NavigatorError(str(error)) from None

@@ -146,7 +146,7 @@ class Navigator:
     @property
     def width(self) -> int:
         """The number of features of a view, D, as the encoder gives them."""
-        return self._table.features.shape[1]
+        return self._table.inputs
 
     @torch.no_grad()
     def reset(self, goal_images: Images) -> None:

@@ -8,6 +8,8 @@ from torch import Tensor, nn
 
 from dirl.backbones.principal import principal_components
 
+ROWS_AT_ONCE = 50_000
+
 FEW = 5000
 """States of whose features an update reads most."""
 
@@ -20,14 +22,20 @@ class FeatureTable(nn.Module):
     the four of a goal that is given by one photo; its features are zeros, the mean of all views.
 
     Args:
-        features: of every state, float32 ``[N, D]``; or ``[N, D + patch features]``, the pooled features first.
+        features: pooled ones of every state, float32 ``[N, D]``.
         mean: subtracted from the pooled features, float32 ``[D]``; zero if left out.
         std: divided by, float32 ``[D]``; one if left out.
         axes: what they are multiplied by, float32 ``[D, components]``, see `dirl.backbones.principal`; or None.
+        patches: which follow them, floats ``[N, cells, channels]``; or None.
     """
 
     def __init__(
-        self, features: Tensor, mean: Tensor | None = None, std: Tensor | None = None, axes: Tensor | None = None
+        self,
+        features: Tensor,
+        mean: Tensor | None = None,
+        std: Tensor | None = None,
+        axes: Tensor | None = None,
+        patches: Tensor | None = None,
     ) -> None:
         super().__init__()
         width = features.shape[1]
@@ -35,9 +43,10 @@ class FeatureTable(nn.Module):
         """Deviation of the Gaussian noise that is added to what is read, see `noisy`."""
         self._perturbed: Tensor | None = None
         self.register_buffer("mean", torch.zeros(width) if mean is None else mean)
-        self.register_buffer("std", torch.ones(len(self.mean)) if std is None else std)
+        self.register_buffer("std", torch.ones(width) if std is None else std)
         self.register_buffer("axes", axes)
         self.register_buffer("features", features, persistent=False)
+        self.register_buffer("patches", patches, persistent=False)
         self.register_buffer("table", self._computed(), persistent=False)
         self.register_load_state_dict_post_hook(lambda table, _: table.refresh())
 
@@ -45,6 +54,7 @@ class FeatureTable(nn.Module):
     std: Tensor
     axes: Tensor | None
     features: Tensor
+    patches: Tensor | None
     table: Tensor
     """float32 ``[N + 1, width]``."""
 
@@ -53,12 +63,20 @@ class FeatureTable(nn.Module):
         self.table = self._computed()
 
     def _computed(self) -> Tensor:
-        known = self.standardise(self.features)
+        parts = [self.standardise(rows) for rows in self.features.split(ROWS_AT_ONCE)] or [self.features]
+        known = torch.cat(parts) if len(parts) > 1 else parts[0]
+        if self.patches is not None:
+            known = torch.cat([known, self.patches.flatten(1).to(known)], 1)
         return torch.cat([known, known.new_zeros(1, known.shape[1])])
 
     def __len__(self) -> int:
         """The number of states, N."""
         return len(self.table) - 1
+
+    @property
+    def inputs(self) -> int:
+        """The number of features of a view as the backbone gives it, D and those of its patches."""
+        return self.features.shape[1] + (0 if self.patches is None else self.patches[0:0].flatten(1).shape[1])
 
     @property
     def width(self) -> int:

@@ -5,6 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from tqdm import tqdm
+
+from dirl.scenes.collection import read_collection
 from dirl.scenes.io.read import ROOMS, Dump, read_dumps
 from dirl.scenes.scene import Scene, SceneError
 
@@ -16,22 +19,39 @@ PUBLISHED_GOALS: Mapping[str, tuple[int, ...]] = {
 }
 """The four scenes of the paper with the goals of the published target-driven navigation code, five each."""
 
+COLLECTION = "collection:"
+
 SOURCES = ("rooms", "thor")
 
 
-def load_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Scene]:
+def load_scenes(
+    scene: str | Sequence[str],
+    *,
+    source: str = "rooms",
+    root: str | Path | None = None,
+    split: str | None = None,
+    rooms: int | None = None,
+) -> list[Scene]:
     """Read the scenes a user asks for.
 
     Args:
-        scene: a name, several names, ``all`` (the four of the paper), or paths of dump files.
+        scene: a name, several names, ``all`` (the four of the paper), paths of dump files, or ``collection:`` and the
+            folder of a collection.
         source: ``rooms`` for the built-in rooms, ``thor`` for the published dumps a user owns.
         root: the folder of the published dumps, one ``<name>.h5`` a scene; required for ``thor``.
+        split: of a collection's rooms; all if left out.
+        rooms: the first so many of them; all if left out.
 
     Raises:
         SceneError: no such scene (the message lists the choices), or a file that cannot be used.
     """
-    folder = _folder(source, root)
     names = [scene] if isinstance(scene, str) else list(scene)
+    if len(names) == 1 and names[0].startswith(COLLECTION):
+        found = read_collection(names[0].removeprefix(COLLECTION)).select(split=split)
+        return list(tqdm(found[:rooms], desc="rooms", disable=None))
+    if split is not None or rooms is not None:
+        raise SceneError("split and rooms choose among the rooms of a collection: scene=collection:<folder>")
+    folder = _folder(source, root)
     if not names:
         raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
     if "all" in names:

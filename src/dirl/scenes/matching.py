@@ -44,6 +44,12 @@ def template_vectors(features: Tensor, surrounding: Tensor, match: str) -> Tenso
     return normal_vectors(features if match == "front" else features[surrounding].flatten(1))
 
 
+def scene_vectors(world: World, index: int, match: str) -> Tensor:
+    """`template_vectors` of one scene of a world; those of all scenes together would take much memory."""
+    states = slice(world.offsets[index], world.offsets[index] + len(world.scenes[index]))
+    return template_vectors(world.features[states], world.surrounding[states] - world.offsets[index], match)
+
+
 def look_alike(world: World, threshold: float) -> tuple[Tensor, Tensor]:
     """Which states of a scene look alike by their four views: known by sight, not by number.
 
@@ -51,11 +57,10 @@ def look_alike(world: World, threshold: float) -> tuple[Tensor, Tensor]:
         A table, bool ``[Q]``, and of each state its row, int64 ``[N]``: states a and b of one scene look alike where
         ``table[row[a] + b]``. Q is the sum of squares of the scenes' states.
     """
-    vectors = template_vectors(world.features, world.surrounding, "views")
     blocks, rows, place = [], [], 0
-    for scene, offset in zip(world.scenes, world.offsets, strict=True):
-        size = len(scene)
-        of_scene = vectors[offset : offset + size]
+    for index, offset in enumerate(world.offsets):
+        of_scene = scene_vectors(world, index, "views")
+        size = len(of_scene)
         blocks.append((of_scene @ of_scene.T > threshold).flatten())
         rows.append(place - offset + size * torch.arange(size, device=world.device))
         place += size * size
@@ -80,10 +85,9 @@ class TemplateStop:
 
     def scores(self, world: World) -> Tensor:
         """The coefficient of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`."""
-        vectors = template_vectors(world.features, world.surrounding, self.match)
         found = []
-        for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
-            of_scene = vectors[offset : offset + len(scene)]
+        for index, offset in enumerate(world.offsets):
+            of_scene = scene_vectors(world, index, self.match)
             goals = world.goals[world.goals_in(index)] - offset
             found.append((of_scene[goals] @ of_scene.T).flatten())
         return torch.cat(found)

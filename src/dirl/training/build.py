@@ -38,7 +38,8 @@ def build_world(config: TrainConfig) -> World:
     """
     if config.device == Device.cuda and not torch.cuda.is_available():
         raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
-    scenes = load_scenes(config.scene or [], source=config.source.name, root=config.source.root)
+    where = {"source": config.source.name, "root": config.source.root, "split": config.split, "rooms": config.rooms}
+    scenes = load_scenes(config.scene or [], **where)  # type: ignore[arg-type]
     workers, agents = config.reinforcement.workers, config.reinforcement.agents_per_scene * len(scenes)
     if workers > agents:
         raise ConfigError(f"reinforcement.workers={workers}: there are only {agents} agents to share among them")
@@ -121,26 +122,26 @@ def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tenso
     Raises:
         ConfigError: the encoder reads patches, and the scenes have none.
     """
-    features = world.features
-    if reads_patches(config):
-        if world.patches is None:
-            raise ConfigError(
-                f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again "
-                "by scenes.py encode ... patches=true"
-            )
-        features = torch.cat([features, world.patches.flatten(1).float()], 1)
+    mean, std, axes = None, None, None
     if weights is not None:
-        return FeatureTable(features, *saved_statistics(weights)).to(world.device)
-    if config.network.components:
-        return FeatureTable(features, *whitening(world.features, config.network.components)).to(world.device)
-    statistics = feature_statistics(world.features) if config.network.standardise else ()
-    return FeatureTable(features, *statistics or (torch.zeros(world.features.shape[1]),)).to(world.device)
+        mean, std, axes = saved_statistics(weights)
+    elif config.network.components:
+        mean, std, axes = whitening(world.features, config.network.components)
+    elif config.network.standardise:
+        mean, std = feature_statistics(world.features)
+    patches = world.patches if reads_patches(config) else None
+    if patches is None and reads_patches(config):
+        raise ConfigError(
+            f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again by "
+            "scenes.py encode ... patches=true"
+        )
+    return FeatureTable(world.features, mean, std, axes, patches).to(world.device)
 
 
-def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, ...]:
+def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
     """Mean, deviation and axes of the features that a network was trained on."""
     found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
-    return tuple(found.get(f"features.{name}") for name in ("mean", "std", "axes"))
+    return found.get("features.mean"), found.get("features.std"), found.get("features.axes")
 
 
 def reads_patches(config: TrainConfig) -> bool:
@@ -230,7 +231,7 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
             raise ConfigError("imitation.front_only: is a share of drawn pairs; add imitation.drawn=true")
         return demonstrations(world, expert, observation, options.fraction, options.rule, config.seed)
     shown = shown_states(world, options.fraction, options.rule, config.seed)
-    return DrawnPairs(world, expert, observation, shown, options.front_only)
+    return DrawnPairs(world, expert, observation, shown, options.front_only, options.scenes_at_once)
 
 
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
@@ -322,6 +323,8 @@ def build_protocol(
         held_out: goals to be evaluated apart, see `ChosenGoals`; none if empty or left out.
     """
     options = config.evaluation
+    if options.goals is not None:
+        world = world.with_goals(_some_goals(world, options.goals, config.seed))
     return EvaluationProtocol(
         world,
         observation,
@@ -334,6 +337,17 @@ def build_protocol(
         memory=make("episodic_memory", config.episodic_memory, config.trust),
         held_out=build_protocol(config, world.with_goals(held_out), observation) if held_out else None,
     )
+
+
+def _some_goals(world: World, count: int, seed: int) -> dict[str, tuple[int, ...]]:
+    """Up to so many goals of each scene, drawn by the seed."""
+    generator = torch.Generator().manual_seed(seed)
+    chosen = {}
+    for index, (name, offset) in enumerate(zip(world.names, world.offsets, strict=True)):
+        own = world.goals.cpu()[world.goals_in(index)] - offset
+        drawn = torch.randperm(len(own), generator=generator)[:count]
+        chosen[name] = tuple(sorted(own[drawn].tolist()))
+    return chosen
 
 
 def describe(config: TrainConfig, world: World) -> dict[str, Any]:

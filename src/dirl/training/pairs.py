@@ -22,6 +22,8 @@ class DrawnPairs:
         expert: see `dirl.experts.ShortestPathExpert`.
         observation: what is observed. States have no history: they are observed as the start of an episode.
         shown: which states the expert shows, bool ``[N]``.
+        scenes_at_once: of how many scenes, drawn anew, the pairs of an update are, so that few observations are
+            embedded for it where there are hundreds of scenes; all of them if None.
         front_only: the share of pairs whose goal is given by its front view alone, so that a policy learns both.
         visited: labelled states that the learner came to, ``[M]``; half of each draw is taken from them (DAgger).
     """
@@ -33,24 +35,26 @@ class DrawnPairs:
         observation: SurroundingViews,
         shown: Tensor,
         front_only: float = 0.0,
+        scenes_at_once: int | None = None,
         visited: TensorDictBase | None = None,
     ) -> None:
         self.world, self.expert, self.observation, self.visited = world, expert, observation, visited
-        self.shown, self.front_only = shown, front_only
+        self.shown, self.front_only, self.scenes_at_once = shown, front_only, scenes_at_once
         self.states = torch.nonzero(shown).flatten()
         self.count = torch.bincount(world.scene_of[self.states], minlength=len(world.scenes))
         self.first = self.count.cumsum(0) - self.count
+        self.goals = torch.bincount(world.scene_of[world.goals], minlength=len(world.scenes))
+        self.first_goal = self.goals.cumsum(0) - self.goals
 
     def __len__(self) -> int:
         """How many pairs there are."""
-        goals = torch.bincount(self.world.scene_of[self.world.goals], minlength=len(self.world.scenes))
-        return int((goals * self.count).sum())
+        return int((self.goals * self.count).sum())
 
     def draw(self, size: int) -> TensorDictBase:
         """Up to ``size`` demonstrations; pairs for which the expert has no advice are left out."""
         world, device = self.world, self.world.device
         old = 0 if self.visited is None else size // 2
-        goal = world.goals[torch.randint(len(world.goals), (size - old,), device=device)]
+        goal = world.goals[self._goals(size - old)]
         scene = world.scene_of[goal]
         state = self.states[self.first[scene] + (torch.rand(len(goal), device=device) * self.count[scene]).long()]
         seen = {"view_ids": self.observation.begin(state), "goal_view_ids": self.observation.of_goal(goal)}
@@ -64,7 +68,16 @@ class DrawnPairs:
             rows["goal_view_ids"] = torch.where(photo, front_only(views, len(world)), views)
         return rows
 
+    def _goals(self, size: int) -> Tensor:
+        """Drawn places in the world's goals, int64 ``[size]``."""
+        if self.scenes_at_once is None or self.scenes_at_once >= len(self.goals):
+            return torch.randint(len(self.world.goals), (size,), device=self.world.device)
+        scenes = torch.multinomial(self.goals.float(), self.scenes_at_once)  # the more goals, the more often
+        scene = scenes[torch.randint(len(scenes), (size,), device=scenes.device)]
+        return self.first_goal[scene] + (torch.rand(size, device=scene.device) * self.goals[scene]).long()
+
     def with_visited(self, rows: TensorDictBase) -> "DrawnPairs":
         """The same with more labelled states that the learner came to, ``[M]``."""
         visited = rows if self.visited is None else torch.cat([self.visited, rows])
-        return DrawnPairs(self.world, self.expert, self.observation, self.shown, self.front_only, visited)
+        options = self.front_only, self.scenes_at_once, visited
+        return DrawnPairs(self.world, self.expert, self.observation, self.shown, *options)
