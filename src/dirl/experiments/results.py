@@ -182,7 +182,9 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
     for name, table in tables.items():
         table.write_csv(out / f"{name}.csv")
         parts.append(table.markdown().rstrip())
-    parts += [f"![{name}]({name}.png)" for name in figures]
+    for name in figures:
+        part = name.partition("_")[2]  # of fig6_td_drl: which of the figures of that title
+        parts.append(f"![{title}{', ' * bool(part)}{part}]({name}.png)")
     text = "\n\n".join(parts) + "\n"
     write_text(out / "README.md", text)
     return text
