@@ -2,6 +2,7 @@
 
 import inspect
 import sys
+import tomllib
 from pathlib import Path
 from typing import get_origin
 from urllib.request import urlopen
@@ -17,17 +18,27 @@ from options import write_page  # noqa: E402
 project = "dirl"
 author = "The dirl authors"
 project_copyright = "the dirl authors, MIT licence"
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.intersphinx"]
-myst_enable_extensions = ["dollarmath"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.intersphinx",
+    "sphinx_copybutton",
+    "sphinx_design",
+]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 default_role = "py:obj"  # a name in single backticks is a link where it is known, else code
 autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 maximum_signature_line_length = 80
-exclude_patterns = ["_build", "results"]  # reports, which results.md includes
+exclude_patterns = ["_build", "results"]  # reports, which other pages include
 html_theme = "furo"
 html_title = "dirl"
+repository = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["urls"].get("Repository")
+if repository:  # links to the repository, and to the source of each page
+    html_theme_options = {"source_repository": repository, "source_branch": "main", "source_directory": "docs/"}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"  # written into the pages: MathJax would come from another host

@@ -12,11 +12,29 @@ from dirl.config.command_line import SCHEMAS
 from dirl.config.components import GROUPS, TARGET, accepted, find_class
 from dirl.config.schemas import TrainConfig
 
-CHOICES = ("system", "preset", "source", "logger")
+CHOICES = ("system", "preset", "goal_view", "source", "logger")
 """The folders of conf/ that hold files to choose from, besides those of components."""
 
-COMPONENTS = ("observation", "encoder", "memory", "heads", "policy", "expert", "objective", "losses", "optimiser")
+COMPONENTS = (
+    "observation",
+    "encoder",
+    "memory",
+    "episodic_memory",
+    "heads",
+    "policy",
+    "expert",
+    "objective",
+    "losses",
+    "optimiser",
+)
 """The folders of conf/ whose files name a class and its options."""
+
+RECIPES = {
+    "recipes/evaluate.py": "evaluate/evaluate.yaml",
+    "recipes/report.py": "report/report.yaml",
+    "benchmarks/benchmark.py": "benchmark.yaml",
+}
+"""The recipes without groups, and the files of their options."""
 
 DEFAULTS = ("source/rooms", "objective/a2c", "system/dirl", "logger/csv")
 """Chosen where nothing is said, besides preset/fast, which has a word of its own in the table."""
@@ -181,8 +199,8 @@ def write_page(conf: Path, page: Path) -> None:
         lines += table(options, files)
     lines += ["### What a choice sets", "", *choices(conf)]
     lines += ["## Components", "", COMPONENTS_TEXT, *component_tables(conf)]
-    for folder, name in (("recipes", "evaluate"), ("benchmarks", "benchmark")):
-        lines += [f"## {folder}/{name}.py", "", *recipe_table(conf / f"{name}.yaml")]
+    for recipe, file in RECIPES.items():
+        lines += [f"## {recipe}", "", *recipe_table(conf / file)]
     lines += ["## recipes/scenes.py", ""]
     for file in sorted((conf / "scenes").glob("*.yaml")):
         lines += [f"### {file.stem}", "", *recipe_table(file)]

@@ -19,7 +19,7 @@ import torch
 from commands import ROOT, TINY
 
 DOCS = ROOT / "docs"
-PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "howto").glob("*.md"))]
+PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "howto").glob("*.md"))]
 
 QUICK = [option for option in TINY if not option.startswith(("evaluation.max_steps", "checkpoint"))]
 QUICK += ["evaluation.max_steps=10"]
@@ -35,6 +35,7 @@ NOT_RUN = {
     "gpu.md": ["needs CUDA"],
     "loggers.md": ["needs pip install -e '.[tensorboard]', which they do without"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
+    "paper.md": ["takes an hour and a half"],
     "rooms.md": ["takes minutes", "takes minutes", "takes an hour", "takes minutes", "takes minutes"],
     "sweeps.md": ["needs launchers and clusters"],
     "thor_dumps.md": ["needs the published dumps"],
@@ -62,9 +63,20 @@ def is_file(caption):
     return Path(caption).suffix in (".toml", ".yaml", ".py")
 
 
-def run_line(line, monkeypatch):
-    """Run a line of a shell block in this process, which saves the seconds that imports take."""
-    words = shlex.split(line, comments=True)
+def shell_words(text):
+    """The words of each command of a shell block, as bash expands them; nothing is run.
+
+    With ``failglob`` an unquoted ``goals=[3]`` is an error, as it is in zsh.
+    """
+    show = 'show() { printf "%s\\0" "$@"; printf "\\n"; }; shopt -s failglob\n'
+    lines = [f"show {line}" for line in text.replace("\\\n", "").splitlines() if line.split("#")[0].strip()]
+    done = subprocess.run(["bash", "-c", show + "\n".join(lines)], capture_output=True, text=True, check=False)
+    assert not done.stderr, done.stderr
+    return [line.split("\0")[:-1] for line in done.stdout.splitlines()]
+
+
+def run_command(words, monkeypatch):
+    """Run a command in this process, which saves the seconds that imports take."""
     if words[0] == "PYTHONPATH=.":
         monkeypatch.syspath_prepend(Path.cwd())
         words = words[1:]
@@ -72,7 +84,7 @@ def run_line(line, monkeypatch):
         monkeypatch.setattr(sys, "argv", words[2:])
         runpy.run_module(words[2], run_name="__main__")
         return
-    assert words[0] == "python", f"how is this tested? {line}"
+    assert words[0] == "python", f"how is this tested? {words}"
     if words[1].endswith("train.py") and not any(word.startswith("resume=") for word in words):
         given = {word.partition("=")[0] for word in words}
         words += [option for option in QUICK if option.partition("=")[0] not in given]
@@ -85,7 +97,7 @@ def example_run(tmp_path_factory):
     """A folder of a finished run in the bathroom."""
     folder = tmp_path_factory.mktemp("example") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        run_line(f"python recipes/train.py scene=bathroom_02 hydra.run.dir={folder}", patch)
+        run_command(["python", "recipes/train.py", "scene=bathroom_02", f"hydra.run.dir={folder}"], patch)
     return folder
 
 
@@ -125,9 +137,27 @@ def run_block(block, page, names, monkeypatch):
             text = text.replace(old, new)
         exec(compile(text, str(page), "exec"), names)
     elif language == "bash":
+        for words in shell_words(text):
+            if words[:2] != ["pip", "install"]:
+                run_command(words, monkeypatch)
+
+
+SHELL_PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *(page for page in DOCS.rglob("*.md") if "_build" not in str(page)),
+]
+
+
+@pytest.mark.parametrize("page", SHELL_PAGES, ids=lambda page: page.stem)
+def test_a_shell_passes_on_what_a_page_says(page):
+    """Brackets and braces are quoted, whether or not the commands are run."""
+    commands = [block.text for block in blocks(page) if block.language == "bash"]
+    commands += re.findall(r"^ {4}((?:python|dirl|pip|pytest) .*)$", page.read_text(), re.MULTILINE)
+    for text in commands:
         for line in text.replace("\\\n", "").splitlines():
-            if not line.startswith("pip install"):
-                run_line(line, monkeypatch)
+            for command in re.split(r" && | > ", line):
+                assert shell_words(command) in ([], [shlex.split(command, comments=True)])
 
 
 def test_pages_have_only_code_that_is_run_or_says_why_it_is_not():
@@ -180,6 +210,13 @@ def test_the_site_asks_no_other_host_for_anything(site):
     other = re.compile(r"\s*(\w+:)?//")
     elsewhere = [(name, what) for name, found in asked.items() for what in found if other.match(what)]
     assert elsewhere == []
+
+
+def test_every_picture_has_an_alternative_text(site):
+    """A sentence or a title, not the name of its file."""
+    pictures = [tag for page in site.rglob("*.html") for tag in re.findall(r"<img[^>]*>", page.read_text())]
+    assert len(pictures) > 10
+    assert [tag for tag in pictures if not re.search(r'alt="[^"]{10,}"', tag) or re.search(r'alt="\S+"', tag)] == []
 
 
 def test_every_option_has_a_meaning(site):

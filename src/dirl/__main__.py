@@ -1,4 +1,4 @@
-"""``python -m dirl``: what is installed here, which scenes there are, and the versions that a bug report needs."""
+"""``python -m dirl``: installed packages, built-in scenes, and the versions that a bug report needs."""
 
 import importlib.metadata
 import os

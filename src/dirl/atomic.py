@@ -1,4 +1,4 @@
-"""Files that are whole or not there, whenever the process is killed, the disk is full or the power fails."""
+"""Files that are complete or absent, even if the process is killed, the disk is full or the power fails."""
 
 import json
 import math
@@ -22,7 +22,7 @@ def atomic_path(file: str | Path) -> Iterator[Path]:
     from it. The data is on the disk (``fsync``) before the rename, and the rename before the context ends.
 
     Args:
-        file: to write; one that is there already is replaced, and stays as it was if anything fails.
+        file: to write; an existing file is replaced, and stays unchanged if anything fails.
 
     Yields:
         The path to write to.
@@ -55,13 +55,13 @@ def _flush_to_disk(path: Path, flags: int = os.O_RDWR) -> None:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a text file in UTF-8, whole or not at all."""
+    """Write a text file in UTF-8, completely or not at all."""
     with atomic_path(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(file: Path, data: Mapping[str, Any]) -> None:
-    """Write a JSON file, whole or not at all; NaN and infinity, which JSON does not know, become null."""
+    """Write a JSON file, completely or not at all; NaN and infinity, which JSON lacks, become null."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, Mapping):

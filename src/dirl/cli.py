@@ -1,6 +1,6 @@
 """The command ``dirl``, which runs the recipes from wherever the package is installed.
 
-Nothing here imports torch: help, refused options and shell completion answer at once.
+Nothing here imports torch: help, refused options and shell completion are fast.
 """
 
 import contextlib
@@ -101,7 +101,7 @@ def configured(name: str, arguments: Sequence[str]) -> tuple[str, list[str]] | N
 
 
 def check(config: str, arguments: Sequence[str]) -> list[str]:
-    """The options as Hydra takes them; ends the program with one line if there is no such option or value."""
+    """The options as Hydra takes them; ends the program with one line if an option or a value is invalid."""
     from dirl.config.command_line import SCHEMAS, one_line_errors, prepare, register
 
     register()
@@ -163,7 +163,7 @@ def copy(arguments: Sequence[str]) -> None:
         with target.open("x", encoding="utf-8") as file:
             file.write(text.replace(f"python recipes/{name}.py", f"python {target}"))
     except FileExistsError:
-        raise SystemExit(f"error: {target}: there is such a file already; it is not overwritten") from None
+        raise SystemExit(f"error: {target}: this file exists already; it is not overwritten") from None
     except OSError as error:
         raise SystemExit(f"error: {target}: {error.strerror}") from None
     print(f"copied: {target}; run it with: python {target}")

@@ -1,4 +1,4 @@
-"""What a policy decides in the states of a world, asked as little as possible."""
+"""The decisions of a policy in the states of a world, with as few forward passes as possible."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -23,11 +23,11 @@ Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 
 
 def deciding(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
-    """A function of where agents are that gives their logits, asking the policy as little as possible.
+    """A function from the agents' states to their logits, with as few forward passes as possible.
 
-    A policy without memory on views of its surroundings has one answer for each pair of goal and state: all are asked
-    beforehand, unless episodes are few. On views with a history every distinct case is asked once, when it comes up. A
-    policy with memory is asked at every step.
+    A memoryless policy on surrounding views has one output for each pair of goal and state; all are computed
+    beforehand, unless episodes are few. With sequential views each distinct input is computed once, when it first occurs. A policy with memory
+    is called at every step.
     """
     if recurrent_keys(policy):
         return _with_memory(policy, world, observation, episodes)
@@ -75,7 +75,7 @@ def _with_memory(policy: nn.Module, world: World, observation: SurroundingViews,
 def observe(
     world: World, observation: SurroundingViews, state: Tensor, view_ids: Tensor, goal_index: Tensor
 ) -> TensorDict:
-    """What a policy reads, ``[B]``: state, goal, scene, and the view ids of both."""
+    """The input of a policy, ``[B]``: state, goal, scene, and the view ids of both."""
     goal = world.goals[goal_index]
     return TensorDict(
         {
@@ -93,10 +93,10 @@ def observe(
 def answers(
     policy: nn.Module, world: World, observation: SurroundingViews, goal_index: int | None = None
 ) -> tuple[Tensor, Tensor]:
-    """What a policy makes of every pair of a goal and a state of its scene.
+    """The outputs of a policy for every pair of a goal and a state of its scene.
 
-    Views that hold a history are those at the start of an episode, and so is a memory. Asked for all goals, the policy
-    is asked in the same batches as by `run_episodes`, so that the rounding, too, is the same.
+    Sequential views and memories are those at the start of an episode. For all goals the batches are those of
+    `run_episodes`, so that even the rounding is the same.
 
     Args:
         policy: see `run_episodes`.

@@ -22,7 +22,7 @@ MANY = 50_000
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
-    """What became of E episodes; every tensor is ``[E]``."""
+    """The outcome of E episodes; every tensor is ``[E]``."""
 
     goal_index: Tensor
     """The goal, by its place in ``world.goals``, int64."""
@@ -64,7 +64,7 @@ def sampled_starts(world: World, per_goal: int, seed: int) -> tuple[Tensor, Tens
 
 
 def shortest_episodes(world: World, starts: tuple[Tensor, Tensor]) -> Episodes:
-    """The expert's episodes from given starts, without walking them: it never fails and never errs."""
+    """The expert's episodes from given starts, from the distances alone: the expert never fails."""
     goal_index, start = starts
     shortest = world.distance(goal_index, start)
     never = torch.zeros_like(start, dtype=torch.bool)
@@ -88,8 +88,8 @@ def run_episodes(
 ) -> Episodes:
     """One episode from each start.
 
-    This is no TorchRL rollout because finished episodes leave the batch, which an ``EnvBase`` cannot do, and because
-    a policy without memory is asked once for all agents that observe the same on the way to the same goal.
+    This is no TorchRL rollout, for two reasons. Finished episodes leave the batch, which an ``EnvBase`` does not
+    support. And a memoryless policy is evaluated once for all agents with the same observation and goal.
 
     Args:
         policy: reads a tensordict and writes ``logits``; with memory also its next recurrent state.
@@ -97,12 +97,12 @@ def run_episodes(
         starts: goal indices and start states, int64 ``[E]`` each, see `every_start`.
         observation: the transform that the policy was trained with.
         stop: where an agent stops, bool ``[P]``, see `World.pair`; at the goal itself if left out.
-        max_steps: an episode that has not reached its goal by then has failed.
+        max_steps: after so many steps an episode has failed.
         greedy: take the most probable action (of equal ones the first), else draw one.
         seed: of the draws.
         memory: lowers logits by what was done in the episode, see `EpisodicMemory`.
-        shown: the goal that the policy is shown in the place of each, int64 ``[G]``; it must be of the same scene.
-        watch: called after each step with the episodes still going on and their states, int64 ``[W]`` each.
+        shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
+        watch: called after each step with the unfinished episodes and their states, int64 ``[W]`` each.
     """
     goal_index, start = starts
     never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""How well a policy navigates: the protocol of an evaluation, and ATL, SR and SPL (paper section 4.3)."""
+"""Evaluation of a policy: the protocol, and ATL, SR and SPL (paper section 4.3)."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +16,7 @@ from dirl.scenes import World
 
 @dataclass(frozen=True)
 class EvaluationProtocol:
-    """Under which conditions policies are evaluated."""
+    """The conditions under which policies are evaluated."""
 
     world: World
     observation: SurroundingViews
@@ -41,7 +41,7 @@ class EvaluationProtocol:
         return run_episodes(policy, self.world, self.starts, greedy=greedy, **self._conditions())
 
     def run_random(self) -> Episodes:
-        """The same for a random walker, which the environment stops: it shall only be lost, not also misled."""
+        """The same for random actions. The environment stops the agent, so that it makes no false stops."""
         return replace(self, stop=None, memory=None).run(RandomPolicy(), greedy=False)
 
     def trajectories(
@@ -64,8 +64,8 @@ class EvaluationProtocol:
 def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[str, Any]]:
     """The metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
 
-    A policy without parameters has one measure for both: the random policy is sampled, and the expert is what it is
-    compared with. Goals that were held out are measured apart, under ``held_out``.
+    A policy without parameters has a single result: that of random actions or of the shortest path. Held-out goals are
+    evaluated separately, under ``held_out``.
     """
     if protocol.held_out is not None:
         apart = assess(policy, protocol.held_out)
@@ -86,7 +86,7 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
 
 
 def mean_shortest(world: World) -> list[float]:
-    """The fewest steps to each goal, in the mean over the states that reach it."""
+    """The length of the shortest path to each goal, averaged over the states that reach it."""
     blocks = [world.block(world.distances, goal) for goal in range(len(world.goals))]
     return [block[block > 0].double().mean().item() for block in blocks]
 

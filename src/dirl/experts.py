@@ -28,7 +28,7 @@ class ShortestPathExpert(TensorDictModuleBase):
 
     An expert is any module that reads ``state`` and ``goal``, int64 ``[B]``, and writes ``expert_action``, int64
     ``[B]``: -1 where it has no advice, here at the goal and where the goal cannot be reached. It may also write
-    ``optimal_actions``, bool ``[B, 4]``, all that it holds for right; `dirl.objectives.OptimalActionsLoss` reads them.
+    ``optimal_actions``, bool ``[B, 4]``, all actions that it accepts, for `dirl.objectives.OptimalActionsLoss`.
 
     Args:
         world: where to walk.
@@ -56,7 +56,7 @@ class ShortestPathPolicy(ShortestPathExpert):
     out_keys: ClassVar = ["expert_action", "optimal_actions", "logits"]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``logits``; without advice every action is as good."""
+        """Write ``logits``; without advice all actions are equally probable."""
         action = super().forward(tensordict)["expert_action"].unsqueeze(-1)
         chosen = torch.arange(len(ACTIONS), device=action.device) == action
         return tensordict.set("logits", torch.where(chosen | (action < 0), 0.0, -torch.inf))
@@ -90,11 +90,11 @@ def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
 
 
 def demonstration_states(place: Tensor, fraction: float, rule: str, generator: torch.Generator) -> Tensor:
-    """Which states of a scene the expert shows.
+    """The states of a scene that the expert demonstrates.
 
     Args:
         place: the place of each state, int64 ``[N]``, numbered from 0.
-        fraction: of the states to show, 0 to 1.
+        fraction: of the states to demonstrate, 0 to 1.
         rule: ``interval``, every k-th state by its number, as the paper says (with four headings a place and an
             even k that is only ever one or two headings); ``interval_pos``, every k-th place with all its headings;
             ``random``, drawn without replacement. k is 1/fraction, rounded.
@@ -133,7 +133,7 @@ def demonstrations(
 
     Args:
         world: where to walk.
-        expert: see `ShortestPathExpert`; states in which it has no advice on the way to a goal are left out for it.
+        expert: see `ShortestPathExpert`; a state without advice for a goal is left out for that goal.
         observation: what is observed. A demonstrated state has no history: it is observed as the start of an episode.
         fraction: of the states, 0 to 1.
         rule: how they are chosen, see `demonstration_states`.
@@ -160,14 +160,14 @@ def demonstrations(
 
 
 def shown_states(world: World, fraction: float, rule: str, seed: int) -> Tensor:
-    """Which states of a world the expert shows, bool ``[N]``; see `demonstration_states`."""
+    """The states of a world that the expert demonstrates, bool ``[N]``; see `demonstration_states`."""
     generator = torch.Generator().manual_seed(seed)
     place = (torch.from_numpy(places(scene.graph)) for scene in world.scenes)
     return torch.cat([demonstration_states(one, fraction, rule, generator) for one in place]).to(world.device)
 
 
 def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBase:
-    """What the expert would do in given states.
+    """The expert's actions in given states.
 
     Args:
         expert: see `ShortestPathExpert`.

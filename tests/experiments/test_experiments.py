@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import signal
 import subprocess
 import time
@@ -65,7 +66,7 @@ def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
     text = (grid / experiment / "README.md").read_text()
     assert text.strip() in printed
     assert "seeds 0, 1. Of several runs" in text
-    for figure in [line[2:].split("]")[0] for line in text.splitlines() if line.startswith("![")]:
+    for figure in re.findall(r"^!\[.+\]\((\w+)\.png\)$", text, re.MULTILINE):
         assert all((grid / experiment / f"{figure}.{kind}").stat().st_size > 1000 for kind in ("png", "svg"))
     tables = {file.stem: rows_of(file) for file in (grid / experiment).glob("*.csv")}
     rows = tables.get(experiment) or tables[f"{experiment}_greedy"]

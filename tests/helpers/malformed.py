@@ -356,33 +356,35 @@ def page():
             except SceneError as error:
                 message = str(error).removeprefix(f"{path}: ").replace(folder, "...").replace("|", "\\|")
                 lines.append(f"| {what} | {message} |")
-    return f"""# What dirl says of malformed dumps
+    return f"""# Messages for malformed dumps
 
-Every file that cannot be walked in is refused before any work begins, by one `SceneError` of one line: the file, the
-dataset or attribute, the first bad state, what was expected. Nothing is repaired silently, and sizes are checked before
-memory is taken. Files that are not HDF5, or were cut off, get "not a readable HDF5 file, perhaps a broken download".
+An invalid file is refused before any work begins, by one `SceneError` of one line: the file, the dataset or
+attribute, the first offending state, and what was expected. Nothing is repaired silently, and sizes are checked
+before memory is allocated. Files that are not HDF5 or are truncated get "not a readable HDF5 file, perhaps a broken
+download".
 
 The {len(lines)} rows are the cases of `tests/helpers/malformed.py` and `found.py`, each made from a good file of 24
-states and read; this page is written by `python tests/helpers/malformed.py`, and a test compares the two. Before the
-message stands the file's name.
+states and read. `python tests/helpers/malformed.py` writes this page, and a test compares the two. In each message the
+file's name comes first, which the table omits.
 
 ## What is promised
 
-- *A file that dirl wrote* holds a digest, the SHA-256 over its datasets and the attributes that mean something. A file
-  that differs from it is refused. The four built-in rooms are compared with `SHA256SUMS` beside them, byte for byte.
-- *A file without a digest*, made by other programs, is read with the checks below, and its encoded views are all
-  decoded once. A changed number that is still sensible cannot be noticed.
-- *Whatever its bytes*, a file does not end the program that reads it. libhdf5 can crash or hang on damage, and so
-  every file but the built-in rooms is read in a process of its own. That process may take 30 s of processor time, one
-  more for each megabyte of the file, and 3 GiB of address space. If it ends, there is one line.
-- *Views* are read later from where they lie in the file, without libhdf5. If the file is changed after the scene was
-  read, a view can be another one, or one line says that it cannot be read.
+- *A file that dirl wrote* holds a digest, the SHA-256 over its datasets and the attributes that are read. A file that
+  does not match it is refused. The four built-in rooms are verified byte for byte by `SHA256SUMS` beside them.
+- *A file without a digest*, made by other programs, is read with the checks below, and all its encoded views are
+  decoded once. A changed number that is still plausible cannot be detected.
+- *No file can crash the program that reads it*, whatever its bytes. libhdf5 can crash or hang on damaged files, so
+  every file except the built-in rooms is read in a separate process. That process may use 30 s of processor time, one
+  more second for each megabyte of the file, and 3 GiB of address space. If it ends early, the reader reports one
+  line.
+- *Views* are read later, directly from their position in the file and without libhdf5. If the file is changed after
+  the scene was read, a view can be wrong, or one line says that it cannot be read.
 
-Not promised: a digest is no signature, and a process of its own is no prison. A file made with that aim can carry a
-right digest, and could take over the process that reads it. Windows has none of the limits and macOS not that of
-memory; there the clock ends the process, after twenty times as long.
+Not promised: a digest is not a signature, and a separate process is not a sandbox. A malicious file can carry a
+matching digest, and could take over the process that reads it. Windows supports none of the limits and macOS not that
+of memory. There a time limit, twenty times as long, ends the process.
 
-`python tests/faults/dumps.py count=10000 seed=7` damages as many files, reads each, and prints what came of it.
+`python tests/faults/dumps.py count=10000 seed=7` damages 10,000 files, reads each, and prints a summary.
 
 ## The messages
 

@@ -1,4 +1,4 @@
-"""What an encoder is: a frozen backbone with its preprocessing, and exactly what it says of itself."""
+"""The interface of an encoder: a frozen backbone with its preprocessing, and its exact description."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -10,17 +10,17 @@ from dirl.scenes.io.hdf5 import extractor_text
 
 
 class EncoderError(ValueError):
-    """An encoder that cannot be had, or cannot encode these views."""
+    """An encoder that is not available, or cannot encode these views."""
 
 
 @dataclass(frozen=True)
 class ViewEncoder:
-    """A frozen backbone with its preprocessing. Made by `load_encoder`; also a `dirl.Navigator` takes it.
+    """A frozen backbone with its preprocessing, made by `load_encoder`; `dirl.Navigator` takes it too.
 
     Args:
         forward: RGB views, uint8 ``[B, H, W, 3]``, to features, float32 ``[B, D]``.
-        attributes: what a dump stores of it: ``extractor``, ``preprocessing``, ``weights`` (a SHA-256 over the
-            parameters that are used, whatever file they came in), ``provenance``.
+        attributes: its description, as dumps store it: ``extractor``, ``preprocessing``, ``weights`` (a SHA-256 over
+            the parameters that are used, whatever file they came in), ``provenance``.
         forward_patches: RGB views to features and patches (see `dirl.backbones.patches`), float32 ``[B, D]`` and
             ``[B, cells, channels]``; None where no patches were asked for.
     """

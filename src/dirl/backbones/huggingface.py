@@ -22,7 +22,7 @@ def huggingface_encoder(name: str, device: str | torch.device) -> ViewEncoder:
     (Poolers are not used: a checkpoint that was trained for classification often lacks the pooler's weights.)
 
     Raises:
-        EncoderError: there is no such model, it is none of images, or transformers is not installed.
+        EncoderError: there is no such model, it does not take images, or transformers is not installed.
     """
     try:
         from transformers import AutoImageProcessor, AutoModel
@@ -70,7 +70,7 @@ def huggingface_encoder(name: str, device: str | torch.device) -> ViewEncoder:
 
 
 def _try(encoder: ViewEncoder, name: str) -> None:
-    """Encode one grey image, so that a model of something else is found out before the work begins."""
+    """Encode one grey image, so that an unsuitable model is detected before the work begins."""
     try:
         features = encoder(torch.full((1, 300, 400, 3), 128, dtype=torch.uint8))
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
@@ -82,7 +82,7 @@ def _try(encoder: ViewEncoder, name: str) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Within this context transformers does not draw bars, nor list weights that are not used here."""
+    """Within this context transformers shows no progress bars and does not list unused weights."""
     from transformers.utils import logging as hf_logging
 
     log: Any = logging.getLogger("transformers")

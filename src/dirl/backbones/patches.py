@@ -1,8 +1,8 @@
-"""Patch features: what each part of a view shows, for agents that compare views part by part.
+"""Patch features: features of the parts of a view, for agents that compare views part by part.
 
 The third stage of the shipped ResNet-50, of views at 96x128 pixels, is averaged over 2 x 4 cells and projected from
-1024 to 96 channels of about unit variance. The projection is the same wherever patches are computed, so that an agent
-meets the same ones in every room: principal components of training rooms, see ``data/NOTICE.md``.
+1024 to 96 channels of about unit variance. The projection, principal components of training rooms, is the same for
+every room, so that patches of different rooms are comparable; see ``data/NOTICE.md``.
 """
 
 import hashlib
@@ -52,8 +52,8 @@ def fit_projection(cells: Tensor, channels: int = PATCH_SHAPE[1], floor: float =
     Args:
         cells: ``[N, 1024]``, of training rooms only.
         channels: how many components to keep.
-        floor: components that vary less than this share of the first are scaled as if they varied as much, because
-            what is blown up there is noise.
+        floor: components whose variance is below this share of the first one's are scaled as if they had that share,
+            because scaling them up would amplify noise.
 
     Returns:
         ``mean`` ``[1024]``, ``components`` ``[1024, channels]`` (float16), and ``explained``, the share of the variance
@@ -64,7 +64,7 @@ def fit_projection(cells: Tensor, channels: int = PATCH_SHAPE[1], floor: float =
 
 
 def patch_attributes() -> dict[str, str]:
-    """What a dump stores of its patches."""
+    """The attributes that a dump stores with its patches."""
     digest = hashlib.sha256(PROJECTION.read_bytes()).hexdigest()
     height, width = PATCH_SIZE
     return {

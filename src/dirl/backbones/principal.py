@@ -24,7 +24,7 @@ def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> Com
         vectors: ``[N, D]``.
         count: how many to keep.
         floor: components whose deviation is below this share of the first one's are scaled as if they had that share,
-            because what would be blown up there is noise.
+            because scaling them up would amplify noise.
     """
     vectors = vectors.double()
     mean = vectors.mean(0)

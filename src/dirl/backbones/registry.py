@@ -1,4 +1,4 @@
-"""Encoders to choose from: what a name stands for, and the features of many views."""
+"""The available encoders by name, and the features of many views."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -44,8 +44,8 @@ def load_encoder(
 
     Args:
         name: ``resnet50``, which comes with the package and made the features of the built-in rooms;
-            ``resnet50_small``, the same at 96x128 pixels, a fifth of the work; the path of ResNet-50 weights (see
-            `dirl.backbones.load_backbone`); ``torchvision`` for those that torchvision brings (IMAGENET1K_V2); or a
+            ``resnet50_small``, the same at 96x128 pixels, a fifth of the computation; the path of ResNet-50 weights
+            (see `dirl.backbones.load_backbone`); ``torchvision`` for torchvision's own weights (IMAGENET1K_V2); or a
             vision backbone of Hugging Face transformers, by the name of the hub or a folder that holds one.
         device: where it computes.
         precision: ``float32``, or ``bfloat16``: four times as fast on a CPU with AMX instructions, and 1 % off.
@@ -174,7 +174,7 @@ def _resnet(
 
 
 def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype) -> ViewEncoder:
-    """An encoder that gives patches too, from a second network."""
+    """An encoder that also returns patches, from a second network."""
     second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, patches=True)
     assert second.forward_patches is not None
     of_patches = second.forward_patches

@@ -47,7 +47,7 @@ def _layer(inputs: int, width: int, blocks: int, stride: int) -> nn.Sequential:
 
 
 class ResNet50(nn.Module):
-    """ResNet-50 without its classifier, frozen: no parameter has a gradient, and the statistics stay as they are.
+    """ResNet-50 without its classifier, frozen: no parameter has a gradient, and the batch statistics do not change.
 
     The names in its state_dict are torchvision's, but for ``fc``. The initial weights are random; see `load_backbone`.
     """
@@ -82,10 +82,10 @@ class ResNet50(nn.Module):
 
 
 def preprocess(views: Tensor, size: tuple[int, int] = SIZE) -> Tensor:
-    """Views as the backbone wants them: resized, on a scale from 0 to 1, and normalised as on ImageNet.
+    """The input of the backbone: views resized, scaled to [0, 1], and normalised as on ImageNet.
 
-    The resizing is Pillow's, one view at a time, because the features of the built-in rooms were made so. torch's
-    own antialiasing rounds otherwise and moves features by 0.2 %; without antialiasing they move by 15 %.
+    Pillow resizes one view at a time, because that is how the features of the built-in rooms were made. torch's
+    own antialiasing rounds differently and changes features by 0.2 %; without antialiasing they change by 15 %.
 
     Args:
         views: RGB, uint8 ``[B, H, W, 3]``.
@@ -123,7 +123,7 @@ def encode(backbone: ResNet50, views: Tensor, batch: int = 32) -> Tensor:
 
 
 def fused(backbone: ResNet50) -> ResNet50:
-    """A copy with every batch norm multiplied into its convolution: the same features up to float32 rounding."""
+    """A copy with every batch norm folded into its convolution: the same features up to float32 rounding."""
     backbone = copy.deepcopy(backbone)
     for module in list(backbone.modules()):
         for k in [name.removeprefix("conv") for name, _ in module.named_children() if name.startswith("conv")]:

@@ -1,1 +1,1 @@
-"""What can be configured, and how a command line is checked."""
+"""The options, their types, and how a command line is checked."""

@@ -1,11 +1,11 @@
-"""Bounds of a constructor's number, written in its annotation: ``width: Annotated[int, Bounds(1)]``."""
+"""Bounds of a numeric parameter of a constructor, written in its annotation: ``width: Annotated[int, Bounds(1)]``."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """The least and the most that a number may be, both included; None = no bound."""
+    """The smallest and the largest value that a number may have, both included; None = no bound."""
 
     least: float | None = None
     most: float | None = None
@@ -15,7 +15,7 @@ class Bounds:
         return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
 
     def __str__(self) -> str:
-        """In words, as errors say it."""
+        """In words, for errors."""
         if self.least is not None and self.most is not None:
             return f"between {self.least} and {self.most}"
         return f"at least {self.least}" if self.most is None else f"at most {self.most}"

@@ -79,7 +79,7 @@ def choose_command(commands: Mapping[str, str], arguments: Sequence[str], text: 
     Args:
         commands: what each one does, by name.
         arguments: the command line after the program.
-        text: printed above the list of commands where ``--help`` stands in place of a command, or nothing.
+        text: printed above the list of commands, for ``--help`` or no arguments at all.
 
     Raises:
         ConfigError: there is no such command.
@@ -143,7 +143,7 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
 
 
 def _parsed(text: str) -> Override | None:
-    """An argument as an override; None if it is none, or one whose form Hydra itself refuses."""
+    """An argument as an override; None if it is not one, or if Hydra itself refuses its form."""
     if "=" not in text or text.startswith("-"):
         return None
     try:
@@ -160,7 +160,7 @@ def _config_dirs(arguments: Sequence[str]) -> list[Path]:
 
 
 def _check_choice(group: str, override: Override, folders: Sequence[Path]) -> None:
-    """Raise `ConfigError` unless a group has what is chosen from it."""
+    """Raise `ConfigError` unless the group has this choice."""
     choices = sorted({file.stem for folder in folders for file in (folder / group).glob("*.yaml")})
     for one in _values(override):
         for choice in one if isinstance(one, list) else [one]:
@@ -186,7 +186,7 @@ def _check_name(known: Mapping[str, Any], name: str) -> None:
 
 
 def _constant(name: str, override: Override) -> str:
-    """A number for a schedule as the constant schedule that it means; the argument itself if it is none."""
+    """A number given for a schedule, as a constant schedule; any other argument unchanged."""
     values = _values(override)
     if not values or any(isinstance(value, dict | str | bool) for value in values):
         return str(override.input_line)
@@ -194,7 +194,7 @@ def _constant(name: str, override: Override) -> str:
 
 
 def _values(override: Override) -> list[Any]:
-    """The value of an override, or each of a sweep's list; none of another sweep, or of a deletion."""
+    """The values of an override: one, or those of a sweep's list; empty for other sweeps and for deletions."""
     if override.is_delete():
         return []
     value = override.value()
@@ -203,7 +203,7 @@ def _values(override: Override) -> list[Any]:
 
 
 def _check_value(schema: type, name: str, kind: Any, override: Override) -> None:
-    """Raise `ConfigError` unless OmegaConf can make the value, or each of a sweep's list, what the option wants."""
+    """Raise `ConfigError` unless OmegaConf can convert each value to the type of the option."""
     if is_dataclass(kind):
         if not all(isinstance(given, dict) for given in _values(override)):
             inside = ", ".join(f"{name}.{option.name}" for option in fields(kind))
@@ -219,9 +219,9 @@ def _check_value(schema: type, name: str, kind: Any, override: Override) -> None
 
 @contextmanager
 def job_errors(folder: Path) -> Iterator[None]:
-    """Within this context an error of one job of a sweep is told at once, under its folder's name; Hydra keeps it.
+    """Within this context an error of one job of a sweep is reported at once, with its folder; Hydra keeps it.
 
-    Hydra goes on with the other jobs, and only at the end says what went wrong in the first that failed.
+    Hydra runs the other jobs, and reports only at the end why the first of the failed jobs failed.
     """
     try:
         yield
@@ -232,7 +232,7 @@ def job_errors(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def one_line_errors(folder: Path | None = None) -> Iterator[None]:
-    """Within this context an error in what the user gave ends the program with its message, without a traceback.
+    """Within this context an error in the user's input ends the program with its message, without a traceback.
 
     Args:
         folder: made by Hydra beforehand; deleted again if nothing has been written there.

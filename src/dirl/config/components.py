@@ -1,8 +1,8 @@
-"""Components by ``_target_``: which class a configuration names, whether its options fit, and how it is made.
+"""Components by ``_target_``: finding the class that a configuration names, checking its options, making it.
 
 A group of ``conf/`` (``encoder``, ``losses``, ...) names a class by its full path and gives its options. The class's
-annotated signature says what is accepted: types, and bounds by `dirl.config.bounds.Bounds`. What it needs besides (the
-world, the width of a view's features) it receives by the names of its parameters, see `GROUPS`.
+annotated signature defines the valid options: types, and bounds by `dirl.config.bounds.Bounds`. Further arguments (the
+world, the width of a view's features) are passed by the names of its parameters, see `GROUPS`.
 """
 
 import difflib
@@ -54,13 +54,13 @@ BASES = {"optimiser": "torch.optim.optimizer.Optimizer"}
 
 
 def components(config: Any) -> dict[str, dict[str, Any]]:
-    """The options of each component by dotted name (``encoder``, ``losses.a2c``), but for those that name no class.
+    """The options of each component that names a class, by dotted name (``encoder``, ``losses.a2c``).
 
     Args:
         config: a `dirl.config.schemas.TrainConfig`.
 
     Raises:
-        ConfigError: something in the place of a component that is none.
+        ConfigError: a value that is no component.
     """
     found = {}
     for group in GROUPS:
@@ -185,7 +185,7 @@ def check_options(name: str, cls: type, options: Mapping[str, Any]) -> None:
 
 
 def check_value(name: str, value: Any, annotation: Any) -> None:
-    """Check one value against an annotation; what an annotation means that is none of a plain value is not checked.
+    """Check one value against an annotation; annotations of other than plain values are not checked.
 
     Raises:
         ConfigError: it does not fit.
@@ -224,7 +224,7 @@ def _fits(value: Any, kind: Any) -> bool:
 
 
 def in_words(kind: Any) -> str:
-    """A type as errors say it."""
+    """A type in words, for errors."""
     if get_origin(kind) in (types.UnionType, typing.Union):
         told = [one for one in get_args(kind) if one in PLAIN or get_args(one) or issubclass(one, Enum)]
         return " or ".join(in_words(one) for one in told)
@@ -268,7 +268,7 @@ def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = 
         name: ``encoder``, ``losses.a2c``, ...
         options: with ``_target_``; None as its value makes nothing.
         trust: see `find_class`.
-        offered: arguments for the parameters of these names, if the constructor has them.
+        offered: arguments for those parameters of the constructor that have these names.
 
     Returns:
         The object, or None.

@@ -1,4 +1,4 @@
-"""Configurations that were saved: written whole, read without running or resolving anything in them."""
+"""Saved configurations: written completely, and read without running or resolving anything in them."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -45,7 +45,7 @@ def config_text(config: TrainConfig) -> str:
 def read_config(
     text: str, origin: str, changes: Mapping[str, Any] | None = None, trust: Collection[str] = ()
 ) -> TrainConfig:
-    """A configuration that a run saved. Nothing is made; its components' classes are found and checked.
+    """A configuration that a run saved. Its components' classes are found and checked, but not instantiated.
 
     Args:
         text: YAML.
@@ -54,7 +54,7 @@ def read_config(
         trust: packages whose classes it may name, see `dirl.config.components.find_class`.
 
     Raises:
-        ConfigError: it is none of this version, or names what is not trusted, or cannot be changed so.
+        ConfigError: it is not one of this version, names an untrusted package, or a change is invalid.
     """
     try:
         values = _plain(text)
@@ -83,7 +83,7 @@ def _plain(text: str) -> dict[str, Any]:
     """YAML as plain values.
 
     Raises:
-        ConfigError: it is too long, no mapping, or has interpolations, which could read the environment.
+        ConfigError: it is too long, is no mapping, or has interpolations, which could read the environment.
     """
     if len(text) > MAX_CHARACTERS:
         raise ConfigError(f"it has {len(text)} characters; at most {MAX_CHARACTERS} are read")
@@ -104,7 +104,7 @@ def _replace(values: dict[str, Any], name: str, value: Any) -> None:
 
 
 def _upgraded(old: dict[str, Any]) -> dict[str, Any]:
-    """A configuration of schema 1 as one of today, as far as evaluation, Navigator and reports need it."""
+    """A configuration of schema 1 converted to the current one, as far as evaluation, Navigator and reports need it."""
     before, network = leaves(old), old["network"]
     gone = ("objective", "network", "optimiser", "policy", "observation")
     values = {name: value for name, value in old.items() if name not in gone}

@@ -1,4 +1,4 @@
-"""What can be set for the commands of ``recipes/scenes.py``, with its type; the values are in ``conf/scenes/``."""
+"""The options of the commands of ``recipes/scenes.py`` with their types; the values are in ``conf/scenes/``."""
 
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,4 +1,4 @@
-"""What can be set, with its type; the values are in ``conf/``. The rest of the package takes plain arguments."""
+"""The options with their types; the values are in ``conf/``. The rest of the package takes plain arguments."""
 
 import math
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be run; the message says which option, and what it may be."""
+    """An invalid configuration; the message names the option and its valid values."""
 
 
 @dataclass
@@ -50,7 +50,7 @@ class Schedule:
     end: float = MISSING
 
     def __call__(self, left: float) -> float:
-        """The value when a share ``left`` of the training, 1 to 0, is still to come."""
+        """The value when a share ``left`` of the training, 1 to 0, remains."""
         return self.end + (self.start - self.end) * left
 
 
@@ -106,7 +106,7 @@ class ReinforcementConfig:
 
 @dataclass
 class RewardConfig:
-    """What a step earns."""
+    """The reward of a step."""
 
     goal: float = MISSING
     step: float = MISSING
@@ -116,7 +116,7 @@ class RewardConfig:
 
 @dataclass
 class StopConfig:
-    """Who says that the goal has been reached."""
+    """What decides that the goal has been reached."""
 
     training: Stop = MISSING
     evaluation: Stop = MISSING
@@ -126,7 +126,7 @@ class StopConfig:
 
 @dataclass
 class EvaluationConfig:
-    """How a policy is measured."""
+    """How a policy is evaluated."""
 
     goals: int | None = None
     starts: Starts = MISSING
@@ -145,7 +145,7 @@ class CheckpointConfig:
 
 @dataclass
 class LoggerConfig:
-    """Where metrics go besides the CSV files of the run folder."""
+    """Where metrics are sent besides the CSV files of the run folder."""
 
     name: LoggerName = MISSING
     project: str = MISSING

@@ -28,10 +28,10 @@ class FeaturePolicy(nn.Module):
         self.recurrent = _in_plain_operations(getattr(policy, "memory", None))
 
     def forward(self, features: Tensor, goal_features: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
-        """Decide and match.
+        """Action logits and matching coefficient.
 
         Args:
-            features: of the four views, as the backbone gave them, float32 ``[B, 4, D]``; if the encoder compares
+            features: of the four views, as the backbone returns them, float32 ``[B, 4, D]``; if the encoder compares
                 patches, they follow the pooled features.
             goal_features: of the goal's. A view of which nothing is known is zeros: with one photo, all but the first.
             state: the recurrent state, ``[B, ...]`` each; zeros at the beginning of an episode.

@@ -1,4 +1,4 @@
-"""Camera images as a navigator takes them."""
+"""The camera images that a navigator accepts."""
 
 import numpy as np
 import torch
@@ -11,7 +11,7 @@ Images = Tensor | NDArray[np.uint8]
 
 
 class NavigatorError(ValueError):
-    """Something a `dirl.Navigator` cannot work with; the message says what, and what to do."""
+    """An input that a `dirl.Navigator` cannot use; the message says what, and what to do."""
 
 
 def checked_images(images: Images, name: str, *, sequential: bool) -> tuple[Tensor, int, bool]:

@@ -1,4 +1,4 @@
-"""What a navigator is made of, out of a checkpoint."""
+"""The components of a navigator, from a checkpoint."""
 
 import warnings
 from collections.abc import Callable
@@ -51,7 +51,7 @@ def matched_view(config: TrainConfig, order: list[str]) -> int | None:
 
 
 def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
-    """The trained policy of one scene, over a table of no states."""
+    """The trained policy of one scene, with an empty table of features."""
     weights = saved["network"]
     mean = weights.get("features.mean", weights.get("encoder.table.mean"))
     if mean is None:

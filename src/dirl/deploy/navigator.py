@@ -1,4 +1,4 @@
-"""A trained agent outside its scenes: from camera images to actions, as a robot calls it."""
+"""A trained agent outside its scenes: from camera images to actions, for a robot."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -29,7 +29,7 @@ from dirl.training.build import reads_patches
 
 
 class Scores(NamedTuple):
-    """What lies behind a decision; of a batch, tensors with a first dimension of ``B``."""
+    """The scores behind a decision; for a batch, tensors with a first dimension of ``B``."""
 
     matching: float | Tensor
     """The coefficient of what is seen with the goal, in [-1, 1]; the agent stops above its threshold."""
@@ -38,7 +38,7 @@ class Scores(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What the agent does; of a batch, tensors ``[B]``."""
+    """The agent's action and whether it stops; for a batch, tensors ``[B]``."""
 
     action: int | Tensor
     """0 ahead, 1 turn right, 2 turn left, 3 back; to be taken unless ``stop``."""
@@ -48,10 +48,10 @@ class Decision(NamedTuple):
 
 
 class Navigator:
-    """An agent that is shown its goal once, and then says after every look what to do. Made by `Navigator.load`.
+    """An agent that takes images of its goal once, and then chooses an action for each look around.
 
-    A checkpoint trained with surrounding views wants four images each time, ahead, right, back and left; one trained
-    with sequential views a single image, of which the navigator remembers the last four.
+    Made by `Navigator.load`. A policy of surrounding views takes four images each time, ahead, right, back and left.
+    A policy of sequential views takes a single image, and the navigator keeps the last four.
 
     Args:
         policy: see `FeaturePolicy`.
@@ -94,7 +94,7 @@ class Navigator:
         device: str | torch.device = "cpu",
         trust: Collection[str] = (),
     ) -> "Navigator":
-        """A navigator from what a training left; the scenes it was trained in are not needed.
+        """A navigator from a checkpoint; the scenes of the training are not needed.
 
         Args:
             checkpoint: the folder of a run, or a ``.pt`` file in one.
@@ -104,7 +104,7 @@ class Navigator:
                 It must be the text that the checkpoint was trained with. Required for a function; encoders of dirl
                 say it themselves. A file of weights may be what a dump describes in other words: if the texts differ,
                 there is a warning unless this argument says that they mean the same.
-            scene: whose layers decide. It may be left out where there is no choice: one scene, or shared layers.
+            scene: whose layers are used. May be left out if there is only one scene, or if the layers are shared.
             device: ``cpu`` or ``cuda``.
             trust: packages whose classes the checkpoint's configuration may name, besides dirl's own.
 
@@ -153,7 +153,7 @@ class Navigator:
         """Begin an episode, or one for each row of a batch.
 
         Args:
-            goal_images: what is seen at the goal, uint8 RGB ``[4, H, W, 3]`` (ahead, right, back, left) or
+            goal_images: the views at the goal, uint8 RGB ``[4, H, W, 3]`` (ahead, right, back, left) or
                 ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well a policy finds goals
                 by one depends on its training (``imitation.front_only``, ``goal_view=front``). With sequential views
                 one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents.
@@ -173,10 +173,10 @@ class Navigator:
 
     @torch.no_grad()
     def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
-        """Decide what to do; call it once after every step, because it may remember what it sees.
+        """Choose the action; call this once after every step, because the navigator may keep a history.
 
         Args:
-            images: what is seen now, as `reset` takes it.
+            images: the agent's views now, in the form that `reset` takes.
             sample: draw the action by its probability instead of taking the most probable.
             generator: to draw with, on the navigator's device; torch's own if left out.
 

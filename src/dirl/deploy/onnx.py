@@ -22,10 +22,10 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
     ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. A policy with memory also takes its recurrent state
     (zeros at the beginning of an episode) and gives the next one, called ``next_<name>``. The layers are those of the
     navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and ``threshold``.
-    The encoder is not in it.
+    It does not contain the encoder.
 
     Raises:
-        NavigatorError: the packages for it are not installed.
+        NavigatorError: the packages that the export needs are not installed.
     """
     try:
         import onnx  # noqa: F401
@@ -58,7 +58,7 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Within this context torch does not tell of its own deprecated functions, nor that torchvision is not there."""
+    """Within this context torch does not warn of its own deprecated functions or of a missing torchvision."""
     log = logging.getLogger("torch.onnx")
     level = log.level
     log.setLevel(logging.ERROR)

@@ -91,7 +91,7 @@ class Task:
         self.decoded: dict[int, NDArray[np.uint8]] = {}
 
     def space(self) -> spaces.Space[Any]:
-        """The observations of one agent."""
+        """The observation space of one agent."""
         made: dict[str, spaces.Space[Any]] = {}
         for prefix, count in (("", VIEWS), ("goal_", self.goal_views)):
             for key in self.observed:

@@ -14,7 +14,7 @@ from dirl.scenes import ACTIONS, World
 
 @dataclass(frozen=True)
 class Reward:
-    """What a step earns (paper section 4.2)."""
+    """The reward of a step (paper section 4.2)."""
 
     goal: float = 10.0
     """The agent stopped at the goal."""
@@ -39,7 +39,7 @@ class NavigationEnv(EnvBase):
     Args:
         world: the scenes and goals; the environment runs on its device.
         num_agents: how many agents, B.
-        reward: what a step earns.
+        reward: of a step.
         stop: where an agent stops on its way to each goal, bool ``[P]``, see
             `dirl.scenes.matching.TemplateStop`. A stop
             anywhere but at the goal ends the episode with the reward of an ordinary step.

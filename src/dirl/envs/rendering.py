@@ -15,7 +15,7 @@ HEIGHT = 300
 
 
 class Painter:
-    """Draws the view, the goal's view and the map side by side; what does not change is drawn once.
+    """Draws the view, the goal's view and the map side by side; the constant parts are drawn once.
 
     Args:
         scene: the room.

@@ -1,4 +1,4 @@
-"""What an agent sees: four views, of its surroundings or of its last four steps, as the states they belong to.
+"""Observations as transforms: the ids of four views, of the surroundings or of the last four steps.
 
 `SurroundingViews` and `SequentialViews` turn ``state`` and ``goal`` into ``view_ids`` and ``goal_view_ids``, int64
 ``[..., 4]``: the states that the views belong to. The network looks up the features behind them. `ViewFeatures` looks
@@ -40,16 +40,16 @@ class SurroundingViews(Transform):
         self.register_buffer("surrounding", world.surrounding)
 
     def begin(self, state: Tensor) -> Tensor:
-        """What is seen at the start of an episode, int64 ``[...]`` to ``[..., 4]``."""
+        """The view ids at the start of an episode, int64 ``[...]`` to ``[..., 4]``."""
         return self.surrounding[state]
 
     def of_goal(self, goal: Tensor) -> Tensor:
-        """What is shown of a goal, int64 ``[...]`` to ``[..., 4]``."""
+        """The view ids of a goal, int64 ``[...]`` to ``[..., 4]``."""
         views = self.begin(goal)
         return views if self.goal_view == "surrounding" else front_only(views, self.states)
 
     def follow(self, view_ids: Tensor, state: Tensor) -> Tensor:
-        """What is seen after a step to ``state``, int64 ``[...]``, where ``view_ids`` were seen before it."""
+        """The view ids after a step to ``state``, int64 ``[...]``, given those before it."""
         return self.begin(state)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -86,11 +86,11 @@ def front_only(views: Tensor, unknown: int) -> Tensor:
 class SequentialViews(SurroundingViews):
     """The views of the last four steps, the newest last; the goal's view four times (TD-DRL, Zhu et al. 2017).
 
-    At the start of an episode the first view stands four times. The history lies in the tensordict itself (TorchRL's
-    ``CatFrames`` keeps it in the transform), so that an agent's tensordict is all there is to save.
+    At the start of an episode the first view is repeated four times. The history is in the tensordict itself (TorchRL's
+    ``CatFrames`` keeps it in the transform), so that the tensordict is the complete state of an agent.
 
-    On a replay buffer the sampled tensordict must be ``[..., T]``, steps of consecutive time; its first step is taken
-    as the start of an episode.
+    On a replay buffer the sampled tensordict must be ``[..., T]``, consecutive steps; the first is treated as the
+    start of an episode.
     """
 
     history = True

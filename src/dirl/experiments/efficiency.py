@@ -40,9 +40,9 @@ def stable_frames(result: Result, key: str = "stable_at_frame") -> float:
 
 
 def mean_stable_frames(result: Result) -> float:
-    """Since when the mean over the goals alone is low enough, which is less than every goal; infinity if never.
+    """The frame from which the mean over the goals is low enough, a weaker criterion; infinity if it never is.
 
-    Taken from ``reinforcement.csv``, thus on one of its rows.
+    Taken from ``reinforcement.csv``, so it is one of its rows.
     """
     frames, atl = training_curve(result)
     above = np.flatnonzero(atl > STABLE_ATL)
@@ -53,7 +53,7 @@ def mean_stable_frames(result: Result) -> float:
 def training_curve(result: Result) -> tuple[FloatArray, FloatArray]:
     """Frames and training ATL, ``[K]`` each, once there are `WINDOW` episodes a goal.
 
-    The first to end are the short ones, so that the mean of few says little.
+    The first episodes to end are short ones, so the mean of few episodes is biased.
     """
     rows = result.table("reinforcement")
     goals = sum(len(scene["goals"]) for scene in result.summary["greedy"]["scenes"].values())

@@ -22,7 +22,7 @@ MEASURES = {
 
 
 def is_reinforced(config: TrainConfig) -> bool:
-    """Whether a system has a half-way: the others imitate at most, and are what they are."""
+    """Whether a system is trained by reinforcement learning, and so has a half-way."""
     learns = config.policy["_target_"] not in ("dirl.experts.RandomPolicy", "dirl.experts.ShortestPathPolicy")
     return learns and bool(set(config.losses) - {"imitation"})
 

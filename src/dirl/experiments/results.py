@@ -1,4 +1,4 @@
-"""Finished runs as they lie on the disk, the paper's numbers, and tables and figures as files."""
+"""Finished runs on disk, the paper's numbers, and tables and figures as files."""
 
 import csv
 import json
@@ -49,7 +49,7 @@ class Result:
 
     @property
     def total(self) -> int:
-        """Frames that it was to train."""
+        """The number of frames of its training."""
         return int(self.summary["frames"])
 
     @property
@@ -59,7 +59,7 @@ class Result:
         return [names] if isinstance(names, str) else names
 
     def load(self, changes: Mapping[str, Any] | None = None) -> Trained:
-        """Its policy with the weights it ended with; ``changes`` are options to replace, by dotted name."""
+        """Its policy with the final weights; ``changes`` are options to replace, by dotted name."""
         return load_trained(load_checkpoint(self.folder), str(self.folder), changes)
 
     def table(self, stage: str) -> dict[str, NDArray[np.float64]]:
@@ -101,7 +101,7 @@ def finished_runs(folder: Path, hint: str) -> list[Result]:
 
 
 def grouped(results: Sequence[Result], key: Callable[[TrainConfig], Any]) -> dict[Any, list[Result]]:
-    """Runs by what a function makes of their configuration, in the order they come."""
+    """Runs grouped by a function of their configuration, in their order."""
     groups: dict[Any, list[Result]] = {}
     for result in results:
         groups.setdefault(key(result.config), []).append(result)
@@ -115,7 +115,7 @@ def by_system(results: Sequence[Result]) -> dict[str, list[Result]]:
 
 
 def published(experiment: str) -> dict[str, Any]:
-    """The paper's numbers, and under ``source`` where they stand in it."""
+    """The paper's numbers, and under ``source`` their place in it."""
     text = (Path(__file__).parent / "published.toml").read_text()
     return tomllib.loads(text)[experiment]
 
@@ -150,7 +150,7 @@ class Table:
         self.rows.append(cells)
 
     def markdown(self) -> str:
-        """For people."""
+        """The table as Markdown."""
         lines = [[column.heading for column in self.columns], [":--" if not c.form else "--:" for c in self.columns]]
         for row in self.rows:
             lines.append([self._text(cell, column) for cell, column in zip(row, self.columns, strict=True)])
@@ -182,7 +182,9 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
     for name, table in tables.items():
         table.write_csv(out / f"{name}.csv")
         parts.append(table.markdown().rstrip())
-    parts += [f"![{name}]({name}.png)" for name in figures]
+    for name in figures:
+        part = name.partition("_")[2]  # of fig6_td_drl: which of the figures of that title
+        parts.append(f"![{title}{', ' * bool(part)}{part}]({name}.png)")
     text = "\n\n".join(parts) + "\n"
     write_text(out / "README.md", text)
     return text

@@ -1,4 +1,4 @@
-"""Section 4.5.4: stopping by template matching when views are disturbed, which the paper speaks of only."""
+"""Section 4.5.4: stopping by template matching in disturbed views, which the paper does not measure."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

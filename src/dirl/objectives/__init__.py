@@ -1,4 +1,4 @@
-"""What is optimised, and how."""
+"""Losses, advantages and optimisers."""
 
 from dirl.objectives.imitation import ImitationLoss, OptimalActionsLoss
 from dirl.objectives.optim import TFRMSprop, clip_each

@@ -56,7 +56,7 @@ class ImitationLoss(LossModule):
 class OptimalActionsLoss(LossModule):
     """Negative log-probability that the actor takes any of the optimal actions.
 
-    Often several actions begin a shortest path. The cross-entropy with one of them (`ImitationLoss`) punishes the
+    Often several actions begin a shortest path. The cross-entropy with one of them (`ImitationLoss`) penalises the
     others; this loss leaves the choice to the actor, and is 0 once it takes optimal actions only.
 
     Args:

@@ -16,7 +16,7 @@ class TFRMSprop(Optimizer):
     the mean square starts at one, not zero.
 
     Args:
-        params: what to optimise.
+        params: the parameters to optimise.
         lr: learning rate.
         alpha: decay of the mean square.
         eps: see above.

@@ -18,8 +18,8 @@ def make_advantages(gamma: float, lmbda: float) -> GAE:
 def bootstrap(batch: TensorDictBase, critic: TensorDictModuleBase) -> TensorDictBase:
     """Write the value of each step's next state, ``("next", "state_value")`` float32 ``[B, T, 1]``.
 
-    Within an episode it is the value of the following step, known from the rollout. The critic is asked only for the
-    states behind the last step and where an episode was cut off.
+    Within an episode it is the value of the following step, known from the rollout. The critic is only evaluated
+    for the states after the last step and where an episode was truncated.
 
     Args:
         batch: ``[B, T]`` with ``state_value``.

@@ -1,4 +1,4 @@
-"""What a run turns into for a reader: tables, learning curves, pictures of the paths walked."""
+"""The reports of a run: tables, learning curves, pictures of paths, animations and the viewer."""
 
 from dirl.reporting.animation import write_gif
 from dirl.reporting.curves import draw_learning_curve, draw_learning_curves

@@ -1,4 +1,4 @@
-"""An episode as an animated picture: what the agent sees, what it looks for, and where it has been."""
+"""An episode as an animated picture: the agent's view, the goal's view, and the path so far."""
 
 from collections.abc import Sequence
 from pathlib import Path

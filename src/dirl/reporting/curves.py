@@ -49,8 +49,8 @@ def draw_learning_curve(folder: Path, file: Path) -> None:
 def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> None:
     """Draw runs in groups, e.g. the seeds of each setting: training ATL and greedy SPL over frames, as a PNG.
 
-    A line is the mean over a group's runs, the band around it reaches from the lowest run to the highest. Runs are
-    compared at common frames, by linear interpolation, as far as the shortest of the group goes.
+    A line is the mean over a group's runs, in a band from the lowest run to the highest. Runs are interpolated linearly
+    at common frames, up to the end of the shortest run of the group.
 
     Args:
         groups: the run folders of each group by its label, at least one each.
@@ -148,7 +148,7 @@ def _draw_imitation(upper: Axes, lower: Axes, folder: Path) -> None:
 
 
 def _draw_line(axes: Axes, x: FloatArray, y: FloatArray, color: str, label: str = "") -> None:
-    """A line through the values there are; points mark them where they are few, else a lone one would not show."""
+    """A line through the finite values; where they are few, points mark them, because a single one has no line."""
     known = np.isfinite(y)
     if not known.any():
         return
@@ -157,7 +157,7 @@ def _draw_line(axes: Axes, x: FloatArray, y: FloatArray, color: str, label: str 
 
 
 def _columns(file: Path, *names: str) -> dict[str, FloatArray]:
-    """Some columns of a CSV file; an empty cell is NaN. A stage that never ran has written no file, thus no rows."""
+    """Some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows."""
     if not file.is_file():
         return {name: np.empty(0) for name in names}
     with file.open(newline="") as lines:

@@ -1,4 +1,4 @@
-"""Pictures of a scene: its map, all its views, how far its states are apart, and where template matching errs."""
+"""Pictures of a scene: its map, all its views, the distances of its states, and the errors of template matching."""
 
 import math
 from pathlib import Path
@@ -33,7 +33,7 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
 
     Args:
         scene: N states.
-        parts: which part each state is in, see `Inspection`; those but the largest are coloured.
+        parts: which part each state is in, see `Inspection`; all but the largest are coloured.
         file: the image to write.
     """
     side, place = step_length(scene), places(scene.graph)
@@ -117,7 +117,7 @@ def draw_contact_sheet(scene: Scene, file: Path) -> None:
 
 
 def draw_distances(scene: Scene, file: Path) -> None:
-    """Draw how many pairs of states are how many actions apart, as a PNG."""
+    """Draw the distribution of distances between states, in actions, as a PNG."""
     reached = scene.distances[scene.distances > 0]
     figure = Figure((6, 3.2), layout="constrained")
     axes = figure.subplots()

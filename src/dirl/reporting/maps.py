@@ -1,4 +1,4 @@
-"""Maps of a room that show something of every state: the policy, the state value, the matching coefficient."""
+"""Maps of a room with the policy, the state value and the matching coefficient of every state."""
 
 import math
 import textwrap
@@ -50,7 +50,7 @@ def draw_policy(
         matching: of each state with the goal, float ``[N]``, see `dirl.scenes.matching.TemplateStop`.
         file: the image to write.
         title: of the figure.
-        threshold: states that match better than this are outlined: there the agent takes itself to be at the goal.
+        threshold: states that match better than this are outlined: there the agent stops.
 
     Raises:
         ValueError: an array has another shape or holds a value that is not finite, or the goal is no state that can
@@ -111,9 +111,9 @@ def draw_policy(
 
 
 def never_arrives(scene: Scene, goal: int, actions: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """The states from which always taking these actions, int64 ``[N]``, ends in a loop short of the goal, bool ``[N]``.
+    """The states from which these actions, int64 ``[N]``, lead into a loop and never to the goal, bool ``[N]``.
 
-    States that no policy could bring to the goal are not among them.
+    States from which no policy could reach the goal are excluded.
     """
     states = np.arange(len(scene))
     after = scene.graph[states, actions]
@@ -163,7 +163,7 @@ def _draw_actions(
     chances: FloatArray,
     lost: NDArray[np.bool_],
 ) -> None:
-    """A wedge for each state, the stronger in colour the surer the policy is, and a glyph of the action on it.
+    """A wedge for each state, in a stronger colour for a higher probability, with a glyph of the action.
 
     ``glyph`` is its height, metres.
     """

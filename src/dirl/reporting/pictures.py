@@ -31,10 +31,10 @@ def draw_scene(
         policy: trained.
         protocol: how it is evaluated, and where.
         index: of the scene in the world.
-        folder: where the files go.
-        matching: what the map of matching scores is computed by.
+        folder: for the files.
+        matching: computes the map of matching scores.
         facts: of the run, see `dirl.training.build.describe`.
-        count: episodes of the picture.
+        count: number of episodes in the picture.
     """
     world, scene = protocol.world, protocol.world.scenes[index]
     goal_index, offset = world.goals_in(index)[0], world.offsets[index]

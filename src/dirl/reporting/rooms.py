@@ -13,7 +13,7 @@ __all__ = ["GOAL_COLOR", "WALL_COLOR", "draw_room"]
 
 
 def draw_room(axes: Axes, scene: Scene, side: float) -> None:
-    """White squares where an agent can be, on the grey of walls and furniture.
+    """Draw white squares where an agent can be, on the grey of walls and furniture.
 
     Args:
         axes: drawn on; get the limits and labels of the room.

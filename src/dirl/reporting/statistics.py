@@ -1,4 +1,4 @@
-"""What several seeds say together: interquartile mean and bootstrap interval (Agarwal et al. 2021)."""
+"""Statistics over several seeds: interquartile mean and bootstrap interval (Agarwal et al. 2021)."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ def iqm(values: ArrayLike) -> FloatArray:
     """The mean of the middle half, without the lowest and highest quarter (each rounded down), along the first axis.
 
     Args:
-        values: float ``[R, ...]``, of R runs, at least one; infinity is a value like others, the highest.
+        values: float ``[R, ...]``, of R runs, at least one; infinity counts as the highest value.
 
     Returns:
         float ``[...]``.
@@ -27,12 +27,12 @@ def iqm(values: ArrayLike) -> FloatArray:
 
 
 def bootstrap_interval(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Between which limits the interquartile mean lies, by drawing the runs anew with replacement (percentiles).
+    """The percentile bootstrap confidence interval of the interquartile mean, by resampling the runs.
 
     Args:
         values: float ``[R, ...]``, of R runs, at least one.
         confidence: of the interval.
-        seed: of the draws.
+        seed: of the resampling.
 
     Returns:
         Lower and upper limit, float ``[...]`` each; both are the value itself for one run.
@@ -51,7 +51,7 @@ def bootstrap_interval(values: ArrayLike, confidence: float = 0.95, seed: int = 
 def summarised(values: Sequence[float], form: str) -> str:
     """Interquartile mean and 95 % interval as text, e.g. "13.51 [13.20, 14.02]"; infinity is "never".
 
-    An interval whose ends read as the mean does is left out; lines are not broken within one.
+    An interval whose ends round to the mean is left out. An interval contains no line break.
     """
 
     def text(number: float) -> str:

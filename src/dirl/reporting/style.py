@@ -1,4 +1,4 @@
-"""What all figures share: their colours, how plain axes look, and how they become files."""
+"""The common style of all figures: colours, axes, and how they are saved."""
 
 import math
 from pathlib import Path
@@ -55,7 +55,7 @@ def plain(axes: Axes, grid: str = "both") -> None:
 
     Args:
         axes: drawn on.
-        grid: ``both``, or the axis whose lines there are, ``x`` or ``y``.
+        grid: ``both``, or the axis that gets grid lines, ``x`` or ``y``.
     """
     axes.grid(axis=grid, color="0.9")  # type: ignore[arg-type]
     axes.set_axisbelow(True)
@@ -63,6 +63,6 @@ def plain(axes: Axes, grid: str = "both") -> None:
 
 
 def write_figure(figure: Figure, file: Path, dpi: int = 120) -> None:
-    """Write a figure in the format that the file's name ends with, PNG or SVG; the file is whole or not there."""
+    """Write a figure in the format that the file's name ends with, PNG or SVG, completely or not at all."""
     with atomic_path(file) as temporary:
         FigureCanvasAgg(figure).print_figure(temporary, dpi=dpi)

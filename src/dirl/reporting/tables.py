@@ -47,11 +47,11 @@ def result_table(rows: Mapping[str, Mapping[str, float | None]]) -> str:
 
 
 def summary_table(summary: Mapping[str, Any]) -> str:
-    """A run's ``summary.json`` for people.
+    """A run's ``summary.json`` as text.
 
     Args:
         summary: ``scene``, ``source``, ``system``, ``seed`` and ``frames``; ``frames_per_second``, ``seconds``,
-            ``stable_at_frame`` (None: never) and ``peak_memory_mb`` are printed where they are there.
+            ``stable_at_frame`` (None: never) and ``peak_memory_mb`` are printed if they are present.
             ``shortest_path``, ``random``, ``greedy`` and ``sampled`` hold measures, those that were evaluated;
             ``greedy`` also those of each scene and goal, as `dirl.evaluation.report` gives them.
 
@@ -71,7 +71,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
 
 
 def run_title(summary: Mapping[str, Any]) -> str:
-    """What was run where, e.g. "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
+    """The system, scenes and seed of a run, e.g. "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
     scene = summary["scene"]
     scenes = scene if isinstance(scene, str) else ", ".join(scene)
     # The built-in rooms bear the names of published scenes; nobody should take results in them for those.

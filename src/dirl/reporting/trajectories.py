@@ -1,4 +1,4 @@
-"""Paths of an agent on the map of its room, with what it saw on the way (as the paper's figure 6)."""
+"""Paths of an agent on the map of its room, with its views on the way (as the paper's figure 6)."""
 
 import math
 import textwrap
@@ -109,7 +109,7 @@ def chosen_steps(steps: int) -> list[int]:
 def _draw_map(
     axes: Axes, scene: Scene, goal: int, paths: Sequence[Sequence[int]], success: Sequence[bool]
 ) -> list[Artist]:
-    """Draw the room and the paths in it; return what its legend shows."""
+    """Draw the room and the paths in it; return the entries of its legend."""
     side, place = step_length(scene), places(scene.graph)
     arrows = side * heading_directions(scene)
     draw_room(axes, scene, side)
@@ -188,7 +188,7 @@ def _marker(shape: str, size: float, color: str, edge: str, label: str) -> Line2
 
 
 def _draw_views(figure: SubFigure, scene: Scene, goal: int, path: Sequence[int], reached: bool) -> None:
-    """What was seen at some steps of a path, and what is seen at the goal."""
+    """Draw the views at some steps of a path, and the view at the goal."""
     assert scene.views is not None
     figure.suptitle("views along path 1, each with the action that follows", fontsize=10)
     actions = [*path_actions(scene, path), "goal reached" if reached else "failed"]

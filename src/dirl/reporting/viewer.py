@@ -29,27 +29,27 @@ def viewer_pages(
     title: str,
     memory: EpisodicMemory | None = None,
 ) -> dict[str, str]:
-    """Pages in which a person steps through greedy episodes and walks the scenes with the keyboard.
+    """Pages to step through greedy episodes and to walk the scenes by keyboard.
 
-    A scene is a finite graph, so that a page holds the answer of the policy for each pair of goal and state, and plays
-    any episode as `dirl.evaluation.run_episodes` would.
+    A scene is a finite graph, so a page holds the output of the policy for each pair of goal and state, and plays any
+    episode as `dirl.evaluation.run_episodes` would.
 
     Args:
-        policy: as it is now.
+        policy: with its present weights.
         world: the scenes and goals to choose from.
         observation: what the policy observes.
-        matching: what the shown matching scores and threshold are taken from.
+        matching: computes the matching scores, and has the threshold.
         stop: where an agent stops on its way to each goal, bool ``[P]``; at the goal itself if None.
-        max_steps: an episode that has not arrived by then has failed.
-        title: says whose episodes these are; the same for all scenes.
+        max_steps: after so many steps an episode has failed.
+        title: names the run; the same for all scenes.
         memory: lowers logits by what was done in the episode.
 
     Returns:
-        The HTML text of each scene's page by its file name, ``viewer_<scene>.html``. The pages name each other, and
-        belong into one folder.
+        The HTML text of each scene's page by its file name, ``viewer_<scene>.html``. The pages link to each other, and
+        belong in one folder.
 
     Raises:
-        ValueError: what the policy decides by depends on more than where it is, so that a state has no one answer.
+        ValueError: the policy depends on more than the state, so that a state has no single output.
     """
     if observation.history or recurrent_keys(policy):
         raise ValueError(
@@ -89,12 +89,12 @@ def viewer_pages(
 
 
 def file_name(scene: str) -> str:
-    """The name of a scene's page; a scene's name comes from a file and may hold what no file name can."""
+    """The file name of a scene's page; the scene's name may contain characters that a file name cannot."""
     return f"viewer_{quote(scene, safe=' ')}.html"
 
 
 def _room(scene: Scene) -> dict[str, Any]:
-    """What a page must know of a scene, apart from its goals."""
+    """The data of a scene that a page needs, apart from its goals."""
     return {
         "scene": scene.name,
         "graph": scene.graph.tolist(),
@@ -107,7 +107,7 @@ def _room(scene: Scene) -> dict[str, Any]:
 
 
 def _memory(memory: EpisodicMemory, world: World, index: int) -> dict[str, Any]:
-    """What a page must know of an episodic memory: its options, and the states that look like each state."""
+    """The data of an episodic memory that a page needs: options, and the states that look like each state."""
     alike, row = look_alike(world, memory.threshold)
     offset, size = world.offsets[index], len(world.scenes[index])
     first = int(row[offset]) + offset

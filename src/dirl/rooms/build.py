@@ -40,7 +40,7 @@ def describe_room(description: str | Path | RoomDescription) -> RoomDescription:
     """The description itself, that of a built-in room by its name, or one read from a TOML file.
 
     Raises:
-        SceneError: there is no such room or file, or it cannot be used.
+        SceneError: there is no such room or file, or it is invalid.
     """
     if isinstance(description, RoomDescription):
         return description
@@ -65,29 +65,29 @@ def build_room(
     fine: bool = True,
     progress: bool = True,
 ) -> list[str]:
-    """Light a room, take the view of every state, and write a scene dump.
+    """Light a room, render the view of every state, and write a scene dump.
 
     Needs the extra ``rooms``. The same description gives the same file on one machine, whatever the number of workers;
-    on another machine the same graph, and views that differ by some rounding.
+    on another machine the same graph, and views that differ by rounding.
 
     Args:
         description: a built-in room by name, a TOML file, or a description made in memory.
-        out: the dump to write; it appears whole or not at all.
+        out: the dump to write, completely or not at all.
         size: height and width of the views, pixels.
         turn: degrees of a turn, see `walk`.
-        workers: processes that take views; all cores if left out. Each needs about 0.5 GB.
+        workers: processes that render views; all cores if left out. Each needs about 0.5 GB.
         encoder: what makes the features, from the views as they are stored; no features if left out.
-        provenance: where the encoder's weights come from, kept in the file beside their hash.
+        provenance: origin of the encoder's weights, stored in the file beside their hash.
         quality: of the stored WebP views, 0 to 100.
-        fine: the light of the built-in rooms; otherwise a coarser one, ten times quicker.
+        fine: the light of the built-in rooms; otherwise a coarser one, ten times faster.
         progress: show a progress bar.
 
     Returns:
-        What `check_room` and `check_views` have to say of the room, one line each; nothing if all is well.
+        The problems that `check_room` and `check_views` found, one line each.
 
     Raises:
-        SceneError: the room cannot be made, ``out`` exists, or an argument is out of range. All this is found before
-            the long work begins.
+        SceneError: the room cannot be made, ``out`` exists, or an argument is out of range. All this is detected
+            before the long work begins.
     """
     check_packages()
     room, out = describe_room(description), Path(out)
@@ -129,7 +129,7 @@ def write_room(
     provenance: str = "",
     progress: bool = False,
 ) -> None:
-    """Encode the views of a room, as they are stored, and write its dump; it appears whole or not at all.
+    """Encode the stored views of a room, and write its dump, completely or not at all.
 
     Args:
         out: the dump; an existing one is replaced.
@@ -183,7 +183,7 @@ def poses(way: Walk) -> list[Pose]:
 
 @dataclass(frozen=True)
 class View:
-    """A view as it is stored, and what the checks need of it."""
+    """A stored view, and what the checks need of it."""
 
     encoded: bytes
     thumbnail: Array
@@ -199,7 +199,7 @@ def take_views(
     workers: int | None = 1,
     progress: bool = True,
 ) -> Iterator[View]:
-    """The views from all poses, in their order, taken by several processes.
+    """The views from all poses, in their order, rendered by several processes.
 
     Args:
         renderer: of the room.

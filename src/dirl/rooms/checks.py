@@ -1,4 +1,4 @@
-"""What can be wrong with a room: furniture in furniture, doors that cannot be reached, views that say nothing."""
+"""Problems of a room: overlapping furniture, blocked doors, views without contrast."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,9 @@ COVERED = 0.6
 
 
 def check_room(room: RoomDescription) -> list[str]:
-    """What is wrong with the furniture of a room, one line each.
+    """The problems of a room's furniture, one line each.
 
-    Pieces that reach into each other, out of the room, or stand in front of a door; places that are cut off.
+    Pieces that overlap, reach out of the room, or stand in front of a door; places that are cut off.
     """
     return [*_intersections(room), *_blocked_doors(room), *_cut_off(room)]
 
@@ -125,7 +125,7 @@ def contrast(view: Array) -> float:
 
 
 def check_views(thumbnails: Array, contrasts: Array, way: Walk) -> list[str]:
-    """What is wrong with the views of a room, one line each: nearly blank ones, far pairs that look alike.
+    """The problems of a room's views, one line each: nearly blank ones, far pairs that look alike.
 
     Args:
         thumbnails: of every state, see `thumbnail`, float32 ``[N, 24, 32]``.

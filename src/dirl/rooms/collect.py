@@ -1,4 +1,4 @@
-"""Many random rooms into a collection: in parallel, and going on where it was stopped."""
+"""Many random rooms in a collection, made in parallel; an interrupted command can be continued."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -31,12 +31,12 @@ Wanted = tuple[str, int]
 
 @dataclass(frozen=True)
 class RoomSettings:
-    """How rooms of a collection are made; all of them in the same way.
+    """How the rooms of a collection are made; the same for all of them.
 
     Args:
         height, width: of the views, pixels.
         turn: degrees of a turn.
-        fine: the light of the built-in rooms; otherwise a coarser one, ten times quicker.
+        fine: the light of the built-in rooms; otherwise a coarser one, ten times faster.
         encoder: see `dirl.backbones.load_encoder`; None for no features.
         precision: of the encoder.
         patches: whether to store patches too.
@@ -61,7 +61,7 @@ class RoomSettings:
         return load_encoder(self.encoder, self.device, precision=self.precision, patches=self.patches)
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
-        """What the index keeps of them: the encoder by what it says of itself, not by its name here."""
+        """The settings as the index stores them: the encoder by its description, not by its name."""
         kept = {key: value for key, value in asdict(self).items() if key not in ("encoder", "device", "patches")}
         kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
         if encoder is not None and self.patches:
@@ -72,7 +72,7 @@ class RoomSettings:
 
 
 def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]) -> list[Wanted]:
-    """Which of some rooms are not in a collection yet, whole and as the index says.
+    """The rooms that a collection lacks, or does not have completely and as the index describes them.
 
     Args:
         folder: of the collection; it may not exist yet.
@@ -102,10 +102,10 @@ def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]
 def make_rooms(
     folder: str | Path, wanted: Sequence[Wanted], settings: RoomSettings, workers: int | None = None
 ) -> Iterator[Entry | SceneError]:
-    """Make random rooms: the dump of each, its description beside it, and a line in the index; as they get ready.
+    """Make random rooms: the dump of each, its description beside it, and a line in the index.
 
-    One process makes one room at a time; of a single room they take the views together. The same rooms come out
-    whatever the number of processes.
+    Each process makes one room at a time; the views of a single room are rendered by all. The rooms do not depend on
+    the number of processes.
 
     Args:
         folder: the collection's.
@@ -114,7 +114,7 @@ def make_rooms(
         workers: processes; all cores if left out. Each needs about 1 GB.
 
     Yields:
-        The entries of rooms that are whole; and for a seed of which no attempt passed the checks, the error.
+        The entries of complete rooms; for a seed of which no attempt passed the checks, the error.
 
     Raises:
         SceneError: the rooms cannot be made, or a process was killed, perhaps for want of memory.

@@ -1,4 +1,4 @@
-"""What a room is made of, as a TOML file says it: walls, materials, furniture, the grid of places, the camera.
+"""The description of a room in a TOML file: walls, materials, furniture, the grid of places, the camera.
 
 Lengths are metres, angles degrees; x points right on the plan, y up the plan, z up. See ``descriptions/`` for examples.
 """
@@ -37,7 +37,7 @@ class Grid:
         origin: of the first place, x and y.
         step: between neighbouring places.
         radius: of the agent, seen from above.
-        places: how many there must be; building stops if there are not. Unchecked if left out.
+        places: the required number; otherwise building stops. Not checked if left out.
     """
 
     origin: tuple[float, float] = (0.3, 0.3)
@@ -57,7 +57,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Material:
-    """A texture and how it takes light.
+    """A texture and how it reflects light.
 
     Args:
         kind: the texture, a name in `dirl.rooms.textures.TEXTURES`.
@@ -95,7 +95,7 @@ class Piece:
         along: where along the wall its middle is: x for north and south, y for east and west.
         off: its distance from the wall.
         at: x and y of its middle; a negative one is measured from the far wall.
-        yaw: turned by so much, anticlockwise; 0 faces south (beside what the wall gives).
+        yaw: rotation, anticlockwise; 0 faces south (beside what the wall gives).
         lift: its distance from the floor.
         solid: whether agents cannot pass it; by its kind if left out.
         options: of the kind.
