@@ -10,6 +10,11 @@
 All options with their values: conf/train.yaml and the groups beside it.
 """
 
+from dirl.config.start import start
+
+if __name__ == "__main__":
+    start("train")  # answers help and refuses options, before the imports below take their time
+
 import os
 import resource
 import sys
@@ -27,7 +32,7 @@ from tensordict import TensorDictBase
 from torch import nn
 from tqdm import tqdm
 
-from dirl.config.command_line import job_errors, one_line_errors, prepare, register
+from dirl.config.command_line import job_errors, one_line_errors
 from dirl.config.components import check_components
 from dirl.config.places import CONF
 from dirl.config.schemas import Precision, TrainConfig, typed
@@ -313,7 +318,4 @@ def peak_memory_mb() -> float:
 if __name__ == "__main__":
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells an error of the machine in many lines
     with one_line_exits():
-        register()
-        with one_line_errors():
-            sys.argv[1:] = prepare(TrainConfig, sys.argv[1:], CONF)
         main()

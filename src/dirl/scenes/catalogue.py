@@ -30,6 +30,16 @@ def load_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str 
     Raises:
         SceneError: no such scene (the message lists the choices), or a file that cannot be used.
     """
+    scenes = read_dumps(find_scenes(scene, source=source, root=root))
+    return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
+
+
+def find_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Dump]:
+    """The dumps of the scenes a user asks for, not read yet; see `load_scenes`.
+
+    Raises:
+        SceneError: no such scene.
+    """
     folder = _folder(source, root)
     names = [scene] if isinstance(scene, str) else list(scene)
     if not names:
@@ -46,8 +56,7 @@ def load_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str 
             raise SceneError(_no_such_scene(name, is_file, folder))
         label = source if source == "thor" or not is_file else None
         dumps.append(Dump(path, name=None if is_file else name, source=label))
-    scenes = read_dumps(dumps)
-    return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
+    return dumps
 
 
 def _folder(source: str, root: str | Path | None) -> Path:
