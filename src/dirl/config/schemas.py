@@ -22,6 +22,7 @@ Existing = StrEnum("Existing", ["refuse", "keep"])
 Reduction = StrEnum("Reduction", ["mean", "sum"])
 Stop = StrEnum("Stop", ["goal", "match"])
 Match = StrEnum("Match", ["views", "front"])
+Until = StrEnum("Until", ["frames", "stable"])
 Starts = StrEnum("Starts", ["every", "sampled"])
 LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
 
@@ -79,6 +80,7 @@ class ReinforcementConfig:
     """Actor-critic training."""
 
     frames_per_scene: int = MISSING
+    until: Until = Until.frames
     agents_per_scene: int = MISSING
     workers: int = MISSING
     n_steps: int = MISSING
@@ -138,6 +140,8 @@ class LoggerConfig:
 
     name: LoggerName = MISSING
     project: str = MISSING
+    group: str | None = None
+    tags: list[str] = field(default_factory=list)
 
 
 @dataclass
