@@ -9,6 +9,11 @@ hits all; medians are shown. The limit is the rate of the machine's float32 matr
 conf/benchmark.yaml.
 """
 
+from dirl.config.start import start
+
+if __name__ == "__main__":
+    start("benchmark")  # answers help and refuses options, before the imports below take their time
+
 import statistics
 import sys
 import time
@@ -25,7 +30,7 @@ from ours import evaluation_seconds, learning, operations_per_frame, peak_memory
 from tqdm import tqdm
 
 from dirl.atomic import write_json
-from dirl.config.command_line import one_line_errors, prepare, register
+from dirl.config.command_line import one_line_errors
 from dirl.config.components import check_components
 from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig, typed
 from dirl.training.build import build_world
@@ -140,7 +145,4 @@ def _text(scene: Any) -> str:
 
 
 if __name__ == "__main__":
-    register()
-    with one_line_errors():
-        sys.argv[1:] = prepare(BenchmarkConfig, sys.argv[1:])
     main()

@@ -16,6 +16,7 @@ from dirl.config.command_line import prepare
 from dirl.config.schemas import TrainConfig, typed
 from dirl.models import caching
 from dirl.runs.folder import Run
+from dirl.runs.memory import peak_memory_mb
 from dirl.training.build import (
     build_demonstrations,
     build_env,
@@ -31,7 +32,7 @@ ROOT = Path(__file__).resolve().parent.parent
 CONF = ROOT / "conf"
 
 sys.path.insert(0, str(ROOT / "recipes"))
-from train import begin, imitate, peak_memory_mb, reinforce  # noqa: E402
+from train import begin, imitate, reinforce  # noqa: E402
 
 __all__ = ["evaluation_seconds", "learning", "operations_per_frame", "peak_memory_mb", "rollout", "trained", "training"]
 

@@ -9,8 +9,9 @@ from typing import Annotated, Any, get_args, get_origin
 import yaml
 
 from dirl.config.command_line import SCHEMAS
-from dirl.config.components import GROUPS, TARGET, accepted, find_class
-from dirl.config.schemas import TrainConfig
+from dirl.config.components import GROUPS, TARGET, find_class
+from dirl.config.schemas import Schedule, TrainConfig
+from dirl.config.signatures import class_parameters
 
 CHOICES = ("system", "preset", "goal_view", "source", "logger")
 """The folders of conf/ that hold files to choose from, besides those of components."""
@@ -71,19 +72,23 @@ def entries(file: Path) -> dict[str, tuple[str, str]]:
     """Value and comment of each option that a YAML file sets, by dotted name."""
     text = file.read_text()
     inside = file.parent.name in CHOICES and "@package _global_" not in text
-    level, found = (f"{file.parent.name}." if inside else ""), {}
-    prefix = level
+    level = f"{file.parent.name}." if inside else ""
+    found: dict[str, tuple[str, str]] = {}
+    above: list[tuple[int, str]] = []  # indents and names of what this line is in
     for line in text.splitlines():
         match = re.match(r"( *)([a-z_0-9]+):\s*([^#]*?)\s*(?:#\s*(.*))?$", line)
         if match is None:
             continue
         indent, name, value, comment = match.groups()
-        if not indent:
-            prefix = level
-        if not value and not indent:
-            prefix = f"{name}."
-        else:
-            found[prefix + name] = (value, comment or "")
+        above = [(deep, group) for deep, group in above if deep < len(indent)]
+        full = level + ".".join([*(group for _, group in above), name])
+        if value or indent:
+            found[full] = (value, comment or "")
+        if not value:
+            above.append((len(indent), name))
+    for name in [name.removesuffix(".start") for name in found if name.endswith(".start")]:
+        ends = f"{{start:{found[f'{name}.start'][0]},end:{found[f'{name}.end'][0]}}}"
+        found[name] = (ends, found[name][1])
     return found
 
 
@@ -93,6 +98,8 @@ def words(kind: Any) -> str:
         return " / ".join(kind)
     if kind in WORDS:
         return WORDS[kind]
+    if kind is Schedule:
+        return "number, or from the first frame to the last"
     inside = get_args(kind)
     return " or ".join(map(words, inside)) if type(None) in inside else "list"
 
@@ -158,7 +165,7 @@ def component_rows(file: Path, group: str, name: str, options: dict[str, Any]) -
     if target is None:
         return []
     full = f"losses.{name}" if name else group
-    kinds = accepted(find_class(full, target))
+    kinds = {name: kind for name, (kind, _) in class_parameters(find_class(full, target)).items()}
     comments = {option.rpartition(".")[2]: comment for option, (_, comment) in entries(file).items()}
     lines = []
     for option, value in options.items():

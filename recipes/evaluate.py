@@ -8,7 +8,11 @@
 All options with their values: conf/evaluate/evaluate.yaml.
 """
 
-import sys
+from dirl.config.start import start
+
+if __name__ == "__main__":
+    start("evaluate")  # answers help and refuses options, before the imports below take their time
+
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +21,7 @@ import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from dirl.atomic import write_json, write_text
-from dirl.config.command_line import one_line_errors, prepare, register
+from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF
 from dirl.config.schemas import ConfigError, EvaluateConfig, leaves, typed
 from dirl.evaluation import assess
@@ -118,7 +122,4 @@ def run_folder(checkpoint: str) -> Path:
 
 
 if __name__ == "__main__":
-    register()
-    with one_line_errors():
-        sys.argv[1:] = prepare(EvaluateConfig, sys.argv[1:])
     main()

@@ -8,14 +8,18 @@ A report is a folder: README.md with the tables, CSV files with the value of eve
 All options with their values: conf/report/report.yaml.
 """
 
-import sys
+from dirl.config.start import start
+
+if __name__ == "__main__":
+    start("report")  # answers help and refuses options, before the imports below take their time
+
 from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from dirl.backbones.registry import load_encoder
-from dirl.config.command_line import one_line_errors, prepare, register
+from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF, command
 from dirl.config.schemas import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
 from dirl.experiments.any_goal import report_any_goal
@@ -117,7 +121,4 @@ def describe_runs(runs: list[Result]) -> str:
 
 
 if __name__ == "__main__":
-    register()
-    with one_line_errors():
-        sys.argv[1:] = prepare(ReportConfig, sys.argv[1:])
     main()

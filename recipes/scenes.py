@@ -12,7 +12,11 @@
 All options of each command with their values: conf/scenes/<command>.yaml.
 """
 
-import sys
+from dirl.config.start import start
+
+if __name__ == "__main__":
+    command = start("scenes", __doc__)  # answers help and refuses options, before the imports below take their time
+
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -24,7 +28,7 @@ from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_scene, encode_views, load_encoder
 from dirl.backbones.patches import patch_attributes
-from dirl.config.command_line import SCHEMAS, choose_command, one_line_errors, prepare, register
+from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF
 from dirl.config.scene_schemas import (
     BuildConfig,
@@ -262,31 +266,25 @@ def new_file(name: str | None, ending: str = ".h5") -> Path:
     return path
 
 
-COMMANDS: dict[str, tuple[str, Callable[[Any], None]]] = {
-    "thor": ("take a scene from live AI2-THOR", thor),
-    "photos": ("make a scene from photographs of a real place", photos),
-    "build": ("build a synthetic room from its description", build),
-    "sample": ("furnish random rooms and build them", sample),
-    "encode": ("compute the features of a dump anew, with another encoder", encode),
-    "export": ("write a scene in the layout of the published navigation code", export),
-    "import": ("take over a dump in that layout", take_over),
-    "inspect": ("look at a scene and check it", inspect),
+COMMANDS: dict[str, Callable[[Any], None]] = {
+    "thor": thor,
+    "photos": photos,
+    "build": build,
+    "sample": sample,
+    "encode": encode,
+    "export": export,
+    "import": take_over,
+    "inspect": inspect,
 }
-"""What each command does, and the function that does it with its configuration."""
+"""The function that does it, with its configuration."""
 
 
 if __name__ == "__main__":
-    register()
-    with one_line_errors():
-        meanings = {name: meaning for name, (meaning, _) in COMMANDS.items()}
-        command, arguments = choose_command(meanings, sys.argv[1:], __doc__ or "")
-        arguments = prepare(SCHEMAS[command], arguments)
 
     @hydra.main(version_base="1.3", config_path=str(CONF / "scenes"), config_name=command)
     def main(composed: DictConfig) -> None:
         """Run the command."""
         with one_line_errors():
-            COMMANDS[command][1](typed(composed))
+            COMMANDS[command](typed(composed))
 
-    sys.argv[1:] = arguments
     main()

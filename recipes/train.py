@@ -10,8 +10,13 @@
 All options with their values: conf/train.yaml and the groups beside it.
 """
 
+from dirl.config.start import start
+
+if __name__ == "__main__":
+    start("train")  # answers help and refuses options, before the imports below take their time
+
+import json
 import os
-import resource
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -26,7 +31,7 @@ from omegaconf import DictConfig
 from torch import nn
 from tqdm import tqdm
 
-from dirl.config.command_line import job_errors, one_line_errors, prepare, register
+from dirl.config.command_line import job_errors, one_line_errors
 from dirl.config.components import check_components
 from dirl.config.places import CONF
 from dirl.config.schemas import Precision, TrainConfig, typed
@@ -36,6 +41,7 @@ from dirl.models import caching, count_parameters, noisy, plain_weights, recurre
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.exits import interruptible, leave, one_line_exits
 from dirl.runs.folder import Run, open_run
+from dirl.runs.memory import peak_memory_mb
 from dirl.runs.states import check_training
 from dirl.training import hogwild
 from dirl.training.build import (
@@ -65,7 +71,7 @@ from dirl.training.losses import (
     total_loss,
 )
 from dirl.training.pairs import DrawnPairs
-from dirl.training.progress import EpisodeMeter
+from dirl.training.progress import EpisodeMeter, due, is_done
 from dirl.training.rollout import Update, collect, summarise
 from dirl.training.state import Record, TrainState
 
@@ -77,19 +83,18 @@ ROWS = 200
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
-def main(composed: DictConfig) -> None:
-    """Train: one run, or one job of a sweep."""
+def main(composed: DictConfig) -> float:
+    """Train: one run, or one job of a sweep; returns the greedy SPL, which sweepers maximise."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         with job_errors(folder):
-            train(composed, folder, alone=False)
-    else:
-        train(composed, folder, alone=True)
+            return train(composed, folder, alone=False)["greedy"]["spl"]
+    return train(composed, folder, alone=True)["greedy"]["spl"]
 
 
-def train(composed: DictConfig, folder: Path, *, alone: bool) -> None:
-    """Make the parts of the run, before anything is written; then run its stages.
+def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
+    """Make the parts of the run, before anything is written; then run its stages. Returns the summary.
 
     An error ends a run that is alone with one line. In a sweep it is the job's, and Hydra goes on with the others.
     """
@@ -99,7 +104,7 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> None:
         run = open_run(config, folder, HydraConfig.get().overrides.task)
         if run.finished:
             print(f"finished before: {run.folder}")
-            return
+            return json.loads((run.folder / "summary.json").read_text())
         world = build_world(run.config)
         observation = build_observation(run.config, world)
         policy = learning_policy(run.config, world, observation)
@@ -112,7 +117,7 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> None:
     for name, count in goals.left_out.items():
         print(f"{name}: {count} states are no goals, because not every state can reach them")
     with one_line_exits(run.how_to_go_on) if alone else nullcontext():
-        run_stages(run, policy, demos, state, protocol)
+        return run_stages(run, policy, demos, state, protocol)
 
 
 def begin(run: Run, policy: nn.Module, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
@@ -129,7 +134,7 @@ def begin(run: Run, policy: nn.Module, losses: Losses, protocol: EvaluationProto
 
 def run_stages(
     run: Run, policy: nn.Module, demos: Demonstrations, state: TrainState | None, protocol: EvaluationProtocol
-) -> None:
+) -> dict[str, Any]:
     """Imitation, reinforcement unless ``state`` is None, evaluation; a policy that learns nothing is evaluated only."""
     if run.saved is None:
         torch.manual_seed(run.config.seed)
@@ -139,7 +144,8 @@ def run_stages(
         summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
         run.write_summary(summary)
         print(summary_table(summary))
-        return
+        run.clean_up(summary)
+        return summary
     walked = {}
     if run.saved is None and len(demos):
         step = imitate(run, policy, demos)
@@ -147,7 +153,7 @@ def run_stages(
     if run.saved is None and run.config.evaluation.times:
         evaluate(run, policy, protocol, 0)
     trained = NOT_REINFORCED if state is None else reinforce(run, state, protocol)
-    conclude(run, policy, protocol, facts | trained | walked)
+    return conclude(run, policy, protocol, facts | trained | walked)
 
 
 def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
@@ -214,31 +220,35 @@ def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict
     often = 0.2 if sys.stderr.isatty() else 10.0
     bar = tqdm(total=total, initial=state.frames, unit=" frames", unit_scale=True, mininterval=often)
 
-    def record(update: Update, paused: AbstractContextManager[None]) -> None:
-        after_update(run, state, update, protocol, total, paused)
-        bar.update(update.frames)
-        bar.set_postfix_str(f"ATL {state.meter.atl:.1f}", refresh=False)
+    with interruptible() as stop, bar:
 
-    with interruptible() as interrupted, bar:
+        def record(update: Update, paused: AbstractContextManager[None]) -> None:
+            after_update(run, state, update, protocol, total, paused)
+            bar.update(update.frames)
+            bar.set_postfix_str(f"ATL {state.meter.atl:.1f}", refresh=False)
+            if is_done(config, state.meter, state.frames, total):
+                stop.append(0)
+
         state.start_clock()
         chosen = hogwild.learn if config.reinforcement.workers > 1 else learn
-        chosen(config, state, total, record, interrupted)
-        if interrupted and state.frames < total:
+        if not is_done(config, state.meter, state.frames, total):
+            chosen(config, state, total, record, stop)
+        if stop and not is_done(config, state.meter, state.frames, total):
             run.save(state.state_dict())
             bar.close()
-            leave("interrupted", 128 + interrupted[0], run.how_to_go_on)
+            leave("interrupted", 128 + stop[0], run.how_to_go_on)
     stable = {"stable_at_frame": state.meter.stable_at, "near_shortest_at_frame": state.meter.near_at}
     return {"frames": state.frames, "frames_per_second": state.frames / state.seconds, **stable}
 
 
-def learn(config: TrainConfig, state: TrainState, total: int, record: Record, interrupted: Sequence[int]) -> None:
-    """Collect, losses, backward, clip, step; until ``total`` frames or until there is anything in ``interrupted``."""
+def learn(config: TrainConfig, state: TrainState, total: int, record: Record, stop: Sequence[int]) -> None:
+    """Collect, losses, backward, clip, step; until ``total`` frames or until there is anything in ``stop``."""
     options, optimiser, policy = config.reinforcement, state.optimiser, state.policy
     operator, advantages = policy.operator(), Advantages(policy, options.gamma, options.lmbda)
     parameters, rate = trained_parameters(policy, state.losses), optimiser.defaults["lr"]
     by_agent = bool(recurrent_keys(policy))
     bfloat16 = config.precision == Precision.bfloat16
-    while state.frames < total and not interrupted:
+    while state.frames < total and not stop:
         left = 1 - state.frames / total
         set_learning_rate(optimiser, rate * left)
         with caching(policy), torch.autocast(state.env.device.type, torch.bfloat16, enabled=bfloat16):
@@ -270,7 +280,7 @@ def after_update(
         row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
         run.write("reinforcement", frames, row | update.values)
     evaluates = due(before, frames, total, run.config.evaluation.times)
-    saves = run.save_due() or frames >= total
+    saves = run.save_due() or is_done(run.config, meter, frames, total)
     if evaluates or saves:
         with paused:
             if evaluates:
@@ -278,11 +288,6 @@ def after_update(
             if saves:
                 run.save(state.state_dict())
     state.start_clock()
-
-
-def due(before: int, now: int, total: int, times: int) -> bool:
-    """Whether one of ``times`` moments, evenly spread over ``total`` frames, lies between two counts of frames."""
-    return before * times // total < now * times // total
 
 
 def evaluate(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:
@@ -294,7 +299,7 @@ def evaluate(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: 
     run.write("evaluation", frames, row)
 
 
-def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> None:
+def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> dict[str, Any]:
     """Evaluate, write the summary, show it as a table and in pictures."""
     if hasattr(policy, "restore"):
         policy.restore()
@@ -305,22 +310,12 @@ def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[
     draw_learning_curve(run.folder, run.folder / "learning_curve.png")
     for index in range(len(protocol.world.scenes)):
         draw_scene(policy, protocol, index, run.folder, matching=matching(run.config), facts=summary)
-    run.clean_up()
+    run.clean_up(summary)
     print(f"pictures, metrics and weights: {run.folder}")
-
-
-def peak_memory_mb() -> float:
-    """The most memory this process has held, in megabytes."""
-    status = Path("/proc/self/status")
-    if status.exists():  # on Linux `getrusage` would count what the parent of a new process held
-        return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6
+    return summary
 
 
 if __name__ == "__main__":
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells an error of the machine in many lines
     with one_line_exits():
-        register()
-        with one_line_errors():
-            sys.argv[1:] = prepare(TrainConfig, sys.argv[1:], CONF)
         main()

@@ -1,27 +1,16 @@
 """The command ``dirl``, which runs the recipes from wherever the package is installed.
 
-Nothing here imports torch: help, refused options and shell completion are fast.
+Nothing here imports torch, nor does `dirl.config.start`: help, refused options and shell completion answer at once.
 """
 
-import contextlib
 import difflib
-import io
 import os
 import runpy
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from dirl.config.places import CONF, HOME, VARIABLE, command
-
-RECIPES = {
-    "train": ("recipes/train.py", "train an agent to find its goals"),
-    "evaluate": ("recipes/evaluate.py", "evaluate trained weights"),
-    "scenes": ("recipes/scenes.py", "take, build, convert, encode and check scenes"),
-    "report": ("recipes/report.py", "write a table or figure of the paper from finished runs"),
-    "benchmark": ("benchmarks/benchmark.py", "measure the speed of training and evaluation on this machine"),
-}
-"""The file of each recipe below `HOME`, and what it does."""
+from dirl.config.places import CONF, HOME, RECIPES, VARIABLE
 
 OTHERS = {
     "copy": "copy a recipe into a file of your own: dirl copy train my_train.py",
@@ -29,8 +18,6 @@ OTHERS = {
 }
 
 COMPLETION = ("-sc", "--shell-completion")
-SHOWING = (*COMPLETION, "-h", "--help", "--hydra-help", "-c", "--cfg", "-i", "--info", "--version")
-"""Options by which Hydra shows something and runs nothing."""
 
 HELP = """Target-driven visual navigation by deep imitation reinforcement learning.
 
@@ -72,63 +59,21 @@ def main() -> None:
 
 
 def run(name: str, arguments: Sequence[str]) -> None:
-    """Run a recipe as a script, with its arguments checked beforehand; or show what was asked for.
-
-    Args:
-        name: of `RECIPES`.
-        arguments: the command line after the name.
-    """
-    if any(argument in SHOWING for argument in arguments) and configured(name, arguments):
-        show(name, arguments)
-        return
-    if (found := configured(name, arguments)) is not None:
-        check(*found)
+    """Run a recipe as a script, with the command line after its name."""
     script = HOME / RECIPES[name][0]
     sys.argv = [str(script), *arguments]
     sys.path.insert(0, str(script.parent))  # as Python does for a script
     runpy.run_path(str(script), run_name="__main__")
 
 
-def configured(name: str, arguments: Sequence[str]) -> tuple[str, list[str]] | None:
-    """The configuration of a command (``train``; ``scenes/inspect``) and its options; None if none is named."""
-    if name == "report":
-        return "report/report", list(arguments)
-    if name != "scenes":
-        return name, list(arguments)
-    if arguments and (CONF / "scenes" / f"{arguments[0]}.yaml").is_file():
-        return f"scenes/{arguments[0]}", list(arguments[1:])
-    return None
-
-
-def check(config: str, arguments: Sequence[str]) -> list[str]:
-    """The options as Hydra takes them; ends the program with one line if an option or a value is invalid."""
-    from dirl.config.command_line import SCHEMAS, one_line_errors, prepare, register
+def show(name: str, arguments: Sequence[str]) -> None:
+    """Let Hydra answer a shell that completes the options of a recipe."""
+    from dirl.config.command_line import register
+    from dirl.config.start import configuration, shown
 
     register()
-    with one_line_errors():
-        return prepare(SCHEMAS[Path(config).name], arguments, CONF if config == "train" else None)
-
-
-def show(name: str, arguments: Sequence[str]) -> None:
-    """Let Hydra answer ``--help``, ``--cfg job`` or a shell's completion, without the recipe's imports."""
-    import hydra
-
-    found = configured(name, arguments)
-    assert found is not None
-    config, options = found
-    folder, _, chosen = config.rpartition("/")
-    sys.argv = ["dirl", *check(config, options)]
-    told = io.StringIO()
-    with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):  # Hydra leaves after its help
-        hydra.main(version_base="1.3", config_path=str(CONF / folder), config_name=chosen)(_nothing)()
-    text = told.getvalue()
-    for recipe, (file, _) in RECIPES.items():
-        text = text.replace(f"python {file}", command(recipe))
-    print(text, end="")
-
-
-def _nothing(_: object) -> None:
-    """What Hydra would run."""
+    chosen, options = (arguments[0], arguments[1:]) if name == "scenes" else (name, arguments)
+    print(shown(configuration(name, chosen), options), end="")
 
 
 def complete(arguments: Sequence[str]) -> None:

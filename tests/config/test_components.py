@@ -9,8 +9,9 @@ from commands import train_config
 from torch import nn
 
 from dirl.config.bounds import Bounds
-from dirl.config.components import accepted, check_components, components, find_class, make, schedules
+from dirl.config.components import check_components, components, find_class, make, schedules
 from dirl.config.schemas import ConfigError, Schedule
+from dirl.config.signatures import class_parameters
 from dirl.models import SiameseEncoder
 
 
@@ -68,8 +69,8 @@ def test_nothing_is_made_where_no_class_is_named():
 
 
 def test_options_handed_on_are_those_of_the_base():
-    assert list(accepted(Deeper)) == ["num_features", "depth", "rate", "kind", "name", "gated", "layers"]
-    assert set(accepted(SiameseEncoder)) == {"num_features", "width"}
+    assert list(class_parameters(Deeper)) == ["num_features", "depth", "rate", "kind", "name", "gated", "layers"]
+    assert set(class_parameters(SiameseEncoder)) == {"num_features", "width"}
 
 
 @pytest.mark.parametrize(

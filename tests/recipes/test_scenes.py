@@ -17,6 +17,7 @@ from simulator import Simulator
 
 from dirl.backbones import ResNet50
 from dirl.config.command_line import SCHEMAS, choose_command, prepare, register
+from dirl.config.scene_schemas import MEANINGS
 from dirl.config.schemas import ConfigError, Match, typed
 from dirl.rooms.checks import far_apart
 from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
@@ -42,18 +43,16 @@ def room(here):
 def run(line):
     """What the recipe does with a command line, without a process of its own."""
     register()
-    command, arguments = choose_command(
-        {name: meaning for name, (meaning, _) in COMMANDS.items()}, shlex.split(line), ""
-    )
+    command, arguments = choose_command(MEANINGS, shlex.split(line), "")
     arguments = prepare(SCHEMAS[command], arguments)
     with initialize_config_dir(str(ROOT / "conf" / "scenes"), version_base="1.3"):
         options = typed(compose(command, arguments))
-    COMMANDS[command][1](options)
+    COMMANDS[command](options)
 
 
 def test_help_lists_the_commands_and_each_has_its_own(tmp_path):
     _, printed, _ = run_recipe(tmp_path, "scenes", "--help")
-    assert all(f"  {command:<8} " in printed for command in COMMANDS)
+    assert all(f"  {command:<8} {MEANINGS[command]}" in printed for command in COMMANDS)
     status, printed, _ = run_recipe(tmp_path, "scenes", "photos", "--help")
     assert status == 0
     assert "python recipes/scenes.py photos folder=my_office" in printed

@@ -58,7 +58,7 @@ def test_only_the_latest_checkpoints_stay_and_none_after_the_end(tmp_path):
     assert [file.stem.lstrip("0") for file in training_checkpoints(tmp_path)] == ["10", "100"]
     assert load_checkpoint(tmp_path)["frames"] == 100
     run.finish({"frames": 200, "network": {}}, {"sr": math.nan})
-    run.clean_up()
+    run.clean_up({})
     assert training_checkpoints(tmp_path) == []
     assert load_checkpoint(tmp_path)["frames"] == 200
     assert json.loads((tmp_path / "summary.json").read_text()) == {"sr": None}
@@ -207,7 +207,7 @@ def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path):
     run.save({"frames": 10, "network": {}})
     assert run.how_to_go_on() == f"its last checkpoint is safe; {again}"
     run.finish({"frames": 10, "network": {}}, {})
-    run.clean_up()
+    run.clean_up({})
     assert run.how_to_go_on() == f"the run is finished: {tmp_path / 'run'}"
     assert not list((tmp_path / "run").glob(".*"))
 

@@ -118,11 +118,11 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
     if arguments and arguments[0] in ("-sc", "--shell-completion"):  # its install=bash is no option of a recipe
         return list(arguments)
     known = option_types(schema)
-    folders = [] if conf is None else [conf, *_config_dirs(arguments)]
+    folders = [] if conf is None else [conf, *config_dirs(arguments)]
     sweeps = any(text in ("-m", "--multirun") for text in arguments)
     prepared = []
     for text in arguments:
-        override = _parsed(text)
+        override = parsed(text)
         if override is not None and override.is_sweep_override() and not sweeps:
             raise ConfigError(f"{text}: several values are a sweep; add -m, or write a list as name=[a,b]")
         name = "" if override is None else override.key_or_group
@@ -142,7 +142,7 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
     return prepared
 
 
-def _parsed(text: str) -> Override | None:
+def parsed(text: str) -> Override | None:
     """An argument as an override; None if it is not one, or if Hydra itself refuses its form."""
     if "=" not in text or text.startswith("-"):
         return None
@@ -152,7 +152,7 @@ def _parsed(text: str) -> Override | None:
         return None
 
 
-def _config_dirs(arguments: Sequence[str]) -> list[Path]:
+def config_dirs(arguments: Sequence[str]) -> list[Path]:
     """The folders that ``--config-dir`` names."""
     joined = [text.partition("=")[2] for text in arguments if text.startswith("--config-dir=")]
     apart = [after for text, after in pairwise(arguments) if text in ("--config-dir", "-cd")]

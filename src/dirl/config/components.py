@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from dirl.config.bounds import Bounds
 from dirl.config.schemas import ConfigError, Schedule
+from dirl.config.signatures import Parameters, class_parameters, read_parameters
 
 TARGET = "_target_"
 
@@ -90,7 +91,24 @@ def check_components(config: Any, trust: Collection[str] | None = None) -> None:
         ConfigError: see `find_class` and `check_options`.
     """
     for name, options in components(config).items():
-        check_options(name, find_class(name, options[TARGET], trust), options)
+        check_options(name, class_parameters(find_class(name, options[TARGET], trust)), options)
+
+
+def check_sources(config: Any) -> None:
+    """Check the options of every component whose source tells its constructor, without importing it.
+
+    Of the others, and of the rest that makes a component usable, `check_components` says more.
+
+    Args:
+        config: a `dirl.config.schemas.TrainConfig`, composed on the command line.
+
+    Raises:
+        ConfigError: see `check_options`.
+    """
+    for name, options in components(config).items():
+        parameters = read_parameters(str(options[TARGET]))
+        if parameters is not None:
+            check_options(name, parameters, options)
 
 
 def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> type:
@@ -130,41 +148,19 @@ def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> 
     return found
 
 
-def accepted(cls: type) -> dict[str, Any]:
-    """The parameters of a class's constructor and their annotations; ``**kwargs`` stands for those of its bases."""
-    found: dict[str, Any] = {}
-    for owner in cls.__mro__:
-        if "__init__" not in vars(owner):
-            continue
-        parameters = _signature(owner)
-        found = {**{name: kind for name, (kind, _) in parameters.items()}, **found}
-        if not any(p.kind is p.VAR_KEYWORD for p in inspect.signature(vars(owner)["__init__"]).parameters.values()):
-            break
-    return found
-
-
-def _signature(owner: type) -> dict[str, tuple[Any, bool]]:
-    """The named parameters of the constructor that a class defines: annotation, and whether one must be given."""
-    constructor = vars(owner)["__init__"]  # TorchRL's metaclasses hide the class's own signature
-    try:
-        hints = typing.get_type_hints(constructor, include_extras=True)
-    except (NameError, TypeError):  # a name that is only imported for type checkers
-        hints = {}
-    return {
-        name: (hints.get(name, Any), parameter.default is parameter.empty)
-        for name, parameter in list(inspect.signature(constructor).parameters.items())[1:]
-        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
-    }
-
-
-def check_options(name: str, cls: type, options: Mapping[str, Any]) -> None:
+def check_options(name: str, parameters: Parameters, options: Mapping[str, Any]) -> None:
     """Check a component's options against its constructor.
+
+    Args:
+        name: of the component.
+        parameters: of the constructor, see `dirl.config.signatures`.
+        options: with ``_target_``.
 
     Raises:
         ConfigError: an unknown or missing option, or a value of the wrong type or out of bounds.
     """
     group = name.split(".")[0]
-    offered, parameters = GROUPS[group], accepted(cls)
+    offered, kind = GROUPS[group], str(options[TARGET]).rpartition(".")[2]
     choices = [option for option in parameters if option not in offered]
     scheduled = ("weight",) if group == "losses" else ()
     for option, value in options.items():
@@ -172,16 +168,15 @@ def check_options(name: str, cls: type, options: Mapping[str, Any]) -> None:
             continue
         if option not in choices:
             near = difflib.get_close_matches(str(option), choices, n=1)
-            hint = f"did you mean {name}.{near[0]}?" if near else f"{cls.__name__} takes {', '.join(choices) or 'none'}"
+            hint = f"did you mean {name}.{near[0]}?" if near else f"{kind} takes {', '.join(choices) or 'none'}"
             raise ConfigError(f"there is no option '{name}.{option}'; {hint}")
         if not (group == "losses" and is_schedule(value)):
-            check_value(f"{name}.{option}", value, parameters[option])
+            check_value(f"{name}.{option}", value, parameters[option][0])
     if group == "losses":
         schedules(name, options)
-    owner = next(owner for owner in cls.__mro__ if "__init__" in vars(owner))
-    for option, (_, required) in _signature(owner).items():
+    for option, (_, required) in parameters.items():
         if required and option not in options and option not in offered:
-            raise ConfigError(f"{name}.{option}: {cls.__name__} needs it; give {name}.{option}=...")
+            raise ConfigError(f"{name}.{option}: {kind} needs it; give {name}.{option}=...")
 
 
 def check_value(name: str, value: Any, annotation: Any) -> None:
@@ -279,12 +274,13 @@ def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = 
     if options[TARGET] is None:
         return None
     cls = find_class(name, options[TARGET], trust)
-    check_options(name, cls, options)
+    parameters = class_parameters(cls)
+    check_options(name, parameters, options)
     given = {key: value for key, value in options.items() if key != TARGET}
     if name.startswith("losses."):
         given.pop("weight", None)
         given = {key: value["start"] if is_schedule(value) else value for key, value in given.items()}
-    wanted = {key: value for key, value in offered.items() if key in accepted(cls)}
+    wanted = {key: value for key, value in offered.items() if key in parameters}
     try:
         return cls(**given, **wanted)
     except (TypeError, ValueError, AssertionError) as error:  # torch asserts what its layers are given

@@ -15,6 +15,16 @@ VARIABLE = "DIRL_COMMAND"
 """Of the environment, so that the jobs of a sweep know it too: set where the command ``dirl`` was used."""
 
 
+RECIPES = {
+    "train": ("recipes/train.py", "train an agent to find its goals"),
+    "evaluate": ("recipes/evaluate.py", "evaluate trained weights"),
+    "scenes": ("recipes/scenes.py", "take, build, convert, encode and check scenes"),
+    "report": ("recipes/report.py", "write a table or figure of the paper from finished runs"),
+    "benchmark": ("benchmarks/benchmark.py", "measure the speed of training and evaluation on this machine"),
+}
+"""The file of each recipe below `HOME`, and what it does."""
+
+
 def command(name: str, *, running: bool = False) -> str:
     """How the user calls a recipe, for messages that say what to run next.
 

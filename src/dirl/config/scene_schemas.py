@@ -116,3 +116,16 @@ class InspectConfig:
     out: str | None = None
     threshold: float = MISSING
     match: Match = MISSING
+
+
+MEANINGS = {
+    "thor": "take a scene from live AI2-THOR",
+    "photos": "make a scene from photographs of a real place",
+    "build": "build a synthetic room from its description",
+    "sample": "furnish random rooms and build them",
+    "encode": "compute the features of a dump anew, with another encoder",
+    "export": "write a scene in the layout of the published navigation code",
+    "import": "take over a dump in that layout",
+    "inspect": "look at a scene and check it",
+}
+"""What each command does."""

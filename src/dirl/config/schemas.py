@@ -26,6 +26,7 @@ Reduction = StrEnum("Reduction", ["mean", "sum"])
 Stop = StrEnum("Stop", ["goal", "match"])
 GoalView = StrEnum("GoalView", ["surrounding", "front"])
 Match = StrEnum("Match", ["views", "front"])
+Until = StrEnum("Until", ["frames", "stable"])
 Starts = StrEnum("Starts", ["every", "sampled"])
 LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
 
@@ -89,6 +90,7 @@ class ReinforcementConfig:
     """Actor-critic training."""
 
     frames_per_scene: int = MISSING
+    until: Until = Until.frames
     agents_per_scene: int = MISSING
     workers: int = MISSING
     n_steps: int = MISSING
@@ -149,6 +151,8 @@ class LoggerConfig:
 
     name: LoggerName = MISSING
     project: str = MISSING
+    group: str | None = None
+    tags: list[str] = field(default_factory=list)
 
 
 @dataclass

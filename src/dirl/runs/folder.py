@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
-from torchrl.record.loggers import Logger
 
 from dirl.atomic import remove_unfinished, write_json, write_text
 from dirl.config.components import named_packages
 from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
-from dirl.config.schemas import Existing, LoggerName, TrainConfig, leaves
+from dirl.config.schemas import Existing, TrainConfig, leaves
 from dirl.runs.checkpoints import (
     SUFFIX,
     latest_checkpoint,
@@ -27,7 +26,7 @@ from dirl.runs.checkpoints import (
 )
 from dirl.runs.checks import RunError, check_progress
 from dirl.runs.locks import FolderLock, claim, config_file, is_numbered
-from dirl.runs.loggers import make_logger
+from dirl.runs.loggers import Logger, make_logger
 from dirl.scenes import World
 
 SCHEMA = 2
@@ -84,7 +83,7 @@ class Run:
         elif self._lock is None:
             self._lock = FolderLock(self.folder)
         try:
-            self.logger = make_logger(self.config.logger, self.folder)
+            self.logger = make_logger(self.config, self.folder, self.saved["frames"] if self.saved else 0)
             text = config_text(self.config)
             self._facts = {"config": text, "scenes": list(world.names), "extractor": world.scenes[0].extractor}
             self._facts |= {"views": list(view_order), "schema": SCHEMA}
@@ -146,9 +145,7 @@ class Run:
                 writer.writerow(row)
             writer.writerow(cells)
         if self.logger is not None:
-            for name, value in row.items():
-                if not math.isnan(value):
-                    self.logger.log_scalar(f"{stage}/{name}", value, step=step)
+            self.logger.log(stage, step, row)
 
     def save_due(self) -> bool:
         """Whether it is time for the next checkpoint."""
@@ -180,13 +177,13 @@ class Run:
         """Write ``summary.json``."""
         write_json(self.folder / "summary.json", summary)
 
-    def clean_up(self) -> None:
+    def clean_up(self, summary: Mapping[str, Any]) -> None:
         """Delete the checkpoints of the training; from then on the run counts as finished, and the folder is free."""
         if (self.folder / "checkpoints").exists():
             shutil.rmtree(self.folder / "checkpoints")
         self.close()
-        if self.logger is not None and self.config.logger.name == LoggerName.wandb:
-            self.logger.experiment.finish()
+        if self.logger is not None:
+            self.logger.finish(summary, self.folder)
 
 
 def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:

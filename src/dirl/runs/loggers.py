@@ -1,34 +1,170 @@
-"""Where metrics go besides the CSV files of a run."""
+"""Where a run is logged besides the files in its folder: Weights & Biases, TensorBoard.
 
+Both get the configuration, every row of the CSV files, the summary and the pictures; the first also the weights.
+"""
+
+import json
+import math
 import os
+import secrets
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Protocol
 
-from torchrl.record.loggers import Logger, get_logger
+import numpy as np
+from omegaconf import OmegaConf
+from PIL import Image
 
-from dirl.config.schemas import ConfigError, LoggerConfig, LoggerName
+from dirl.atomic import write_text
+from dirl.config.schemas import ConfigError, LoggerName, TrainConfig, leaves
+
+PICTURES = ("*.png", "*.gif")
 
 
-def make_logger(options: LoggerConfig, folder: Path) -> Logger | None:
-    """TorchRL's logger of that name, or None for ``csv``. Weights & Biases is offline where nobody is logged in.
+class Logger(Protocol):
+    """What a run is logged to."""
+
+    def log(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
+        """Log a row of ``<stage>.csv``; values that are not finite are left out."""
+
+    def finish(self, summary: Mapping[str, Any], folder: Path) -> None:
+        """Log the summary, and what is in the folder of the finished run."""
+
+
+def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> Logger | None:
+    """The logger that a configuration names; None for ``csv``.
+
+    Args:
+        config: of the run.
+        folder: of the run.
+        frames: that the run goes on from.
 
     Raises:
         ConfigError: the package it needs is not installed.
     """
-    if options.name == LoggerName.csv:
+    name = config.logger.name
+    if name == LoggerName.csv:
         return None
     try:
-        if options.name == LoggerName.tensorboard:
-            return get_logger("tensorboard", str(folder), "tensorboard")
+        return WandbLogger(config, folder) if name == LoggerName.wandb else TensorBoardLogger(config, folder, frames)
+    except ImportError as error:
+        hint = f"pip install 'dirl[{name}]'"
+        raise ConfigError(f"logger={name} needs a package that is not installed ({error}): {hint}") from None
+
+
+class WandbLogger:
+    """A run in Weights & Biases, offline where nobody is logged in; a run that goes on, goes on there too.
+
+    Args:
+        config: of the run.
+        folder: of the run; keeps the id, drawn at random, by which the service knows it.
+    """
+
+    def __init__(self, config: TrainConfig, folder: Path) -> None:
         import wandb
 
-        kwargs = {"project": options.project, "id": f"{folder.parent.name}-{folder.name}"}
-        if "WANDB_MODE" not in os.environ:
-            try:
-                known = wandb.login(prompt=False)
-            except wandb.errors.Error:  # there is a key, but the service is away or refuses it
-                known = False
-            kwargs["mode"] = "online" if known else "offline"
-        return get_logger("wandb", str(folder), folder.name, wandb_kwargs=kwargs)
-    except ImportError as error:
-        hint = f"pip install 'dirl[{options.name}]'"
-        raise ConfigError(f"logger={options.name} needs a package that is not installed ({error}): {hint}") from None
+        options, known = config.logger, folder / "wandb_id.txt"
+        if not known.exists():
+            write_text(known, secrets.token_hex(8))
+        tags = [*options.tags, config.system, config.preset, *_scene_names(config)]
+        self.run = wandb.init(
+            project=options.project,
+            group=options.group or folder.resolve().parent.name,
+            tags=[tag[:64] for tag in dict.fromkeys(tags)],  # the service takes no longer ones
+            name=folder.name,
+            id=known.read_text(encoding="utf-8").strip(),
+            resume="allow",
+            config=_values(config),
+            dir=str(folder),
+            mode=_wandb_mode(),
+        )
+        self._stages: set[str] = set()
+
+    def log(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
+        """Log a row; every stage counts its own steps, and the service takes none that are lower than one before."""
+        if stage not in self._stages:
+            self._stages.add(stage)
+            self.run.define_metric(f"{stage}/step", hidden=True)
+            self.run.define_metric(f"{stage}/*", step_metric=f"{stage}/step")
+        self.run.log({f"{stage}/{name}": value for name, value in _finite(row).items()} | {f"{stage}/step": step})
+
+    def finish(self, summary: Mapping[str, Any], folder: Path) -> None:
+        """Log summary, pictures, and as an artifact of type ``model`` the configuration, summary and weights."""
+        import wandb
+
+        self.run.summary.update(_finite(leaves(dict(summary))))
+        self.run.log({f"pictures/{file.stem}": wandb.Image(str(file)) for file in _pictures(folder)})
+        facts = {name: value for name, value in summary.items() if not isinstance(value, Mapping)}
+        artifact = wandb.Artifact(f"dirl-{self.run.id}", type="model", metadata=facts)
+        for name in ("config.yaml", "summary.json", "network.pt"):
+            if (folder / name).is_file():
+                artifact.add_file(str(folder / name))
+        self.run.log_artifact(artifact)
+        self.run.finish()
+
+
+class TensorBoardLogger:
+    """Event files in ``<folder>/tensorboard``.
+
+    Args:
+        config: of the run.
+        folder: of the run.
+        frames: that the run goes on from; what was logged after them is hidden.
+    """
+
+    def __init__(self, config: TrainConfig, folder: Path, frames: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self.writer = SummaryWriter(str(folder / "tensorboard"), purge_step=frames + 1 if frames else None)
+        self.config = config
+        self.writer.add_text("config", f"```yaml\n{OmegaConf.to_yaml(OmegaConf.create(_values(config)))}```")
+
+    def log(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
+        """Log a row."""
+        for name, value in _finite(row).items():
+            self.writer.add_scalar(f"{stage}/{name}", value, step)
+
+    def finish(self, summary: Mapping[str, Any], folder: Path) -> None:
+        """Log the summary as text and as results of the hyperparameters, and the pictures."""
+        frames = int(summary["frames"])
+        self.writer.add_text("summary", f"```json\n{json.dumps(summary, indent=1)}\n```", frames)
+        measured = {f"summary/{name}": value for name, value in _finite(leaves(dict(summary))).items()}
+        plain = {name: value for name, value in leaves(_values(self.config)).items() if isinstance(value, int | float)}
+        self.writer.add_hparams(plain, measured, run_name=".", global_step=frames)
+        for file in _pictures(folder):
+            with Image.open(file) as image:
+                pixels = np.array(image.convert("RGB"))
+            self.writer.add_image(f"pictures/{file.stem}", pixels, frames, dataformats="HWC")
+        self.writer.close()
+
+
+def _wandb_mode() -> str | None:
+    """``offline`` where nobody is logged in or the service is away, unless ``WANDB_MODE`` says what is wanted."""
+    import wandb
+
+    if "WANDB_MODE" in os.environ:
+        return None
+    try:
+        return "online" if wandb.login(prompt=False) else "offline"
+    except wandb.errors.Error:  # there is a key, but the service is away or refuses it
+        return "offline"
+
+
+def _values(config: TrainConfig) -> dict[str, Any]:
+    values = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
+    assert isinstance(values, dict)
+    return {str(name): value for name, value in values.items() if name not in ("resume", "trust")}
+
+
+def _scene_names(config: TrainConfig) -> list[str]:
+    names = config.scene if isinstance(config.scene, list) else [config.scene]
+    return [Path(str(name)).stem for name in names]
+
+
+def _finite(row: Mapping[str, Any]) -> dict[str, float | int]:
+    """The numbers of a row that are finite."""
+    return {name: value for name, value in row.items() if isinstance(value, int | float) and math.isfinite(value)}
+
+
+def _pictures(folder: Path) -> list[Path]:
+    return sorted(file for pattern in PICTURES for file in folder.glob(pattern))

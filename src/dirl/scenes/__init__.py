@@ -1,12 +1,16 @@
 """What an agent walks in: scenes, the worlds made of them, and the files that hold them."""
 
+from typing import TYPE_CHECKING, Any
+
 from dirl.scenes.catalogue import PUBLISHED_GOALS, load_scenes
 from dirl.scenes.graph import ACTIONS, GraphError
 from dirl.scenes.io.read import SceneWarning, read_dump
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import Views
-from dirl.scenes.world import World, make_world
+
+if TYPE_CHECKING:
+    from dirl.scenes.world import World, make_world
 
 __all__ = [
     "ACTIONS",
@@ -22,3 +26,12 @@ __all__ = [
     "read_dump",
     "write_dump",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # Worlds take torch, which takes seconds to import; to look up a scene by its name takes neither.
+    if name in ("World", "make_world"):
+        from dirl.scenes import world
+
+        return getattr(world, name)
+    raise AttributeError(f"module 'dirl.scenes' has no attribute '{name}'")

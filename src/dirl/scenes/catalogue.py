@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dirl.scenes.collection import read_collection
+from dirl.scenes.collection import Collection, read_collection
 from dirl.scenes.io.read import ROOMS, Dump, read_dumps
 from dirl.scenes.scene import Scene, SceneError
 
@@ -45,13 +45,35 @@ def load_scenes(
     Raises:
         SceneError: no such scene (the message lists the choices), or a file that cannot be used.
     """
-    names = [scene] if isinstance(scene, str) else list(scene)
-    if len(names) == 1 and names[0].startswith(COLLECTION):
-        found = read_collection(names[0].removeprefix(COLLECTION)).select(split=split)
-        return list(tqdm(found[:rooms], desc="rooms", disable=None))
+    collection = find_rooms(scene, split, rooms)
+    if collection is not None:
+        return list(tqdm(collection, desc="rooms", disable=None))
+    scenes = read_dumps(find_scenes(scene, source=source, root=root))
+    return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
+
+
+def find_rooms(scene: str | Sequence[str], split: str | None, rooms: int | None) -> Collection | None:
+    """The rooms of a collection that a user asks for, not read yet; None if it is none. See `load_scenes`.
+
+    Raises:
+        SceneError: no such collection, or none of its rooms.
+    """
+    name = scene if isinstance(scene, str) else scene[0] if len(scene) == 1 else ""
+    if name.startswith(COLLECTION):
+        return read_collection(name.removeprefix(COLLECTION)).select(split=split)[:rooms]
     if split is not None or rooms is not None:
         raise SceneError("split and rooms choose among the rooms of a collection: scene=collection:<folder>")
+    return None
+
+
+def find_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Dump]:
+    """The dumps of the scenes a user asks for, not read yet; see `load_scenes`.
+
+    Raises:
+        SceneError: no such scene.
+    """
     folder = _folder(source, root)
+    names = [scene] if isinstance(scene, str) else list(scene)
     if not names:
         raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
     if "all" in names:
@@ -66,8 +88,7 @@ def load_scenes(
             raise SceneError(_no_such_scene(name, is_file, folder))
         label = source if source == "thor" or not is_file else None
         dumps.append(Dump(path, name=None if is_file else name, source=label))
-    scenes = read_dumps(dumps)
-    return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
+    return dumps
 
 
 def _folder(source: str, root: str | Path | None) -> Path:

@@ -5,6 +5,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from dirl.config.schemas import TrainConfig, Until
+
 WINDOW = 100
 """Training episodes of a goal that its current ATL is the mean of."""
 
@@ -84,3 +86,21 @@ class EpisodeMeter:
         self.steps = [deque(last, maxlen=WINDOW) for last in state["steps"]]
         self.totals = [sum(last) for last in self.steps]
         self.episodes, self.stable_at, self.near_at = state["episodes"], state["stable_at"], state["near_at"]
+
+
+def due(before: int, now: int, total: int, times: int) -> bool:
+    """Whether one of ``times`` moments, evenly spread over ``total`` frames, lies between two counts of frames."""
+    return before * times // total < now * times // total
+
+
+def is_done(config: TrainConfig, meter: EpisodeMeter, frames: int, total: int) -> bool:
+    """Whether a training is over: all its frames are walked, or all goals are stable and were evaluated since.
+
+    Args:
+        config: of the run; the latter counts with ``reinforcement.until=stable`` only.
+        meter: of its episodes.
+        frames: walked so far.
+        total: to be walked at most.
+    """
+    stable = meter.stable_at if config.reinforcement.until == Until.stable else None
+    return frames >= total or (stable is not None and due(stable, frames, total, config.evaluation.times))

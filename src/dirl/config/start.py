@@ -1,0 +1,147 @@
+"""How a recipe starts: help is answered, and what can be refused is refused, before anything imports torch."""
+
+import contextlib
+import io
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+
+from dirl.config.command_line import (
+    SCHEMAS,
+    choose_command,
+    config_dirs,
+    one_line_errors,
+    parsed,
+    prepare,
+    register,
+)
+from dirl.config.components import check_sources
+from dirl.config.places import CONF, RECIPES, command
+from dirl.config.scene_schemas import MEANINGS
+from dirl.config.schemas import TrainConfig, typed
+from dirl.runs.exits import one_line_exits
+
+HELP = ("-h", "--help")
+COMPLETION = ("-sc", "--shell-completion")
+SHOWING = (*COMPLETION, *HELP, "--hydra-help", "-c", "--cfg", "-i", "--info", "--version")
+"""Options by which Hydra shows something and runs nothing."""
+
+TEMPLATE = """{header}
+{groups}
+== Options: name=value ==
+{options}
+{footer}
+"""
+
+
+def start(recipe: str, text: str | None = None) -> str:
+    """Check the command line of a recipe and write it as Hydra takes it, or answer one that only asks.
+
+    A recipe calls it before its other imports. Options are checked against their types and bounds, those of components
+    against the source of their classes, and scenes are looked up; what can be told from their contents is told later.
+
+    Args:
+        recipe: a key of `RECIPES`.
+        text: what ``--help`` says of a recipe with several commands.
+
+    Returns:
+        The name of its configuration: ``train``, or the command of ``recipes/scenes.py``.
+
+    Raises:
+        SystemExit: help was asked for, or the command line is refused.
+    """
+    register()
+    with one_line_exits(), one_line_errors():
+        arguments = sys.argv[1:]
+        name = recipe
+        if recipe == "scenes":
+            name, arguments = choose_command(MEANINGS, arguments, text or "")
+        config = configuration(recipe, name)
+        options = check(config, arguments)
+        if any(argument in SHOWING for argument in options):
+            print(shown(config, options), end="")
+            raise SystemExit(0)
+        _check_values(config, options)
+    sys.argv[1:] = options
+    return name
+
+
+def configuration(recipe: str, name: str) -> str:
+    """The configuration of a recipe, or of one of its commands, as a path below `CONF` without ending."""
+    return f"{recipe}/{name}" if recipe in ("scenes", "report") else name
+
+
+def check(config: str, arguments: Sequence[str]) -> list[str]:
+    """The options as Hydra takes them.
+
+    Raises:
+        ConfigError: there is no such option, choice or type of value.
+    """
+    return prepare(SCHEMAS[Path(config).name], arguments, CONF if config == "train" else None)
+
+
+def _check_values(config: str, options: Sequence[str]) -> None:
+    """Check the values that the options make together, of one run; a sweep's are checked job by job."""
+    if any(option.startswith("-") and not option.startswith(("--config-dir", "-cd")) for option in options):
+        return
+    try:
+        composed = _compose(config, options)
+    except HydraException:
+        return  # Hydra itself says why
+    made = typed(composed)
+    if isinstance(made, TrainConfig) and made.resume is None:
+        from dirl.scenes.catalogue import find_rooms, find_scenes
+
+        check_sources(made)
+        if find_rooms(made.scene or [], made.split, made.rooms) is None:
+            find_scenes(made.scene or [], source=made.source.name, root=made.source.root)
+
+
+def _compose(config: str, options: Sequence[str], **kwargs: Any) -> DictConfig:
+    folder, _, name = config.rpartition("/")
+    folders = ",".join(f"file://{path.resolve()}" for path in config_dirs(options))
+    given = [option for option in options if (found := parsed(option)) and not found.is_sweep_override()]
+    with initialize_config_dir(str(CONF / folder), version_base="1.3"):
+        return compose(name, [*given, *([f"hydra.searchpath=[{folders}]"] if folders else [])], **kwargs)
+
+
+def shown(config: str, options: Sequence[str]) -> str:
+    """The answer to ``--help``, ``--cfg job`` or a shell's completion."""
+    text = _help(config, options) if any(option in HELP for option in options) else _ask_hydra(config, options)
+    for recipe, (file, _) in RECIPES.items():
+        text = text.replace(f"python {file}", command(recipe))
+    return text
+
+
+def _help(config: str, options: Sequence[str]) -> str:
+    """What Hydra's help says, which lists its own groups beside ours and takes a second for it."""
+    composed = _compose(config, options, return_hydra_config=True)
+    told = composed.hydra.help
+    groups: dict[str, set[str]] = {}
+    for folder in [CONF, *config_dirs(options)] if config == "train" else []:
+        for file in folder.glob("*/*.yaml"):
+            if file.parent.name not in ("scenes", "report", "evaluate"):
+                groups.setdefault(file.parent.name, set()).add(file.stem)
+    listed = "".join(f"{group}: {', '.join(sorted(choices))}\n" for group, choices in sorted(groups.items()))
+    values = OmegaConf.to_yaml(OmegaConf.masked_copy(composed, [key for key in composed if key != "hydra"]))
+    listed = f"\n== Groups: group=choice ==\n{listed}" if listed else ""
+    return TEMPLATE.format(header=told.header, groups=listed, options=values, footer=told.footer.rstrip())
+
+
+def _ask_hydra(config: str, options: Sequence[str]) -> str:
+    folder, _, name = config.rpartition("/")
+    sys.argv = [sys.argv[0], *options]
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):
+        hydra.main(version_base="1.3", config_path=str(CONF / folder), config_name=name)(_nothing)()
+    return told.getvalue()
+
+
+def _nothing(_: object) -> None:
+    """What Hydra would run."""

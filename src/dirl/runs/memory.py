@@ -1,0 +1,13 @@
+"""How much memory a process has needed."""
+
+import resource
+import sys
+from pathlib import Path
+
+
+def peak_memory_mb() -> float:
+    """The most memory this process has held, in megabytes."""
+    status = Path("/proc/self/status")
+    if status.exists():  # on Linux `getrusage` would count what the parent of a new process held
+        return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6

@@ -1,0 +1,93 @@
+"""What a run logs elsewhere, without the services: files of an offline run, and of TensorBoard."""
+
+import math
+import sys
+
+import pytest
+from commands import train_config
+from PIL import Image
+
+from dirl.config.saved import config_text
+from dirl.config.schemas import ConfigError
+from dirl.runs.loggers import make_logger
+
+SUMMARY = {"frames": 600, "scene": "bathroom_02", "greedy": {"spl": 0.25, "atl": math.nan}}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """That of a finished run, and nobody is logged in."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("WANDB_MODE", raising=False)
+    monkeypatch.delenv("WANDB_API_KEY", raising=False)
+    monkeypatch.chdir(tmp_path)
+    run = tmp_path / "dirl_bathroom_02" / "run"
+    run.mkdir(parents=True)
+    (run / "network.pt").write_bytes(b"the weights")
+    (run / "summary.json").write_text("{}")
+    Image.new("RGB", (8, 6)).save(run / "maps.png")
+    return run
+
+
+def log_a_run(folder, *options, frames=0):
+    config = train_config("scene=bathroom_02", *options)
+    (folder / "config.yaml").write_text(config_text(config))
+    logger = make_logger(config, folder, frames)
+    logger.log("imitation", 27, {"step": 27, "loss": 0.5})
+    logger.log("evaluation", 0, {"frames": 0, "spl": 0.1, "atl": math.nan})  # a lower step than the one before
+    logger.log("evaluation", 300, {"frames": 300, "spl": 0.2, "atl": 9.0})
+    logger.finish(SUMMARY, folder)
+
+
+def test_csv_is_no_logger(tmp_path):
+    assert make_logger(train_config(), tmp_path) is None
+
+
+@pytest.mark.parametrize("name", ["wandb", "tensorboard"])
+def test_a_missing_package_is_told_with_its_extra(tmp_path, name, monkeypatch):
+    module = {"wandb": "wandb", "tensorboard": "torch.utils.tensorboard"}[name]
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ConfigError, match=rf"pip install 'dirl\[{name}\]'"):
+        make_logger(train_config(f"logger={name}"), tmp_path)
+
+
+def test_wandb_gets_everything_and_goes_on_as_the_same_run(folder):
+    log_a_run(folder, "logger=wandb", "logger.tags=[night]", "seed=77")
+    (told,) = folder.glob("wandb/offline-run-*/run-*.wandb")
+    record = told.read_bytes()
+    known = (folder / "wandb_id.txt").read_text()
+    assert told.name == f"run-{known}.wandb"
+    for words in (
+        "night",
+        "fast",
+        "bathroom_02",
+        "dirl_bathroom_02",
+        "agents_per_scene",
+        f"dirl-{known}",
+        "network.pt",
+    ):
+        assert words.encode() in record, words
+    for stage in (b"imitation/loss", b"evaluation/spl", b"greedy.spl", b"pictures/maps"):
+        assert stage in record
+    assert list(folder.glob("wandb/offline-run-*/files/media/images/pictures/maps*.png"))
+    log_a_run(folder, "logger=wandb")
+    assert {file.name for file in folder.glob("wandb/offline-run-*/run-*.wandb")} == {f"run-{known}.wandb"}
+    assert len(known) == 16
+    other = folder.parent / "other"
+    other.mkdir()
+    make_logger(train_config("logger=wandb"), other).run.finish()
+    assert (other / "wandb_id.txt").read_text() != known
+
+
+def test_tensorboard_gets_the_same_and_forgets_what_a_killed_run_wrote(folder):
+    pytest.importorskip("tensorboard", reason="needs dirl[tensorboard]")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    log_a_run(folder, "logger=tensorboard", "seed=77")
+    log_a_run(folder, "logger=tensorboard", "seed=77", frames=100)
+    told = EventAccumulator(str(folder / "tensorboard"))
+    told.Reload()
+    assert [event.step for event in told.Scalars("evaluation/spl")] == [0, 0, 300]
+    assert told.Scalars("summary/greedy.spl")[-1].value == 0.25
+    assert "pictures/maps" in told.Tags()["images"]
+    assert b"seed: 77" in told.Tensors("config/text_summary")[0].tensor_proto.string_val[0]
