@@ -29,7 +29,7 @@ SHORT = [*TINY, "imitation.max_steps=10"]
 
 
 def run_recipe(folder, name, *arguments):
-    """Run a recipe in a folder, in a fork; its exit status, what it printed, and its errors."""
+    """Run a recipe in a folder, in a fork, as `start_recipe`; its exit status, what it printed, and its errors."""
     ended = start_recipe(folder, name, *arguments).wait()
     return ended.status, ended.printed, ended.errors
 

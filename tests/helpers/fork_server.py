@@ -14,11 +14,11 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from forks import Child, Ended, warm_up
+from forks import Child, Ended, no_pictures, warm_up
 
 
 class Started:
-    """A recipe that is running.
+    """A recipe that is running; the pictures of a training are left empty.
 
     Args:
         folder: where it runs.
@@ -68,13 +68,13 @@ def _serve():
                 Path(request["folder"]),
                 request["name"],
                 *request["arguments"],
-                prepare=functools.partial(_start, environment),
+                prepare=functools.partial(_start, environment, pictures=request["name"] != "train"),
             )
             children[child.pid], answer = child, child.pid
         print(json.dumps(answer), flush=True)
 
 
-def _start(environment):
+def _start(environment, *, pictures):
     """In a child: be as a new interpreter would be that was started in an environment."""
     os.setsid()
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -83,6 +83,8 @@ def _start(environment):
     os.environ.update(environment)
     paths = environment.get("PYTHONPATH", "").split(os.pathsep)
     sys.path[1:1] = [path for path in paths if path and path not in sys.path]
+    if not pictures:
+        no_pictures()
 
 
 if __name__ == "__main__":

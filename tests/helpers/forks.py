@@ -59,7 +59,7 @@ class Child:
     """
 
     def __init__(self, folder, name, *arguments, prepare=lambda: None):
-        self.files = [tempfile.TemporaryFile() for _ in ("printed", "errors")]
+        self.files = [tempfile.TemporaryFile() for _ in ("printed", "errors")]  # noqa: SIM115
         sys.stdout.flush()
         sys.stderr.flush()
         self.pid = os.fork()
@@ -102,6 +102,18 @@ def warm_up(*names):
         sys.path.insert(0, str(recipe_file(name).parent))
         importlib.import_module(name)
         del sys.path[0]
+
+
+def no_pictures():
+    """Leave the pictures empty, which take most of a short run's time."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg.print_figure = empty_picture
+
+
+def empty_picture(canvas, file, **options):
+    """In place of matplotlib's ``print_figure``."""
+    file.write_bytes(b"")
 
 
 def _processor_seconds(pid):
