@@ -160,8 +160,8 @@ def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # sums depend on the number of threads
     options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
     options += ["reinforcement.gamma=1.5,0.9,0.95", "hydra.sweep.subdir=${reinforcement.gamma}"]
-    for folder, launcher in (("alone", "basic"), ("together", "cores")):
-        status, _, errors = run_recipe(
+    for folder, launcher, start in (("alone", "basic", run_recipe), ("together", "cores", run_program)):
+        status, _, errors = start(
             tmp_path, "train", *options, f"hydra/launcher={launcher}", f"hydra.sweep.dir={folder}"
         )
         assert status == 1
