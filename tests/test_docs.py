@@ -17,12 +17,14 @@ from typing import NamedTuple
 import pytest
 import torch
 from commands import ROOT, TINY
+from forks import empty_picture
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 DOCS = ROOT / "docs"
 PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "howto").glob("*.md"))]
 
 QUICK = [option for option in TINY if not option.startswith(("evaluation.max_steps", "checkpoint"))]
-QUICK += ["evaluation.max_steps=10"]
+QUICK += ["evaluation.max_steps=10", "imitation.max_steps=20"]
 """Behind every training of a page, but for the options that it gives itself."""
 
 SHORTER = {
@@ -89,7 +91,10 @@ def run_command(words, monkeypatch):
         given = {word.partition("=")[0] for word in words}
         words += [option for option in QUICK if option.partition("=")[0] not in given]
     monkeypatch.setattr(sys, "argv", words[1:])
-    runpy.run_path(str(ROOT / words[1]), run_name="__main__")
+    with monkeypatch.context() as patch:
+        if words[1].endswith("train.py"):  # its pictures are looked at in test_train.py
+            patch.setattr(FigureCanvasAgg, "print_figure", empty_picture)
+        runpy.run_path(str(ROOT / words[1]), run_name="__main__")
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from dataclasses import is_dataclass
 from typing import Any
 
 import pytest
-from commands import ROOT, run_recipe, train_config
+from commands import ROOT, run_program, run_recipe, train_config
 from omegaconf import OmegaConf
 
 from dirl.config.command_line import SCHEMAS, one_line_errors, option_types, prepare
@@ -142,7 +142,7 @@ def test_every_type_of_option_has_words():
 
 
 def test_a_recipe_ends_with_one_line_at_a_value_of_another_type(tmp_path):
-    status, _, errors = run_recipe(tmp_path, "train", "scene=bathroom_02", "seed=x")
+    status, _, errors = run_program(tmp_path, "train", "scene=bathroom_02", "seed=x")
     assert (status, errors) == (1, "error: seed=x: must be a whole number\n")
     assert list(tmp_path.iterdir()) == []
 

@@ -5,14 +5,13 @@ import json
 import math
 import re
 import signal
-import subprocess
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from commands import TINY, recipe_command, room_file, run_recipe
+from commands import TINY, room_file, run_program, run_recipe, start_recipe
 from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
@@ -100,7 +99,7 @@ def test_table_1_is_half_of_the_way(grid):
 def test_a_report_of_one_seed_says_so(grid, tmp_path):
     (tmp_path / "fast").mkdir()
     (tmp_path / "fast/dirl").symlink_to(grid / "runs/experiments/fast/dirl_random_0.05_1")
-    status, printed, errors = run_recipe(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
+    status, printed, errors = run_program(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
     assert status == 0, errors
     assert "Preset `fast`, seed 1 alone.\n" in printed
 
@@ -135,15 +134,13 @@ def test_a_failed_job_is_told_and_the_others_are_not_lost_and_are_not_made_again
 def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_again(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *SMALL, "reinforcement.frames_per_scene=3000", "experiment=fig4"]
     command = ["-m", *options, "system=dirl", "seed=0,1"]
-    process = subprocess.Popen(
-        recipe_command("train", *command), cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    process = start_recipe(tmp_path, "train", *command)
     first, second = (tmp_path / f"runs/experiments/fast/dirl_random_0.05_{seed}" for seed in (0, 1))
     waited = time.monotonic()
     while not list(second.glob("checkpoints/*[1-9]???.pt")) and time.monotonic() - waited < 120:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
-    process.wait()
+    assert process.wait().status == -signal.SIGKILL
     assert (first / "summary.json").exists()
     assert not (second / "summary.json").exists(), "it was not killed in time"
     status, printed, errors = run_recipe(tmp_path, "train", *command)
@@ -163,8 +160,8 @@ def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # sums depend on the number of threads
     options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
     options += ["reinforcement.gamma=1.5,0.9,0.95", "hydra.sweep.subdir=${reinforcement.gamma}"]
-    for folder, launcher in (("alone", "basic"), ("together", "cores")):
-        status, _, errors = run_recipe(
+    for folder, launcher, start in (("alone", "basic", run_recipe), ("together", "cores", run_program)):
+        status, _, errors = start(
             tmp_path, "train", *options, f"hydra/launcher={launcher}", f"hydra.sweep.dir={folder}"
         )
         assert status == 1

@@ -2,16 +2,15 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
+from fork_server import Started as start_recipe
+from forks import ROOT, recipe_file
 from hydra import compose, initialize_config_dir
 from rooms import grid_scene
 
 from dirl.config.command_line import prepare, register
 from dirl.config.schemas import TrainConfig, typed
 from dirl.scenes import write_dump
-
-ROOT = Path(__file__).parents[2]
 
 TINY = [
     "seed=3",
@@ -29,15 +28,21 @@ SHORT = [*TINY, "imitation.max_steps=10"]
 """A run that is made hundreds of times, to be killed and spoilt."""
 
 
-def recipe_command(name, *arguments):
-    folder = "benchmarks" if name == "benchmark" else "recipes"
-    return [sys.executable, str(ROOT / folder / f"{name}.py"), *map(str, arguments)]
-
-
 def run_recipe(folder, name, *arguments):
-    """Run a recipe in a folder; its exit status, what it printed, and its errors."""
+    """Run a recipe in a folder, in a fork, as `start_recipe`; its exit status, what it printed, and its errors."""
+    ended = start_recipe(folder, name, *arguments).wait()
+    return ended.status, ended.printed, ended.errors
+
+
+def run_program(folder, name, *arguments):
+    """Run a recipe as a user does, in an interpreter of its own, which takes seconds more than `run_recipe`."""
     done = subprocess.run(
-        recipe_command(name, *arguments), cwd=folder, capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, str(recipe_file(name)), *map(str, arguments)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
     return done.returncode, done.stdout, done.stderr
 

@@ -9,12 +9,19 @@ import os
 import runpy
 import signal
 import sys
+import tempfile
+import threading
 import time
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
-RECIPES = Path(__file__).parents[2] / "recipes"
+ROOT = Path(__file__).parents[2]
+
+
+def recipe_file(name):
+    """The program of that name: a recipe, or the benchmark."""
+    return ROOT / ("benchmarks" if name == "benchmark" else "recipes") / f"{name}.py"
 
 
 @dataclass
@@ -45,19 +52,19 @@ class Child:
     """A recipe that is running.
 
     Args:
-        folder: where it runs; what it prints is kept there in hidden files.
+        folder: where it runs.
         name: of the recipe.
         arguments: of its command line.
         prepare: called in the child before the recipe.
     """
 
     def __init__(self, folder, name, *arguments, prepare=lambda: None):
-        self.files = [folder / f".{stream}-{time.monotonic_ns()}" for stream in ("printed", "errors")]
+        self.files = [tempfile.TemporaryFile() for _ in ("printed", "errors")]  # noqa: SIM115
         sys.stdout.flush()
         sys.stderr.flush()
         self.pid = os.fork()
         if self.pid == 0:
-            _become(folder, name, [str(argument) for argument in arguments], self.files, prepare)
+            _become(folder, recipe_file(name), [str(argument) for argument in arguments], self.files, prepare)
 
     def kill(self, number=signal.SIGKILL):
         """Send it a signal."""
@@ -76,9 +83,11 @@ class Child:
         return Ended(os.waitstatus_to_exitcode(status), *self._texts())
 
     def _texts(self):
-        texts = [file.read_text(errors="replace") if file.exists() else "" for file in self.files]
+        texts = []
         for file in self.files:
-            file.unlink(missing_ok=True)
+            file.seek(0)
+            texts.append(file.read().decode(errors="replace"))
+            file.close()
         return texts
 
 
@@ -89,10 +98,22 @@ def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0):
 
 def warm_up(*names):
     """Import what recipes import, before any fork."""
-    sys.path.insert(0, str(RECIPES))
     for name in names:
+        sys.path.insert(0, str(recipe_file(name).parent))
         importlib.import_module(name)
-    sys.path.remove(str(RECIPES))
+        del sys.path[0]
+
+
+def no_pictures():
+    """Leave the pictures empty, which take most of a short run's time."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg.print_figure = empty_picture
+
+
+def empty_picture(canvas, file, **options):
+    """In place of matplotlib's ``print_figure``."""
+    file.write_bytes(b"")
 
 
 def _processor_seconds(pid):
@@ -103,16 +124,16 @@ def _processor_seconds(pid):
     return (int(numbers[11]) + int(numbers[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _become(folder, name, arguments, files, prepare):
+def _become(folder, file, arguments, streams, prepare):
     """Be the recipe, and end as the interpreter would."""
     status = 1
     try:
         os.chdir(folder)
-        for number, file in zip((1, 2), files, strict=True):
-            os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT, 0o666), number)
+        for number, stream in zip((1, 2), streams, strict=True):
+            os.dup2(stream.fileno(), number)
         sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))  # noqa: SIM115
-        sys.argv = [str(RECIPES / f"{name}.py"), *arguments]
-        sys.path.insert(0, str(RECIPES))
+        sys.argv = [str(file), *arguments]
+        sys.path.insert(0, str(file.parent))
         prepare()
         runpy.run_path(sys.argv[0], run_name="__main__")
         status = 0
@@ -124,6 +145,7 @@ def _become(folder, name, arguments, files, prepare):
         traceback.print_exc()
     finally:
         try:
+            threading._shutdown()
             atexit._run_exitfuncs()
             sys.stdout.flush()
             sys.stderr.flush()

@@ -11,7 +11,7 @@ from itertools import count
 
 import torch
 from commands import SHORT, room_file
-from forks import Child, run
+from forks import Child, no_pictures, run
 from injection import KINDS, Faults
 from spoilt_checkpoints import spoil_bytes, spoil_contents
 
@@ -92,13 +92,6 @@ def table(file):
 def without_times(row):
     """A row or summary without what differs from run to run."""
     return {key: value for key, value in row.items() if key not in TIMES}
-
-
-def no_pictures():
-    """Leave the pictures empty, which take most of a short run's time."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg.print_figure = lambda self, file, **_: file.write_bytes(b"")
 
 
 def refused(ended, *statuses):

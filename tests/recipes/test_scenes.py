@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from closet import closet
-from commands import ROOT, run_recipe
+from commands import ROOT, run_program, run_recipe
 from hydra import compose, initialize_config_dir
 from PIL import Image
 from rooms import grid_scene, published_dump
@@ -64,7 +64,7 @@ def test_the_program_ends_with_one_line_or_with_the_work_done(room, here):
     assert (status, errors) == (1, "error: there is no command 'inpect'; did you mean inspect?\n")
     status, _, errors = run_recipe(here, "scenes", "encode", "scene=room.h5", "out=room.h5", "encoder=x")
     assert (status, errors) == (1, "error: out=room.h5: there is such a file already; it is not overwritten\n")
-    status, printed, errors = run_recipe(here, "scenes", "export", "scene=room.h5", "out=out.h5")
+    status, printed, errors = run_program(here, "scenes", "export", "scene=room.h5", "out=out.h5")
     assert (status, printed.split(":")[0]) == (0, "out.h5"), errors
     assert sorted(path.name for path in here.iterdir()) == ["out.h5", "room.h5"]
 

@@ -2,12 +2,11 @@
 
 import json
 import signal
-import subprocess
 import time
 
 import pytest
 import torch
-from commands import TINY, recipe_command, room_file, run_recipe
+from commands import TINY, room_file, run_recipe, start_recipe
 from parts import make_parts
 
 from dirl.config.schemas import ConfigError
@@ -114,21 +113,19 @@ def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
         "imitation.fraction=0",
         "reinforcement.agents_per_scene=20",
         "optimiser.lr=2e-3",
+        "reinforcement.workers=2",
     ]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=a3c", *small, "reinforcement.frames_per_scene=40_000"]
-    command = recipe_command("train", *options, "hydra.run.dir=run", "checkpoint.every_seconds=1000")
-    process = subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    process = start_recipe(tmp_path, "train", *options, "hydra.run.dir=run", "checkpoint.every_seconds=1000")
     table = tmp_path / "run" / "reinforcement.csv"
     waited = time.monotonic()
     while not table.exists() and time.monotonic() - waited < 120:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "resume=run" in errors
-    assert "Traceback" not in errors
+    ended = process.wait()
+    assert ended.status == 130
+    assert "resume=run" in ended.errors
+    assert "Traceback" not in ended.errors
     (checkpoint,) = (tmp_path / "run" / "checkpoints").glob("*.pt")
     assert 0 < int(checkpoint.stem) < 40_000
     status, _, errors = run_recipe(tmp_path, "train", "resume=run")

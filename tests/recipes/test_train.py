@@ -2,12 +2,11 @@ import csv
 import json
 import os
 import signal
-import subprocess
 import time
 
 import pytest
 import torch
-from commands import TINY, recipe_command, room_file, run_recipe
+from commands import TINY, room_file, run_program, run_recipe, start_recipe
 from PIL import Image
 
 STAGES = ("imitation", "reinforcement", "evaluation")
@@ -30,7 +29,7 @@ def read_summary(run, without=("seconds", "frames_per_second", "peak_memory_mb")
 
 def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     file = room_file(tmp_path)
-    status, printed, errors = run_recipe(tmp_path, "train", f"scene={file}", *TINY)
+    status, printed, errors = run_program(tmp_path, "train", f"scene={file}", *TINY)
     assert status == 0, errors
     assert "| greedy " in printed
     run = only_run(tmp_path)
@@ -50,7 +49,7 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
         assert set(summary[mode]["scenes"]["grid"]["goals"]) == {"0", "13"}
     assert [row["frames"] for row in read_table(run / "evaluation.csv")] == ["0", "300", "600"]
 
-    status, printed, errors = run_recipe(
+    status, printed, errors = run_program(
         tmp_path, "evaluate", f"checkpoint={run}", "seed=3", "max_steps=50", "out=e.json"
     )
     assert status == 0, errors
@@ -108,17 +107,12 @@ def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path, memory):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={whole}")
     assert status == 0, errors
-    process = subprocess.Popen(
-        recipe_command("train", *options, f"hydra.run.dir={killed}"),
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    process = start_recipe(tmp_path, "train", *options, f"hydra.run.dir={killed}")
     waited = time.monotonic()
     while not list(killed.glob("checkpoints/*[1-9]???.pt")) and time.monotonic() - waited < 120:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
-    process.wait()
+    assert process.wait().status == -signal.SIGKILL
     assert not (killed / "summary.json").exists(), "it was not killed in time"
     status, _, errors = run_recipe(tmp_path, "train", f"resume={killed}")
     assert status == 0, errors
@@ -131,17 +125,16 @@ def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path, memory):
 
 def test_ctrl_c_saves_a_checkpoint_and_says_how_to_go_on(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "reinforcement.frames_per_scene=100_000_000"]
-    command = recipe_command("train", *options, "hydra.run.dir=stopped", "checkpoint.every_seconds=1000")
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = start_recipe(tmp_path, "train", *options, "hydra.run.dir=stopped", "checkpoint.every_seconds=1000")
     evaluation = tmp_path / "stopped" / "evaluation.csv"
     waited = time.monotonic()
     while not evaluation.exists() and time.monotonic() - waited < 120:
         time.sleep(0.1)
     time.sleep(1)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "resume=stopped" in errors
+    ended = process.wait()
+    assert ended.status == 130
+    assert "resume=stopped" in ended.errors
     assert list((tmp_path / "stopped" / "checkpoints").glob("*.pt"))
 
 
@@ -185,7 +178,7 @@ def test_benchmark_measures_every_loop(tmp_path):
     small = "encoder.width=32,heads.width=32,reinforcement.agents_per_scene=6"
     small += ",imitation.max_steps=2,reinforcement.frames_per_scene=240"
     train = "train=[" + ",".join(f"'{option}'" for option in small.split(",")) + "]"
-    status, printed, errors = run_recipe(tmp_path, "benchmark", *options, train)
+    status, printed, errors = run_program(tmp_path, "benchmark", *options, train)
     assert status == 0, errors
     (row,) = json.loads((tmp_path / "benchmark.json").read_text())["rows"]
     assert set(row["frames_per_second"]) == {"training", "rollout", "bare_tensors", "stock_torchrl"}
