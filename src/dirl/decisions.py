@@ -26,8 +26,8 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
     """A function from the agents' states to their logits, with as few forward passes as possible.
 
     A memoryless policy on surrounding views has one output for each pair of goal and state; all are computed
-    beforehand, unless episodes are few. With sequential views each distinct input is computed once, when it first occurs. A policy with memory
-    is called at every step.
+    beforehand, unless episodes are few. With sequential views each distinct input is computed once, when it first
+    occurs. A policy with memory is called at every step.
     """
     if recurrent_keys(policy):
         return _with_memory(policy, world, observation, episodes)

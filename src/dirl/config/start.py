@@ -74,7 +74,7 @@ def start(recipe: str, text: str | None = None) -> str:
 
 def configuration(recipe: str, name: str) -> str:
     """The configuration of a recipe, or of one of its commands, as a path below `CONF` without ending."""
-    return f"{recipe}/{name}" if recipe in ("scenes", "report") else name
+    return f"{recipe}/{name}" if recipe in ("scenes", "report", "evaluate") else name
 
 
 def check(config: str, arguments: Sequence[str]) -> list[str]:
@@ -129,7 +129,7 @@ def _help(config: str, options: Sequence[str]) -> str:
             if file.parent.name not in ("scenes", "report", "evaluate"):
                 groups.setdefault(file.parent.name, set()).add(file.stem)
     listed = "".join(f"{group}: {', '.join(sorted(choices))}\n" for group, choices in sorted(groups.items()))
-    values = OmegaConf.to_yaml(OmegaConf.masked_copy(composed, [key for key in composed if key != "hydra"]))
+    values = OmegaConf.to_yaml(OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"]))
     listed = f"\n== Groups: group=choice ==\n{listed}" if listed else ""
     return TEMPLATE.format(header=told.header, groups=listed, options=values, footer=told.footer.rstrip())
 

@@ -138,7 +138,7 @@ class TensorBoardLogger:
         self.writer.close()
 
 
-def _wandb_mode() -> str | None:
+def _wandb_mode() -> Any:
     """``offline`` where nobody is logged in or the service is away, unless ``WANDB_MODE`` says what is wanted."""
     import wandb
 

@@ -12,8 +12,9 @@ from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transformed
 from torchrl.modules.utils import get_primers_from_module
 
 from dirl.backbones.patches import PATCH_SHAPE
-from dirl.config.components import TARGET, accepted, components, find_class, make, schedules
+from dirl.config.components import TARGET, components, find_class, make, schedules
 from dirl.config.schemas import Axes, Cache, ConfigError, Device, Starts, Stop, TrainConfig
+from dirl.config.signatures import class_parameters
 from dirl.envs import NavigationEnv, Reward, SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.episodes import every_start, sampled_starts
@@ -146,7 +147,7 @@ def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tens
 
 def reads_patches(config: TrainConfig) -> bool:
     """Whether the encoder compares patches: its constructor takes ``patch_shape``."""
-    return "patch_shape" in accepted(find_class("encoder", config.encoder[TARGET], config.trust))
+    return "patch_shape" in class_parameters(find_class("encoder", config.encoder[TARGET], config.trust))
 
 
 def learning_policy(config: TrainConfig, world: World, observation: SurroundingViews) -> nn.Module:
