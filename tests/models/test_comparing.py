@@ -21,7 +21,7 @@ def test_it_is_its_parts_row_by_row(encoder):
     fused = encoder(seen, goal)
     assert fused.shape == (6, 12)
     assert (fused >= 0).all()
-    torch.testing.assert_close(fused, encoder.fuse(encoder.embed(seen), encoder.embed(goal)))
+    torch.testing.assert_close(fused, encoder.fuse(encoder.embed(seen), encoder.embed_goal(goal)))
     torch.testing.assert_close(fused[2:3], encoder(seen[2:3], goal[2:3]))
 
 
@@ -46,7 +46,7 @@ def test_patches_and_views_are_compared_each(encoder):
 def test_a_view_that_is_not_known_has_no_cosine_with_anything(encoder):
     goal = views(6, seed=1)
     goal[:, 1:] = 0
-    _, patches, of_views = encoder.embed(goal).split(encoder.sizes, -1)
+    patches, of_views = encoder.embed_goal(goal).split(encoder.sizes, -1)
     assert patches.unflatten(1, (4, -1))[:, 1:].abs().max() == 0 == of_views.unflatten(1, (4, -1))[:, 1:].abs().max()
 
 

@@ -100,12 +100,13 @@ class ActorCritic(TensorDictModuleBase):
 
     @torch.no_grad()
     def _is_its_parts(self) -> bool:
-        """Whether the encoder gives ``fuse(embed(o), embed(g))``; one that overrides ``forward`` may not."""
+        """Whether the encoder is what `Cacheable` says; one that overrides ``forward`` may not."""
         encoder: Any = self.encoder
         device = self.features.table.device
         drawn = torch.randn(2, 3, VIEWS, self.features.width, generator=torch.Generator().manual_seed(0)).to(device)
         with torch.random.fork_rng(devices=[]):
-            whole, parts = encoder(*drawn), encoder.fuse(*(encoder.embed(observed) for observed in drawn))
+            embed_goal = getattr(encoder, "embed_goal", encoder.embed)
+            whole, parts = encoder(*drawn), encoder.fuse(encoder.embed(drawn[0]), embed_goal(drawn[1]))
         return whole.shape == parts.shape and torch.allclose(whole, parts, rtol=1e-4, atol=1e-5)
 
     def restore(self) -> None:

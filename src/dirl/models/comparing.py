@@ -44,9 +44,9 @@ class ComparingEncoder(nn.Module):
         super().__init__()
         cells, channels = patch_shape
         pooled = num_features - cells * channels
-        self.patch_shape, self.width = tuple(patch_shape), width
-        self.sizes = [width, VIEWS * cells * projection, VIEWS * view_projection]
-        """Of the parts of an embedding: of the observation, its patches, its views."""
+        self.patch_shape, self.width = (cells, channels), width
+        self.sizes = [VIEWS * cells * projection, VIEWS * view_projection]
+        """Of what is compared: patches, views."""
         self.embedding = nn.Linear(VIEWS * pooled, width)
         self.observation = nn.Linear(width, width)
         self.patch_projection = nn.Linear(channels, projection, bias=False)
@@ -57,27 +57,35 @@ class ComparingEncoder(nn.Module):
         self.view_fusion = nn.Linear(view_projection, width, bias=False)
 
     def embed(self, observation: Tensor) -> Tensor:
-        """What depends on one observation alone, float32 ``[B, 4, D]`` to ``[B, sum(sizes)]``; of goals as well."""
-        cells, channels = self.patch_shape
-        pooled, patches = observation.split([observation.shape[-1] - cells * channels, cells * channels], -1)
+        """What depends on an observation alone, float32 ``[B, 4, D]`` to ``[B, width + E]``."""
+        pooled, _ = self._parts(observation)
         seen = self.observation(F.relu(self.embedding(pooled.flatten(-2))))
-        patches = F.normalize(self.patch_projection(patches.unflatten(-1, (cells, channels))), dim=-1)
+        return torch.cat([seen, self.embed_goal(observation)], -1)
+
+    def embed_goal(self, goal_observation: Tensor) -> Tensor:
+        """What is compared of a goal, float32 ``[B, 4, D]`` to ``[B, E]``: its patches, then its views."""
+        pooled, patches = self._parts(goal_observation)
+        patches = F.normalize(self.patch_projection(patches.unflatten(-1, self.patch_shape)), dim=-1)
         views = F.normalize(self.view_projection(pooled), dim=-1)
-        return torch.cat([seen, patches.flatten(-3), views.flatten(-2)], -1)
+        return torch.cat([patches.flatten(-3), views.flatten(-2)], -1)
 
     def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
-        """The embeddings of observation and goal, ``[B, sum(sizes)]`` each, to the fused vector ``[B, width]``."""
-        seen, patches, views = embedding.split(self.sizes, -1)
-        _, goal_patches, goal_views = goal_embedding.split(self.sizes, -1)
-        by_patch = self.patch_fusion(
-            F.relu(self.patch_cosines(_cosines(patches, goal_patches, VIEWS * self.patch_shape[0])))
-        )
+        """Embeddings of observation and goal, ``[B, width + E]`` and ``[B, E]``, to the fused vector ``[B, width]``."""
+        seen, *compared = embedding.split([self.width, *self.sizes], -1)
+        (patches, views), (goal_patches, goal_views) = compared, goal_embedding.split(self.sizes, -1)
+        cells = VIEWS * self.patch_shape[0]
+        by_patch = self.patch_fusion(F.relu(self.patch_cosines(_cosines(patches, goal_patches, cells))))
         by_view = self.view_fusion(F.relu(self.view_cosines(_cosines(views, goal_views, VIEWS))))
         return F.relu(seen + by_patch + by_view)
 
+    def _parts(self, observation: Tensor) -> list[Tensor]:
+        """Pooled features and patches of views."""
+        patches = self.patch_shape[0] * self.patch_shape[1]
+        return list(observation.split([observation.shape[-1] - patches, patches], -1))
+
     def forward(self, observation: Tensor, goal_observation: Tensor) -> Tensor:
         """Features of observation and goal, float32 ``[B, 4, D]`` each, to the fused vector ``[B, width]``."""
-        return self.fuse(self.embed(observation), self.embed(goal_observation))
+        return self.fuse(self.embed(observation), self.embed_goal(goal_observation))
 
 
 def _cosines(seen: Tensor, goal: Tensor, count: int) -> Tensor:

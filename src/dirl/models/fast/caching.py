@@ -86,7 +86,10 @@ class EmbeddingCache:
 
 @runtime_checkable
 class Cacheable(Protocol):
-    """An encoder that can be cached: ``forward(o, g)`` equals ``fuse(embed(o), embed(g))``, row by row."""
+    """An encoder that can be cached: ``forward(o, g)`` equals ``fuse(embed(o), embed(g))``, row by row.
+
+    With a method ``embed_goal`` it equals ``fuse(embed(o), embed_goal(g))``.
+    """
 
     def embed(self, observation: Tensor) -> Tensor:
         """Features ``[B, 4, D]`` to ``[B, E]``."""
@@ -130,21 +133,26 @@ class CachedEncoder(nn.Module):
         """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
         encoder, _ = self._wrapped
         keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
-        both = torch.cat([keys, goal_keys])
-        if torch.is_grad_enabled():
-            distinct, place = torch.unique(both, return_inverse=True)
-            embedding = self._embed(distinct)
+        known, goals = (None, None) if torch.is_grad_enabled() else self._valid_cache()
+        if hasattr(encoder, "embed_goal"):
+            seen, shown = self._rows(keys, encoder.embed, known), self._rows(goal_keys, encoder.embed_goal, goals)
         else:
-            cache = self._valid_cache()
-            place = cache.places(both, lambda new: (self._embed(new),))
-            (embedding,) = cache.rows
-        fused: Tensor = encoder.fuse(embedding[place[: len(keys)]], embedding[place[len(keys) :]])
+            seen, shown = self._rows(torch.cat([keys, goal_keys]), encoder.embed, known).split(len(keys))
+        fused: Tensor = encoder.fuse(seen, shown)
         return fused
 
-    def _embed(self, keys: Tensor) -> Tensor:
-        encoder, table = self._wrapped
-        embedding: Tensor = encoder.embed(table(self._views(keys)))
-        return embedding
+    def _rows(self, keys: Tensor, embed: Callable[[Tensor], Tensor], cache: EmbeddingCache | None) -> Tensor:
+        """The embedding of each key, int64 ``[K]`` to ``[K, E]``; every distinct one is computed once."""
+        table = self._wrapped[1]
+
+        def compute(distinct: Tensor) -> tuple[Tensor]:
+            return (embed(table(self._views(distinct))),)
+
+        if cache is None:
+            distinct, place = torch.unique(keys, return_inverse=True)
+            return compute(distinct)[0][place]
+        place = cache.places(keys, compute)
+        return cache.rows[0][place]
 
     def _pack(self, view_ids: Tensor) -> Tensor:
         """A key for each observation, int64 ``[B, 4]`` to ``[B]``."""
@@ -169,8 +177,10 @@ class CachedEncoder(nn.Module):
             self._cache, self._versions = self._new_cache(), versions
         return self._cache
 
-    def _new_cache(self) -> Any:
-        return EmbeddingCache(self._every())
+    def _new_cache(self) -> tuple[EmbeddingCache, EmbeddingCache]:
+        """For observations, and for goals that are embedded otherwise."""
+        every = self._every()
+        return EmbeddingCache(every), EmbeddingCache(every)
 
     def _every(self) -> int | None:
         """See `EmbeddingCache`."""

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.autograd.function import FunctionCtx
 
 from dirl.envs.transforms import VIEWS
-from dirl.models.fast.caching import CachedEncoder, EmbeddingCache
+from dirl.models.fast.caching import CachedEncoder
 from dirl.models.fast.principal_axes import PrincipalAxes
 from dirl.models.features import FeatureTable
 from dirl.models.siamese import SiameseEncoder
@@ -101,10 +101,6 @@ class CachedSiamese(CachedEncoder):
     def _inputs(self, view_ids: Tensor) -> Tensor:
         """What the embedding multiplies, int64 ``[R, 4]`` to float32 ``[R, columns]``."""
         return self._wrapped[1](view_ids).flatten(-2) if self.axes is None else self.axes(view_ids)
-
-    def _new_cache(self) -> tuple[EmbeddingCache, EmbeddingCache]:
-        every = self._every()
-        return EmbeddingCache(every), EmbeddingCache(every)
 
     @contextmanager
     def frozen(self) -> Iterator[None]:
