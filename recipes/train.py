@@ -98,7 +98,8 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
 
     An error ends a run that is alone with one line. In a sweep it is the job's, and Hydra goes on with the others.
     """
-    with one_line_errors(folder) if alone else nullcontext():
+    # Without the inner one Hydra would say something of its own about an error of the machine.
+    with one_line_exits() if alone else nullcontext(), one_line_errors(folder) if alone else nullcontext():
         config: TrainConfig = typed(composed)
         check_components(config, config.trust)
         run = open_run(config, folder, HydraConfig.get().overrides.task)
