@@ -41,6 +41,9 @@ ONE_PHOTO = {
 }
 """As conf/goal_view/front.yaml."""
 
+ALL = {"evaluation.goals": None}
+"""Every goal is measured."""
+
 MEASURES = {"sr": "SR", "spl": "SPL", "false_stop_rate": "false stops", "missed_stop_rate": "missed stops"}
 
 
@@ -61,8 +64,8 @@ def ambiguous(world: World, threshold: float) -> Tensor:
 
 def walked(run: Result) -> tuple[World, dict[str, Episodes]]:
     """Episodes from every start to every goal that was held out, by what walked them."""
-    config, policy, protocol = run.load()
-    _, by_photo, photo = run.load(ONE_PHOTO)
+    config, policy, protocol = run.load(ALL)
+    _, by_photo, photo = run.load(ALL | ONE_PHOTO)
     held_out, photo_held_out = protocol.held_out, photo.held_out
     assert held_out is not None
     assert photo_held_out is not None
@@ -188,7 +191,7 @@ def _parts(variants: Mapping[str, Sequence[Result]]) -> Table:
         for memory in (True, False):
             measured = []
             for run in runs:
-                _, policy, protocol = run.load()
+                _, policy, protocol = run.load(ALL)
                 assert protocol.held_out is not None
                 chosen = protocol.held_out if memory else replace(protocol.held_out, memory=None)
                 measured.append(metrics(chosen.run(policy)))
