@@ -21,13 +21,14 @@ from omegaconf import DictConfig, OmegaConf
 from dirl.backbones.registry import load_encoder
 from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF, command
-from dirl.config.schemas import ConfigError, ExperimentName, ReportConfig, TrainConfig, typed
+from dirl.config.schemas import ConfigError, ExperimentName, ReportConfig, Split, TrainConfig, typed
 from dirl.experiments.any_goal import report_any_goal
 from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
+from dirl.experiments.unseen_rooms import report_unseen_rooms
 from dirl.runs.checks import RunError
 from dirl.training.build import reads_patches
 
@@ -77,6 +78,8 @@ def belongs(config: TrainConfig, experiment: ExperimentName | None, usual: tuple
     match experiment:
         case ExperimentName.any_goal:
             return config.system == "any_goal" and config.hold_out > 0
+        case ExperimentName.unseen_rooms:
+            return config.split == Split.train
         case ExperimentName.fig5 if config.system == "any_goal":
             return config.hold_out > 0 and config.imitation.noise > 0 and reads_patches(config)
         case ExperimentName.fig5 | ExperimentName.fig6:
@@ -100,6 +103,8 @@ def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
             return report_efficiency(name, runs, out, note)
         case ExperimentName.any_goal:
             return report_any_goal(runs, out, note)
+        case ExperimentName.unseen_rooms:
+            return report_unseen_rooms(runs, out, note)
         case ExperimentName.fig5:
             return report_new_goals(runs, out, note, options.starts)
         case ExperimentName.fig6:

@@ -15,6 +15,7 @@ from commands import TINY, room_file, run_program, run_recipe, start_recipe
 from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
+from dirl.experiments.any_goal import ambiguous, wrong_goals
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.results import published
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
@@ -285,3 +286,53 @@ def test_stopping_is_reported_for_disturbed_views(tmp_path):
     other = ViewEncoder(lambda batch: (batch.flatten(1).float() / 255) @ mixing.flip(0), {"extractor": "other"})
     with pytest.raises(ValueError, match="name the same"):
         report_stopping(runs, tmp_path, "note", scene.name, other)
+
+
+@pytest.fixture(scope="module")
+def any_goal(tmp_path_factory):
+    """A folder with two small runs of experiment=any_goal, of which one embeds its goal."""
+    folder = tmp_path_factory.mktemp("any_goal")
+    write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
+    options = ["scene=room.h5", "network.components=8", "encoder.width=32", "heads.width=32", "hold_out=0.34"]
+    options += ["imitation.batch_size=64", "imitation.max_steps=20", "evaluation.max_steps=30", "imitation.noise=0.5"]
+    status, _, errors = run_recipe(folder, "train", "-m", "experiment=any_goal", *options, "seed=0")
+    assert status == 0, errors
+    return folder
+
+
+def test_goals_that_were_held_out_are_reported_beside_controls(any_goal):
+    assert set(summaries(any_goal)) == {f"any_goal_0.5_0.5_{encoder}_0" for encoder in ("comparing", "siamese")}
+    status, printed, errors = run_recipe(any_goal, "report", "experiment=any_goal", "out=report")
+    assert status == 0, errors
+    assert "8 states of places that were drawn and never trained" in printed
+    rows = {row["walks by"]: row for row in rows_of(any_goal / "report" / "any_goal.csv")}
+    assert float(rows["shortest path"]["SPL"]) == 1.0
+    summary = summaries(any_goal)["any_goal_0.5_0.5_comparing_0"]["held_out"]
+    assert float(rows["four views of the goal"]["SR"]) == pytest.approx(summary["greedy"]["sr"])
+    assert float(rows["random walk"]["SPL"]) == pytest.approx(summary["random"]["spl"])
+    parts = rows_of(any_goal / "report" / "any_goal_parts.csv")
+    assert [row["part of the system"].split(",")[0] for row in parts] == ["goal compared", "goal embedded side by side"]
+    assert (any_goal / "report" / "any_goal.svg").stat().st_size > 1000
+
+
+def test_figure_5_shows_the_policy_for_any_goal_at_goals_that_it_was_not_trained_for(any_goal):
+    status, _, errors = run_recipe(any_goal, "report", "experiment=fig5", "starts=5", "out=fig5")
+    assert status == 0, errors
+    rows = rows_of(any_goal / "fig5" / "fig5.csv")
+    assert {row["system"] for row in rows} == {"random", "DIRL, many goals"}
+
+
+def test_another_goal_of_the_same_scene_is_shown_as_a_control():
+    world = make_world([grid_scene(goals=(0, 13, 5)), grid_scene(2, 2, name="small", goals=(1, 2), seed=1)])
+    shown = wrong_goals(world)
+    assert sorted(shown.tolist()) == [0, 1, 2, 3, 4]
+    assert (shown != torch.arange(5)).all()
+    assert torch.equal(world.scene_of[world.goals[shown]], world.scene_of[world.goals])
+
+
+def test_a_photo_that_another_view_matches_is_ambiguous():
+    scene = grid_scene(goals=(0, 13))
+    features = scene.features.copy()
+    features[7] = features[13] + 1e-4
+    world = make_world([replace(scene, features=features)])
+    assert ambiguous(world, 0.95).tolist() == [False, True]

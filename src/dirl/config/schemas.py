@@ -18,7 +18,7 @@ Cache = StrEnum("Cache", ["auto", "off"])
 Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 ExperimentName = StrEnum(
-    "ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop", "any_goal"]
+    "ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop", "any_goal", "unseen_rooms"]
 )
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Split = StrEnum("Split", ["train", "validation", "test"])

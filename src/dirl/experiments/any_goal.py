@@ -6,13 +6,13 @@ from pathlib import Path
 
 import torch
 from matplotlib.figure import Figure
-from torch import Tensor
+from torch import Tensor, nn
 from tqdm import tqdm
 
 from dirl.config.components import TARGET
 from dirl.config.schemas import TrainConfig
 from dirl.episodes import Episodes, shortest_episodes
-from dirl.evaluation import metrics
+from dirl.evaluation import EvaluationProtocol, metrics
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
 from dirl.experts import RandomPolicy
 from dirl.reporting.statistics import bootstrap_interval, iqm
@@ -66,25 +66,44 @@ def walked(run: Result) -> tuple[World, dict[str, Episodes]]:
     """Episodes from every start to every goal that was held out, by what walked them."""
     config, policy, protocol = run.load(ALL)
     _, by_photo, photo = run.load(ALL | ONE_PHOTO)
-    held_out, photo_held_out = protocol.held_out, photo.held_out
-    assert held_out is not None
-    assert photo_held_out is not None
-    world = held_out.world
-    alone, wrong = replace(held_out, memory=None), replace(held_out, shown=wrong_goals(world), stop=None)
-    one = photo_held_out.run(by_photo)
-    told = ~ambiguous(world, config.stop.threshold)[one.goal_index]
-    return world, {
-        "shortest path": shortest_episodes(world, held_out.starts),
-        FOUR: held_out.run(policy),
+    assert protocol.held_out is not None
+    assert photo.held_out is not None
+    found = walked_by(policy, protocol.held_out, by_photo, photo.held_out, config.stop.threshold)
+    return protocol.held_out.world, found
+
+
+def walked_by(
+    policy: nn.Module,
+    protocol: EvaluationProtocol,
+    by_photo: nn.Module,
+    photo: EvaluationProtocol,
+    threshold: float,
+) -> dict[str, Episodes]:
+    """Episodes of a policy and of controls from the same starts.
+
+    Args:
+        policy: that is shown four views of its goal.
+        protocol: of its evaluation.
+        by_photo: the policy that is shown one photo.
+        photo: of its evaluation.
+        threshold: above which one photo matches another view, see `ambiguous`.
+    """
+    alone = replace(protocol, memory=None)
+    wrong = replace(protocol, shown=wrong_goals(protocol.world), stop=None)
+    one = photo.run(by_photo)
+    told = ~ambiguous(protocol.world, threshold)[one.goal_index]
+    return {
+        "shortest path": shortest_episodes(protocol.world, protocol.starts),
+        FOUR: protocol.run(policy),
         f"{FOUR}, without memory": alone.run(policy),
         f"{FOUR}, without memory, sampled": alone.run(policy, greedy=False),
         PHOTO: one,
         f"{PHOTO}, of those that no other view matches": one.select(told),
-        f"{PHOTO}, without memory": replace(photo_held_out, memory=None).run(by_photo),
+        f"{PHOTO}, without memory": replace(photo, memory=None).run(by_photo),
         "another goal's views": wrong.run(policy),
         "another goal's views, without memory, sampled": replace(wrong, memory=None).run(policy, greedy=False),
-        "sweep that ignores the goal": held_out.run(RandomPolicy(), greedy=False),
-        "random walk": held_out.run_random(),
+        "sweep that ignores the goal": protocol.run(RandomPolicy(), greedy=False),
+        "random walk": protocol.run_random(),
     }
 
 

@@ -1,0 +1,135 @@
+"""Rooms that no training saw: how well goals are found in them, beside controls, by the number of training rooms."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+from tqdm import tqdm
+
+from dirl.episodes import Episodes
+from dirl.evaluation import EvaluationProtocol, metrics
+from dirl.experiments.any_goal import DRAWN, FAR, FOUR, MEASURES, ONE_PHOTO, PHOTO, walked_by
+from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
+from dirl.reporting.statistics import bootstrap_interval
+from dirl.reporting.style import plain
+from dirl.scenes import World
+
+GOALS, STARTS = 30, 20
+"""Goals of each room, and episodes of each room and distance."""
+
+MAX_STEPS = 100
+
+TESTED: Mapping[str, Any] = {
+    "split": "test",
+    "rooms": None,
+    "goals": "all",
+    "evaluation.goals": GOALS,
+    "evaluation.max_steps": MAX_STEPS,
+}
+
+
+def drawn_starts(world: World, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Up to `STARTS` episodes of each room and distance of `FAR`: goal index and start, int64 ``[E]`` each."""
+    generator = torch.Generator().manual_seed(seed)
+    goal_index, state = world.pairs()
+    scene, distance = world.scene_of[state], world.distances.long()
+    chosen = []
+    for room in range(len(world.scenes)):
+        for low, high in FAR:
+            fitting = torch.nonzero((scene == room) & (distance >= low) & (distance <= high)).flatten()
+            chosen.append(fitting[torch.randperm(len(fitting), generator=generator)[:STARTS]])
+    kept = torch.cat(chosen)
+    return goal_index[kept], state[kept]
+
+
+def tested(run: Result) -> tuple[World, dict[str, Episodes]]:
+    """Episodes in the test rooms of the collection that a run was trained on, by what walked them."""
+    config, policy, protocol = run.load(TESTED)
+    _, by_photo, photo = run.load({**TESTED, **ONE_PHOTO})
+    starts = drawn_starts(protocol.world)
+    four, one = (_from(starts, conditions) for conditions in (protocol, photo))
+    return protocol.world, walked_by(policy, four, by_photo, one, config.stop.threshold)
+
+
+def _from(starts: tuple[Tensor, Tensor], protocol: EvaluationProtocol) -> EvaluationProtocol:
+    return replace(protocol, starts=starts)
+
+
+def by_room(world: World, episodes: Episodes, key: str) -> list[float]:
+    """A measure in each room."""
+    room = world.scene_of[episodes.start]
+    return [metrics(episodes.select(room == index))[key] for index in room.unique().tolist()]
+
+
+def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
+    """Write how well goals are found in rooms that no training saw.
+
+    Args:
+        results: runs on the training rooms of one collection, with any number of them.
+        out: a folder.
+        note: what a reader must know of the runs.
+
+    Returns:
+        The text of the README.
+    """
+    by_count = dict(sorted(grouped(results, lambda config: config.rooms or 10**6).items()))
+    found = {
+        count: [tested(run) for run in tqdm(runs, desc=f"{count} rooms", unit=" runs", disable=None)]
+        for count, runs in by_count.items()
+    }
+    most = found[max(found)]
+    world = most[0][0]
+    table = Table(Column("walks by"), Column("runs", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
+    far = Table(Column("SPL, walks by"), *(Column(f"{low} steps and more", ".3f") for low, _ in FAR))
+    for way in most[0][1]:
+        table.add(way, len(most), *(_rooms(most, way, key) for key in MEASURES))
+        parts = [[(one, {way: _within(episodes[way], *limits)}) for one, episodes in most] for limits in FAR]
+        far.add(way, *(_rooms(part, way, "spl") for part in parts))
+    curve = Table(Column("training rooms", "d"), Column("runs", "d"), *_curve_columns())
+    for count, runs in found.items():
+        cells = [_rooms(runs, way, key) for way in (FOUR, PHOTO) for key in ("sr", "spl")]
+        curve.add(min(count, len(results[0].scenes) if count == 10**6 else count), len(runs), *cells)
+    _draw(most, out)
+    text = (
+        f"{note}\n\nTested in {len(world.scenes)} rooms of the test split, which no training saw: {STARTS} episodes of "
+        f"each room and distance, at most {MAX_STEPS} steps, stop by template matching. Of several numbers: mean "
+        "over rooms and, in brackets, its 95 % bootstrap interval over rooms."
+    )
+    tables = {"unseen_rooms": table, "unseen_rooms_by_start": far, "unseen_rooms_by_training": curve}
+    return write_tables(out, "Rooms never seen", text, tables, ["unseen_rooms"])
+
+
+def _curve_columns() -> list[Column]:
+    return [Column(f"{name}, {way}", ".3f") for way in (FOUR, PHOTO) for name in ("SR", "SPL")]
+
+
+def _within(episodes: Episodes, low: int, high: int) -> Episodes:
+    return episodes.select((episodes.shortest >= low) & (episodes.shortest <= high))
+
+
+def _rooms(found: Sequence[tuple[World, Mapping[str, Episodes]]], way: str, key: str) -> list[float]:
+    """A measure in each room, the mean of the runs."""
+    runs = torch.tensor([by_room(world, episodes[way], key) for world, episodes in found], dtype=torch.float64)
+    values: list[float] = runs.mean(0).tolist()
+    return values
+
+
+def _draw(found: Sequence[tuple[World, Mapping[str, Episodes]]], out: Path) -> None:
+    """SR and SPL of each way, the mean over rooms with its interval."""
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    places = list(range(len(DRAWN)))[::-1]
+    for axes, key in zip(panels, ("sr", "spl"), strict=True):
+        for place, (way, color) in zip(places, DRAWN.items(), strict=True):
+            values = _rooms(found, way, key)
+            low, high = bootstrap_interval(values)
+            axes.plot([low, high], [place, place], color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
+            axes.plot(sum(values) / len(values), place, "o", color=color)
+        axes.set_yticks(places, list(DRAWN))
+        axes.set(xlabel=MEASURES[key], xlim=(-0.04, 1.04))
+        plain(axes)
+    save_figure(figure, out, "unseen_rooms")
