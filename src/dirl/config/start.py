@@ -61,7 +61,7 @@ def start(recipe: str, text: str | None = None) -> str:
         arguments = sys.argv[1:]
         name = recipe
         if recipe == "scenes":
-            name, arguments = choose_command(MEANINGS, arguments, text or "")
+            name, arguments = choose_command(MEANINGS, arguments, _as_called(text or ""))
         config = configuration(recipe, name)
         options = check(config, arguments)
         if any(argument in SHOWING for argument in options):
@@ -113,7 +113,11 @@ def _compose(config: str, options: Sequence[str], **kwargs: Any) -> DictConfig:
 
 def shown(config: str, options: Sequence[str]) -> str:
     """The answer to ``--help``, ``--cfg job`` or a shell's completion."""
-    text = _help(config, options) if any(option in HELP for option in options) else _ask_hydra(config, options)
+    return _as_called(_help(config, options) if any(one in HELP for one in options) else _ask_hydra(config, options))
+
+
+def _as_called(text: str) -> str:
+    """A text with the recipes as the user calls them."""
     for recipe, (file, _) in RECIPES.items():
         text = text.replace(f"python {file}", command(recipe))
     return text
