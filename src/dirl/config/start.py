@@ -74,7 +74,7 @@ def start(recipe: str, text: str | None = None) -> str:
 
 def configuration(recipe: str, name: str) -> str:
     """The configuration of a recipe, or of one of its commands, as a path below `CONF` without ending."""
-    return f"{recipe}/{name}" if recipe in ("scenes", "report", "evaluate") else name
+    return f"{recipe}/{name}" if (CONF / recipe / f"{name}.yaml").is_file() else name
 
 
 def check(config: str, arguments: Sequence[str]) -> list[str]:
@@ -130,7 +130,7 @@ def _help(config: str, options: Sequence[str]) -> str:
     groups: dict[str, set[str]] = {}
     for folder in [CONF, *config_dirs(options)] if config == "train" else []:
         for file in folder.glob("*/*.yaml"):
-            if file.parent.name not in ("scenes", "report", "evaluate"):
+            if file.parent.name not in RECIPES:
                 groups.setdefault(file.parent.name, set()).add(file.stem)
     listed = "".join(f"{group}: {', '.join(sorted(choices))}\n" for group, choices in sorted(groups.items()))
     values = OmegaConf.to_yaml(OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"]))
