@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import os
+import shutil
 
 os.environ["OMP_NUM_THREADS"] = "1"  # here and in every program that a test starts: they are small, and side by side
 
@@ -23,3 +24,42 @@ def scene():
 def dump(tmp_path, scene):
     """The room of `scene` as a file in the published layout."""
     return published_dump(tmp_path / "room.h5", scene)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Headless Chromium, as the system has it."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = shutil.which("chromium")
+    if program is None:
+        pytest.skip("chromium is not installed")
+    quiet = ["disable-quic", "no-first-run", "disable-background-networking", "disable-component-update"]
+    arguments = ["--no-sandbox", "--disable-gpu", "--disable-sync", *(f"--{name}" for name in quiet)]
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=program, args=arguments)
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def watched_tab(browser):
+    """Open an address in a tab; whatever goes wrong in it, or asks for a thing of another host, fails the test.
+
+    A page may ask for itself and for data in it; for files too where they lie within a folder that is named.
+    """
+    wrong, tabs = [], []
+
+    def opened(address, within=None):
+        inside = ("data:", within or address)
+        tab = browser.new_page()
+        tabs.append(tab)
+        tab.on("console", lambda message: wrong.append(message.text))
+        tab.on("pageerror", lambda error: wrong.append(str(error)))
+        tab.on("request", lambda asked: None if asked.url.startswith(inside) else wrong.append(asked.url))
+        tab.goto(address)
+        return tab
+
+    yield opened
+    for tab in tabs:
+        tab.close()
+    assert not wrong

@@ -35,7 +35,7 @@ def dirl(folder, *arguments, **environment):
         (["evaluate", "--help"], "dirl evaluate checkpoint=runs/"),
         (["report", "--help"], "dirl train -m experiment=fig8 && dirl report experiment=fig8"),
         (["scenes", "inspect", "--help"], "dirl scenes inspect scene=bathroom_02"),
-        (["train", "--help"], "encoder: siamese\n"),
+        (["train", "--help"], "heads: scene, shared\n"),
         (["train", "--help", "encoder.width=77"], "width: 77"),
         (["scenes", "--help"], "  inspect  look at a scene and check it"),
         (["train", "--cfg", "job", "seed=7"], "seed: 7"),

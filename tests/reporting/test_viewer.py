@@ -4,7 +4,6 @@ import base64
 import json
 import re
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,6 @@ from dirl.training.build import (
     matching,
 )
 
-CHROMIUM = Path("/usr/bin/chromium")
 LIMIT = 30
 
 
@@ -193,37 +191,16 @@ def test_evaluate_writes_the_viewer_into_the_runs_folder_and_says_when_it_replac
     assert "in place of the one before" in run_recipe(tmp_path, "evaluate", *command)[1]
 
 
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if not CHROMIUM.exists():
-        pytest.skip(f"there is no {CHROMIUM}")
-    quiet = ["disable-quic", "no-first-run", "disable-background-networking", "disable-component-update"]
-    arguments = ["--no-sandbox", "--disable-gpu", "--disable-sync", *(f"--{name}" for name in quiet)]
-    with playwright.sync_playwright() as started:
-        launched = started.chromium.launch(executable_path=str(CHROMIUM), args=arguments)
-        yield launched
-        launched.close()
-
-
 @pytest.fixture
-def open_page(browser, tmp_path):
-    """Open a room's page from its file; whatever goes wrong in it, or asks for a thing outside, fails the test."""
-    wrong = []
+def open_page(watched_tab, tmp_path):
+    """Open a room's page from its file."""
 
     def opened(room):
         ((name, text),) = pages_of(room).items()
         (tmp_path / name).write_text(text, encoding="utf-8")
-        address = (tmp_path / name).as_uri()
-        tab = browser.new_page()
-        tab.on("console", lambda message: wrong.append(message.text))
-        tab.on("pageerror", lambda error: wrong.append(str(error)))
-        tab.on("request", lambda asked: wrong.extend({asked.url} - {address} if asked.url[:5] != "data:" else ()))
-        tab.goto(address)
-        return tab
+        return watched_tab((tmp_path / name).as_uri())
 
-    yield opened
-    assert not wrong
+    return opened
 
 
 def shown(tab):

@@ -115,24 +115,24 @@ def _file(module: str) -> Path | None:
     return None
 
 
-def _parameters(module: str, owner: ast.ClassDef) -> Parameters | None:
+def _parameters(module: str, owner: ast.ClassDef, hops: int = 9) -> Parameters | None:
     constructor = next(
         (node for node in owner.body if isinstance(node, ast.FunctionDef) and node.name == "__init__"), None
     )
     if constructor is None:
-        return _of_base(module, owner, own=False)
+        return _of_base(module, owner, hops, own=False)
     own = _own(constructor)
     if constructor.args.kwarg is None:
         return own
-    above = _of_base(module, owner, own=bool(own))
+    above = _of_base(module, owner, hops, own=bool(own))
     return None if above is None else {**above, **own}
 
 
-def _of_base(module: str, owner: ast.ClassDef, *, own: bool) -> Parameters | None:
+def _of_base(module: str, owner: ast.ClassDef, hops: int, *, own: bool) -> Parameters | None:
     """The parameters of the only base; none is required if the class has its own, which may give it."""
-    base = owner.bases[0] if len(owner.bases) == 1 else None
+    base = owner.bases[0] if len(owner.bases) == 1 and hops else None
     found = _find_class(module, base.id) if isinstance(base, ast.Name) else None
-    above = None if found is None else _parameters(*found)
+    above = None if found is None else _parameters(*found, hops - 1)
     return {name: (kind, needed and not own) for name, (kind, needed) in above.items()} if above is not None else None
 
 

@@ -61,7 +61,7 @@ def start(recipe: str, text: str | None = None) -> str:
         arguments = sys.argv[1:]
         name = recipe
         if recipe == "scenes":
-            name, arguments = choose_command(MEANINGS, arguments, text or "")
+            name, arguments = choose_command(MEANINGS, arguments, _as_called(text or ""))
         config = configuration(recipe, name)
         options = check(config, arguments)
         if any(argument in SHOWING for argument in options):
@@ -74,7 +74,7 @@ def start(recipe: str, text: str | None = None) -> str:
 
 def configuration(recipe: str, name: str) -> str:
     """The configuration of a recipe, or of one of its commands, as a path below `CONF` without ending."""
-    return f"{recipe}/{name}" if recipe in ("scenes", "report", "evaluate") else name
+    return f"{recipe}/{name}" if (CONF / recipe / f"{name}.yaml").is_file() else name
 
 
 def check(config: str, arguments: Sequence[str]) -> list[str]:
@@ -113,7 +113,11 @@ def _compose(config: str, options: Sequence[str], **kwargs: Any) -> DictConfig:
 
 def shown(config: str, options: Sequence[str]) -> str:
     """The answer to ``--help``, ``--cfg job`` or a shell's completion."""
-    text = _help(config, options) if any(option in HELP for option in options) else _ask_hydra(config, options)
+    return _as_called(_help(config, options) if any(one in HELP for one in options) else _ask_hydra(config, options))
+
+
+def _as_called(text: str) -> str:
+    """A text with the recipes as the user calls them."""
     for recipe, (file, _) in RECIPES.items():
         text = text.replace(f"python {file}", command(recipe))
     return text
@@ -126,7 +130,7 @@ def _help(config: str, options: Sequence[str]) -> str:
     groups: dict[str, set[str]] = {}
     for folder in [CONF, *config_dirs(options)] if config == "train" else []:
         for file in folder.glob("*/*.yaml"):
-            if file.parent.name not in ("scenes", "report", "evaluate"):
+            if file.parent.name not in RECIPES:
                 groups.setdefault(file.parent.name, set()).add(file.stem)
     listed = "".join(f"{group}: {', '.join(sorted(choices))}\n" for group, choices in sorted(groups.items()))
     values = OmegaConf.to_yaml(OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"]))

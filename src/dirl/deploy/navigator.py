@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -11,6 +11,7 @@ from torch import Tensor
 from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
 from dirl.deploy.feature_policy import FeaturePolicy
+from dirl.deploy.hub import fetch_pretrained
 from dirl.deploy.images import Images, NavigatorError, checked_images
 from dirl.deploy.loading import (
     Encoder,
@@ -132,6 +133,24 @@ class Navigator:
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
         recall = None if memory is None else Recall(memory)
         return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, recall)
+
+    @classmethod
+    def from_pretrained(
+        cls, name: str | Path, encoder: Encoder | str | Path, *, revision: str | None = None, **options: Any
+    ) -> "Navigator":
+        """A navigator from the Hugging Face Hub, or from a folder that was shared in the same form.
+
+        Args:
+            name: ``user/name`` in the Hub, or a folder; see `dirl.deploy.hub`.
+            encoder: see `load`.
+            revision: a commit, branch or tag; the latest if left out.
+            options: of `load`; without ``trust`` nothing but dirl's own classes is made.
+
+        Raises:
+            HubError: there is none, or it cannot be fetched.
+            NavigatorError: see `load`.
+        """
+        return cls.load(fetch_pretrained(name, revision=revision), encoder, **options)
 
     @property
     def _table(self) -> FeatureTable:

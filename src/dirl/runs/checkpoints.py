@@ -19,6 +19,7 @@ import torch
 
 from dirl.atomic import atomic_path
 from dirl.runs.checks import RunError, check_header, check_plain
+from dirl.runs.shared import WEIGHTS, read_shared
 
 SEAL = b"dirl sha256 "
 DIGITS = 64
@@ -47,7 +48,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 
     Args:
         path: a ``.pt`` file, or the folder of a run for its final weights, or the latest that is whole if it is not
-            finished.
+            finished; or a folder that `dirl.runs.shared` wrote.
 
     Raises:
         RunError: there is none, or it is damaged.
@@ -55,6 +56,8 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     if path.is_dir() and not (path / "network.pt").is_file() and training_checkpoints(path):
         return latest_checkpoint(path)[0]
+    if not (path / "network.pt").is_file() and (path / WEIGHTS).is_file():
+        return read_shared(path)
     file = path / "network.pt" if path.is_dir() else path
     if not file.is_file():
         raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")

@@ -9,7 +9,7 @@ import os
 import secrets
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from omegaconf import OmegaConf
@@ -138,7 +138,7 @@ class TensorBoardLogger:
         self.writer.close()
 
 
-def _wandb_mode() -> Any:
+def _wandb_mode() -> Literal["online", "offline"] | None:
     """``offline`` where nobody is logged in or the service is away, unless ``WANDB_MODE`` says what is wanted."""
     import wandb
 

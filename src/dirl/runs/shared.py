@@ -1,0 +1,61 @@
+"""A trained policy as a folder that others can read: safetensors, YAML and JSON, nothing that could run code."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dirl.atomic import atomic_path, write_json, write_text
+from dirl.runs.checks import RunError, check_header, check_plain
+
+WEIGHTS, CONFIG, FACTS = "model.safetensors", "config.yaml", "dirl.json"
+"""The files of such a folder: the weights by name, the run's configuration, and `KEYS`."""
+
+KEYS = ("extractor", "scenes", "views", "frames", "schema")
+"""What of a checkpoint stands in `FACTS`."""
+
+MISSING = "needs a package that is not installed (safetensors): pip install 'dirl[hub]'"
+
+
+def write_shared(saved: Mapping[str, Any], folder: Path) -> None:
+    """Write a checkpoint as a folder that `read_shared` reads.
+
+    Args:
+        saved: see `dirl.runs.checkpoints.load_checkpoint`.
+        folder: an existing one.
+
+    Raises:
+        RunError: safetensors is not installed.
+    """
+    try:
+        from safetensors.torch import save
+    except ImportError:
+        raise RunError(f"{folder}: {MISSING}") from None
+    weights = {name: value.clone().contiguous() for name, value in saved["network"].items()}  # none may share memory
+    with atomic_path(folder / WEIGHTS) as temporary:
+        temporary.write_bytes(save(weights, {"format": "pt"}))
+    write_text(folder / CONFIG, saved["config"])
+    write_json(folder / FACTS, {key: saved[key] for key in KEYS if key in saved})
+
+
+def read_shared(folder: Path) -> dict[str, Any]:
+    """What `dirl.runs.checkpoints.load_checkpoint` reads of a run, of a folder that `write_shared` wrote.
+
+    Raises:
+        RunError: it is damaged, or holds something else, or safetensors is not installed.
+    """
+    try:
+        from safetensors.torch import load
+    except ImportError:
+        raise RunError(f"{folder}: {MISSING}") from None
+    file = folder / WEIGHTS
+    data = file.read_bytes()
+    try:
+        facts = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+        state = {key: facts[key] for key in KEYS if key in facts}
+        state |= {"config": (folder / CONFIG).read_text(encoding="utf-8"), "network": load(data)}
+    except Exception as error:  # safetensors has an exception of its own for each kind of damage
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        raise RunError(f"{folder}: is no policy shared by dirl ({reason})") from None
+    check_plain(state, file, 4 * len(data))
+    return check_header(state, file)
