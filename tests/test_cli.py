@@ -103,4 +103,4 @@ def test_a_copy_is_not_written_over_a_file(tmp_path):
     assert printed == "copied: mine.py; run it with: python mine.py\n"
     assert "python mine.py scene=bathroom_02" in (tmp_path / "mine.py").read_text()
     _, errors, _ = dirl(tmp_path, "copy", "evaluate", "mine.py")
-    assert errors == "error: mine.py: there is such a file already; it is not overwritten"
+    assert errors == "error: mine.py: this file exists already; it is not overwritten"

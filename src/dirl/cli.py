@@ -72,6 +72,7 @@ def show(name: str, arguments: Sequence[str]) -> None:
     from dirl.config.start import configuration, shown
 
     register()
+    sys.argv[0] = "dirl"  # the command that Hydra's script completes
     chosen, options = (arguments[0], arguments[1:]) if name == "scenes" else (name, arguments)
     print(shown(configuration(name, chosen), options), end="")
 

@@ -84,8 +84,8 @@ def test_the_new_names_exist():
 @pytest.mark.parametrize(
     ("argument", "told"),
     [
-        ("system=nope", "there is no system=nope; choose from a3c, dagger, dirl"),
-        ("encoder=nope", "there is no encoder=nope; choose from siamese"),
+        ("system=nope", "there is no system=nope; choose from a3c, any_goal, dagger, dirl"),
+        ("encoder=nope", "there is no encoder=nope; choose from comparing, siamese"),
         ("encoder=siamesse", "there is no encoder=siamesse; did you mean encoder=siamese?"),
         ("memory=none,grru", "there is no memory=grru; did you mean memory=gru?"),
         ("losses=[imitation,other]", "there is no losses=other; choose from imitation"),

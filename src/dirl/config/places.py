@@ -40,4 +40,4 @@ def command(name: str, *, running: bool = False) -> str:
     script = sys.argv[0]
     if running and script.endswith(".py") and not os.path.isabs(script):
         return f"python {script}"
-    return f"python recipes/{name}.py"
+    return f"python {RECIPES[name][0]}"
