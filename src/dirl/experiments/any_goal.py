@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from dirl.config.components import TARGET
 from dirl.config.schemas import TrainConfig
-from dirl.episodes import Episodes, shortest_episodes
+from dirl.episodes import Episodes, sampled_starts, shortest_episodes
 from dirl.evaluation import EvaluationProtocol, metrics
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
 from dirl.experts import RandomPolicy
@@ -41,6 +41,9 @@ ONE_PHOTO = {
 }
 """As conf/goal_view/front.yaml."""
 
+STARTS = 20
+"""Of each goal in the controls."""
+
 ALL = {"evaluation.goals": None}
 """Every goal is measured."""
 
@@ -68,7 +71,8 @@ def walked(run: Result) -> tuple[World, dict[str, Episodes]]:
     _, by_photo, photo = run.load(ALL | ONE_PHOTO)
     assert protocol.held_out is not None
     assert photo.held_out is not None
-    found = walked_by(policy, protocol.held_out, by_photo, photo.held_out, config.stop.threshold)
+    starts = sampled_starts(protocol.held_out.world, STARTS, config.seed)
+    found = walked_by(policy, protocol.held_out, by_photo, photo.held_out, config.stop.threshold, starts)
     return protocol.held_out.world, found
 
 
@@ -78,8 +82,9 @@ def walked_by(
     by_photo: nn.Module,
     photo: EvaluationProtocol,
     threshold: float,
+    starts: tuple[Tensor, Tensor],
 ) -> dict[str, Episodes]:
-    """Episodes of a policy and of controls from the same starts.
+    """Episodes of a policy, and of controls.
 
     Args:
         policy: that is shown four views of its goal.
@@ -87,9 +92,11 @@ def walked_by(
         by_photo: the policy that is shown one photo.
         photo: of its evaluation.
         threshold: above which one photo matches another view, see `ambiguous`.
+        starts: of the controls, of which many episodes do not end before the limit.
     """
-    alone = replace(protocol, memory=None)
-    wrong = replace(protocol, shown=wrong_goals(protocol.world), stop=None)
+    few = replace(protocol, starts=starts)
+    alone = replace(few, memory=None)
+    wrong = replace(few, shown=wrong_goals(protocol.world), stop=None)
     one = photo.run(by_photo)
     told = ~ambiguous(protocol.world, threshold)[one.goal_index]
     return {
@@ -99,11 +106,11 @@ def walked_by(
         f"{FOUR}, without memory, sampled": alone.run(policy, greedy=False),
         PHOTO: one,
         f"{PHOTO}, of those that no other view matches": one.select(told),
-        f"{PHOTO}, without memory": replace(photo, memory=None).run(by_photo),
+        f"{PHOTO}, without memory": replace(photo, starts=starts, memory=None).run(by_photo),
         "another goal's views": wrong.run(policy),
         "another goal's views, without memory, sampled": replace(wrong, memory=None).run(policy, greedy=False),
-        "sweep that ignores the goal": protocol.run(RandomPolicy(), greedy=False),
-        "random walk": protocol.run_random(),
+        "sweep that ignores the goal": few.run(RandomPolicy(), greedy=False),
+        "random walk": few.run_random(),
     }
 
 
@@ -143,8 +150,9 @@ def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
     single = sum(int(ambiguous(world, 0.95).sum()) for world, _ in found) / len(found)
     goals = sum(len(world.goals) for world, _ in found) / len(found)
     text = (
-        f"{note}\n\nGoals: {goals:.0f} states of places that were drawn and never trained; every start of their rooms, "
-        f"at most {results[0].config.evaluation.max_steps} steps, stop by template matching. The first tables are of: "
+        f"{note}\n\nGoals: {goals:.0f} states of places that were drawn and never trained; every start of their rooms "
+        f"({STARTS} drawn ones of each goal for controls and without memory), at most "
+        f"{results[0].config.evaluation.max_steps} steps, stop by template matching. The first tables are of: "
         f"{main}. Of a photo, {single:.1f} goals look above 0.95 like another view; they are counted in all rows but "
         "one. A sweep tries in each place the action that it tried least and stops where the goal's views match. "
         "*Another goal's views* are shown in the place of the goal's; the environment stops the agent at the goal."
@@ -212,7 +220,9 @@ def _parts(variants: Mapping[str, Sequence[Result]]) -> Table:
             for run in runs:
                 _, policy, protocol = run.load(ALL)
                 assert protocol.held_out is not None
-                chosen = protocol.held_out if memory else replace(protocol.held_out, memory=None)
+                held_out = protocol.held_out
+                starts = sampled_starts(held_out.world, STARTS, run.config.seed)
+                chosen = replace(held_out, starts=starts, memory=held_out.memory if memory else None)
                 measured.append(metrics(chosen.run(policy)))
             cells += [[one[key] for one in measured] for key in ("sr", "spl")]
         table.add(name, len(runs), *cells)

@@ -52,7 +52,7 @@ def tested(run: Result) -> tuple[World, dict[str, Episodes]]:
     _, by_photo, photo = run.load({**TESTED, **ONE_PHOTO})
     starts = drawn_starts(protocol.world)
     four, one = (_from(starts, conditions) for conditions in (protocol, photo))
-    return protocol.world, walked_by(policy, four, by_photo, one, config.stop.threshold)
+    return protocol.world, walked_by(policy, four, by_photo, one, config.stop.threshold, starts)
 
 
 def _from(starts: tuple[Tensor, Tensor], protocol: EvaluationProtocol) -> EvaluationProtocol:
