@@ -1,6 +1,6 @@
-"""The light of a room, solved once for all its views: what shines on every corner of its triangles.
+"""The light of a room, computed once for all its views: the irradiance at every corner of its triangles.
 
-Light is kept as irradiance, so that a dull surface of colour c sends out c times it. Radiance L from all around is
+Light is stored as irradiance, so that a diffuse surface of colour c emits c times it. Radiance L from all around is
 an irradiance of pi L.
 """
 
@@ -17,10 +17,10 @@ def bake(
 
     Args:
         scenery: the room.
-        direct: rays from each point to each material that shines.
+        direct: rays from each point to each material that emits light.
         indirect: rays from each point into the room, a square number; they serve all bounces.
-        bounces: how often light is thrown back.
-        rng: where the rays go.
+        bounces: of the light.
+        rng: draws the rays.
     """
     origins, normals = standpoints(scenery)
     light = direct_light(scenery, origins, normals, direct, rng)
@@ -43,7 +43,7 @@ def standpoints(scenery: Scenery) -> tuple[Array, Array]:
 
 
 def direct_light(scenery: Scenery, origins: Array, normals: Array, rays: int, rng: np.random.Generator) -> Array:
-    """Irradiance from the materials that shine, float64 ``[P, 3]``; the rays spread evenly over their surfaces."""
+    """Irradiance from the materials that emit light, float64 ``[P, 3]``; the rays spread evenly over their surfaces."""
     light, count = np.zeros((len(origins), 3)), len(origins)
     for material in np.flatnonzero(scenery.emit > 0):
         triangles = np.flatnonzero(scenery.material == material)
@@ -101,7 +101,7 @@ def bounced_light(scenery: Scenery, light: Array, seen: Array, bounces: int) -> 
 
 
 def _smoothed(scenery: Scenery, light: Array, rounds: int) -> Array:
-    """Each point's light averaged with its neighbours', against the grain of few rays."""
+    """Each point's light averaged with its neighbours', against the noise of few rays."""
     around, count = scenery.point.ravel(), len(light)
     for _ in range(rounds):
         sums = np.repeat(light[scenery.point].sum(1), 3, axis=0)

@@ -1,4 +1,4 @@
-"""A room ready for rays: finely divided triangles, textures at every size, and what a ray meets first."""
+"""A room prepared for ray casting: finely divided triangles, textures at every size, and first hits."""
 
 from typing import Any, NamedTuple
 

@@ -37,7 +37,7 @@ def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> Logger | 
     Args:
         config: of the run.
         folder: of the run.
-        frames: that the run goes on from.
+        frames: at which the run continues.
 
     Raises:
         ConfigError: the package it needs is not installed.

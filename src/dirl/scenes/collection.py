@@ -1,8 +1,8 @@
-"""Collections: folders of many dumps with an index, from which scenes are read when they are asked for.
+"""Collections: folders of many dumps with an index, from which scenes are read on access.
 
-``collection.jsonl`` has one line of JSON for each room that is whole. Lines are only ever appended, so that several
+``collection.jsonl`` has one line of JSON for each complete room. Lines are only ever appended, so that several
 processes can add rooms, and one that is killed leaves at most an unfinished line, which is ignored. Of two lines with
-one name the later counts.
+one name the later one counts.
 """
 
 import json
@@ -20,7 +20,7 @@ INDEX = "collection.jsonl"
 
 @dataclass(frozen=True)
 class Entry:
-    """What the index says of one room.
+    """The index entry of one room.
 
     Args:
         name: of the room; its dump is ``<name>.h5``.
@@ -45,7 +45,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Collection(Sequence[Scene]):
-    """Scenes of a folder. Each is read when it is asked for, and not kept.
+    """The scenes of a folder. Each is read on access, and not kept in memory.
 
     Args:
         folder: holds the dumps.
