@@ -45,7 +45,7 @@ def main(composed: DictConfig) -> None:
     with one_line_errors():
         options: BenchmarkConfig = typed(composed)
         if options.out is not None and Path(options.out).exists():
-            raise ConfigError(f"out={options.out}: there is such a file already; it is not overwritten")
+            raise ConfigError(f"out={options.out}: this file exists already; it is not overwritten")
         fixed = [f"reinforcement.frames_per_scene={options.frames_per_scene}", *options.train]
         asked = [train_config([f"scene={_text(scene)}", *fixed]) for scene in options.worlds]
         for config in asked:

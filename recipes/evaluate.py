@@ -40,7 +40,7 @@ def main(composed: DictConfig) -> None:
         if options.checkpoint is None:
             raise RunError("name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>")
         if options.out is not None and Path(options.out).exists():
-            raise RunError(f"out={options.out}: there is such a file already; it is not overwritten")
+            raise RunError(f"out={options.out}: this file exists already; it is not overwritten")
         saved = load_checkpoint(options.checkpoint)
         changes = {
             "scene": options.scene,

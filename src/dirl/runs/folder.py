@@ -120,7 +120,7 @@ class Run:
         if self.finished:
             return f"the run is finished: {self.folder}"
         safe = "its last checkpoint is safe" if training_checkpoints(self.folder) else "it has no checkpoint yet"
-        return f"{safe}; go on with: {command('train', running=True)} resume={self.folder}"
+        return f"{safe}; resume with: {command('train', running=True)} resume={self.folder}"
 
     @property
     def finished(self) -> bool:
@@ -207,14 +207,14 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
         if config.existing == Existing.refuse and is_numbered(folder):
             return Run(folder, config)
         if config.existing == Existing.refuse:
-            raise RunError(f"{folder}: holds a run already; go on with it by resume={folder}, or choose another folder")
+            raise RunError(f"{folder}: holds a run already; continue it with resume={folder}, or choose another folder")
         changed = _changes(config, _saved_config(folder, named_packages(config)))
         if changed:
             raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
         return Run(folder, config) if is_finished(folder) else _go_on(folder, config)
     others = [text for text in overrides if not text.startswith(("resume=", "trust="))]
     if others:
-        raise RunError(f"resume goes on with the saved configuration; leave out {' '.join(others)}")
+        raise RunError(f"resume uses the saved configuration; leave out {' '.join(others)}")
     folder = Path(config.resume)
     if not config_file(folder).is_file() and not training_checkpoints(folder):
         raise RunError(f"{folder}: is not the folder of a run; it has no {config_file(folder).name}")

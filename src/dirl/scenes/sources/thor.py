@@ -255,4 +255,4 @@ def _simulator_errors(where: str) -> Iterator[None]:
         yield
     except (RuntimeError, TimeoutError, OSError) as error:  # those of ai2thor.controller
         reason = " ".join(str(error).split())[:200]
-        raise SceneError(f"{where}: AI2-THOR failed ({reason}); the same command goes on from here") from None
+        raise SceneError(f"{where}: AI2-THOR failed ({reason}); the same command continues from here") from None
