@@ -1,4 +1,4 @@
-"""What an agent walks in: scenes, the worlds made of them, and the files that hold them."""
+"""Scenes, the worlds made of them, and the files that hold them."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -67,7 +67,7 @@ class Collection(Sequence[Scene]):
         """One scene, read now; or some of the rooms.
 
         Raises:
-            SceneError: the dump is missing, damaged, or another one than the index says.
+            SceneError: the dump is missing, damaged, or not the one that the index describes.
         """
         if isinstance(index, slice):
             return replace(self, entries=self.entries[index])
@@ -83,7 +83,7 @@ class Collection(Sequence[Scene]):
         return self.folder / f"{entry.name}.h5"
 
     def select(self, *, split: str | None = None, kind: str | None = None) -> "Collection":
-        """The rooms of a split, of a kind, or of both; what is not said is not asked for.
+        """The rooms of a split, of a kind, or of both; None for any.
 
         Raises:
             SceneError: there are none.
@@ -137,7 +137,7 @@ def add_entry(folder: Path, entry: Entry) -> None:
 
 
 def is_whole(dump: Path, entry: Entry) -> bool:
-    """Whether a dump is there, and the one that the index means."""
+    """Whether a dump exists and is the one that the index describes."""
     return dump.is_file() and file_digest(dump) == entry.sha256
 
 
