@@ -2,7 +2,7 @@
 
     python recipes/evaluate.py checkpoint=runs/dirl_bathroom_02/2026-01-31_12-00-00
     python recipes/evaluate.py checkpoint=... starts=sampled episodes_per_goal=500 max_steps=500
-    python recipes/evaluate.py checkpoint=... goals=[51] stop=goal
+    python recipes/evaluate.py checkpoint=... 'goals=[51]' stop=goal
     python recipes/evaluate.py checkpoint=... viewer=true              # a web page to step through episodes
 
 All options with their values: conf/evaluate/evaluate.yaml.
