@@ -4,8 +4,8 @@
     python benchmarks/benchmark.py 'worlds=[kitchen_02]' growth=false "train=['reinforcement.agents_per_scene=400']"
 
 Training is ``reinforce`` of recipes/train.py unchanged, see benchmarks/ours.py. It is compared with the loops of
-benchmarks/loops.py: bare tensors, stock TorchRL, Stable-Baselines3. All run alternately, so that other load on the machine
-affects all; medians are shown. The limit is the machine's throughput of float32 matrix products. All options:
+benchmarks/loops.py: bare tensors, stock TorchRL, Stable-Baselines3. All run alternately, so that other load on the
+machine affects all; medians are shown. The limit is the machine's throughput of float32 matrix products. All options:
 conf/benchmark.yaml.
 """
 
