@@ -37,7 +37,7 @@ def standpoints(scenery: Scenery) -> tuple[Array, Array]:
     middles = np.repeat(scenery.corners.mean(1), 3, axis=0)
     total = np.stack([np.bincount(around, middles[:, k], count) for k in range(3)], 1)
     inwards = total / np.bincount(around, minlength=count)[:, None] - points
-    # In the middle of a flat surface this is nothing but rounding, and must not be blown up to a direction.
+    # In the middle of a flat surface this is only rounding, which must not be normalised to a direction.
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-3)
     return (points + 2e-3 * inwards + 2e-3 * normals).astype(np.float32), normals
 
@@ -61,7 +61,7 @@ def direct_light(scenery: Scenery, origins: Array, normals: Array, rays: int, rn
             sees = np.flatnonzero((cos_here > 0) & (cos_there > 0))
             hit = scenery.trace(origins[sees], way[sees]).triangle
             sees = sees[(hit >= 0) & (scenery.material[hit] == material)]
-            # A ray stands for an equal share of the shining surface. The 0.01 keeps corners beside a lamp from burning.
+            # Each ray represents an equal share of the emitting surface. The 0.01 bounds the light right beside a lamp.
             solid_angle = cos_there[sees] * sums[-1] / (squared[sees] + 0.01) / rays
             color = scenery.color(chosen[sees], u[sees], v[sees]) * scenery.emit[material]
             light[sees] += color * (cos_here[sees] * solid_angle)[:, None]

@@ -61,7 +61,7 @@ def clearance(a: Array, b: Array, rectangles: Array) -> Array:
 
     start, end = inside(a), inside(b)
     along = end - start
-    # The segment meets the rectangle if it lies in both slabs at once for some share of its way.
+    # The segment meets the rectangle if some part of it lies in both slabs.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         to_low, to_high = (-half - start) / along, (half - start) / along
     parallel, within = along == 0, np.abs(start) <= half

@@ -33,7 +33,7 @@ class Renderer:
     def __init__(self, scenery: Scenery, light: Array, exposure: float = 1.0) -> None:
         self.scenery, self.light, self.exposure = scenery, light, exposure
         metal, mirror, rough = scenery.metal, scenery.mirror, scenery.rough
-        # Rough metal throws light back in all directions, which the baked light gives without grain; only the rest
+        # Rough metal scatters light in all directions, which the baked light gives without noise; only the rest
         # is a reflection. Under a varnish the share that is not reflected reaches the colour below.
         self._dull = np.where(mirror, 0, np.minimum(1, 1.6 * rough)).astype(np.float32)
         self._polish = np.where(metal | mirror, 1 - self._dull, (1 - rough) ** 2).astype(np.float32)

@@ -57,7 +57,7 @@ def _check_tensor(value: Tensor, where: str) -> None:
     # A stride of 0 makes a tensor of any size from one number.
     if value.numel() * value.element_size() > value.untyped_storage().nbytes():
         raise RunError(f"{where}: is a tensor of {list(value.shape)}, of which the file holds only a part")
-    # Faster than to ask each value, and NaN is neither the least nor the most but comes through.
+    # Faster than checking each value; NaN propagates through minimum and maximum.
     if value.is_floating_point() and value.numel() and not torch.stack(value.aminmax()).isfinite().all():
         raise RunError(f"{where}: holds values that are not finite")
 

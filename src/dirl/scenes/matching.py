@@ -28,7 +28,7 @@ def ncc(observation: Tensor, goal: Tensor) -> Tensor:
 def normal_vectors(vector: Tensor) -> Tensor:
     """Vectors, float ``[..., D]``, without their mean and of length one; the product of two is their `ncc`."""
     centred = vector - vector.mean(-1, keepdim=True)
-    # The mean of a constant vector is rounded; what is left of it then must not be blown up to length one.
+    # The mean of a constant vector is rounded; the remainder must not be normalised to length one.
     constant = vector.amax(-1, keepdim=True) == vector.amin(-1, keepdim=True)
     return F.normalize(centred.masked_fill(constant, 0.0), dim=-1)
 

@@ -124,7 +124,7 @@ def _reachable(simulator: Simulator, scene: str) -> dict[str, Position]:
     positions = metadata["actionReturn"]
     if not metadata["lastActionSuccess"] or not positions:
         raise SceneError(f"{scene}: AI2-THOR finds no reachable positions ({metadata['errorMessage'] or 'none'})")
-    # Coordinates come with float32 noise, of which a name must be free; adding zero makes -0.0 positive.
+    # Rounding removes the float32 noise of coordinates from the name; adding zero makes -0.0 positive.
     rounded = [{"y": p["y"], **{axis: round(p[axis], 3) + 0.0 for axis in "xz"}} for p in positions]
     return {f"{p['x']:.2f}_{p['z']:.2f}": p for p in sorted(rounded, key=lambda p: (p["x"], p["z"]))}
 
