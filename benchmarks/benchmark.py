@@ -1,11 +1,11 @@
 """Measure the speed of training and evaluation on this machine, everything in one run.
 
     python benchmarks/benchmark.py out=benchmark.json
-    python benchmarks/benchmark.py worlds=[kitchen_02] growth=false "train=['reinforcement.agents_per_scene=400']"
+    python benchmarks/benchmark.py 'worlds=[kitchen_02]' growth=false "train=['reinforcement.agents_per_scene=400']"
 
-Training is ``reinforce`` of recipes/train.py as it is, see benchmarks/ours.py. Beside it stand the loops of
-benchmarks/loops.py: bare tensors, stock TorchRL, Stable-Baselines3. All take turns, so that what else the machine does
-hits all; medians are shown. The limit is the rate of the machine's float32 matrix products. All options:
+Training is ``reinforce`` of recipes/train.py unchanged, see benchmarks/ours.py. It is compared with the loops of
+benchmarks/loops.py: bare tensors, stock TorchRL, Stable-Baselines3. All run alternately, so that other load on the
+machine affects all; medians are shown. The limit is the machine's throughput of float32 matrix products. All options:
 conf/benchmark.yaml.
 """
 
@@ -36,7 +36,7 @@ from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig, typed
 from dirl.training.build import build_world
 
 SLOW = 20
-"""The loops of others make so many times fewer updates than ours."""
+"""The loops of other libraries make so many times fewer updates than ours."""
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="benchmark")
@@ -45,7 +45,7 @@ def main(composed: DictConfig) -> None:
     with one_line_errors():
         options: BenchmarkConfig = typed(composed)
         if options.out is not None and Path(options.out).exists():
-            raise ConfigError(f"out={options.out}: there is such a file already; it is not overwritten")
+            raise ConfigError(f"out={options.out}: this file exists already; it is not overwritten")
         fixed = [f"reinforcement.frames_per_scene={options.frames_per_scene}", *options.train]
         asked = [train_config([f"scene={_text(scene)}", *fixed]) for scene in options.worlds]
         for config in asked:

@@ -2,7 +2,7 @@
 
     python recipes/evaluate.py checkpoint=runs/dirl_bathroom_02/2026-01-31_12-00-00
     python recipes/evaluate.py checkpoint=... starts=sampled episodes_per_goal=500 max_steps=500
-    python recipes/evaluate.py checkpoint=... goals=[51] stop=goal
+    python recipes/evaluate.py checkpoint=... 'goals=[51]' stop=goal
     python recipes/evaluate.py checkpoint=... viewer=true              # a web page to step through episodes
 
 All options with their values: conf/evaluate/evaluate.yaml.
@@ -40,7 +40,7 @@ def main(composed: DictConfig) -> None:
         if options.checkpoint is None:
             raise RunError("name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>")
         if options.out is not None and Path(options.out).exists():
-            raise RunError(f"out={options.out}: there is such a file already; it is not overwritten")
+            raise RunError(f"out={options.out}: this file exists already; it is not overwritten")
         saved = load_checkpoint(options.checkpoint)
         changes = {
             "scene": options.scene,

@@ -64,7 +64,7 @@ SHEET = 32
 
 
 def thor(options: ThorConfig) -> None:
-    """Take a scene from live AI2-THOR, by way of a folder that a stopped run goes on with."""
+    """Take a scene from live AI2-THOR, by way of a folder that a stopped run can continue from."""
     out = new_file(options.out)
     if options.scene is None:
         raise ConfigError("name a scene of AI2-THOR: scene=FloorPlan401")
@@ -262,7 +262,7 @@ def new_file(name: str | None, ending: str = ".h5") -> Path:
     if ending and path.suffix != ending:
         raise ConfigError(f"out={name}: the name must end in {ending}")
     if path.exists():
-        raise ConfigError(f"out={name}: there is such a file already; it is not overwritten")
+        raise ConfigError(f"out={name}: this file exists already; it is not overwritten")
     return path
 
 

@@ -94,9 +94,9 @@ def main(composed: DictConfig) -> float:
 
 
 def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
-    """Make the parts of the run, before anything is written; then run its stages. Returns the summary.
+    """Build the components of the run before anything is written; then run its stages. Returns the summary.
 
-    An error ends a run that is alone with one line. In a sweep it is the job's, and Hydra goes on with the others.
+    An error ends a run that is alone with one line. In a sweep it fails the job, and Hydra runs the others.
     """
     # Without the inner one Hydra would say something of its own about an error of the machine.
     with one_line_exits() if alone else nullcontext(), one_line_errors(folder) if alone else nullcontext():
@@ -122,7 +122,7 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
 
 
 def begin(run: Run, policy: nn.Module, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
-    """The state of the training before its first update, or as the checkpoint has it that the run goes on from."""
+    """The state of the training before its first update, or from the checkpoint that the run continues."""
     optimiser = build_optimiser(run.config, policy, losses)
     env = build_env(run.config, protocol.world, protocol.observation, policy)
     meter = EpisodeMeter(mean_shortest(protocol.world))
@@ -272,7 +272,7 @@ def after_update(
     total: int,
     paused: AbstractContextManager[None],
 ) -> None:
-    """Count an update; write, evaluate and save where it is time to, the latter two within ``paused``."""
+    """Count an update; write, evaluate and save when they are due, the latter two within ``paused``."""
     before = state.frames
     state.count(update)
     frames, meter = state.frames, state.meter
@@ -317,6 +317,6 @@ def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells an error of the machine in many lines
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra reports an error of the machine in many lines
     with one_line_exits():
         main()

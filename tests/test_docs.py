@@ -13,6 +13,7 @@ import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import unquote
 
 import pytest
 import torch
@@ -218,9 +219,26 @@ def test_the_site_asks_no_other_host_for_anything(site):
     assert elsewhere == []
 
 
+def test_every_link_within_the_site_leads_somewhere(site):
+    """To a file of the site, and to an anchor that is on its page."""
+    pages = {page: page.read_text() for page in site.rglob("*.html")}
+    anchors = {page: set(re.findall(r'\bid="([^"]+)"', text)) for page, text in pages.items()}
+    links = [(page, link) for page, text in pages.items() for link in re.findall(r'<a [^>]*href="([^"]+)"', text)]
+    inside = [(page, unquote(link)) for page, link in links if not re.match(r"\w+:", link)]
+    assert len(inside) > 1000
+    broken = []
+    for page, link in inside:
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        if not target.is_file() or (anchor and target in anchors and anchor not in anchors[target]):
+            broken.append((page.name, link))
+    assert broken == []
+
+
 def test_every_picture_has_an_alternative_text(site):
     """A sentence or a title, not the name of its file."""
-    pictures = [tag for page in site.rglob("*.html") for tag in re.findall(r"<img[^>]*>", page.read_text())]
+    tags = [tag for page in site.rglob("*.html") for tag in re.findall(r"<img[^>]*>", page.read_text())]
+    pictures = [tag for tag in tags if "_images/" in tag]  # those of pages, not of the theme
     assert len(pictures) > 10
     assert [tag for tag in pictures if not re.search(r'alt="[^"]{10,}"', tag) or re.search(r'alt="\S+"', tag)] == []
 

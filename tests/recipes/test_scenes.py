@@ -63,7 +63,7 @@ def test_the_program_ends_with_one_line_or_with_the_work_done(room, here):
     status, _, errors = run_recipe(here, "scenes", "inpect")
     assert (status, errors) == (1, "error: there is no command 'inpect'; did you mean inspect?\n")
     status, _, errors = run_recipe(here, "scenes", "encode", "scene=room.h5", "out=room.h5", "encoder=x")
-    assert (status, errors) == (1, "error: out=room.h5: there is such a file already; it is not overwritten\n")
+    assert (status, errors) == (1, "error: out=room.h5: this file exists already; it is not overwritten\n")
     status, printed, errors = run_program(here, "scenes", "export", "scene=room.h5", "out=out.h5")
     assert (status, printed.split(":")[0]) == (0, "out.h5"), errors
     assert sorted(path.name for path in here.iterdir()) == ["out.h5", "room.h5"]
@@ -91,7 +91,7 @@ def test_a_mistyped_command_is_told_its_neighbour(name, says):
         ("sample kind=bedroom out=new count=0", "count=0: must be at least 1"),
         ("sample kind=bedroom out=room.h5", "room.h5: is there already, and is no collection"),
         ("sample kind=bedroom out=. encoder=null", "is there already, and is no collection"),
-        ("encode scene=room.h5 out=room.h5 encoder=x", "out=room.h5: there is such a file already"),
+        ("encode scene=room.h5 out=room.h5 encoder=x", "out=room.h5: this file exists already"),
         ("export scene=bathrom_02 out=new.h5", "there is no scene 'bathrom_02' (did you mean 'bathroom_02'?)"),
         ("export scene=room.h5 out=new.zip", "out=new.zip: the name must end in .h5"),
         ("import out=new.h5", "name a scene: scene=<a dump"),

@@ -118,7 +118,7 @@ def test_what_cannot_be_built_is_refused_at_once(tmp_path, options, message):
 
 def test_a_file_is_not_overwritten(tmp_path):
     (tmp_path / "closet.h5").write_text("mine")
-    with pytest.raises(SceneError, match="there is such a file already"):
+    with pytest.raises(SceneError, match="this file exists already"):
         build_room(closet(), tmp_path / "closet.h5", **SMALL)
     assert (tmp_path / "closet.h5").read_text() == "mine"
 

@@ -63,7 +63,7 @@ def test_what_cannot_be_used_is_refused_with_its_place_and_name(old, new, messag
 def test_a_description_is_written_and_read_back(tmp_path):
     write_description(closet(), tmp_path / "closet.toml")
     assert read_description(tmp_path / "closet.toml") == closet()
-    with pytest.raises(SceneError, match="there is such a file already"):
+    with pytest.raises(SceneError, match="this file exists already"):
         write_description(closet(), tmp_path / "closet.toml")
 
 

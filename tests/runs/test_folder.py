@@ -202,7 +202,7 @@ def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path):
     run = Run(tmp_path / "run", config())
     assert run.how_to_go_on() == "nothing of this run was saved"
     run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
-    again = f"go on with: python recipes/train.py resume={tmp_path / 'run'}"
+    again = f"resume with: python recipes/train.py resume={tmp_path / 'run'}"
     assert run.how_to_go_on() == f"it has no checkpoint yet; {again}"
     run.save({"frames": 10, "network": {}})
     assert run.how_to_go_on() == f"its last checkpoint is safe; {again}"

@@ -1,4 +1,4 @@
-"""What a constructor takes: of a class, or read off the class's source, which takes no import of torch."""
+"""The parameters of a constructor, from a class, or from its source without importing torch."""
 
 import ast
 import importlib.util

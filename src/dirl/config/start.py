@@ -1,4 +1,4 @@
-"""How a recipe starts: help is answered, and what can be refused is refused, before anything imports torch."""
+"""The start of a recipe: help and most refusals, before anything imports torch."""
 
 import contextlib
 import io
@@ -41,14 +41,14 @@ TEMPLATE = """{header}
 
 
 def start(recipe: str, text: str | None = None) -> str:
-    """Check the command line of a recipe and write it as Hydra takes it, or answer one that only asks.
+    """Check the command line of a recipe and write it in Hydra's form, or answer a request for help.
 
     A recipe calls it before its other imports. Options are checked against their types and bounds, those of components
-    against the source of their classes, and scenes are looked up; what can be told from their contents is told later.
+    against the source of their classes, and scenes are looked up; their contents are checked later.
 
     Args:
         recipe: a key of `RECIPES`.
-        text: what ``--help`` says of a recipe with several commands.
+        text: of ``--help`` for a recipe with several commands.
 
     Returns:
         The name of its configuration: ``train``, or the command of ``recipes/scenes.py``.
@@ -87,7 +87,7 @@ def check(config: str, arguments: Sequence[str]) -> list[str]:
 
 
 def _check_values(config: str, options: Sequence[str]) -> None:
-    """Check the values that the options make together, of one run; a sweep's are checked job by job."""
+    """Check the composed values of a single run; those of a sweep are checked job by job."""
     if any(option.startswith("-") and not option.startswith(("--config-dir", "-cd")) for option in options):
         return
     try:
@@ -124,7 +124,7 @@ def _as_called(text: str) -> str:
 
 
 def _help(config: str, options: Sequence[str]) -> str:
-    """What Hydra's help says, which lists its own groups beside ours and takes a second for it."""
+    """The text of Hydra's help, whose own form lists Hydra's groups too and takes a second."""
     composed = _compose(config, options, return_hydra_config=True)
     told = composed.hydra.help
     groups: dict[str, set[str]] = {}

@@ -39,7 +39,7 @@ class FeaturePolicy(nn.Module):
         Returns:
             Logits ``[B, 4]``, value ``[B, 1]``, matching coefficient ``[B]``, and the next recurrent state.
         """
-        # Not `len`, which would make of a number of agents that ONNX leaves open the one that it is traced with.
+        # Not `len`, which would fix the number of agents, a free dimension in ONNX, to that of the trace.
         policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
         known = (goal_features != 0).any(-1, keepdim=True)
         goal = torch.where(known, policy.features.standardise(goal_features), 0.0)

@@ -34,7 +34,7 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
         raise NavigatorError(
             f"ONNX needs packages that are not installed ({error}): pip install 'dirl[onnx]'"
         ) from None
-    # Two rows, because torch takes a dimension of one for a constant; two tensors, because it takes one for one input.
+    # Two rows, because torch treats a dimension of one as a constant; two tensors, because it merges identical inputs.
     features, goal_features = (torch.zeros(2, VIEWS, navigator.width, device=navigator.device) for _ in range(2))
     state = initial_state(navigator.policy.policy, 2, navigator.device)
     batch = {0: torch.export.Dim("batch")}

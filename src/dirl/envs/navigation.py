@@ -55,7 +55,7 @@ class NavigationEnv(EnvBase):
         stop: Tensor | None = None,
         seed: int = 0,
     ) -> None:
-        # Allowing it spares a look at every reset whether it happened, which a GPU would have to wait for; it cannot.
+        # It cannot happen, and allowing it avoids a check at every reset, a host-device synchronisation on a GPU.
         super().__init__(device=world.device, batch_size=[num_agents], allow_done_after_reset=True)
         self.world = world
         self.reward = reward or Reward()

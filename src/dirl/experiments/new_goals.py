@@ -90,7 +90,7 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     table = Table(*columns, Column("shortest", ".2f"))
     bars: dict[str, dict[int, list[float]]] = {}
     compared = by_system(results)
-    # Those that hardly learn succeed by chance as well: how often, a random walker tells.
+    # Policies that have hardly learnt succeed by chance; the random baseline shows how often.
     compared = {"random": list(compared.values())[-1], **compared}
     total = len(DISTANCES) * sum(map(len, compared.values()))
     with tqdm(total=total, desc="new goals", unit=" runs x distances", disable=None) as bar:

@@ -98,7 +98,7 @@ def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Mapping[str, Any
         axes.set_yticks(places, [NAMES.get(system, system) for system in ours])
         axes.set_xlim(*((0, 208) if measure == "atl" else (-0.04, 1.04)))
         plain(axes)
-    # What the two signs mean; their colours are the systems'.
+    # The legend of the two markers; their colours are those of the systems.
     meanings = {"o": "here, synthetic rooms", "x": "paper, AI2-THOR"}
     handles = [
         Line2D([], [], linestyle="", marker=sign, color="0.2", mew=2, label=text) for sign, text in meanings.items()

@@ -92,7 +92,7 @@ def draw_policy(
     above = np.flatnonzero(scores > threshold)
     outline = PolyCollection(list(wedges[above]), facecolors="none", edgecolors=MATCH_COLOR, linewidths=1.6, zorder=5)
     matching_map.add_collection(outline)
-    # At the goal itself there is nothing left to do.
+    # At the goal no action is left.
     done = PolyCollection([wedges[goal]], facecolors=GOAL_COLOR, edgecolors="black", linewidths=1, zorder=4)
     policy_map.add_collection(done)
     star = min(0.4 * 72 * width * side / spans[0], 13)  # points
@@ -119,7 +119,7 @@ def never_arrives(scene: Scene, goal: int, actions: NDArray[np.integer]) -> NDAr
     after = scene.graph[states, actions]
     after = np.where(after < 0, states, after)
     after[goal] = goal
-    # Every pass doubles how many steps `after` looks ahead, so that in the end it looks past the longest path.
+    # Every pass doubles the steps that `after` looks ahead, in the end beyond the longest path.
     for _ in range(math.ceil(math.log2(len(scene))) + 1):
         after = after[after]
     reachable = shortest_distances(scene.graph, np.array([goal]))[:, 0] >= 0

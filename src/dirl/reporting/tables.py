@@ -74,7 +74,7 @@ def run_title(summary: Mapping[str, Any]) -> str:
     """The system, scenes and seed of a run, e.g. "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
     scene = summary["scene"]
     scenes = scene if isinstance(scene, str) else ", ".join(scene)
-    # The built-in rooms bear the names of published scenes; nobody should take results in them for those.
+    # The built-in rooms have the names of published scenes; their results must not be confused with those.
     sources = ["rooms, synthetic" if source == "rooms" else source for source in summary["source"].split("+")]
     system = summary["system"].upper().replace("_", "-")
     return f"{system}, {scenes} (source: {' + '.join(sources)}), seed {summary['seed']}"

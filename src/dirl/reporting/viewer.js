@@ -168,7 +168,7 @@ function show() {
   byId("outcome").className = kind;
   byId("outcome").textContent = text;
   byId("where").textContent = `Step ${at} of at most ${D.max_steps} · state ${state} · `
-    + (left < 0 ? "the goal cannot be reached from here" : `${left} to go by the shortest path`);
+    + (left < 0 ? "the goal cannot be reached from here" : `${left} by the shortest path to the goal`);
   document.body.dataset.state = state;
   document.body.dataset.step = at;
   byId("time").max = path.length - 1;
@@ -185,7 +185,7 @@ function show() {
   const score = goal.scores[state];
   byId("score").textContent = score.toFixed(3);
   byId("score-bar").style.width = onBar(score);
-  byId("verdict").textContent = goal.stops.has(state) ? "stop" : "go on";
+  byId("verdict").textContent = goal.stops.has(state) ? "stop" : "no stop";
   byId("value").textContent = `Value of this state: ${goal.values[state].toFixed(3)}`;
   agentViews.forEach((draw) => draw(state));
   drawEpisode();

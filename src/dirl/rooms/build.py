@@ -92,7 +92,7 @@ def build_room(
     check_packages()
     room, out = describe_room(description), Path(out)
     if out.exists():
-        raise SceneError(f"{out}: there is such a file already; it is not overwritten")
+        raise SceneError(f"{out}: this file exists already; it is not overwritten")
     check_size(size)
     if workers is not None and workers < 1:
         raise SceneError(f"workers={workers}: at least one process is needed")

@@ -117,7 +117,7 @@ def make_rooms(
         The entries of complete rooms; for a seed of which no attempt passed the checks, the error.
 
     Raises:
-        SceneError: the rooms cannot be made, or a process was killed, perhaps for want of memory.
+        SceneError: the rooms cannot be made, or a process was killed, perhaps because memory ran out.
     """
     check_packages()
     check_size((settings.height, settings.width))
@@ -138,8 +138,8 @@ def make_rooms(
             yield _index(folder, done.result())
     except BrokenProcessPool:
         raise SceneError(
-            f"{folder}: a process that made a room was killed, perhaps for want of memory; the same command goes on; "
-            f"if it happens again, give workers={max(1, processes // 2)}"
+            f"{folder}: a process that made a room was killed, perhaps because memory ran out; the same command "
+            f"continues; if it happens again, give workers={max(1, processes // 2)}"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)

@@ -284,14 +284,14 @@ def write_description(description: RoomDescription, path: str | Path) -> None:
     """Write a room as TOML.
 
     Raises:
-        SceneError: there is such a file already.
+        SceneError: this file exists already.
     """
     path = Path(path)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(description_text(description))
     except FileExistsError:
-        raise SceneError(f"{path}: there is such a file already; it is not overwritten") from None
+        raise SceneError(f"{path}: this file exists already; it is not overwritten") from None
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:

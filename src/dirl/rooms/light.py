@@ -1,6 +1,6 @@
-"""The light of a room, solved once for all its views: what shines on every corner of its triangles.
+"""The light of a room, computed once for all its views: the irradiance at every corner of its triangles.
 
-Light is kept as irradiance, so that a dull surface of colour c sends out c times it. Radiance L from all around is
+Light is stored as irradiance, so that a diffuse surface of colour c emits c times it. Radiance L from all around is
 an irradiance of pi L.
 """
 
@@ -17,10 +17,10 @@ def bake(
 
     Args:
         scenery: the room.
-        direct: rays from each point to each material that shines.
+        direct: rays from each point to each material that emits light.
         indirect: rays from each point into the room, a square number; they serve all bounces.
-        bounces: how often light is thrown back.
-        rng: where the rays go.
+        bounces: of the light.
+        rng: draws the rays.
     """
     origins, normals = standpoints(scenery)
     light = direct_light(scenery, origins, normals, direct, rng)
@@ -37,13 +37,13 @@ def standpoints(scenery: Scenery) -> tuple[Array, Array]:
     middles = np.repeat(scenery.corners.mean(1), 3, axis=0)
     total = np.stack([np.bincount(around, middles[:, k], count) for k in range(3)], 1)
     inwards = total / np.bincount(around, minlength=count)[:, None] - points
-    # In the middle of a flat surface this is nothing but rounding, and must not be blown up to a direction.
+    # In the middle of a flat surface this is only rounding, which must not be normalised to a direction.
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-3)
     return (points + 2e-3 * inwards + 2e-3 * normals).astype(np.float32), normals
 
 
 def direct_light(scenery: Scenery, origins: Array, normals: Array, rays: int, rng: np.random.Generator) -> Array:
-    """Irradiance from the materials that shine, float64 ``[P, 3]``; the rays spread evenly over their surfaces."""
+    """Irradiance from the materials that emit light, float64 ``[P, 3]``; the rays spread evenly over their surfaces."""
     light, count = np.zeros((len(origins), 3)), len(origins)
     for material in np.flatnonzero(scenery.emit > 0):
         triangles = np.flatnonzero(scenery.material == material)
@@ -61,7 +61,7 @@ def direct_light(scenery: Scenery, origins: Array, normals: Array, rays: int, rn
             sees = np.flatnonzero((cos_here > 0) & (cos_there > 0))
             hit = scenery.trace(origins[sees], way[sees]).triangle
             sees = sees[(hit >= 0) & (scenery.material[hit] == material)]
-            # A ray stands for an equal share of the shining surface. The 0.01 keeps corners beside a lamp from burning.
+            # Each ray represents an equal share of the emitting surface. The 0.01 bounds the light right beside a lamp.
             solid_angle = cos_there[sees] * sums[-1] / (squared[sees] + 0.01) / rays
             color = scenery.color(chosen[sees], u[sees], v[sees]) * scenery.emit[material]
             light[sees] += color * (cos_here[sees] * solid_angle)[:, None]
@@ -101,7 +101,7 @@ def bounced_light(scenery: Scenery, light: Array, seen: Array, bounces: int) -> 
 
 
 def _smoothed(scenery: Scenery, light: Array, rounds: int) -> Array:
-    """Each point's light averaged with its neighbours', against the grain of few rays."""
+    """Each point's light averaged with its neighbours', against the noise of few rays."""
     around, count = scenery.point.ravel(), len(light)
     for _ in range(rounds):
         sums = np.repeat(light[scenery.point].sum(1), 3, axis=0)

@@ -70,12 +70,12 @@ STOCK: Mapping[str, Material] = {
 def paint(name: str, material: Material, limit: int = 2048) -> Array:
     """The texture of a material: sRGB in [0, 1], float64 ``[n, n, 3]``.
 
-    The material's name and seed fix every pixel.
+    The material's name and seed determine every pixel.
 
     Args:
         name: the material's, in its room.
         material: what to paint.
-        limit: pixels a side at most; smaller ones are for quick looks.
+        limit: pixels a side at most; small for previews.
 
     Raises:
         SceneError: an option of the texture is out of range.

@@ -1,4 +1,4 @@
-"""Where an agent can stand and go: a disc on a grid, among the footprints of the furniture."""
+"""Places and moves of an agent: a disc on a grid, among the footprints of the furniture."""
 
 from dataclasses import dataclass
 
@@ -61,7 +61,7 @@ def clearance(a: Array, b: Array, rectangles: Array) -> Array:
 
     start, end = inside(a), inside(b)
     along = end - start
-    # The segment meets the rectangle if it lies in both slabs at once for some share of its way.
+    # The segment meets the rectangle if some part of it lies in both slabs.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         to_low, to_high = (-half - start) / along, (half - start) / along
     parallel, within = along == 0, np.abs(start) <= half
@@ -83,16 +83,16 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
     """The places of a room and how they are linked.
 
     Places are the points of the grid where the agent's disc is clear of the walls and of every solid piece, and that
-    can be reached from most others by steps along the axes. A move is free if the disc stays clear all the way, and
-    leads to a place: at 90 degrees a turn along the axes only, at 45 along the diagonals as well. Other headings, as
-    those of 30 degrees have, meet no neighbouring point of the grid, and are blocked ahead and behind.
+    can be reached from most others by steps along the axes. A move is possible if it leads to a place and the disc
+    stays clear all the way: with turns of 90 degrees along the axes only, with 45 along the diagonals too. Other
+    headings, such as those of 30 degrees, point at no neighbouring place, and moves ahead and back are blocked.
 
     Args:
         room: whose.
         turn: degrees; must divide 90.
 
     Raises:
-        SceneError: the turn does not divide 90, there is no place, or another number of them than the room says.
+        SceneError: the turn does not divide 90, there is no place, or their number is not that of the description.
     """
     turns = round(360 / turn) if turn > 0 else 0
     if turns == 0 or turns % 4 or abs(360 / turns - turn) > 1e-9:

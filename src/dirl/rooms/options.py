@@ -1,4 +1,4 @@
-"""Checks of what a room description gives: known keys, and values of the types that functions are annotated with."""
+"""Checks of a room description: known keys, and values of the types that functions are annotated with."""
 
 import difflib
 import inspect
@@ -28,7 +28,7 @@ def check_options(
     """The keyword arguments for a function, checked against its signature.
 
     Args:
-        function: its keyword-only parameters are what may be given.
+        function: its keyword-only parameters are the valid names.
         given: names and values, as TOML has them.
         where: named in the message.
         own: further names that the table may hold, for the hint.
@@ -43,7 +43,7 @@ def check_options(
 
 
 def check_value(value: Any, kind: Any, where: str) -> Any:
-    """A value from a TOML file as a type: lists become tuples, whole numbers floats where floats are wanted.
+    """A value from a TOML file as a type: lists become tuples, integers become floats where floats are expected.
 
     Raises:
         SceneError: the value is of another type.

@@ -1,4 +1,4 @@
-"""A room ready for rays: finely divided triangles, textures at every size, and what a ray meets first."""
+"""A room prepared for ray casting: finely divided triangles, textures at every size, and first hits."""
 
 from typing import Any, NamedTuple
 
@@ -64,7 +64,7 @@ class Scenery:
         return cls(assemble(room), materials_of(room), edge=edge, texture_limit=texture_limit)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_embree": None}  # Embree's tree cannot be sent to another process; it is made anew
+        return {**self.__dict__, "_embree": None}  # Embree's tree cannot be pickled; it is rebuilt
 
     def trace(self, origins: Array, directions: Array) -> Hits:
         """The first hit of each ray; origins and directions ``[n, 3]``."""

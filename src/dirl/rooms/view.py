@@ -27,13 +27,13 @@ class Renderer:
     Args:
         scenery: the triangles and textures.
         light: irradiance at its points, float32 ``[P, 3]``.
-        exposure: what brightness is multiplied by.
+        exposure: factor of the brightness.
     """
 
     def __init__(self, scenery: Scenery, light: Array, exposure: float = 1.0) -> None:
         self.scenery, self.light, self.exposure = scenery, light, exposure
         metal, mirror, rough = scenery.metal, scenery.mirror, scenery.rough
-        # Rough metal throws light back in all directions, which the baked light gives without grain; only the rest
+        # Rough metal scatters light in all directions, which the baked light gives without noise; only the rest
         # is a reflection. Under a varnish the share that is not reflected reaches the colour below.
         self._dull = np.where(mirror, 0, np.minimum(1, 1.6 * rough)).astype(np.float32)
         self._polish = np.where(metal | mirror, 1 - self._dull, (1 - rough) ** 2).astype(np.float32)
@@ -42,7 +42,7 @@ class Renderer:
 
     @classmethod
     def of(cls, room: RoomDescription, *, fine: bool = True) -> Self:
-        """Make, light and expose a room; not ``fine`` is ten times quicker, for a first look.
+        """Make, light and expose a room; not ``fine`` is ten times faster, for a first look.
 
         Raises:
             SceneError: something in the room cannot be made.
@@ -89,7 +89,7 @@ class Renderer:
         return display(seen.reshape(height, width, 3) * self.exposure)
 
     def radiance(self, origins: Array, way: Array, spread: float, *, reflect: bool) -> Array:
-        """What comes back along rays, linear, float32 ``[n, 3]``; black where a ray meets nothing.
+        """The radiance along rays, linear, float32 ``[n, 3]``; black where a ray meets nothing.
 
         Args:
             origins: ``[n, 3]``.
@@ -140,7 +140,7 @@ def _exposure(renderer: Renderer, room: RoomDescription) -> float:
 
 
 def display(light: Array) -> Array:
-    """Linear light as sRGB, uint8; what is brighter than white is bent down softly."""
+    """Linear light as sRGB, uint8; values above white are compressed smoothly."""
     bent = np.clip(1.05 * light / (1 + 0.22 * light), 0, 1)
     srgb = np.where(bent <= 0.0031308, 12.92 * bent, 1.055 * bent ** (1 / 2.4) - 0.055)
     return (srgb * 255 + 0.5).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Checkpoints: written whole, sealed with a digest, and checked before anything is made of them.
+"""Checkpoints: written completely, with a digest, and checked before anything is built from them.
 
 A checkpoint is the archive that ``torch.save`` writes, with a comment at its end, ``dirl sha256 <hex>``: the digest of
 all bytes before the hexadecimal digits. (The archive's own checksums leave its directory unprotected, and torch
@@ -30,7 +30,7 @@ SUFFIX = ".damaged"
 
 
 def save_checkpoint(file: Path, state: Mapping[str, Any]) -> None:
-    """Write a checkpoint so that the file is either whole or not there, whenever the process is killed."""
+    """Write a checkpoint so that the file is either complete or absent, whenever the process is killed."""
     buffer = io.BytesIO()
     torch.save(dict(state), buffer)
     archive = buffer.getbuffer()[:-2]  # without the length of its comment, which is none
@@ -65,7 +65,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 
 
 def training_checkpoints(folder: Path) -> list[Path]:
-    """The checkpoints that an unfinished run can go on from, oldest first."""
+    """The checkpoints from which an unfinished run can be resumed, oldest first."""
     return sorted(file for file in (folder / "checkpoints").glob("*.pt") if file.stem.isdecimal())
 
 
@@ -118,7 +118,7 @@ def read_checkpoint(file: Path) -> dict[str, Any]:
 
 
 def _unpack(data: bytes) -> Any:
-    """What is in an archive of ``torch.save``; ours are not compressed, others could unpack to any size."""
+    """The content of an archive of ``torch.save``; ours are not compressed, others could unpack to any size."""
     archive = io.BytesIO(data)
     if sum(entry.file_size for entry in zipfile.ZipFile(archive).infolist()) > len(data):
         raise ValueError("its parts are larger than the file")

@@ -1,4 +1,4 @@
-"""What may be in a checkpoint, and in one of a run with these options."""
+"""Valid contents of a checkpoint, and of one of a run with given options."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -16,9 +16,9 @@ class RunError(ValueError):
 
 
 def check_plain(state: Any, file: Path, limit: int) -> None:
-    """Raise `RunError` unless all is made of dictionaries, lists, texts, numbers and ordinary, finite tensors.
+    """Raise `RunError` unless everything is made of dictionaries, lists, texts, numbers and ordinary, finite tensors.
 
-    What several places refer to is looked at once, so that nothing takes longer than the file is long.
+    An object with several references is checked once, so that the time is linear in the size of the file.
 
     Args:
         state: as read from the file.
@@ -57,7 +57,7 @@ def _check_tensor(value: Tensor, where: str) -> None:
     # A stride of 0 makes a tensor of any size from one number.
     if value.numel() * value.element_size() > value.untyped_storage().nbytes():
         raise RunError(f"{where}: is a tensor of {list(value.shape)}, of which the file holds only a part")
-    # Faster than to ask each value, and NaN is neither the least nor the most but comes through.
+    # Faster than checking each value; NaN propagates through minimum and maximum.
     if value.is_floating_point() and value.numel() and not torch.stack(value.aminmax()).isfinite().all():
         raise RunError(f"{where}: holds values that are not finite")
 
@@ -121,7 +121,7 @@ def check_header(state: Any, file: Path) -> dict[str, Any]:
 
 
 def check_progress(file: Path, state: Mapping[str, Any], config: TrainConfig) -> None:
-    """Raise `RunError` unless a checkpoint's counts are such as a run with these options can have."""
+    """Raise `RunError` unless a run with these options can have a checkpoint's counts."""
     missing = {"tables", "seconds"} - state.keys()
     if missing:
         raise RunError(f"{file}: is no checkpoint of a training; it lacks {' and '.join(sorted(missing))}")

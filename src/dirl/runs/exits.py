@@ -1,17 +1,17 @@
-"""How a program ends that the machine or its user stops: one line, and an exit status that says why.
+"""How a program ends when the machine or the user stops it: one line, and an exit status for the reason.
 
 | status | what happened |
 |---:|---|
-| 0 | it is done |
-| 1 | something that was given is wrong, or a checkpoint is damaged |
-| 71 | memory ran out |
+| 0 | done |
+| 1 | the input is wrong, or a checkpoint is damaged |
+| 71 | out of memory |
 | 74 | a file could not be read or written: disk full, read-only, deleted, not permitted |
 | 130 | interrupted by Ctrl-C (SIGINT) |
-| 141 | what it printed to was closed (SIGPIPE), as by ``| head`` |
-| 143 | asked to end (SIGTERM), as by ``kill``, a batch system, a machine that shuts down |
+| 141 | the reader of the output closed the pipe (SIGPIPE), as ``| head`` does |
+| 143 | SIGTERM, as from ``kill``, a batch system or a machine that shuts down |
 
-Anything else is a fault of the program, and keeps its traceback. This module imports nothing that takes time, so that a
-recipe can use it before it imports torch.
+Anything else is a bug, and shows its traceback. This module imports nothing slow, so that a recipe can use it before
+it imports torch.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ HINTS = {
 
 
 class Terminated(BaseException):
-    """SIGTERM, raised where the program was, as ``KeyboardInterrupt`` is for SIGINT."""
+    """SIGTERM as an exception, as ``KeyboardInterrupt`` is for SIGINT."""
 
 
 @contextlib.contextmanager
@@ -49,7 +49,7 @@ def one_line_exits(advice: Callable[[], str] = lambda: "") -> Iterator[None]:
     """Within this context an interrupt, or an error of the machine, ends the program with one line and its status.
 
     Args:
-        advice: asked at the end: what is safe, and how to go on.
+        advice: called at the end: what is safe, and how to continue.
 
     Raises:
         SystemExit: with a status of the table above.
@@ -92,7 +92,7 @@ def _terminate(*_: Any) -> NoReturn:
 
 
 def _silence(stream: Any) -> None:
-    """Let what a closed stream still holds go nowhere, or the interpreter would complain at its end."""
+    """Discard the buffer of a closed stream, or the interpreter would complain at its end."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
@@ -106,7 +106,7 @@ def _told(error: OSError) -> str:
 
 
 def _is_memory(error: Exception) -> bool:
-    """Whether Python, numpy or torch had no memory; torch raises a ``RuntimeError`` for it on the CPU."""
+    """Whether Python, numpy or torch ran out of memory; torch raises a ``RuntimeError`` for it on the CPU."""
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return True
     return isinstance(error, RuntimeError) and "DefaultCPUAllocator" in str(error)
@@ -114,7 +114,7 @@ def _is_memory(error: Exception) -> bool:
 
 @contextlib.contextmanager
 def _signals(handlers: dict[signal.Signals, Any]) -> Iterator[None]:
-    """Handle signals within this context; only the main thread can, in others nothing changes."""
+    """Handle signals within this context; only the main thread can; in others nothing changes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -128,7 +128,7 @@ def _signals(handlers: dict[signal.Signals, Any]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[list[int]]:
-    """Within this context the first SIGINT or SIGTERM only fills the list, so that a loop ends with its state whole.
+    """Within this context the first SIGINT or SIGTERM only fills the list, so that a loop ends in a consistent state.
 
     The next one acts at once, as it would outside.
 

@@ -1,4 +1,4 @@
-"""The folder of a run: its metrics, its checkpoints, and how it goes on after it was stopped."""
+"""The folder of a run: its metrics, its checkpoints, and how it is resumed."""
 
 import csv
 import math
@@ -34,17 +34,17 @@ SCHEMA = 2
 
 
 class Run:
-    """A run: its folder, its configuration, and the state it goes on from.
+    """A run: its folder, its configuration, and the checkpoint that it continues from.
 
-    Its metrics are CSV files, one for each stage, one row a moment. (TorchRL's ``CSVLogger`` writes one file a value,
-    and cannot forget what a killed run wrote after its last checkpoint.)
+    Its metrics are CSV files, one for each stage, with one row for each record. (TorchRL's ``CSVLogger`` writes one
+    file for each metric, and cannot remove what a killed run wrote after its last checkpoint.)
 
     Args:
-        folder: everything it writes is in there.
+        folder: for everything that it writes.
         config: its configuration, saved there as ``config.yaml``.
-        saved: the checkpoint it goes on from; None at the beginning.
+        saved: the checkpoint that it continues from; None at the beginning.
         lock: of the folder, for a run that is in it already; without, `begin` makes sure that the folder holds none.
-        unusable: checkpoints that cannot be gone on from; `begin` sets them aside.
+        unusable: damaged checkpoints, which `begin` sets aside.
     """
 
     def __init__(
@@ -67,10 +67,10 @@ class Run:
         self._facts: dict[str, Any] = {}
 
     def begin(self, world: World, view_order: Sequence[str]) -> None:
-        """Take the folder, write the configuration, and forget what is younger than the checkpoint.
+        """Lock the folder, write the configuration, and remove what is newer than the checkpoint.
 
-        Nothing is written before. A folder that is named after the second it began in, and is another run's, is left to
-        it: this run gets one with a number behind its name.
+        Nothing is written before. If the folder is named after the second and belongs to another run, this run gets a
+        folder with a number after its name.
 
         Raises:
             RunError: the folder holds another run, or another process writes to it.
@@ -98,7 +98,7 @@ class Run:
             raise
 
     def _tidy_up(self) -> None:
-        """Remove what a killed process has left that this run does not go on from."""
+        """Remove the files of a killed process that this run does not continue from."""
         for file in self._unusable:
             file.replace(file.with_name(file.name + SUFFIX))
         remove_unfinished(self.folder)
@@ -108,28 +108,28 @@ class Run:
             os.truncate(file, sizes.get(file.name, 0))
 
     def close(self) -> None:
-        """Let other processes have the folder; at the latest the end of the process does."""
+        """Release the folder; the end of the process does so at the latest."""
         if self._lock is not None:
             self._lock.release()
             self._lock = None
 
     def how_to_go_on(self) -> str:
-        """What is safe and how to go on, for the message of a run that is stopped."""
+        """What is safe and how to continue, for the message of a stopped run."""
         if not config_file(self.folder).exists():
             return "nothing of this run was saved"
         if self.finished:
             return f"the run is finished: {self.folder}"
         safe = "its last checkpoint is safe" if training_checkpoints(self.folder) else "it has no checkpoint yet"
-        return f"{safe}; go on with: {command('train', running=True)} resume={self.folder}"
+        return f"{safe}; resume with: {command('train', running=True)} resume={self.folder}"
 
     @property
     def finished(self) -> bool:
-        """Whether it has come to its end; only one with ``config.existing=keep`` is opened again then."""
+        """Whether it is finished; only one with ``config.existing=keep`` is opened again then."""
         return is_finished(self.folder)
 
     @property
     def seconds(self) -> float:
-        """How long the run has taken, without the time between being stopped and resumed."""
+        """The duration of the run, without the time between a stop and its resumption."""
         return time.perf_counter() - self._began
 
     def write(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
@@ -178,7 +178,7 @@ class Run:
         write_json(self.folder / "summary.json", summary)
 
     def clean_up(self, summary: Mapping[str, Any]) -> None:
-        """Delete the checkpoints of the training; from then on the run counts as finished, and the folder is free."""
+        """Delete the checkpoints of the training; the run then counts as finished, and the folder is released."""
         if (self.folder / "checkpoints").exists():
             shutil.rmtree(self.folder / "checkpoints")
         self.close()
@@ -187,14 +187,14 @@ class Run:
 
 
 def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
-    """Begin a run in a new folder, or go on with the one that is there, or that ``config.resume`` names.
+    """Begin a run in a new folder, or continue the existing one, or that which ``config.resume`` names.
 
-    A run that goes on holds its folder from here on; a new one takes its folder in `Run.begin`.
+    A run that is continued locks its folder here; a new one does so in `Run.begin`.
 
     Args:
         config: as composed; of a resumed run only ``resume`` is used.
         folder: of a new run.
-        overrides: what stood on the command line.
+        overrides: of the command line.
 
     Raises:
         RunError: the folder holds another run already, is no run's, its run is finished, or another process writes to
@@ -207,14 +207,14 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
         if config.existing == Existing.refuse and is_numbered(folder):
             return Run(folder, config)
         if config.existing == Existing.refuse:
-            raise RunError(f"{folder}: holds a run already; go on with it by resume={folder}, or choose another folder")
+            raise RunError(f"{folder}: holds a run already; continue it with resume={folder}, or choose another folder")
         changed = _changes(config, _saved_config(folder, named_packages(config)))
         if changed:
             raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
         return Run(folder, config) if is_finished(folder) else _go_on(folder, config)
     others = [text for text in overrides if not text.startswith(("resume=", "trust="))]
     if others:
-        raise RunError(f"resume goes on with the saved configuration; leave out {' '.join(others)}")
+        raise RunError(f"resume uses the saved configuration; leave out {' '.join(others)}")
     folder = Path(config.resume)
     if not config_file(folder).is_file() and not training_checkpoints(folder):
         raise RunError(f"{folder}: is not the folder of a run; it has no {config_file(folder).name}")
@@ -224,7 +224,7 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
 
 
 def _go_on(folder: Path, config: TrainConfig) -> Run:
-    """The run in a folder as its latest usable checkpoint has it, or at its beginning if it has saved none yet."""
+    """The run in a folder at its latest usable checkpoint, or at its beginning if it has saved none yet."""
     lock = FolderLock(folder)
     if is_finished(folder):  # meanwhile
         raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
@@ -239,7 +239,7 @@ def _go_on(folder: Path, config: TrainConfig) -> Run:
 
 
 def _config_text(folder: Path) -> str:
-    """What stands in a run's configuration file; nothing if it is missing, or empty as a full disk leaves it."""
+    """The text of a run's configuration file; nothing if it is missing, or empty as a full disk leaves it."""
     file = config_file(folder)
     return file.read_text(encoding="utf-8", errors="replace").strip() if file.is_file() else ""
 
@@ -254,12 +254,12 @@ def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether a folder holds a run that has come to its end."""
+    """Whether a folder holds a finished run."""
     return (folder / "summary.json").exists() and not training_checkpoints(folder)
 
 
 def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:
-    """What is asked for and is not what was saved, as ``name=saved, not asked``; of what changes a result."""
+    """The requested options that differ from the saved ones and change a result, as ``name=saved, not requested``."""
     asked, before = (leaves(OmegaConf.to_container(OmegaConf.structured(one))) for one in (config, saved))
     same = ("resume", "trust", "existing", "source.root", "checkpoint.", "logger.")
     return [

@@ -1,4 +1,4 @@
-"""One run in a folder, and one process at a time that writes to it."""
+"""Locks of run folders: one run in a folder, and one process at a time that writes to it."""
 
 import errno
 import os
@@ -27,12 +27,12 @@ class RunningError(RunError):
 
 
 class FolderLock:
-    """The lock of a run folder, held until `release`, or until the process ends in whatever way.
+    """The lock of a run folder, held until `release` or until the process ends in whatever way.
 
     It is the operating system's (``flock``) on the file ``.lock``, so that a dead process holds none; the file itself
-    means nothing, and is deleted at release. On a file system without ``flock`` the library falls back to the file's
-    being there, with a warning; where locks are refused altogether (some network mounts) the run goes on without, and
-    says so in one line: there, do not resume a run while it runs.
+    means nothing, and is deleted at release. On a file system without ``flock`` the library uses the existence of the
+    file instead, with a warning. Where locks are refused altogether (some network mounts) the run continues without one
+    and says so in one line: do not resume a run there while it is running.
 
     Args:
         folder: an existing one.
@@ -60,7 +60,7 @@ class FolderLock:
         self._finalizer = weakref.finalize(self, _release, lock, file, os.getpid())
 
     def release(self) -> None:
-        """Let another process have the folder."""
+        """Release the folder for other processes."""
         self._finalizer()
 
 
@@ -81,7 +81,7 @@ def _release(lock: FileLock, file: Path, owner: int) -> None:
 
 
 def config_file(folder: Path) -> Path:
-    """The configuration in a run folder, by which it is known to be one."""
+    """The configuration file, by which a run folder is recognised."""
     return folder / "config.yaml"
 
 
@@ -91,7 +91,7 @@ def is_numbered(folder: Path) -> bool:
 
 
 def claim(folder: Path) -> tuple[Path, FolderLock]:
-    """Take a folder for a new run, or, where a run gets a number, the first of its name that is free.
+    """Lock a folder for a new run, or, where a run gets a number, the first of its name that is free.
 
     Raises:
         RunError: it holds a run, or another process writes to it.

@@ -1,6 +1,6 @@
-"""Where a run is logged besides the files in its folder: Weights & Biases, TensorBoard.
+"""Loggers besides the files in a run's folder: Weights & Biases, TensorBoard.
 
-Both get the configuration, every row of the CSV files, the summary and the pictures; the first also the weights.
+Both log the configuration, every row of the CSV files, the summary and the pictures; the first also the weights.
 """
 
 import json
@@ -22,13 +22,13 @@ PICTURES = ("*.png", "*.gif")
 
 
 class Logger(Protocol):
-    """What a run is logged to."""
+    """The interface of a logger."""
 
     def log(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
         """Log a row of ``<stage>.csv``; values that are not finite are left out."""
 
     def finish(self, summary: Mapping[str, Any], folder: Path) -> None:
-        """Log the summary, and what is in the folder of the finished run."""
+        """Log the summary, and the files of the finished run."""
 
 
 def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> Logger | None:
@@ -37,7 +37,7 @@ def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> Logger | 
     Args:
         config: of the run.
         folder: of the run.
-        frames: that the run goes on from.
+        frames: at which the run continues.
 
     Raises:
         ConfigError: the package it needs is not installed.
@@ -53,11 +53,11 @@ def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> Logger | 
 
 
 class WandbLogger:
-    """A run in Weights & Biases, offline where nobody is logged in; a run that goes on, goes on there too.
+    """A run in Weights & Biases, offline if nobody is logged in; a resumed run continues there too.
 
     Args:
         config: of the run.
-        folder: of the run; keeps the id, drawn at random, by which the service knows it.
+        folder: of the run; stores its random id in the service.
     """
 
     def __init__(self, config: TrainConfig, folder: Path) -> None:
@@ -81,7 +81,7 @@ class WandbLogger:
         self._stages: set[str] = set()
 
     def log(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
-        """Log a row; every stage counts its own steps, and the service takes none that are lower than one before."""
+        """Log a row; every stage counts its own steps, because the service refuses decreasing ones."""
         if stage not in self._stages:
             self._stages.add(stage)
             self.run.define_metric(f"{stage}/step", hidden=True)
@@ -109,7 +109,7 @@ class TensorBoardLogger:
     Args:
         config: of the run.
         folder: of the run.
-        frames: that the run goes on from; what was logged after them is hidden.
+        frames: at which the run continues; what was logged after them is hidden.
     """
 
     def __init__(self, config: TrainConfig, folder: Path, frames: int) -> None:
@@ -125,7 +125,7 @@ class TensorBoardLogger:
             self.writer.add_scalar(f"{stage}/{name}", value, step)
 
     def finish(self, summary: Mapping[str, Any], folder: Path) -> None:
-        """Log the summary as text and as results of the hyperparameters, and the pictures."""
+        """Log the summary as text and as metrics of the hyperparameters, and the pictures."""
         frames = int(summary["frames"])
         self.writer.add_text("summary", f"```json\n{json.dumps(summary, indent=1)}\n```", frames)
         measured = {f"summary/{name}": value for name, value in _finite(leaves(dict(summary))).items()}

@@ -8,6 +8,6 @@ from pathlib import Path
 def peak_memory_mb() -> float:
     """The most memory this process has held, in megabytes."""
     status = Path("/proc/self/status")
-    if status.exists():  # on Linux `getrusage` would count what the parent of a new process held
+    if status.exists():  # on Linux `getrusage` would include the memory of the parent before the fork
         return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6

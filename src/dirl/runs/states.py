@@ -1,4 +1,4 @@
-"""Whether the state of a training in a checkpoint fits the run that would go on from it."""
+"""Checks that the training state in a checkpoint fits the run that is to be resumed from it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from dirl.runs.checks import RunError, is_count
 
 
 def check_fits(saved: Any, fresh: Any, where: str, most: int = 2**63 - 1) -> None:
-    """Raise `RunError` unless a saved state is one that the owner of a fresh state can take.
+    """Raise `RunError` unless a saved state fits the owner of a fresh state.
 
     Tensors must agree in shape and dtype, dictionaries in their keys, lists in their length; an empty fresh dictionary
     is one that fills up, and tells nothing of what may be in it; an empty fresh list fills with counts.
@@ -103,7 +103,7 @@ def check_random_state(saved: Any, where: str) -> None:
 
 
 def check_agents(saved: Any, env: EnvBase, where: str) -> None:
-    """Raise `RunError` unless saved agents stand where the environment's can: see its specs.
+    """Raise `RunError` unless saved agents are valid states of the environment: see its specs.
 
     Args:
         saved: what the environment's ``reset`` returned, or a step later, as a dictionary of tensors of those shapes.
@@ -119,7 +119,7 @@ def check_agents(saved: Any, env: EnvBase, where: str) -> None:
 def check_training(
     saved: Mapping[str, Any], fresh: Mapping[str, Any], env: EnvBase, optimiser: Optimizer, where: str
 ) -> None:
-    """Raise `RunError` unless a checkpoint can be gone on from; call it before anything is restored.
+    """Raise `RunError` unless a training can be resumed from a checkpoint; call it before restoring anything.
 
     Args:
         saved: of `dirl.runs.checkpoints.load_checkpoint`.

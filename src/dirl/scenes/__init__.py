@@ -1,4 +1,4 @@
-"""What an agent walks in: scenes, the worlds made of them, and the files that hold them."""
+"""Scenes, the worlds made of them, and the files that hold them."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # Worlds take torch, which takes seconds to import; to look up a scene by its name takes neither.
+    # Worlds need torch, whose import takes seconds; looking up a scene by its name does not.
     if name in ("World", "make_world"):
         from dirl.scenes import world
 

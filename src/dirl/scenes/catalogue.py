@@ -1,4 +1,4 @@
-"""Which scenes there are and how a user names them: the built-in rooms, published dumps, any file."""
+"""The available scenes by name: built-in rooms, published dumps, any file."""
 
 import difflib
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ def load_scenes(
         rooms: the first so many of them; all if left out.
 
     Raises:
-        SceneError: no such scene (the message lists the choices), or a file that cannot be used.
+        SceneError: no such scene (the message lists the choices), or an invalid file.
     """
     collection = find_rooms(scene, split, rooms)
     if collection is not None:

@@ -1,8 +1,8 @@
-"""Collections: folders of many dumps with an index, from which scenes are read when they are asked for.
+"""Collections: folders of many dumps with an index, from which scenes are read on access.
 
-``collection.jsonl`` has one line of JSON for each room that is whole. Lines are only ever appended, so that several
+``collection.jsonl`` has one line of JSON for each complete room. Lines are only ever appended, so that several
 processes can add rooms, and one that is killed leaves at most an unfinished line, which is ignored. Of two lines with
-one name the later counts.
+one name the later one counts.
 """
 
 import json
@@ -20,7 +20,7 @@ INDEX = "collection.jsonl"
 
 @dataclass(frozen=True)
 class Entry:
-    """What the index says of one room.
+    """The index entry of one room.
 
     Args:
         name: of the room; its dump is ``<name>.h5``.
@@ -45,7 +45,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Collection(Sequence[Scene]):
-    """Scenes of a folder. Each is read when it is asked for, and not kept.
+    """The scenes of a folder. Each is read on access, and not kept in memory.
 
     Args:
         folder: holds the dumps.
@@ -67,7 +67,7 @@ class Collection(Sequence[Scene]):
         """One scene, read now; or some of the rooms.
 
         Raises:
-            SceneError: the dump is missing, damaged, or another one than the index says.
+            SceneError: the dump is missing, damaged, or not the one that the index describes.
         """
         if isinstance(index, slice):
             return replace(self, entries=self.entries[index])
@@ -83,7 +83,7 @@ class Collection(Sequence[Scene]):
         return self.folder / f"{entry.name}.h5"
 
     def select(self, *, split: str | None = None, kind: str | None = None) -> "Collection":
-        """The rooms of a split, of a kind, or of both; what is not said is not asked for.
+        """The rooms of a split, of a kind, or of both; None for any.
 
         Raises:
             SceneError: there are none.
@@ -137,7 +137,7 @@ def add_entry(folder: Path, entry: Entry) -> None:
 
 
 def is_whole(dump: Path, entry: Entry) -> bool:
-    """Whether a dump is there, and the one that the index means."""
+    """Whether a dump exists and is the one that the index describes."""
     return dump.is_file() and file_digest(dump) == entry.sha256
 
 

@@ -1,4 +1,4 @@
-"""Looking at a scene before somebody trains in it: what it holds, and what in it would mislead an agent or a reader."""
+"""Inspection of a scene before training: its contents, and what in it would mislead an agent or a reader."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Where the states of a scene lie and point to on its map, as its moves tell."""
+"""Positions and directions of the states of a scene on its map, inferred from its moves."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,8 @@ def step_length(scene: Scene) -> float:
 def heading_directions(scene: Scene) -> NDArray[np.float64]:
     """Where each state's heading points to on the map: unit vectors (x, z), float64 ``[N, 2]``.
 
-    Headings are clockwise from +z in AI2-THOR, but files come from elsewhere too. So the sense of rotation and its
-    zero are those that agree best with where the moves ahead lead to; AI2-THOR's where the moves do not tell.
+    Headings are clockwise from +z in AI2-THOR, but other files may differ. The sense of rotation and its zero are
+    therefore those that agree best with the moves ahead; where the moves leave it open, those of AI2-THOR.
     """
     states, moves = _moves_ahead(scene)
     clockwise = np.exp(1j * np.deg2rad(scene.headings))

@@ -1,4 +1,4 @@
-"""Goals by rule: all states of a scene, every so many, or a share of its places; and places held out of training."""
+"""Goals by rule: all states of a scene, every k-th, or a share of its places; and places held out of training."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -26,9 +26,9 @@ class ChosenGoals(NamedTuple):
 def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 0.0, seed: int = 0) -> ChosenGoals:
     """Goals by rule.
 
-    The seed puts the places of each scene in an order, alone for the scene: the first of them are held out, and a share
-    is taken from the end. With the same seed a larger share contains a smaller one, and what is held out does not
-    depend on the rule. Places with a goal that is named by its number are not held out.
+    The seed orders the places of each scene, independently of other scenes: the first are held out, and a share is
+    taken from the end. With the same seed a larger share contains a smaller one, and the held-out places do not
+    depend on the rule. Places of goals that are given by number are not held out.
 
     Args:
         scenes: of distinct names.
@@ -64,7 +64,7 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
 
 
 def well_reached(scene: Scene) -> np.ndarray:
-    """Whether as many states reach a state as reach any, bool ``[N]``: in a scene without walled-off parts, all do."""
+    """Whether a state is reached by as many states as any other, bool ``[N]``: true for all in a connected scene."""
     reached_from = (scene.distances >= 0).sum(0)
     return reached_from == reached_from.max()
 
@@ -89,7 +89,7 @@ def _order(scene: Scene, seed: int, named: Sequence[int]) -> IntArray:
 
 
 def _count(share: float, scene: Scene) -> int:
-    """How many places a share is; at least one."""
+    """The number of places in a share; at least one."""
     return max(1, round(share * (int(places(scene.graph).max()) + 1)))
 
 

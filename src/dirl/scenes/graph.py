@@ -1,4 +1,4 @@
-"""What follows from a scene's graph alone: distances, headings, the four views around a state.
+"""Properties of a scene's graph: distances, headings, the four views around a state.
 
 A graph is an integer array ``[N, 4]``: ``graph[state, action]`` is the next state, -1 where the move is blocked.
 """
@@ -20,7 +20,7 @@ IntArray = NDArray[np.int64]
 
 
 class GraphError(ValueError):
-    """A graph that no agent could walk in; the message names the first offending state."""
+    """An invalid graph; the message names the first offending state."""
 
 
 def check_graph(graph: IntArray) -> None:
@@ -78,7 +78,7 @@ def _ring_lengths(graph: IntArray, alive: IntArray) -> IntArray:
 
 
 def turns_per_circle(graph: IntArray) -> int:
-    """How many right turns make a full circle: 4 where a turn is 90 degrees, 12 where it is 30."""
+    """The number of right turns in a full circle: 4 if a turn is 90 degrees, 12 if it is 30."""
     alive = np.flatnonzero((graph >= 0).any(1))
     return int(_ring_lengths(graph, alive[:1])[0])
 
@@ -106,7 +106,7 @@ def surrounding_states(graph: IntArray) -> IntArray:
 
 
 def places(graph: IntArray) -> IntArray:
-    """Which place each state is at: states that turns lead between share one, int64 ``[N]``.
+    """The place of each state, int64 ``[N]``: states that are connected by turns share one.
 
     Places are numbered 0, 1, ... in the order of their first states.
     """

@@ -1,4 +1,4 @@
-"""Template matching: knowing by sight that the goal has been reached (paper section 3.4)."""
+"""Template matching: recognising that the goal has been reached (paper section 3.4)."""
 
 from dataclasses import dataclass
 
@@ -28,13 +28,13 @@ def ncc(observation: Tensor, goal: Tensor) -> Tensor:
 def normal_vectors(vector: Tensor) -> Tensor:
     """Vectors, float ``[..., D]``, without their mean and of length one; the product of two is their `ncc`."""
     centred = vector - vector.mean(-1, keepdim=True)
-    # The mean of a constant vector is rounded; what is left of it then must not be blown up to length one.
+    # The mean of a constant vector is rounded; the remainder must not be normalised to length one.
     constant = vector.amax(-1, keepdim=True) == vector.amin(-1, keepdim=True)
     return F.normalize(centred.masked_fill(constant, 0.0), dim=-1)
 
 
 def template_vectors(features: Tensor, surrounding: Tensor, match: str) -> Tensor:
-    """What is compared of each state, so scaled that the product of two is their coefficient, float32 ``[N, D']``.
+    """The compared vector of each state, scaled so that the product of two is their coefficient, float32 ``[N, D']``.
 
     Args:
         features: of every state, float32 ``[N, D]``.
@@ -51,7 +51,7 @@ def scene_vectors(world: World, index: int, match: str) -> Tensor:
 
 
 def look_alike(world: World, threshold: float) -> tuple[Tensor, Tensor]:
-    """Which states of a scene look alike by their four views: known by sight, not by number.
+    """Which states of a scene look alike, by their four views.
 
     Returns:
         A table, bool ``[Q]``, and of each state its row, int64 ``[N]``: states a and b of one scene look alike where
@@ -69,7 +69,7 @@ def look_alike(world: World, threshold: float) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class TemplateStop:
-    """Stop where what is seen matches the goal.
+    """Stop where the observation matches the goal.
 
     Args:
         threshold: stop above this coefficient (the paper's is 0.9).

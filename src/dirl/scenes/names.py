@@ -1,4 +1,4 @@
-"""What a scene may be called: the name becomes part of files, titles, options and the network's modules."""
+"""Valid names of scenes: a name becomes part of files, titles, options and the network's modules."""
 
 import re
 
@@ -12,9 +12,9 @@ ALLOWED = re.compile(r"[^\W_](?:[\w .,()+-]*[\w)+])?")
 
 
 def check_name(name: str, origin: str) -> None:
-    """Raise `SceneError` unless a scene can have that name; ``origin`` is who gave it.
+    """Raise `SceneError` unless a scene can have that name; ``origin`` is its source, for errors.
 
-    A network keeps layers by the names of scenes, and so those of a module's own attributes (``keys``) will not do.
+    A network stores layers under the names of scenes, so names of a module's own attributes (``keys``) are excluded.
     """
     from torch import nn  # here, because the process that reads dumps does without torch
 

@@ -15,7 +15,7 @@ LARGEST = 1e6
 
 
 class SceneError(ValueError):
-    """A scene that cannot be used; the message says what is wrong, where, and what to do."""
+    """An invalid scene; the message says what is wrong, where, and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class Scene:
     """One room. Immutable (its arrays are read-only) and checked when made.
 
     Args:
-        name: what the user calls it, e.g. ``bathroom_02``.
+        name: e.g. ``bathroom_02``.
         graph: next states, integers ``[N, 4]`` in the order of `ACTIONS`, -1 = blocked.
         positions: metres, ``[N, 2]``: x, z of each state's location.
         headings: degrees clockwise, ``[N]``.
@@ -31,11 +31,11 @@ class Scene:
             views have not been encoded yet.
         views: the camera images, or None.
         goals: the goal states that come with the scene; may be empty.
-        source: where the scene comes from: ``rooms`` (built in), ``synthetic`` (generated) or ``thor``.
+        source: its origin: ``rooms`` (built in), ``synthetic`` (generated) or ``thor``.
         extractor: what made the features; scenes with different extractors cannot share a `World`.
         origin: the file or function that made it, named in errors.
-        patches: what each part of each view shows (`dirl.backbones.patches`), float16 ``[N, cells, channels]``, or
-            None; of a scene that was read from a file they stay there until they are used.
+        patches: features of the parts of each view (`dirl.backbones.patches`), float16 ``[N, cells, channels]``, or
+            None; those of a scene that was read from a file are memory-mapped.
 
     Raises:
         SceneError: an array has the wrong shape or type, or the first offending state of it is named.

@@ -1,4 +1,4 @@
-"""Camera views as they lie in a dump: read and decoded one at a time, when somebody looks."""
+"""The camera views of a dump: read and decoded one at a time, on access."""
 
 import io
 import warnings
@@ -27,7 +27,7 @@ class Views:
     Args:
         path: the file.
         dataset: ``observation`` (raw pixels) or ``observation_webp`` (encoded images).
-        spans: where each view lies in the file: its first byte and how many there are, int64 ``[N, 2]``.
+        spans: the position of each view in the file: first byte and number of bytes, int64 ``[N, 2]``.
         shape: height and width of raw pixels; None if the views are encoded.
         unpacked: raw pixels that are compressed in the file, uint8 ``[N, H, W, 3]``; ``spans`` is not used then.
     """
@@ -78,7 +78,7 @@ class Views:
 
 
 def encode(view: NDArray[np.uint8], quality: int | None = 85) -> bytes:
-    """A view as WebP bytes; ``quality`` is WebP's, 0 to 100, or None to lose nothing."""
+    """A view as WebP bytes; ``quality`` is WebP's, 0 to 100, or None for lossless."""
     buffer = io.BytesIO()
     if quality is None:
         Image.fromarray(view).save(buffer, "WEBP", lossless=True)

@@ -54,7 +54,7 @@ class World:
 
     @property
     def source(self) -> str:
-        """Where the scenes come from: ``rooms``, ``synthetic``, ``thor``, or several of them."""
+        """The origin of the scenes: ``rooms``, ``synthetic``, ``thor``, or several of them."""
         return "+".join(sorted({scene.source for scene in self.scenes}))
 
     @property
@@ -74,7 +74,7 @@ class World:
 
         Args:
             goal_index: goals by their place in ``goals``, int64 ``[...]``.
-            state: states of the goals' scenes, int64 ``[...]``; states of other scenes are not noticed.
+            state: states of the goals' scenes, int64 ``[...]``; this is not checked.
         """
         return self.row[goal_index] + state
 
@@ -90,7 +90,7 @@ class World:
         return goal_index, torch.arange(len(goal_index), device=self.device) - self.row[goal_index]
 
     def block(self, table: Tensor, goal_index: int) -> Tensor:
-        """What a table of pairs ``[P, ...]`` says of one goal, for the states of its scene in their order."""
+        """The rows of a table of pairs ``[P, ...]`` for one goal, in the order of its scene's states."""
         scene = int(self.scene_of[self.goals[goal_index]])
         first = int(self.row[goal_index]) + self.offsets[scene]
         return table[first : first + len(self.scenes[scene])]
@@ -127,7 +127,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         goals: the goals of one scene, or of several by name, as states of the scene; the scenes' own if left out.
 
     Raises:
-        SceneError: scenes that do not go together, a scene without features or goals, or an impossible goal.
+        SceneError: incompatible scenes, a scene without features or goals, or an invalid goal.
     """
     if not scenes:
         raise SceneError("a world needs at least one scene")
@@ -176,7 +176,7 @@ def _patches(scenes: Sequence[Scene]) -> Tensor | None:
 
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:
-    """What of a world depends on its goals, by the name of the field."""
+    """The fields of a world that depend on its goals, by name."""
     blocks, rows, pairs = [], [], 0
     for scene, offset, states in zip(scenes, offsets, chosen, strict=True):
         blocks.append(shortest_distances(scene.graph, np.array(states)).T.astype(np.int16).ravel())

@@ -45,7 +45,7 @@ def test_every_frame_is_taken_before_the_first_move(tmp_path):
 
 @pytest.mark.parametrize("crash_after", [1, 9, 20, 23, 24, 70])
 def test_a_crash_is_told_and_gone_on_from(tmp_path, crash_after):
-    with pytest.raises(SceneError, match=r"AI2-THOR failed \(.* FloorPlan1\.\); the same command goes on from here"):
+    with pytest.raises(SceneError, match=r"AI2-THOR failed \(.* FloorPlan1\.\); the same command continues from here"):
         take(tmp_path / "a", Simulator(CELLS, crash_after=crash_after))
     assert not (tmp_path / "a" / "states.csv").exists()
     again = Simulator(CELLS)

@@ -1,4 +1,4 @@
-"""A room while it is being furnished: pieces are put where there is room for them, or not at all."""
+"""A room while it is being furnished: pieces are placed where there is space for them, or not at all."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -48,7 +48,7 @@ class Draft:
         self._shell = RoomDescription("draft", size, "wood", dict.fromkeys(SIDES, ((size[2], "wood"),)))
 
     def put(self, piece: Piece, *, around: float = GAP) -> bool:
-        """Add a piece if it is in the room, in no other piece, and in nobody's way; tells whether it was added.
+        """Add a piece if it is inside the room, overlaps no other, and blocks nothing; returns whether it was added.
 
         Args:
             piece: what and where.
@@ -160,7 +160,7 @@ class Draft:
                 self.put(Piece("ceiling_lamp", (width, width, round(drop, 2)), at=_rounded(at)))
 
     def dress_walls(self, *, towels: bool) -> None:
-        """Hang pictures, and a few mirrors and towels, until no wall is bare for long at the height of the eyes."""
+        """Hang pictures, and a few mirrors and towels, until no long stretch of wall is bare at eye height."""
         for wall in SIDES:
             for _ in range(12):
                 gaps = [(start, end) for start, end in self._bare(wall) if end - start > 0.5]
@@ -231,5 +231,5 @@ def _meets(a: Array, b: Array, gap: float) -> bool:
 
 
 def _rounded(at: tuple[float, ...]) -> tuple[float, float]:
-    """To centimetres, so that descriptions read well."""
+    """Rounded to centimetres, for readable descriptions."""
     return round(float(at[0]), 2), round(float(at[1]), 2)

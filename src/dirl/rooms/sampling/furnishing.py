@@ -1,6 +1,6 @@
-"""What belongs in a bathroom, a bedroom, a kitchen, a living room, and how it stands there.
+"""The furniture of a bathroom, a bedroom, a kitchen and a living room, and how it is placed.
 
-Each function furnishes an empty `Draft`; what finds no room is left out, so that no two rooms hold the same.
+Each function furnishes an empty `Draft`; pieces that do not fit are left out, so that no two rooms are alike.
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""Groups of furniture: a run of counters, a table with its chairs, a seating area, and what stands about."""
+"""Groups of furniture: a run of counters, a table with its chairs, a seating area, and single pieces."""
 
 from typing import Any
 

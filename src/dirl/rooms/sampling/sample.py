@@ -48,7 +48,7 @@ KINDS = {
 
 
 def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True) -> RoomDescription:
-    """A random room that passes `check_room` and, seen in small, `check_views`; a kind and a seed fix it.
+    """A random room that passes `check_room` and, in small views, `check_views`; kind and seed determine it.
 
     Args:
         kind: bathroom, bedroom, kitchen or living_room.
@@ -66,7 +66,7 @@ def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = 
 def sample_views(
     kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True
 ) -> tuple[RoomDescription, list[View]]:
-    """The room that `sample_room` gives, and the views that it was checked by: of `LOOK` pixels, in coarse light.
+    """The room that `sample_room` returns, and the views of its check: of `LOOK` pixels, in coarse light.
 
     They are those that `dirl.rooms.build_room` takes with that ``size`` and without ``fine``; none without ``look``.
     """
@@ -122,7 +122,7 @@ def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
 
 
 def problems_of(room: RoomDescription, kind: Kind) -> list[str]:
-    """What keeps a room from being used, by its furniture and places, one line each."""
+    """The problems of a room's furniture and places, one line each."""
     try:
         way = walk(room)
     except SceneError as error:

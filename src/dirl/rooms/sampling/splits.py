@@ -1,9 +1,9 @@
-"""Training, validation and test rooms: which seeds they have, and what only some of them may show.
+"""Training, validation and test rooms: their seeds, and the stock of furnishings that each split uses.
 
-- Seeds 0 to 9,999 are of no split and may show everything.
-- Seeds 10,000 to 19,999 are test rooms, which show `TEST`.
-- Seeds 20,000 to 29,999 are validation rooms, which show `TRAIN`.
-- Seeds from 30,000 on are training rooms, which show `TRAIN`.
+- Seeds 0 to 9,999 belong to no split and use everything.
+- Seeds 10,000 to 19,999 are test rooms, which use `TEST`.
+- Seeds 20,000 to 29,999 are validation rooms, which use `TRAIN`.
+- Seeds from 30,000 on are training rooms, which use `TRAIN`.
 
 `TRAIN` and `TEST` have no wood, sky, wallpaper, picture, window outlook, rug, floor, tile layout or potted plant, vase
 and set of bottles (a piece's own ``seed``) in common. They share the shapes of furniture (the same functions, each time
@@ -24,7 +24,7 @@ Tiling = tuple[int, int, bool]
 
 @dataclass(frozen=True)
 class Repertoire:
-    """What a random room may be made of.
+    """The stock that a random room may use.
 
     Args:
         woods: dark and light colour of the grain, by name.
@@ -117,6 +117,6 @@ def split_of(seed: int) -> str | None:
 
 
 def repertoire_of(seed: int) -> Repertoire:
-    """What the rooms of a seed may be made of."""
+    """The stock that the rooms of a seed may use."""
     split = split_of(seed)
     return EVERYTHING if split is None else TEST if split == "test" else TRAIN

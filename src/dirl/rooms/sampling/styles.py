@@ -1,4 +1,4 @@
-"""How a random room looks: colours that go together, and materials made of them."""
+"""The style of a random room: matching colours, and materials made of them."""
 
 import colorsys
 from dataclasses import replace
@@ -20,7 +20,7 @@ class Style:
     Args:
         rng: what everything is drawn from.
         wet: whether walls and floor have tiles.
-        repertoire: what there is to choose from.
+        repertoire: the stock to choose from.
     """
 
     def __init__(self, rng: np.random.Generator, *, wet: bool, repertoire: Repertoire = EVERYTHING) -> None:

@@ -1,4 +1,4 @@
-"""The program that touches dumps of unknown origin, started by `dirl.scenes.io.isolation` and never imported.
+"""The program that reads dumps of unknown origin, started by `dirl.scenes.io.isolation` and never imported.
 
 It reads one request from its standard input and answers on its standard output. Each answer is the length of a JSON
 text as 8 bytes, that text, and the arrays that it lists.
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _skip_the_packages() -> None:
-    """Make dirl's modules importable without what their packages import: torch alone would take seconds."""
+    """Make dirl's modules importable without the imports of their packages: torch alone would take seconds."""
     root = Path(__file__).parents[2]
     for name in ("dirl", "dirl.scenes", "dirl.scenes.io"):
         package = sys.modules[name] = types.ModuleType(name)

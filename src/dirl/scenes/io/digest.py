@@ -1,4 +1,4 @@
-"""Digests: a dump of ours says what it held when it was written, and damage to it is noticed."""
+"""Digests of dumps that dirl writes, by which later damage is detected."""
 
 import hashlib
 import json
@@ -33,7 +33,7 @@ BLOCK_BYTES = 2**24
 
 
 def write_digest(file: h5py.File) -> None:
-    """Store the digest of a file that holds all it will."""
+    """Store the digest of a file that is otherwise complete."""
     file.attrs[DIGEST] = file["graph"].attrs[DIGEST] = compute_digest(file)
 
 
@@ -56,7 +56,7 @@ def check_digest(file: h5py.File) -> bool:
 
 
 def compute_digest(file: h5py.File) -> str:
-    """The SHA-256 over the datasets and attributes of a dump that mean something, as hexadecimal digits.
+    """The SHA-256 over the datasets and attributes of a dump that are read, as hexadecimal digits.
 
     It covers the names, types, shapes and values of `DATASETS`, the file's attributes `FILE_ATTRIBUTES`, the
     `EXTRACTOR_ATTRIBUTES` of the features and the `PATCH_ATTRIBUTES` of patches; not how HDF5 stores them.

@@ -1,7 +1,7 @@
 """The content of a dump, read with libhdf5; `dirl.scenes.io.read` says what is in such a file.
 
-Everything here also runs in a process of its own, see `dirl.scenes.io.child`, and so imports neither torch nor the
-packages of dirl. Errors do not name the file; who reads it does.
+Everything here also runs in a separate process, see `dirl.scenes.io.child`, and so imports neither torch nor the
+packages of dirl. Errors do not name the file; the caller adds its name.
 """
 
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ UNREACHABLE_FROM = 1000
 
 @dataclass
 class Contents:
-    """What a dump holds: numbers, texts and arrays, not yet checked as a scene."""
+    """The content of a dump: numbers, texts and arrays, not yet checked as a scene."""
 
     graph: NDArray[Any]
     """In the order of `ACTIONS`."""
@@ -86,7 +86,7 @@ def read_contents(path: Path, *, intact: bool = False) -> Contents:
         intact: its bytes are known to be those that were written; its digest and its views need no check.
 
     Raises:
-        SceneError: what the file holds cannot be read.
+        SceneError: the content of the file is invalid.
     """
     try:
         with h5py.File(path) as file, np.errstate(all="ignore"):
@@ -161,7 +161,7 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
 
 
 def _read_features(dataset: h5py.Dataset) -> NDArray[np.floating]:
-    """The features ``[N, D]`` of the first crop, a block at a time: of float64 they would take three times the room."""
+    """The features ``[N, D]`` of the first crop, a block at a time: float64 would take three times the memory."""
     kind = np.float16 if dataset.dtype.itemsize == 2 else np.float32
     values = np.empty((dataset.shape[0], dataset.shape[-1]), kind)
     for rows in blocks(dataset):
@@ -222,7 +222,7 @@ def _check_view(state: int, data: bytes) -> None:
 
 
 def _check_differences(contents: Contents) -> None:
-    """Check that states differ: nobody could find a way where all look alike."""
+    """Check that states differ in their features."""
     headings, features = contents.headings, contents.features
     if len(headings) > 1 and (headings == headings[0]).all():
         raise SceneError(f"rotation: all states have the heading {headings[0]:g}; a turn must change it")
@@ -260,7 +260,7 @@ def _in_our_order(graph: NDArray[Any], declared: Any) -> NDArray[Any]:
 
 
 def _compare_distances(graph: NDArray[Any], dataset: h5py.Dataset) -> str:
-    """What is wrong with the stored distances; empty if nothing is, or the graph itself cannot be walked in."""
+    """The problem with the stored distances; empty if there is none, or if the graph itself is invalid."""
     links = graph.astype(np.int64)
     try:
         check_graph(links)

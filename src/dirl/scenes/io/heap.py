@@ -1,4 +1,4 @@
-"""Where the values of variable length lie in an HDF5 file, so that they can be read later without libhdf5."""
+"""The positions of values of variable length in an HDF5 file, to read them later without libhdf5."""
 
 import mmap
 from collections.abc import Callable

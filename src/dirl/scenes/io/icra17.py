@@ -1,4 +1,4 @@
-"""Scenes for other people's programs: the layout of the published target-driven navigation code (ICRA 2017)."""
+"""Export of scenes for other programs: the layout of the published target-driven navigation code (ICRA 2017)."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ HEIGHT, WIDTH = 300, 400
 
 
 def export_icra17(scene: Scene, path: str | Path) -> None:
-    """Write a scene as the published files are; it appears whole or not at all.
+    """Write a scene in the layout of the published files, completely or not at all.
 
     ``observation`` uint8 ``[N, 300, 400, 3]`` (views of another shape are scaled), ``resnet_feature`` float32
     ``[N, 10, D]``, ``location`` float64 ``[N, 2]``, ``rotation`` int64 ``[N]``, ``graph`` int64 ``[N, 4]`` (ahead,
@@ -26,7 +26,7 @@ def export_icra17(scene: Scene, path: str | Path) -> None:
     compressed. Attributes, which those files lack, keep name, source, goals and extractor for `read_dump`.
 
     Raises:
-        SceneError: something that the layout requires is missing, or does not fit in.
+        SceneError: something that the layout requires is missing, or does not fit it.
     """
     check_name(scene.name, str(path))
     if scene.views is None:

@@ -1,8 +1,8 @@
-"""Reading dumps in a process of its own.
+"""Reading dumps in a separate process.
 
 libhdf5 can crash, hang or take all memory on a damaged file. The process that reads it has a limit of processor time
 and of memory, and if it ends, the program that wanted the file goes on with one line about it. That process starts
-with h5py and NumPy only. It is no protection against a file that was made to take over the process that reads it.
+with h5py and NumPy only. This is no protection against a file that was made to take over the process that reads it.
 """
 
 import json
@@ -33,10 +33,10 @@ PROGRAM = Path(__file__).with_name("child.py")
 
 
 def read_apart(paths: Sequence[Path]) -> Iterator[Contents]:
-    """Read dumps, all of them in one process that is not this one.
+    """Read dumps, all of them in one separate process.
 
     Raises:
-        SceneError: a file cannot be read. The message does not name it; it is the one that is asked for.
+        SceneError: a file cannot be read. The message does not name the file; the caller knows it.
     """
     tasks = [{"task": "read", "path": os.path.abspath(path), "seconds": seconds_for(path)} for path in paths]
     for header, arrays in _answers(tasks):

@@ -1,4 +1,4 @@
-"""Patches in a dump: stored in one piece, and mapped into memory, so that those of many scenes cost none."""
+"""Patches in a dump: stored contiguously and memory-mapped, so that those of many scenes need no memory."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ MAX_VALUES = 2**27
 
 
 def locate_patches(file: h5py.File, path: Path, states: int) -> tuple[int, list[int] | None]:
-    """Where the patches of a file begin, in bytes, and their shape; None if there are none. Nothing of them is read.
+    """Where the patches of a file begin, in bytes, and their shape; None if there are none. They are not read.
 
     Raises:
         SceneError: they have another type or shape, or are not stored in one piece.

@@ -6,7 +6,7 @@
 | ``location`` | number ``[N, 2]`` | x, z in metres |
 | ``rotation`` | number ``[N]`` | heading in degrees |
 | ``resnet_feature`` | float16 or float32 ``[N, D]`` or ``[N, k, D]`` | features; of ``k`` crops the first is used |
-| ``patches`` | float16 ``[N, cells, channels]`` | what each part of each view shows (our files); in one piece |
+| ``patches`` | float16 ``[N, cells, channels]`` | features of the parts of each view (our files); contiguous |
 | ``shortest_path_distance`` | number ``[N, N]`` | only compared: distances are always recomputed |
 | ``observation`` | uint8 ``[N, H, W, 3]`` | raw views (published files) |
 | ``observation_webp`` | N byte strings | encoded views (our files): WebP, PNG or JPEG |
@@ -38,7 +38,7 @@ ROOMS = Path(__file__).parents[1] / "data"
 
 
 class SceneWarning(UserWarning):
-    """A dump that can be used but holds something a user should know of."""
+    """A dump that can be used but has a peculiarity that the user should know."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,14 @@ def read_dump(path: str | Path, *, name: str | None = None, source: str | None =
 
     Args:
         path: the HDF5 file.
-        name: what to call the scene; the file's attribute ``name`` or its stem if left out.
-        source: where it comes from; the file's attribute ``source`` or "unlabelled" if left out.
-        isolated: read the file in a process of its own, with limits of time and memory, because libhdf5 can crash or
-            hang on a damaged one. Without, many small files are read faster. A built-in room whose checksum is right
-            is always read here.
+        name: of the scene; the file's attribute ``name`` or its stem if left out.
+        source: its origin; the file's attribute ``source`` or "unlabelled" if left out.
+        isolated: read the file in a separate process, with limits of time and memory, because libhdf5 can crash or
+            hang on a damaged one. False reads many small files faster. A built-in room with the right checksum is
+            always read in this process.
 
     Raises:
-        SceneError: the file is missing, damaged, or its content cannot be walked in. The message names the file,
+        SceneError: the file is missing, damaged or invalid. The message names the file,
             the dataset, and the first offending state.
 
     Warns:
@@ -74,7 +74,7 @@ def read_dump(path: str | Path, *, name: str | None = None, source: str | None =
 
 
 def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
-    """Read several scenes; those to be read in another process are so in one for all. See `read_dump`."""
+    """Read several scenes, see `read_dump`; one process serves all that are to be isolated."""
     for dump in dumps:
         if not dump.path.is_file():
             raise SceneError(f"{dump.path}: there is no such file")
@@ -121,7 +121,7 @@ def _patches(path: Path, contents: Contents) -> NDArray[np.float16] | None:
 
 
 def _is_intact(dump: Dump) -> bool:
-    """Whether a file is as dirl wrote it, byte for byte."""
+    """Whether a file is unchanged since dirl wrote it, byte for byte."""
     if dump.sha256 is not None:
         return file_digest(dump.path) == dump.sha256
     return _is_intact_room(dump.path)

@@ -1,6 +1,6 @@
-"""What may be read from an HDF5 file: every dataset's place, type, shape and storage, checked before its values are.
+"""Checks of an HDF5 file: the place, type, shape and storage of every dataset, before its values are read.
 
-Errors do not name the file; who reads it does.
+Errors do not name the file; the caller adds its name.
 """
 
 import math
@@ -26,7 +26,7 @@ KINDS = {"i": "integer", "u": "unsigned integer", "f": "float", "O": "byte strin
 
 
 def open_dataset(file: h5py.File, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
-    """A dataset whose place, type and shape are as expected; nothing of it has been read."""
+    """A dataset whose place, type and shape are as expected; its values are not read."""
     dataset = own_dataset(file, name)
     if dataset.dtype.kind not in kinds:
         wanted = " or ".join(KINDS[kind] for kind in kinds)
@@ -39,7 +39,7 @@ def open_dataset(file: h5py.File, name: str, *, kinds: str, shape: tuple[int | N
 
 
 def own_dataset(file: h5py.File, name: str) -> h5py.Dataset:
-    """A dataset of the file itself; nothing of it has been read."""
+    """A dataset of the file itself; its values are not read."""
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise SceneError(f"{name}: is a link to elsewhere; a dump must hold its own data")
     dataset = file[name]
@@ -104,7 +104,7 @@ def _filters(dataset: h5py.Dataset, name: str) -> list[int]:
 
 
 def read_attribute(holder: h5py.File | h5py.Dataset, name: str) -> Any:
-    """The value of an attribute, of a size that can be sensible; None if there is none."""
+    """The value of an attribute of a plausible size; None if there is none."""
     if name not in holder.attrs:
         return None
     stored = holder.attrs.get_id(name)

@@ -1,4 +1,4 @@
-"""Writing scene dumps, see `dirl.scenes.io.read` for what is in them; a file is whole or not there."""
+"""Writing scene dumps, see `dirl.scenes.io.read` for their content; a file is complete or absent."""
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,7 +29,7 @@ def write_dump(
     feature_attributes: dict[str, str] | None = None,
     patch_attributes: Mapping[str, str] | None = None,
 ) -> None:
-    """Write one scene; the file appears whole or not at all.
+    """Write one scene, completely or not at all.
 
     Args:
         path: the file to write; an existing one is replaced.
@@ -41,7 +41,7 @@ def write_dump(
         patch_attributes: how the patches were made: ``extractor``, ``projection``.
 
     Raises:
-        SceneError: the scene's name will not do, or a view cannot be decoded.
+        SceneError: the scene's name is not allowed, or a view cannot be decoded.
         ValueError: there are not as many views as states.
     """
     path = Path(path)
@@ -84,11 +84,11 @@ def replace_features(
     patches: NDArray[np.float16] | None = None,
     patch_attributes: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a dump once more with other features; everything else stays as it is, the file attributes too.
+    """Write a copy of a dump with other features; everything else stays the same, file attributes included.
 
     Args:
         dump: a file that `read_dump` accepts; it is not changed.
-        path: the file to write; it appears whole or not at all.
+        path: the file to write, completely or not at all.
         features: of every state, ``[N, D]``.
         feature_attributes: how they were made: ``extractor``, ``preprocessing``, ``weights``.
         patches: of every state, ``[N, cells, channels]``; those of the dump if left out.
@@ -115,7 +115,7 @@ def replace_features(
 def copy_with(
     dump: Path, path: Path, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Mapping[str, str]]
 ) -> None:
-    """Write a dump once more, in this process, with other values and attributes of some datasets, by their names."""
+    """Write a copy of a dump, in this process, with other values and attributes of the named datasets."""
     with h5py.File(dump) as old, whole_file(path) as new:
         new.attrs.update(old.attrs)
         for name in DATASETS:

@@ -1,1 +1,1 @@
-"""Where scenes come from besides files: a simulator, photographs."""
+"""Sources of scenes besides files: a simulator, photographs."""

@@ -1,14 +1,14 @@
-"""Scenes from pictures that somebody took: a folder of images, and a table that says where each was taken.
+"""Scenes from photographs: a folder of images, and a table that says where each was taken.
 
 ``states.csv`` has one row for each image, in any order:
 
-| column | holds |
+| column | contents |
 |---|---|
 | ``image`` | the image's file, relative to the folder |
 | ``location`` | a name for the place where the camera stood |
 | ``heading`` | where it looked, degrees clockwise |
-| ``x``, ``z`` | metres, the place on a map; rough values will do, only pictures need them |
-| ``ahead`` | the location that a move ahead leads to, its heading kept; empty = blocked |
+| ``x``, ``z`` | the place on a map, metres; rough values suffice, only pictures use them |
+| ``ahead`` | the location that a move ahead leads to, with the same heading; empty = blocked |
 | ``back`` | the same for a move back; the column may be missing: then back undoes ahead |
 | ``goal`` | ``yes`` where the image is a goal; the column may be missing |
 
@@ -68,11 +68,11 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
 
     Args:
         folder: holds ``states.csv`` and the images.
-        name: what to call the scene; the folder's name if left out.
+        name: of the scene; the folder's name if left out.
         source: where the scene comes from.
 
     Raises:
-        SceneError: the table cannot be understood, or no agent could walk in what it says. The message names the line.
+        SceneError: the table is invalid, or describes an invalid scene. The message names the line.
     """
     folder = Path(folder)
     name = name or folder.resolve().name
@@ -131,7 +131,7 @@ def _is_panorama(data: bytes, image: Image.Image, ratio: float) -> bool:
 
 
 def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
-    """Write ``states.csv`` of a folder, whole or not at all."""
+    """Write ``states.csv`` of a folder, completely or not at all."""
     unfinished = folder / f"{TABLE}.tmp"
     with unfinished.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [*REQUIRED, "back"])
@@ -266,7 +266,7 @@ def _same_heading(places: dict[str, list[Row]], first: dict[str, int], row: Row,
 
 
 def _undo_ahead(graph: IntArray, states: Sequence[Row]) -> None:
-    """Fill in the column of moves back: from where a move ahead leads, back to where it came from."""
+    """Fill in the column of moves back, each the reverse of a move ahead."""
     for state in np.flatnonzero(graph[:, AHEAD] >= 0).tolist():
         there = int(graph[state, AHEAD])
         if graph[there, BACK] >= 0:

@@ -1,6 +1,6 @@
 """Scenes from live AI2-THOR: every reachable position with four headings, as frames and attempted moves.
 
-What is taken lies in a folder as `dirl.scenes.sources.photos` reads it, so that a stopped run goes on where it was.
+Frames and moves are stored in a folder as `dirl.scenes.sources.photos` reads it, so that a stopped run can continue.
 """
 
 import csv
@@ -28,14 +28,14 @@ PLAN, MOVES = "plan.json", "moves.csv"
 
 
 class Simulator(Protocol):
-    """What is asked of ``ai2thor.controller.Controller``.
+    """The part of the interface of ``ai2thor.controller.Controller`` that is used.
 
     An event has ``frame``, uint8 ``[H, W, 3]``, and ``metadata``, of which are read ``lastActionSuccess``,
     ``errorMessage``, ``actionReturn`` and ``agent`` (``position`` and ``rotation``, each with ``x``, ``y``, ``z``).
     """
 
     def step(self, action: str, **arguments: Any) -> Any:
-        """Do something; returns an event."""
+        """Execute an action; returns an event."""
 
 
 def start_simulator(
@@ -84,9 +84,9 @@ def take_views(simulator: Simulator, folder: Path, *, settings: Mapping[str, Any
 
     Args:
         simulator: with the agent in the scene.
-        folder: what has been taken is kept there, and not taken again.
+        folder: for frames and moves; those that it has are not taken again.
         settings: ``scene``, ``step``, ``height`` and ``width`` as the simulator was started with, and whatever else
-            must be the same for a folder to be gone on with.
+            must be the same to continue in a folder.
 
     Returns:
         The positions that are left out, each with the reason.
@@ -124,13 +124,13 @@ def _reachable(simulator: Simulator, scene: str) -> dict[str, Position]:
     positions = metadata["actionReturn"]
     if not metadata["lastActionSuccess"] or not positions:
         raise SceneError(f"{scene}: AI2-THOR finds no reachable positions ({metadata['errorMessage'] or 'none'})")
-    # Coordinates come with float32 noise, of which a name must be free; adding zero makes -0.0 positive.
+    # Rounding removes the float32 noise of coordinates from the name; adding zero makes -0.0 positive.
     rounded = [{"y": p["y"], **{axis: round(p[axis], 3) + 0.0 for axis in "xz"}} for p in positions]
     return {f"{p['x']:.2f}_{p['z']:.2f}": p for p in sorted(rounded, key=lambda p: (p["x"], p["z"]))}
 
 
 def _check_plan(folder: Path, plan: dict[str, Any]) -> None:
-    """Note what is to be taken, or compare it with what the folder's earlier run noted."""
+    """Write the settings to the folder, or compare them with those of the folder's earlier run."""
     file = folder / PLAN
     if not file.is_file():
         (folder / "images").mkdir(parents=True, exist_ok=True)
@@ -231,7 +231,7 @@ def _place_at(metadata: Mapping[str, Any], places: dict[str, Position], step: fl
 
 
 def _teleport(simulator: Simulator, position: Position, heading: int) -> tuple[Any, str]:
-    """Put the agent somewhere; the event, and why it is not there (empty if it is)."""
+    """Teleport the agent; the event, and the reason for a failure (empty if there is none)."""
     turned = {"x": 0.0, "y": float(heading), "z": 0.0}
     event = simulator.step("Teleport", position=position, rotation=turned, horizon=0.0, standing=True)
     if not event.metadata["lastActionSuccess"]:
@@ -250,9 +250,9 @@ def _image(name: str, heading: int) -> str:
 
 @contextmanager
 def _simulator_errors(where: str) -> Iterator[None]:
-    """Within this context a crash of the simulator is told as one, with what to do."""
+    """Within this context a crash of the simulator is reported in one line, with what to do."""
     try:
         yield
     except (RuntimeError, TimeoutError, OSError) as error:  # those of ai2thor.controller
         reason = " ".join(str(error).split())[:200]
-        raise SceneError(f"{where}: AI2-THOR failed ({reason}); the same command goes on from here") from None
+        raise SceneError(f"{where}: AI2-THOR failed ({reason}); the same command continues from here") from None
