@@ -35,6 +35,7 @@ SHORTER = {
 """What makes the Python code of a page take seconds; it is otherwise run as it stands."""
 
 NOT_RUN = {
+    "any_goal.md": ["takes hours"],
     "gpu.md": ["needs CUDA"],
     "loggers.md": ["tensorboard is a server that does not end"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
