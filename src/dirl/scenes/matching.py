@@ -9,7 +9,7 @@ from torch import Tensor
 from dirl.scenes.world import World
 
 FRONT_THRESHOLD = 0.95
-"""Above which one photo matches: other places are more like a goal in one view than in four, see docs/results.md."""
+"""Above which one photo matches: other places are more like a goal in one view than in four, see docs/decisions.md."""
 
 
 def ncc(observation: Tensor, goal: Tensor) -> Tensor:
