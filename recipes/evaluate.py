@@ -8,7 +8,7 @@
 All options with their values: conf/evaluate/evaluate.yaml.
 """
 
-from dirl.config.start import start
+from dirl.config.start import run_main, start
 
 if __name__ == "__main__":
     start("evaluate")  # answers help and refuses options, before the imports below take their time
@@ -122,4 +122,4 @@ def run_folder(checkpoint: str) -> Path:
 
 
 if __name__ == "__main__":
-    main()
+    run_main(main)

@@ -8,7 +8,7 @@ A report is a folder: README.md with the tables, CSV files with the value of eve
 All options with their values: conf/report/report.yaml.
 """
 
-from dirl.config.start import start
+from dirl.config.start import run_main, start
 
 if __name__ == "__main__":
     start("report")  # answers help and refuses options, before the imports below take their time
@@ -126,4 +126,4 @@ def describe_runs(runs: list[Result]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    run_main(main)

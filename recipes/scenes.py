@@ -12,7 +12,7 @@
 All options of each command with their values: conf/scenes/<command>.yaml.
 """
 
-from dirl.config.start import start
+from dirl.config.start import run_main, start
 
 if __name__ == "__main__":
     command = start("scenes", __doc__)  # answers help and refuses options, before the imports below take their time
@@ -287,4 +287,4 @@ if __name__ == "__main__":
         with one_line_errors():
             COMMANDS[command](typed(composed))
 
-    main()
+    run_main(main)

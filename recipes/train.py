@@ -10,13 +10,12 @@
 All options with their values: conf/train.yaml and the groups beside it.
 """
 
-from dirl.config.start import start
+from dirl.config.start import run_main, start
 
 if __name__ == "__main__":
     start("train")  # answers help and refuses options, before the imports below take their time
 
 import json
-import os
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -317,6 +316,4 @@ def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra reports an error of the machine in many lines
-    with one_line_exits():
-        main()
+    run_main(main)

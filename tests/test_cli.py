@@ -17,7 +17,7 @@ def dirl(folder, *arguments, **environment):
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=3600,
         check=False,
         env=os.environ | environment,
     )

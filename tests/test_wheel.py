@@ -25,7 +25,7 @@ TINY = [
 def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", folder, ROOT], check=True, timeout=600)
+    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", folder, ROOT], check=True, timeout=3600)
     (file,) = folder.glob("*.whl")
     return file
 
@@ -35,7 +35,7 @@ def dirl(wheel, tmp_path_factory):
     """Run the installed ``dirl``, or a script, in one empty folder where nothing of the repository is found."""
     target, folder = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("empty")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "install", "--no-deps", "--target", target, wheel], check=True, timeout=600)
+    subprocess.run([*pip, "install", "--no-deps", "--target", target, wheel], check=True, timeout=3600)
 
     def run(*arguments, script=target / "bin" / "dirl"):
         done = subprocess.run(
@@ -44,7 +44,7 @@ def dirl(wheel, tmp_path_factory):
             env=os.environ | {"PYTHONPATH": str(target)},
             capture_output=True,
             text=True,
-            timeout=600,
+            timeout=3600,
             check=False,
         )
         assert done.returncode == 0, done.stderr

@@ -24,7 +24,7 @@ def test_gymnasium_make_leaves_the_start_method_of_processes_alone(tmp_path, cho
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=3600,
         check=False,
     )
     assert (done.returncode, done.stdout) == (0, f"{chosen}\n"), done.stderr

@@ -41,7 +41,7 @@ def run_program(folder, name, *arguments):
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=3600,
         check=False,
     )
     return done.returncode, done.stdout, done.stderr

@@ -70,12 +70,12 @@ class Child:
         """Send it a signal."""
         os.kill(self.pid, number)
 
-    def wait(self, timeout=120.0):
-        """Wait for its end; stop it after so many seconds of processor time, or ten times as many of the clock."""
+    def wait(self, timeout=120.0, patience=10):
+        """Wait for its end; stop it after so many processor seconds, or ``patience`` times as many of the clock."""
         began, ended = time.monotonic(), 0
         while not ended:
             ended, status = os.waitpid(self.pid, os.WNOHANG)
-            if not ended and (_processor_seconds(self.pid) > timeout or time.monotonic() - began > 10 * timeout):
+            if not ended and (_processor_seconds(self.pid) > timeout or time.monotonic() - began > patience * timeout):
                 self.kill()
                 os.waitpid(self.pid, 0)
                 return Ended(None, *self._texts())
@@ -91,9 +91,9 @@ class Child:
         return texts
 
 
-def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0):
-    """Run a recipe to its end."""
-    return Child(folder, name, *arguments, prepare=prepare).wait(timeout)
+def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0, patience=10):
+    """Run a recipe to its end, see `Child`."""
+    return Child(folder, name, *arguments, prepare=prepare).wait(timeout, patience)
 
 
 def warm_up(*names):

@@ -8,8 +8,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
+from hydra._internal.utils import get_args_parser
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, Override, QuotedString, Sweep
@@ -117,6 +118,7 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
     """
     if arguments and arguments[0] in ("-sc", "--shell-completion"):  # its install=bash is no option of a recipe
         return list(arguments)
+    _check_flags(arguments)
     known = option_types(schema)
     folders = [] if conf is None else [conf, *config_dirs(arguments)]
     sweeps = any(text in ("-m", "--multirun") for text in arguments)
@@ -142,14 +144,42 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
     return prepared
 
 
+def _check_flags(arguments: Sequence[str]) -> None:
+    """Raise `ConfigError` unless all is a flag that Hydra takes, or an option; itself it would print a usage."""
+
+    def refuse(message: str) -> NoReturn:
+        late = message.startswith("unrecognized arguments") and "=" in message and not message.count(" -")
+        hint = "flags such as -m come before options" if late else "--hydra-help tells the flags, --help the options"
+        raise ConfigError(f"{message}; {hint}")
+
+    parser = get_args_parser()
+    parser.error = refuse  # type: ignore[method-assign]
+    given = parser.parse_args([text for text in arguments if text != "--version"])
+    if given.experimental_rerun is not None:
+        raise ConfigError("--experimental-rerun: reads a pickle, which can run code; use resume=<the folder of a run>")
+    for text in given.overrides:
+        if text.startswith("=") or not any(sign in text for sign in "=~"):
+            raise ConfigError(f"{one_line(text) or 'an empty text'}: is not of the form name=value")
+    for folder in config_dirs(arguments):
+        if not folder.is_dir():
+            raise ConfigError(f"--config-dir {folder}: there is no such folder")
+
+
 def parsed(text: str) -> Override | None:
-    """An argument as an override; None if it is not one, or if Hydra itself refuses its form."""
-    if "=" not in text or text.startswith("-"):
+    """An argument as an override; None if it is a flag, or what follows one.
+
+    Raises:
+        ConfigError: it has another form than Hydra takes.
+    """
+    if text.startswith("-") or not any(sign in text for sign in "=~"):
         return None
     try:
         return OverridesParser.create().parse_override(text)
-    except HydraException:
-        return None
+    except HydraException as error:
+        place = one_line(str(error).splitlines()[0]).partition(" expecting ")[0]
+        raise ConfigError(
+            f"{one_line(text)}: is not of the form name=value ({place}); quote a text with such signs: 'name=\"...\"'"
+        ) from None
 
 
 def config_dirs(arguments: Sequence[str]) -> list[Path]:
@@ -217,6 +247,12 @@ def _check_value(schema: type, name: str, kind: Any, override: Override) -> None
             raise ConfigError(f"{name}={shown}: must be {in_words(kind)}") from None
 
 
+def one_line(text: str, most: int = 300) -> str:
+    """A text without line breaks and other control characters, cut in the middle if it is longer than ``most``."""
+    plain = "".join(sign if sign.isprintable() else " " for sign in " ".join(text.split()))
+    return plain if len(plain) <= most else f"{plain[: most // 2]} ... {plain[-most // 2 :]}"
+
+
 @contextmanager
 def job_errors(folder: Path) -> Iterator[None]:
     """Within this context an error of one job of a sweep is reported at once, with its folder; Hydra keeps it.
@@ -239,8 +275,8 @@ def one_line_errors(folder: Path | None = None) -> Iterator[None]:
     """
     try:
         yield
-    except ValueError as error:
+    except (ValueError, HydraException) as error:
         if folder is not None:
             with suppress(OSError):
                 os.removedirs(folder)
-        raise SystemExit(f"error: {error}") from None
+        raise SystemExit(f"error: {one_line(str(error), 2000)}") from None

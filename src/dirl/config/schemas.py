@@ -305,7 +305,7 @@ def typed(config: DictConfig) -> Any:
             if isinstance(value, DictConfig) and OmegaConf.get_type(value) is dict:  # plain, also what is interpolated
                 setattr(made, str(name), OmegaConf.to_container(value, resolve=True, enum_to_str=True))
     except OmegaConfBaseException as error:
-        raise ConfigError(str(error)) from None
+        raise ConfigError(f"{error.full_key or 'an option'}: {str(error).splitlines()[0]}") from None
     scene = OmegaConf.select(config, "scene")
     for one in scene if OmegaConf.is_list(scene) else [scene]:
         if one is not None and not isinstance(one, str):
@@ -314,7 +314,7 @@ def typed(config: DictConfig) -> Any:
         value = OmegaConf.select(config, name)
         if value is not None and value not in bounds:
             raise ConfigError(f"{name}={value}: must be {bounds}")
-    for name, value in leaves(OmegaConf.to_container(config)).items():
+    for name, value in leaves(OmegaConf.to_container(config, resolve=True)).items():
         if isinstance(value, float) and not math.isfinite(value):
             raise ConfigError(f"{name}={value}: must be a finite number")
     return made

@@ -2,14 +2,14 @@
 
 import contextlib
 import io
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import hydra
 from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from dirl.config.command_line import (
@@ -72,6 +72,17 @@ def start(recipe: str, text: str | None = None) -> str:
     return name
 
 
+def run_main(main: Callable[[], Any]) -> None:
+    """Run a recipe's function, decorated by Hydra; a refusal, or an error of the machine, ends it with one line.
+
+    Raises:
+        SystemExit: see `dirl.runs.exits`.
+    """
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells errors in many lines
+    with one_line_exits(), one_line_errors():
+        main()
+
+
 def configuration(recipe: str, name: str) -> str:
     """The configuration of a recipe, or of one of its commands, as a path below `CONF` without ending."""
     return f"{recipe}/{name}" if (CONF / recipe / f"{name}.yaml").is_file() else name
@@ -88,12 +99,11 @@ def check(config: str, arguments: Sequence[str]) -> list[str]:
 
 def _check_values(config: str, options: Sequence[str]) -> None:
     """Check the composed values of a single run; those of a sweep are checked job by job."""
-    if any(option.startswith("-") and not option.startswith(("--config-dir", "-cd")) for option in options):
+    if any(option.startswith(("--config-name", "-cn", "--config-path", "-cp")) for option in options):
         return
-    try:
-        composed = _compose(config, options)
-    except HydraException:
-        return  # Hydra itself says why
+    composed = _compose(config, options)
+    if any((found := parsed(option)) and found.is_sweep_override() for option in options):
+        return
     made = typed(composed)
     if isinstance(made, TrainConfig) and made.resume is None:
         from dirl.scenes.catalogue import find_rooms, find_scenes

@@ -20,6 +20,7 @@ from dirl.reporting.style import SYSTEM_COLORS, write_figure
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.folder import is_finished
+from dirl.texts import read_rows, read_text
 from dirl.training.load import Trained, load_trained
 
 NAMES = {
@@ -64,8 +65,7 @@ class Result:
 
     def table(self, stage: str) -> dict[str, NDArray[np.float64]]:
         """The columns of ``<stage>.csv``; an empty cell is NaN."""
-        with (self.folder / f"{stage}.csv").open(newline="") as lines:
-            rows = list(csv.DictReader(lines))
+        rows = read_rows(self.folder / f"{stage}.csv")
         return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]} if rows else {}
 
 
@@ -86,8 +86,8 @@ def finished_runs(folder: Path, hint: str) -> list[Result]:
     found = [
         Result(
             one,
-            read_config((one / "config.yaml").read_text(), origin=str(one / "config.yaml")),
-            json.loads((one / "summary.json").read_text()),
+            read_config(read_text(one / "config.yaml"), origin=str(one / "config.yaml")),
+            json.loads(read_text(one / "summary.json")),
         )
         for one in folders
         if one.name not in unfinished

@@ -1,6 +1,5 @@
 """The learning curve of a run, drawn from the files in its folder."""
 
-import csv
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from dirl.reporting.style import BLUE, GREEN, PURPLE, SKY, VERMILION, plain, write_figure
 from dirl.reporting.tables import run_title
+from dirl.texts import read_rows
 from dirl.training.progress import STABLE_ATL, WINDOW
 
 FloatArray = NDArray[np.float64]
@@ -160,6 +160,5 @@ def _columns(file: Path, *names: str) -> dict[str, FloatArray]:
     """Some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows."""
     if not file.is_file():
         return {name: np.empty(0) for name in names}
-    with file.open(newline="") as lines:
-        rows = list(csv.DictReader(lines))
+    rows = read_rows(file)
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

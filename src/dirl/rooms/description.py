@@ -15,6 +15,7 @@ from dirl.rooms.furniture import FURNITURE
 from dirl.rooms.options import check_keys, check_options, check_value
 from dirl.rooms.textures import TEXTURES
 from dirl.scenes.scene import SceneError
+from dirl.texts import read_text
 
 T = TypeVar("T")
 
@@ -156,9 +157,11 @@ def read_description(path: str | Path) -> RoomDescription:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error})") from None
+    except ValueError as error:
+        raise SceneError(str(error)) from None
     try:
         return parse_description(text)
     except SceneError as error:

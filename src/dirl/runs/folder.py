@@ -28,6 +28,7 @@ from dirl.runs.checks import RunError, check_progress
 from dirl.runs.locks import FolderLock, claim, config_file, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.scenes import World
+from dirl.texts import read_text
 
 SCHEMA = 2
 """Of configurations and checkpoints; 1 was dirl 0.1."""
@@ -241,7 +242,7 @@ def _go_on(folder: Path, config: TrainConfig) -> Run:
 def _config_text(folder: Path) -> str:
     """The text of a run's configuration file; nothing if it is missing, or empty as a full disk leaves it."""
     file = config_file(folder)
-    return file.read_text(encoding="utf-8", errors="replace").strip() if file.is_file() else ""
+    return read_text(file, errors="replace").strip() if file.is_file() else ""
 
 
 def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:

@@ -7,6 +7,7 @@ from typing import Any
 
 from dirl.atomic import atomic_path, write_json, write_text
 from dirl.runs.checks import RunError, check_header, check_plain
+from dirl.texts import read_text
 
 WEIGHTS, CONFIG, FACTS = "model.safetensors", "config.yaml", "dirl.json"
 """The files of such a folder: the weights by name, the run's configuration, and `KEYS`."""
@@ -51,9 +52,9 @@ def read_shared(folder: Path) -> dict[str, Any]:
     file = folder / WEIGHTS
     data = file.read_bytes()
     try:
-        facts = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+        facts = json.loads(read_text(folder / FACTS))
         state = {key: facts[key] for key in KEYS if key in facts}
-        state |= {"config": (folder / CONFIG).read_text(encoding="utf-8"), "network": load(data)}
+        state |= {"config": read_text(folder / CONFIG), "network": load(data)}
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{folder}: is no policy shared by dirl ({reason})") from None

@@ -14,6 +14,7 @@ from typing import Any, overload
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.read import Dump, read_dumps
 from dirl.scenes.scene import Scene, SceneError
+from dirl.texts import read_text
 
 INDEX = "collection.jsonl"
 
@@ -113,13 +114,20 @@ def read_collection(folder: str | Path) -> Collection:
     if not index.is_file():
         raise SceneError(f"{folder}: is no collection; it holds no {INDEX} (made by: scenes.py sample)")
     entries: dict[str, Entry] = {}
-    *lines, _ = index.read_text(encoding="utf-8", errors="replace").split("\n")  # what follows the last is unfinished
+    *lines, _ = _index_text(index).split("\n")  # what follows the last is unfinished
     for number, line in enumerate(lines, 1):
         if line.endswith(UNFINISHED) or not line:
             continue
         entry = _entry(line, f"{index}: line {number}")
         entries[entry.name] = entry
     return Collection(folder, tuple(sorted(entries.values(), key=lambda entry: (entry.seed, entry.kind))))
+
+
+def _index_text(index: Path) -> str:
+    try:
+        return read_text(index, errors="replace")
+    except ValueError as error:
+        raise SceneError(str(error)) from None
 
 
 UNFINISHED = "\0"

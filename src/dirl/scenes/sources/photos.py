@@ -31,6 +31,7 @@ from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import FORMATS, ImageError, encode, open_image
+from dirl.texts import read_text
 
 TABLE = "states.csv"
 REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
@@ -145,20 +146,23 @@ def _read_table(folder: Path) -> list[Row]:
     if not file.is_file():
         raise SceneError(f"{folder}: holds no {TABLE}; it has a row for each image: {','.join(REQUIRED)}")
     try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{file}: is not UTF-8 text ({error}); save it as CSV UTF-8") from None
+        text = read_text(file, encoding="utf-8-sig")
+    except ValueError as error:
+        raise SceneError(f"{error}; save it as CSV UTF-8") from None
     lines = text.splitlines()
     if not lines:
         raise SceneError(f"{file}: is empty; its first line names the columns: {','.join(REQUIRED)}")
     # Spreadsheets of countries with a decimal comma separate by semicolons.
     reader = csv.reader(lines, delimiter=";" if ";" in lines[0] and "," not in lines[0] else ",")
-    columns = [column.strip() for column in next(reader)]
-    _check_columns(columns, file)
     rows = []
-    for cells in reader:
-        if any(cell.strip() for cell in cells):
-            rows.append(_row(columns, [cell.strip() for cell in cells], f"{file}: line {reader.line_num}", folder))
+    try:
+        columns = [column.strip() for column in next(reader)]
+        _check_columns(columns, file)
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append(_row(columns, [cell.strip() for cell in cells], f"{file}: line {reader.line_num}", folder))
+    except csv.Error as error:
+        raise SceneError(f"{file}: line {reader.line_num}: is no line of a table ({error})") from None
     if not rows:
         raise SceneError(f"{file}: has no rows; each says where one image was taken")
     return rows

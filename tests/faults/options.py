@@ -1,0 +1,129 @@
+"""Start the recipes with hundreds of odd options: nothing may end in a traceback, in several lines, or hang.
+
+    nice python tests/faults/options.py count=500 seed=1
+
+Each case is a recipe with one to three options drawn by tests/helpers/options.py, run in a fork of a process that has
+everything imported, with a scene so small that what is accepted ends in seconds. What is still at work after `SECONDS`
+of processor time counts as accepted if it has printed or written anything. The same seed draws the same cases. With
+``log=file`` a run that was stopped goes on, and ``start=50`` begins in the middle, so that several can share the work.
+The exit status is 1 if a case did not end as it should; those are listed.
+"""
+
+import json
+import os
+import random
+import resource
+import shutil
+import sys
+import tempfile
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+
+os.environ |= {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1", "WANDB_MODE": "offline"}
+os.environ |= {"http_proxy": "http://127.0.0.1:9", "https_proxy": "http://127.0.0.1:9"}  # nothing is looked up outside
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+
+import numpy as np
+from commands import SHORT, room_file
+from forks import no_pictures, run, warm_up
+from options import command_line, draw_arguments, is_no_number, program
+from PIL import Image
+
+SECONDS, PATIENCE, MEMORY = 6.0, 100, 8 * 2**30
+
+TINY = [*SHORT, "reinforcement.frames_per_scene=60", "imitation.max_steps=2", "evaluation.times=0"]
+
+RECIPES = ("train",) * 10 + ("evaluate",) * 4 + ("report",) * 2
+RECIPES += ("thor", "photos", "build", "sample", "encode", "export", "import", "inspect")
+"""From which a case draws."""
+
+LINE, ACCEPTED, STOPPED = "one line", "accepted, done", "accepted, stopped"
+NO_NUMBER, TRACEBACK, LINES, CRASH, HANG = "ACCEPTED NO NUMBER", "TRACEBACK", "NOT ONE LINE", "CRASH", "HANG"
+FAILURES = (NO_NUMBER, TRACEBACK, LINES, CRASH, HANG)
+OUTCOMES = (LINE, ACCEPTED, STOPPED, *FAILURES)
+
+
+def make_files(folder):
+    """The scene, run and photographs that the cases use."""
+    room_file(folder)
+    photos = folder / "photos"
+    photos.mkdir()
+    rng = np.random.default_rng(0)
+    rows = ["image,location,heading,x,z,ahead"]
+    for state in range(8):
+        Image.fromarray(rng.integers(0, 256, (24, 32, 3), np.uint8)).save(photos / f"{state}.png")
+        ahead = "" if state % 4 or state > 3 else "4"
+        rows.append(f"{state}.png,{state // 4},{state % 4 * 90},{state // 4},0,{ahead}")
+    (photos / "states.csv").write_text("\n".join([*rows, ""]))
+    ended = run(folder, "train", f"scene={folder / 'room.h5'}", *SHORT, "hydra.run.dir=runs/fast/0")
+    assert ended.status == 0, ended.errors
+
+
+def prepare():
+    """In the child: no pictures, and little memory."""
+    no_pictures()
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+
+
+def outcome(ended, began, recipe, arguments):
+    """What came of a case; ``began``: it wrote a file or printed anything."""
+    if ended.status is None:
+        return STOPPED if began else HANG
+    if ended.status < 0:
+        return CRASH
+    if "Traceback" in ended.errors:
+        return TRACEBACK
+    if ended.status == 0:
+        return NO_NUMBER if any(is_no_number(recipe, one) for one in arguments) else ACCEPTED
+    return LINE if ended.status in (1, 2, 71, 74) and len(ended.told) == 1 else LINES
+
+
+def try_case(number, seed, files):
+    """Draw a case and run it; returns the number, the recipe, the drawn arguments, the outcome and the last lines."""
+    rng = random.Random(f"{seed}/{number}")
+    recipe = rng.choice(RECIPES)
+    arguments = draw_arguments(rng, recipe)
+    inside = files / "case" / "inside"  # what is written to .. stays in a folder of ours
+    inside.mkdir(parents=True)
+    words = command_line(recipe, arguments, files, TINY)
+    ended = run(inside, program(recipe), *words, prepare=prepare, timeout=SECONDS, patience=PATIENCE)
+    began = bool(ended.printed or ended.errors) or any(inside.iterdir())
+    shutil.rmtree(files / "case")
+    return number, recipe, arguments, outcome(ended, began, recipe, arguments), ended.told[-3:]
+
+
+def table(counts):
+    """Outcomes by recipe, Markdown."""
+    lines = ["| recipe | cases | " + " | ".join(OUTCOMES) + " |", "|---|" + "--:|" * (len(OUTCOMES) + 1)]
+    for recipe in [*dict.fromkeys(RECIPES), "all"]:
+        found = [sum(n for (r, o), n in counts.items() if o == what and recipe in (r, "all")) for what in OUTCOMES]
+        lines.append(f"| {recipe} | {sum(found)} | " + " | ".join(map(str, found)) + " |")
+    return "\n".join(lines)
+
+
+def main(count=500, seed=0, start=0, log=None):
+    """Try ``count`` cases; print the table; 1 if something went wrong."""
+    done = [json.loads(line) for line in Path(log).read_text().splitlines()] if log and Path(log).exists() else []
+    left = sorted(set(range(start, start + count)) - {number for number, *_ in done})
+    warm_up("train", "evaluate", "report", "scenes")
+    folder = Path(tempfile.mkdtemp())  # a TemporaryDirectory would be removed at the end of the first fork
+    try:
+        make_files(folder)
+        with open(log or os.devnull, "a", buffering=1) as stream:
+            for number in left:
+                done.append(try_case(number, seed, folder))
+                stream.write(json.dumps(done[-1]) + "\n")
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    print(f"{len(done)} cases, seed {seed}\n")
+    print(table(Counter((recipe, found) for _, recipe, _, found, _ in done)))
+    failed = [f"{what}: {recipe} {given}: {told}" for _, recipe, given, what, told in done if what in FAILURES]
+    print("\n".join(["", *(failed or ["no failures"])]))
+    return bool(failed)
+
+
+if __name__ == "__main__":
+    given = dict(argument.split("=") for argument in sys.argv[1:])
+    with suppress(BrokenPipeError):
+        sys.exit(main(**{key: value if key == "log" else int(value) for key, value in given.items()}))

@@ -1,0 +1,152 @@
+"""Options as users mistype them, drawn from the schemas and the groups of ``conf/``; by a random number generator."""
+
+import types
+from enum import Enum
+from typing import get_args
+
+from forks import ROOT
+
+from dirl.config.command_line import SCHEMAS, option_types
+
+CONF = ROOT / "conf"
+
+NOT_FINITE = ("nan", "inf", "-inf", "1e400", "-1e400")
+NUMBERS = (*NOT_FINITE, "-1", "0", "1", "2", "0.5", "-0.0", "1e-320", "1e15", "9" * 19, "9" * 40, "01", "0x10", "1_0")
+NESTED = ("[]", "[1]", "[a,b]", "[[1,[2]]]", "[null]", "{}", "{a:1}", "{a:{b:[1]}}", "{start:1,end:nan}", "{1:2}")
+SWEEPS = ("a,b", "1,2", "range(0,3)", "choice(1,2)", "glob(*)", "interval(0,1)", "shuffle(1,2)", "sort(2,1)")
+RESOLVED = ("${seed}", "${nope}", "${oc.env:HOME}", "${oc.env:NO_SUCH_VARIABLE}", "${oc.create:{a:1}}", "${now:%Y}")
+RESOLVED += ("???", "${", "${}", "${a.${b}}", "${oc.decode:'['}", "${run_folder:1}", "${..seed}", "a${seed}b")
+UNBALANCED = ("'", '"a', "'a", "[1", "{a:", "[", "}", ")", "(", "\\", "a:b", "a=b", "=", "a b", " ", "", "''", "','")
+TEXTS = ("nope", "all", "true", "no", "null", "~", "ünïcödé", "名前", "\u202eabc", "a\nb", "a\tb", "\x1b[31m", "%s{0}")
+TEXTS += (
+    "x" * 3000,
+    "..",
+    "../x",
+    "a/b/c.h5",
+    "x.h5",
+    "collection:x",
+    "every:0",
+    "share:nan",
+    "1:30",
+    "_target_",
+    "$x",
+)
+VALUES = NUMBERS + NESTED + SWEEPS + RESOLVED + UNBALANCED + TEXTS
+
+MALFORMED = ("=", "=5", "scene", "~scene", "~nope", "~seed=1", "+", "++", "~", "a.=1", ".a=1", "a..b=1", "a@b=c")
+MALFORMED += ("seed =1", "seed= 1", "seed==1", "1=2", "se ed=1", "[a]=1", "{}=1", "+seed=1", "++nope=1", "+nope=1")
+MALFORMED += ("scene.a=1", "seed.a=1", "scene[0]=1", "@=1", "hydra=1", "hydra.nope=1", "hydra/launcher=nope")
+MALFORMED += ("hydra.verbose=[", "hydra.job.chdir=x", "hydra.sweeper=1", "hydra/nope=x", "hydra.mode=nope", "ß=1")
+MALFORMED += ("--nope", "-x", "--config-dir=nope", "--config-name=nope", "--cfg=nope", "--cfg", "--info=nope", "-m")
+MALFORMED += ("--package=nope", "--experimental-rerun=nope", "--resolve", "", " ", "seed", "?seed=1", "seed:1")
+
+COMPONENTS = ("encoder.width", "encoder.nope", "encoder._target_", "encoder", "heads.width", "heads.nope.deep")
+COMPONENTS += ("memory._target_", "optimiser.lr", "optimiser.eps", "optimiser.betas", "optimiser._target_", "optimiser")
+COMPONENTS += ("losses.a2c.gamma", "losses.a2c.entropy_coeff", "losses.a2c.weight", "losses.nope.weight", "losses.a2c")
+COMPONENTS += ("losses.imitation.weight", "losses.a2c._target_", "policy._target_", "expert._target_", "expert.seed")
+COMPONENTS += ("observation._target_", "observation.goal_view", "episodic_memory._target_", "losses", "heads._target_")
+TARGETS = ("os.system", "nope", "nope.Nope", "torch.nn.Linear", "dirl.models.SiameseEncoder", "torch.optim.SGD")
+TARGETS += ("dirl.models.nope", "torch.nn.Identity", "dirl.experts.RandomPolicy", "a..b", ".", "builtins.eval", "5")
+
+
+def base(recipe, files, tiny=()):
+    """Arguments of a recipe, or a command of ``recipes/scenes.py``, that end well within a second or two.
+
+    Args:
+        recipe: a key of `SCHEMAS`.
+        files: the folder with ``room.h5``, a finished run ``runs/fast/0`` and ``photos``.
+        tiny: further options of a training.
+    """
+    room = f"scene={files / 'room.h5'}"
+    small = ["height=16", "width=16", "encoder=null"]
+    return {
+        "train": [room, *tiny, "hydra.run.dir=run"],
+        "evaluate": [f"checkpoint={files / 'runs' / 'fast' / '0'}"],
+        "report": ["experiment=table1", f"runs={files / 'runs'}", "out=report"],
+        "thor": ["scene=FloorPlan401", "out=new.h5", *small],
+        "photos": [f"folder={files / 'photos'}", "out=new.h5", *small],
+        "build": ["description=bathroom_02", "out=new.h5", *small, "fine=false", "workers=1"],
+        "sample": ["kind=bathroom", "out=rooms", *small, "fine=false", "workers=1", "sheet=false"],
+        "encode": [room, "out=new.h5", "encoder=resnet50_small"],
+        "export": [room, "out=new.h5"],
+        "import": [room, "out=new.h5"],
+        "inspect": [room],
+    }[recipe]
+
+
+def draw_arguments(rng, recipe):
+    """One to three arguments of a recipe, most of them wrong.
+
+    Args:
+        rng: a `random.Random`.
+        recipe: a key of `SCHEMAS`.
+    """
+    draws = [_any_value] * 8 + [_likely_value] * 4 + [_near_miss, _malformed] * 2
+    draws += [_component, _component, _choice, _choice] if recipe == "train" else []
+    drawn = [rng.choice(draws)(rng, recipe) for _ in range(rng.choice((1, 1, 1, 2, 3)))]
+    return sorted([*(["-m"] if rng.random() < 0.06 else []), *drawn], key=_is_no_flag)
+
+
+def _is_no_flag(argument):
+    return not argument.startswith("-")
+
+
+def program(recipe):
+    """The name of the program that a key of `SCHEMAS` is an option, or a command, of."""
+    return recipe if recipe in ("train", "evaluate", "report", "benchmark") else "scenes"
+
+
+def command_line(recipe, arguments, files, tiny=()):
+    """The arguments of a recipe's program: the command of ``recipes/scenes.py``, flags, `base`, and these."""
+    command = [recipe] if program(recipe) == "scenes" else []
+    return [*command, *sorted([*base(recipe, files, tiny), *arguments], key=_is_no_flag)]
+
+
+def is_no_number(recipe, argument):
+    """Whether an argument gives a number of the schema a value that is none."""
+    name, _, value = argument.partition("=")
+    return value in NOT_FINITE and bool({int, float} & set(_kinds(option_types(SCHEMAS[recipe]).get(name))))
+
+
+def _kinds(kind):
+    """The types that a type allows."""
+    return get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
+
+
+def _any_value(rng, recipe):
+    return f"{rng.choice(list(option_types(SCHEMAS[recipe])))}={rng.choice(VALUES)}"
+
+
+def _likely_value(rng, recipe):
+    """A value of the right type, which may be out of bounds."""
+    name, kind = rng.choice(list(option_types(SCHEMAS[recipe]).items()))
+    choices = {int: ("0", "1", "3", "17", "1000", "9" * 12), float: ("0", "1", "0.3", "-0.3", "1e6", "1e-9")}
+    choices |= {bool: ("true", "false"), str: ("x", "1", "x.h5", "room"), type(None): ("null",)}
+    likely = []
+    for one in _kinds(kind):
+        likely += list(one) if isinstance(one, type) and issubclass(one, Enum) else choices.get(one, ())
+    return f"{name}={rng.choice(likely or VALUES)}"
+
+
+def _near_miss(rng, recipe):
+    """The name of an option with a letter too few, too many or another."""
+    name = rng.choice(list(option_types(SCHEMAS[recipe])))
+    place = rng.randrange(len(name))
+    wrong = rng.choice(("", name[place] * 2, "x", ".", "_", name[place].upper(), "/", "-", "é"))
+    return f"{name[:place]}{wrong}{name[place + 1 :]}={rng.choice(VALUES)}"
+
+
+def _malformed(rng, recipe):
+    return rng.choice(MALFORMED)
+
+
+def _component(rng, recipe):
+    name = rng.choice(COMPONENTS)
+    return f"{rng.choice(('', '', '', '+', '++', '~'))}{name}={rng.choice(TARGETS if '_target_' in name else VALUES)}"
+
+
+def _choice(rng, recipe):
+    groups = {path.parent.name for path in CONF.glob("*/*.yaml")} - {"scenes", "evaluate", "report"}
+    group = rng.choice(sorted(groups))
+    known = sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+    return f"{group}={rng.choice([*known, *known, f'[{known[0]}]', *rng.sample(VALUES, 2)])}"
