@@ -93,7 +93,7 @@ class WandbLogger:
         import wandb
 
         self.run.summary.update(_finite(leaves(dict(summary))))
-        self.run.log({f"pictures/{file.stem}": wandb.Image(str(file)) for file in _pictures(folder)})
+        self.run.log({f"pictures/{file.stem}": _wandb_picture(file) for file in _pictures(folder)})
         facts = {name: value for name, value in summary.items() if not isinstance(value, Mapping)}
         artifact = wandb.Artifact(f"dirl-{self.run.id}", type="model", metadata=facts)
         for name in ("config.yaml", "summary.json", "network.pt"):
@@ -136,6 +136,17 @@ class TensorBoardLogger:
                 pixels = np.array(image.convert("RGB"))
             self.writer.add_image(f"pictures/{file.stem}", pixels, frames, dataformats="HWC")
         self.writer.close()
+
+
+def _wandb_picture(file: Path) -> Any:
+    """A picture or animation; given the file of one, ``wandb.Image`` would leave it open."""
+    import wandb
+    from PIL import Image
+
+    if file.suffix == ".gif":
+        return wandb.Video(str(file), format="gif")
+    with Image.open(file) as picture:
+        return wandb.Image(picture.convert("RGB"))
 
 
 def _wandb_mode() -> Literal["online", "offline"] | None:
