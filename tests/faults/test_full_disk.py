@@ -32,7 +32,7 @@ def test_a_full_disk_is_one_line_and_the_run_resumes_when_there_is_room(tmp_path
     status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={disk / 'run'}")
     (told,) = (line for line in errors.replace("\r", "\n").splitlines() if line and "frames/s" not in line)
     assert status == 74, errors
-    assert "No space left on device; make room on the disk; its last checkpoint is safe; go on with:" in told
+    assert "No space left on device; make room on the disk; its last checkpoint is safe; resume with:" in told
     assert training_checkpoints(disk / "run")
 
     assert resize("20m")
