@@ -150,7 +150,8 @@ def test_everything_is_shown_for_every_goal_but_the_goal_and_what_does_not_reach
 
 def test_a_demonstration_holds_the_experts_action_and_the_scene(world):
     shows = shown_by_expert(world, 1)
-    assert {key: value.dtype for key, value in shows.items()} == dict.fromkeys(DEMONSTRATED, torch.int64)
+    kinds = dict.fromkeys(DEMONSTRATED, torch.int64) | {"optimal_actions": torch.bool}
+    assert {key: value.dtype for key, value in shows.items()} == kinds
     goal_index = torch.tensor([world.goals.tolist().index(goal) for goal in shows["goal"].tolist()])
     assert torch.equal(shows["expert_action"], expert_action(world, goal_index, shows["state"]))
     assert torch.equal(shows["scene"], world.scene_of[shows["state"]])
@@ -216,7 +217,7 @@ def test_states_without_advice_are_not_demonstrated(world):
     fewer = demonstrations(world, silent_in(world, 3, 4, 25), SurroundingViews(world), 1)
     kept = ~torch.isin(everything["state"], torch.tensor([3, 4, 25]))
     assert (~kept).sum() == 2 + 2 + 1
-    assert (fewer == everything[kept]).all()
+    assert (fewer == everything[kept].select(*DEMONSTRATED)).all()
 
 
 def visited(world, goal_index, state, views=SurroundingViews):

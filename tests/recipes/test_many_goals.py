@@ -77,7 +77,8 @@ def test_a_policy_for_any_goal_is_trained_by_imitation_of_drawn_pairs(any_goal):
     with (any_goal / "run" / "imitation.csv").open() as lines:
         rows = list(csv.DictReader(lines))
     assert len(rows) == 40
-    assert float(rows[-1]["loss"]) < 0.95 * float(rows[0]["loss"])
+    losses = [float(row["loss"]) for row in rows]
+    assert sum(losses[-10:]) < sum(losses[:10])
 
 
 def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
