@@ -125,7 +125,7 @@ def test_a_file_is_not_overwritten(tmp_path):
 
 def test_the_shipped_rooms_are_the_ones_in_the_manifest():
     manifest = dict(reversed(line.split("  ")) for line in (ROOMS / "SHA256SUMS").read_text().splitlines())
-    assert sorted(manifest) == [f"{name}.h5" for name in built_in_rooms()]
+    assert sorted(manifest) == sorted(f"{name}.{kind}" for name in built_in_rooms() for kind in ("h5", "patches.npy"))
     for name, digest in manifest.items():
         assert hashlib.sha256((ROOMS / name).read_bytes()).hexdigest() == digest, name
 
