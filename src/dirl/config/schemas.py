@@ -286,6 +286,7 @@ LIMITS: Mapping[str, Bounds] = {
     "goal": Bounds(0),
     "count": Bounds(1),
     "step": Bounds(0.05, 10),
+    "turn": Bounds(1, 360),
     "height": Bounds(16, 4096),
     "width": Bounds(16, 4096),
     "field_of_view": Bounds(10, 150),
