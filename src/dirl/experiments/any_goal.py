@@ -3,7 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 from matplotlib.figure import Figure
 from torch import Tensor, nn
@@ -19,9 +21,13 @@ from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, plain
 from dirl.scenes import World
 from dirl.scenes.matching import TemplateStop
+from dirl.training.build import build_goals
 
 FOUR, PHOTO = "four views of the goal", "one photo of the goal"
-FAR = ((1, 4), (5, 9), (10, 10_000))
+UNREACHED = 10_000
+"""More steps than any path has."""
+
+FAR = ((1, 4), (5, 9), (10, UNREACHED))
 """Fewest steps from start to goal, in which episodes are told apart."""
 
 DRAWN = {
@@ -185,7 +191,7 @@ def _by_trained(runs: Sequence[Result], found: Sequence[tuple[World, Mapping[str
     table.columns = (*table.columns, Column("SPL, four views", ".3f"), Column("SPL, one photo", ".3f"))
     rows: dict[int, list[tuple[int, float, float, float]]] = {}
     for run, (world, episodes) in zip(runs, found, strict=True):
-        nearest = nearest_trained(run, world)
+        nearest = nearest_trained(run.config, world)
         for distance in nearest.unique().tolist():
             chosen = nearest == distance
             four, one = (metrics(episodes[way].select(chosen[episodes[way].goal_index])) for way in (FOUR, PHOTO))
@@ -195,15 +201,14 @@ def _by_trained(runs: Sequence[Result], found: Sequence[tuple[World, Mapping[str
     return table
 
 
-def nearest_trained(run: Result, world: World) -> Tensor:
+def nearest_trained(config: TrainConfig, world: World) -> Tensor:
     """The fewest steps from each held-out goal to a trained one of its scene, int64 ``[G]``."""
-    trained = run.load().protocol.world
+    trained: Any = build_goals(config, world.scenes).trained
     found = torch.zeros(len(world.goals), dtype=torch.int64)
     for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
         own = world.goals_in(index)
-        goals = (trained.goals[trained.goals_in(index)] - offset).tolist()
-        distances = torch.from_numpy(scene.distances[(world.goals[own] - offset).numpy()][:, goals].copy()).long()
-        found[own] = torch.where(distances < 0, 10_000, distances).min(1).values
+        distances = scene.distances[np.ix_((world.goals[own] - offset).numpy(), trained[scene.name])]
+        found[own] = torch.from_numpy(np.where(distances < 0, UNREACHED, distances).min(1)).long()
     return found
 
 
