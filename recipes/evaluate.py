@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from dirl.atomic import write_json, write_text
+from dirl.config.choices import goal_view_options, group_options
 from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF
-from dirl.config.schemas import ConfigError, EvaluateConfig, leaves, typed
+from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation import assess
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
@@ -51,10 +52,10 @@ def main(composed: DictConfig) -> None:
             "device": options.device,
             "seed": options.seed,
             "stop.evaluation": options.stop,
-            **goal_view(options.goal_view),
+            **goal_view_options(options.goal_view),
             "stop.threshold": options.threshold,
             "stop.match": options.match,
-            "episodic_memory": group("episodic_memory", options.episodic_memory),
+            "episodic_memory": group_options("episodic_memory", options.episodic_memory),
             "evaluation.starts": options.starts,
             "evaluation.episodes_per_goal": options.episodes_per_goal,
             "evaluation.max_steps": options.max_steps,
@@ -77,26 +78,6 @@ def main(composed: DictConfig) -> None:
         replaced = " (in place of the one before)" if file.exists() else ""
         write_text(file, page)
         print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
-
-
-def group(name: str, choice: str | None) -> dict[str, Any] | None:
-    """The options of a choice of a group of ``conf/``; None if nothing is chosen."""
-    if choice is None:
-        return None
-    file = CONF / name / f"{choice}.yaml"
-    choices = sorted(path.stem for path in file.parent.glob("*.yaml"))
-    if choice not in choices:
-        raise ConfigError(f"{name}={choice}: choose from {', '.join(choices)}")
-    options: Any = OmegaConf.to_container(OmegaConf.load(file))
-    return dict(options)
-
-
-def goal_view(choice: str | None) -> dict[str, Any]:
-    """The options by which goals are shown, by dotted name, see ``conf/goal_view``."""
-    found = leaves(group("goal_view", choice) or {})
-    if choice == "surrounding":
-        found |= {"observation.goal_view": "surrounding", "stop.match": "views", "stop.threshold": 0.9}
-    return found
 
 
 def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:

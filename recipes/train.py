@@ -35,7 +35,7 @@ from dirl.config.components import check_components
 from dirl.config.places import CONF
 from dirl.config.schemas import Precision, TrainConfig, typed
 from dirl.evaluation import EvaluationProtocol, assess, mean_shortest, metrics
-from dirl.experts import label, merge_demonstrations
+from dirl.experts import label
 from dirl.models import caching, count_parameters, noisy, plain_weights, recurrent_keys
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.exits import interruptible, leave, one_line_exits
@@ -61,7 +61,6 @@ from dirl.training.build import (
 )
 from dirl.training.losses import (
     Advantages,
-    Demonstrations,
     Losses,
     clip_gradients,
     demonstration_batches,
@@ -69,7 +68,7 @@ from dirl.training.losses import (
     set_learning_rate,
     total_loss,
 )
-from dirl.training.pairs import DrawnPairs
+from dirl.training.pairs import Demonstrations, with_labels
 from dirl.training.progress import EpisodeMeter, due, is_done
 from dirl.training.rollout import Update, collect, summarise
 from dirl.training.state import Record, TrainState
@@ -204,9 +203,7 @@ def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: Demons
     for number in range(1, options.rounds + 1):
         batch, agents = collect(env, operator, agents, options.walk_steps)
         frames += batch.numel()
-        labelled = label(expert, batch.reshape(-1))
-        pairs = isinstance(demos, DrawnPairs)
-        demos = demos.with_visited(labelled) if pairs else merge_demonstrations(demos, labelled)
+        demos = with_labels(demos, label(expert, batch.reshape(-1)))
         done = imitate(run, policy, demos, done)
         row = {"round": number, "frames": frames, "labels": len(demos)}
         run.write("dagger", number, row | metrics(protocol.run(policy)))

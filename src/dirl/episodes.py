@@ -127,8 +127,9 @@ def run_episodes(
                 before, going = walk.state, _take_step(walk, act, world, episodes, stop, step)
                 if watch is not None:
                     watch(walk.episode, walk.state)
-                bar.update(len(going) - int(going.sum()))
-                if not going.any():
+                left = int(going.sum())
+                bar.update(len(going) - left)
+                if not left:
                     break
                 if recall:
                     recall.record(before, walk.action, walk.state, going)

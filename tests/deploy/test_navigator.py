@@ -2,6 +2,7 @@ import copy
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from dirl.deploy.navigator import NavigatorError
 from dirl.deploy.onnx import export_onnx
 from dirl.episodes import every_start
 from dirl.evaluation import EvaluationProtocol
-from dirl.models import recurrent_keys
+from dirl.models import EpisodicMemory, recurrent_keys
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.scenes.matching import TemplateStop
 
@@ -60,6 +61,29 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observatio
                 action, stopped, _ = navigator.act(see(state))
             assert walked == paths[episode]
             assert stopped == bool(stop[world.pair(starts[0][episode], state)])
+
+
+@pytest.mark.parametrize("goal_view", ["surrounding", "front"])
+def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path, goal_view):
+    world = rooms()
+    options = [f"goal_view={goal_view}", "episodic_memory=counts", "episodic_memory.penalty=1"]
+    policy, seen = trained(tmp_path, world, *options)
+    memory = EpisodicMemory(penalty=1.0)
+    starts = every_start(world)
+    protocol = EvaluationProtocol(world, seen, starts, max_steps=25, memory=memory)
+    _, paths = protocol.trajectories(policy, starts)
+    _, alone = replace(protocol, memory=None).trajectories(policy, starts)
+    assert paths != alone
+    navigator = load(tmp_path, world)
+    for episode in range(0, len(paths), 5):
+        goal, state = int(world.goals[starts[0][episode]]), starts[1][episode]
+        navigator.reset(images_of(goal if goal_view == "front" else world.surrounding[goal]))
+        walked = [int(state)]
+        while walked[-1] != goal and len(walked) <= 25:
+            state = world.graph[state, navigator.act(images_of(world.surrounding[state])).action]
+            walked.append(int(state))
+        assert walked == paths[episode]
+        assert bool(navigator.act(images_of(world.surrounding[goal])).stop)
 
 
 @pytest.fixture

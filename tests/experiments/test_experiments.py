@@ -11,16 +11,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from commands import TINY, room_file, run_program, run_recipe, start_recipe
+from commands import TINY, room_file, run_program, run_recipe, start_recipe, train_config
 from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
-from dirl.experiments.any_goal import ambiguous, wrong_goals
+from dirl.experiments.any_goal import ambiguous, nearest_trained, wrong_goals
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.results import published
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
 from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
 from dirl.scenes import load_scenes, make_world, write_dump
+from dirl.scenes.collection import Entry, add_entry
+from dirl.scenes.goals import choose_goals
+from dirl.scenes.io.digest import file_digest
 from dirl.scenes.views import encode
 
 SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.fraction="))]
@@ -336,3 +339,37 @@ def test_a_photo_that_another_view_matches_is_ambiguous():
     features[7] = features[13] + 1e-4
     world = make_world([replace(scene, features=features)])
     assert ambiguous(world, 0.95).tolist() == [False, True]
+
+
+def test_the_nearest_trained_goal_is_of_all_that_were_trained():
+    """Whatever the share of goals that the run itself was evaluated on."""
+    world = make_world([grid_scene(goals=(0, 13))])
+    config = train_config("system=any_goal", "hold_out=0.34", "evaluation.goals=1", "seed=3")
+    chosen = choose_goals(world.scenes, "all", 0.34, 3)
+    held_out = world.with_goals(chosen.held_out)
+    wanted = [
+        min(int(world.scenes[0].distances[goal, other]) for other in chosen.trained["grid"])
+        for goal in held_out.goals.tolist()
+    ]
+    assert nearest_trained(config, held_out).tolist() == wanted
+
+
+def test_rooms_that_no_training_saw_are_reported(tmp_path):
+    """Two rooms of a collection are trained on, two tested."""
+    for seed, split in enumerate(["train", "train", "test", "test"]):
+        name = f"room_{seed}"
+        file = tmp_path / "rooms" / f"{name}.h5"
+        file.parent.mkdir(exist_ok=True)
+        write_dump(file, grid_scene(name=name, goals=(0,), feature_width=32, seed=seed, patches=True))
+        add_entry(file.parent, Entry(name, "bathroom", seed, split, 24, {}, {}, file_digest(file)))
+    options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32", "rooms=1,2"]
+    options += ["imitation.batch_size=64", "imitation.max_steps=5", "imitation.scenes_at_once=1", "seed=0"]
+    status, _, errors = run_recipe(tmp_path, "train", "-m", "experiment=unseen_rooms", *options)
+    assert status == 0, errors
+    status, printed, errors = run_recipe(tmp_path, "report", "experiment=unseen_rooms", "out=report")
+    assert status == 0, errors
+    assert "Tested in 2 rooms of the test split" in printed
+    rows = {row["walks by"]: row for row in rows_of(tmp_path / "report" / "unseen_rooms.csv")}
+    assert float(rows["shortest path"]["SPL"]) == 1.0
+    curve = rows_of(tmp_path / "report" / "unseen_rooms_by_training.csv")
+    assert list(dict.fromkeys(row["training rooms"] for row in curve)) == ["1", "2"]

@@ -21,7 +21,7 @@ PATCH_SIZE = (96, 128)
 CELLS = (2, 4)
 """Rows and columns."""
 
-PATCH_SHAPE = (8, 96)
+PATCH_SHAPE = (CELLS[0] * CELLS[1], 96)
 """Patches of a view, and channels of a patch."""
 
 PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"

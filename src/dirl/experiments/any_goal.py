@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from dirl.config.choices import goal_view_options
 from dirl.config.components import TARGET
 from dirl.config.schemas import TrainConfig
 from dirl.episodes import Episodes, sampled_starts, shortest_episodes
@@ -40,13 +41,6 @@ DRAWN = {
 }
 """What the figure shows, and in which colour."""
 
-ONE_PHOTO = {
-    "observation.goal_view": "front",
-    "stop.match": "front",
-    "stop.threshold": 0.95,
-}
-"""As conf/goal_view/front.yaml."""
-
 STARTS = 20
 """Of each goal in the controls."""
 
@@ -74,7 +68,7 @@ def ambiguous(world: World, threshold: float) -> Tensor:
 def walked(run: Result) -> tuple[World, dict[str, Episodes]]:
     """Episodes from every start to every goal that was held out, by what walked them."""
     config, policy, protocol = run.load(ALL)
-    _, by_photo, photo = run.load(ALL | ONE_PHOTO)
+    _, by_photo, photo = run.load(ALL | goal_view_options("front"))
     assert protocol.held_out is not None
     assert photo.held_out is not None
     starts = sampled_starts(protocol.held_out.world, STARTS, config.seed)
@@ -173,13 +167,14 @@ def _by_distance(found: Sequence[tuple[World, Mapping[str, Episodes]]], ways: Se
     for way in ways:
         cells = []
         for low, high in FAR:
-            inside = [_within(episodes[way], low, high) for _, episodes in found]
+            inside = [within(episodes[way], low, high) for _, episodes in found]
             cells.append([metrics(one)["spl"] for one in inside])
         table.add(way, *cells)
     return table
 
 
-def _within(episodes: Episodes, low: int, high: int) -> Episodes:
+def within(episodes: Episodes, low: int, high: int) -> Episodes:
+    """Those that begin so many steps from their goal, both limits included."""
     return episodes.select((episodes.shortest >= low) & (episodes.shortest <= high))
 
 
@@ -243,7 +238,7 @@ def _draw(found: Sequence[tuple[World, Mapping[str, Episodes]]], out: Path) -> N
     for axes, key in zip(panels, ("sr", "spl"), strict=True):
         for way, color in DRAWN.items():
             values = [
-                [metrics(_within(episodes[way], low, low + edges[1] - edges[0] - 1))[key] for low in edges]
+                [metrics(within(episodes[way], low, low + edges[1] - edges[0] - 1))[key] for low in edges]
                 for _, episodes in found
             ]
             low, high = bootstrap_interval(values)

@@ -94,7 +94,8 @@ def finished_runs(folder: Path, hint: str) -> list[Result]:
     ]
     if not found:
         raise RunError(f"{folder}: holds no finished run; make some by: {hint}")
-    scenes = {str(result.summary["scene"]) for result in found}
+    # Of a collection, experiments compare runs that have more rooms with runs that have fewer.
+    scenes = {str(one.config.scene if one.config.split else one.summary["scene"]) for one in found}
     if len(scenes) > 1:
         raise RunError(f"{folder}: holds runs of different scenes, {' and '.join(sorted(scenes))}; report them apart")
     return found
@@ -172,7 +173,8 @@ class Table:
             for row in self.rows:
                 runs = max((len(cell) for cell in row if isinstance(cell, list)), default=1)
                 for run in range(runs):
-                    cells = [cell[run] if isinstance(cell, list) else cell for cell in row]
+                    # Lists may be shorter: not every room has episodes of every distance.
+                    cells = [([*cell, *[None] * runs][run]) if isinstance(cell, list) else cell for cell in row]
                     writer.writerow([*("" if cell is None else cell for cell in cells), run])
 
 

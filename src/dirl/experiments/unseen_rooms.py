@@ -10,11 +10,12 @@ from matplotlib.figure import Figure
 from torch import Tensor
 from tqdm import tqdm
 
+from dirl.config.choices import goal_view_options
 from dirl.episodes import Episodes
 from dirl.evaluation import EvaluationProtocol, metrics
-from dirl.experiments.any_goal import DRAWN, FAR, FOUR, MEASURES, ONE_PHOTO, PHOTO, walked_by
+from dirl.experiments.any_goal import DRAWN, FAR, FOUR, MEASURES, PHOTO, walked_by, within
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
-from dirl.reporting.statistics import bootstrap_interval
+from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
 from dirl.scenes import World
 
@@ -49,7 +50,7 @@ def drawn_starts(world: World, seed: int = 0) -> tuple[Tensor, Tensor]:
 def tested(run: Result) -> tuple[World, dict[str, Episodes]]:
     """Episodes in the test rooms of the collection that a run was trained on, by what walked them."""
     config, policy, protocol = run.load(TESTED)
-    _, by_photo, photo = run.load({**TESTED, **ONE_PHOTO})
+    _, by_photo, photo = run.load({**TESTED, **goal_view_options("front")})
     starts = drawn_starts(protocol.world)
     four, one = (_from(starts, conditions) for conditions in (protocol, photo))
     return protocol.world, walked_by(policy, four, by_photo, one, config.stop.threshold, starts)
@@ -87,7 +88,7 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
     far = Table(Column("SPL, walks by"), *(Column(f"{low} steps and more", ".3f") for low, _ in FAR))
     for way in most[0][1]:
         table.add(way, len(most), *(_rooms(most, way, key) for key in MEASURES))
-        parts = [[(one, {way: _within(episodes[way], *limits)}) for one, episodes in most] for limits in FAR]
+        parts = [[(one, {way: within(episodes[way], *limits)}) for one, episodes in most] for limits in FAR]
         far.add(way, *(_rooms(part, way, "spl") for part in parts))
     curve = Table(Column("training rooms", "d"), Column("runs", "d"), *_curve_columns())
     for count, runs in found.items():
@@ -96,8 +97,8 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
     _draw(most, out)
     text = (
         f"{note}\n\nTested in {len(world.scenes)} rooms of the test split, which no training saw: {STARTS} episodes of "
-        f"each room and distance, at most {MAX_STEPS} steps, stop by template matching. Of several numbers: mean "
-        "over rooms and, in brackets, its 95 % bootstrap interval over rooms."
+        f"each room and distance, at most {MAX_STEPS} steps, stop by template matching. Of several numbers: interquartile "
+        "mean over rooms and, in brackets, its 95 % bootstrap interval over rooms."
     )
     tables = {"unseen_rooms": table, "unseen_rooms_by_start": far, "unseen_rooms_by_training": curve}
     return write_tables(out, "Rooms never seen", text, tables, ["unseen_rooms"])
@@ -105,10 +106,6 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
 
 def _curve_columns() -> list[Column]:
     return [Column(f"{name}, {way}", ".3f") for way in (FOUR, PHOTO) for name in ("SR", "SPL")]
-
-
-def _within(episodes: Episodes, low: int, high: int) -> Episodes:
-    return episodes.select((episodes.shortest >= low) & (episodes.shortest <= high))
 
 
 def _rooms(found: Sequence[tuple[World, Mapping[str, Episodes]]], way: str, key: str) -> list[float]:
@@ -119,7 +116,7 @@ def _rooms(found: Sequence[tuple[World, Mapping[str, Episodes]]], way: str, key:
 
 
 def _draw(found: Sequence[tuple[World, Mapping[str, Episodes]]], out: Path) -> None:
-    """SR and SPL of each way, the mean over rooms with its interval."""
+    """SR and SPL of each way, the interquartile mean over rooms with its interval."""
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
     places = list(range(len(DRAWN)))[::-1]
@@ -128,7 +125,7 @@ def _draw(found: Sequence[tuple[World, Mapping[str, Episodes]]], out: Path) -> N
             values = _rooms(found, way, key)
             low, high = bootstrap_interval(values)
             axes.plot([low, high], [place, place], color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
-            axes.plot(sum(values) / len(values), place, "o", color=color)
+            axes.plot(iqm(values), place, "o", color=color)
         axes.set_yticks(places, list(DRAWN))
         axes.set(xlabel=MEASURES[key], xlim=(-0.04, 1.04))
         plain(axes)

@@ -1,5 +1,6 @@
 """The frozen backbone, as the table of its outputs: what is known of a view without computing anything."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -63,8 +64,7 @@ class FeatureTable(nn.Module):
         self.table = self._computed()
 
     def _computed(self) -> Tensor:
-        parts = [self.standardise(rows) for rows in self.features.split(ROWS_AT_ONCE)] or [self.features]
-        known = torch.cat(parts) if len(parts) > 1 else parts[0]
+        known = torch.cat([self.standardise(rows) for rows in self.features.split(ROWS_AT_ONCE)])
         if self.patches is not None:
             known = torch.cat([known, self.patches.flatten(1).to(known)], 1)
         return torch.cat([known, known.new_zeros(1, known.shape[1])])
@@ -76,7 +76,7 @@ class FeatureTable(nn.Module):
     @property
     def inputs(self) -> int:
         """The number of features of a view as the backbone gives it, D and those of its patches."""
-        return self.features.shape[1] + (0 if self.patches is None else self.patches[0:0].flatten(1).shape[1])
+        return self.features.shape[1] + (0 if self.patches is None else math.prod(self.patches.shape[1:]))
 
     @property
     def width(self) -> int:

@@ -1,10 +1,13 @@
 """Behaviour cloning as TorchRL losses (paper section 3.3)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, dispatch
+from torch import Tensor
+from torch.distributions import Categorical
 from torchrl.objectives import LossModule
 
 
@@ -25,8 +28,8 @@ class ImitationLoss(LossModule):
     class _AcceptedKeys:
         expert_action: NestedKey = "expert_action"
 
-    default_keys = _AcceptedKeys
-    tensor_keys: _AcceptedKeys
+    default_keys: Any = _AcceptedKeys
+    tensor_keys: Any
     out_keys = ("loss_imitation", "accuracy")
     functional = False
 
@@ -38,7 +41,7 @@ class ImitationLoss(LossModule):
     @property
     def in_keys(self) -> list[NestedKey]:
         """What the loss reads."""
-        return [self.tensor_keys.expert_action, *self.actor_network.in_keys]
+        return [*vars(self.tensor_keys).values(), *self.actor_network.in_keys]
 
     def _forward_value_estimator_keys(self, **_: object) -> None:
         """There is no value estimator."""
@@ -47,24 +50,23 @@ class ImitationLoss(LossModule):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The loss of a batch of demonstrations, see the class."""
         dist = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys))
-        expert = tensordict.get(self.tensor_keys.expert_action)
-        loss = self._reduce_loss(-dist.log_prob(expert), tensordict)
-        accuracy = (dist.mode == expert).float().mean()
-        return TensorDict({"loss_imitation": loss, "accuracy": accuracy})
+        log_chance, right = self._compare(dist, tensordict.get(self.in_keys[0]))
+        loss = self._reduce_loss(-log_chance, tensordict)
+        return TensorDict({"loss_imitation": loss, "accuracy": right.float().mean()})
+
+    def _compare(self, dist: Categorical, expert: Tensor) -> tuple[Tensor, Tensor]:
+        """Of each row the log-probability of what the expert says, and whether the most probable action is right."""
+        return dist.log_prob(expert), dist.mode == expert
 
 
-class OptimalActionsLoss(LossModule):
+class OptimalActionsLoss(ImitationLoss):
     """Negative log-probability that the actor takes any of the optimal actions.
 
     Often several actions begin a shortest path. The cross-entropy with one of them (`ImitationLoss`) penalises the
     others; this loss leaves the choice to the actor, and is 0 once it takes optimal actions only.
 
-    Args:
-        actor: as for `ImitationLoss`.
-        reduction: ``mean``, ``sum`` or ``none``.
-
-    Returns of ``forward``: ``loss_imitation`` (scalar) and ``accuracy``, the share of rows in which the most probable
-    action is optimal. In keys are the actor's and ``optimal_actions``, bool ``[B, A]``.
+    Args and returns are those of `ImitationLoss`; ``accuracy`` is the share of rows in which the most probable action
+    is optimal. In keys are the actor's and ``optimal_actions``, bool ``[B, A]``.
     """
 
     @dataclass
@@ -72,29 +74,7 @@ class OptimalActionsLoss(LossModule):
         optimal_actions: NestedKey = "optimal_actions"
 
     default_keys = _AcceptedKeys
-    tensor_keys: _AcceptedKeys
-    out_keys = ("loss_imitation", "accuracy")
-    functional = False
 
-    def __init__(self, actor: ProbabilisticTensorDictSequential, *, reduction: str = "mean") -> None:
-        super().__init__()
-        self.actor_network = actor
-        self.reduction = reduction
-
-    @property
-    def in_keys(self) -> list[NestedKey]:
-        """What the loss reads."""
-        return [self.tensor_keys.optimal_actions, *self.actor_network.in_keys]
-
-    def _forward_value_estimator_keys(self, **_: object) -> None:
-        """There is no value estimator."""
-
-    @dispatch
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The loss of a batch of demonstrations, see the class."""
-        dist = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys))
-        optimal = tensordict.get(self.tensor_keys.optimal_actions)
-        chances = dist.logits.log_softmax(-1).masked_fill(~optimal, -torch.inf).logsumexp(-1)
-        loss = self._reduce_loss(-chances, tensordict)
-        accuracy = optimal.gather(-1, dist.mode.unsqueeze(-1)).float().mean()
-        return TensorDict({"loss_imitation": loss, "accuracy": accuracy})
+    def _compare(self, dist: Categorical, expert: Tensor) -> tuple[Tensor, Tensor]:
+        log_chance = dist.logits.log_softmax(-1).masked_fill(~expert, -torch.inf).logsumexp(-1)
+        return log_chance, expert.gather(-1, dist.mode.unsqueeze(-1))

@@ -26,8 +26,8 @@ from dirl.scenes import ACTIONS, Scene, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.matching import TemplateStop
 from dirl.scenes.world import Goals
-from dirl.training.losses import Demonstrations, Losses, ScheduledLoss
-from dirl.training.pairs import DrawnPairs
+from dirl.training.losses import Losses, ScheduledLoss
+from dirl.training.pairs import Demonstrations, DrawnPairs
 
 
 def build_world(config: TrainConfig) -> World:

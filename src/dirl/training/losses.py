@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,13 +15,10 @@ from dirl.config.schemas import ConfigError, Schedule
 from dirl.models import initial_state, recurrent_keys
 from dirl.objectives import bootstrap, clip_each
 from dirl.objectives.reinforcement import make_advantages
-from dirl.training.pairs import DrawnPairs
+from dirl.training.pairs import Demonstrations, DrawnPairs
 
 EXPERT = {"expert_action", "optimal_actions"}
 """A loss that reads one of these keys is computed on demonstrations; every other one on rollouts."""
-
-Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
-"""Rows ``[M]``, see `dirl.experts.demonstrations`, or pairs that are drawn."""
 
 FULL_BATCH = 20_000
 """Demonstrations that an update learns from all together, unless ``imitation.batch_size`` says otherwise."""

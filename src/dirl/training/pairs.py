@@ -1,5 +1,8 @@
 """Demonstrations of many goals: pairs of a state and a goal, drawn when they are needed."""
 
+import copy
+from typing import TypeAlias
+
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -7,7 +10,7 @@ from torch import Tensor
 
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import front_only
-from dirl.experts import label
+from dirl.experts import label, merge_demonstrations
 from dirl.scenes import World
 
 
@@ -25,7 +28,6 @@ class DrawnPairs:
         scenes_at_once: of how many scenes, drawn anew, the pairs of an update are, so that few observations are
             embedded for it where there are hundreds of scenes; all of them if None.
         front_only: the share of pairs whose goal is given by its front view alone, so that a policy learns both.
-        visited: labelled states that the learner came to, ``[M]``; half of each draw is taken from them (DAgger).
     """
 
     def __init__(
@@ -36,10 +38,11 @@ class DrawnPairs:
         shown: Tensor,
         front_only: float = 0.0,
         scenes_at_once: int | None = None,
-        visited: TensorDictBase | None = None,
     ) -> None:
-        self.world, self.expert, self.observation, self.visited = world, expert, observation, visited
-        self.shown, self.front_only, self.scenes_at_once = shown, front_only, scenes_at_once
+        self.world, self.expert, self.observation = world, expert, observation
+        self.front_only, self.scenes_at_once = front_only, scenes_at_once
+        self.visited: TensorDictBase | None = None
+        """Labelled states that the learner came to, ``[M]``; half of each draw is taken from them (DAgger)."""
         self.states = torch.nonzero(shown).flatten()
         self.count = torch.bincount(world.scene_of[self.states], minlength=len(world.scenes))
         self.first = self.count.cumsum(0) - self.count
@@ -78,6 +81,17 @@ class DrawnPairs:
 
     def with_visited(self, rows: TensorDictBase) -> "DrawnPairs":
         """The same with more labelled states that the learner came to, ``[M]``."""
-        visited = rows if self.visited is None else torch.cat([self.visited, rows])
-        options = self.front_only, self.scenes_at_once, visited
-        return DrawnPairs(self.world, self.expert, self.observation, self.shown, *options)
+        merged = copy.copy(self)
+        merged.visited = rows if self.visited is None else torch.cat([self.visited, rows])
+        return merged
+
+
+Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
+"""Rows ``[M]``, see `dirl.experts.demonstrations`, or pairs that are drawn."""
+
+
+def with_labels(demonstrations: Demonstrations, rows: TensorDictBase) -> Demonstrations:
+    """Demonstrations and labelled states that the learner came to, ``[M]``, together (DAgger)."""
+    if isinstance(demonstrations, DrawnPairs):
+        return demonstrations.with_visited(rows)
+    return merge_demonstrations(demonstrations, rows)

@@ -89,11 +89,11 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
             raise SceneError(f"{dump.path}: {error}") from None
         if contents.warning:
             warnings.warn(f"{dump.path}: {contents.warning}", SceneWarning, stacklevel=3)
-        scenes.append(_scene(dump, contents))
+        scenes.append(_scene(dump, contents, intact=known))
     return scenes
 
 
-def _scene(dump: Dump, contents: Contents) -> Scene:
+def _scene(dump: Dump, contents: Contents, *, intact: bool) -> Scene:
     name = dump.name or contents.name or dump.path.stem
     check_name(name, str(dump.path))
     return Scene(
@@ -107,15 +107,14 @@ def _scene(dump: Dump, contents: Contents) -> Scene:
         source=dump.source or contents.source or "unlabelled",
         extractor=contents.extractor,
         origin=str(dump.path),
-        patches=_patches(dump.path, contents),
+        patches=_patches(dump.path, contents, intact=intact),
     )
 
 
-def _patches(path: Path, contents: Contents) -> NDArray[np.float16] | None:
+def _patches(path: Path, contents: Contents, *, intact: bool) -> NDArray[np.float16] | None:
     """The patches of a dump; those of a built-in room lie in a file beside it."""
     beside = path.with_suffix(".patches.npy")
-    if contents.patch_shape is None and _is_intact_room(path) and beside.is_file():
-        _is_intact_room(beside)
+    if contents.patch_shape is None and intact and beside.is_file() and _is_intact_room(beside):
         return np.load(beside, mmap_mode="r", allow_pickle=False)
     return map_patches(path, contents.patch_offset, contents.patch_shape)
 
