@@ -97,8 +97,8 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
     _draw(most, out)
     text = (
         f"{note}\n\nTested in {len(world.scenes)} rooms of the test split, which no training saw: {STARTS} episodes of "
-        f"each room and distance, at most {MAX_STEPS} steps, stop by template matching. Of several numbers: interquartile "
-        "mean over rooms and, in brackets, its 95 % bootstrap interval over rooms."
+        f"each room and distance, at most {MAX_STEPS} steps, stop by template matching. Of several numbers: "
+        "interquartile mean over rooms and, in brackets, its 95 % bootstrap interval over rooms."
     )
     tables = {"unseen_rooms": table, "unseen_rooms_by_start": far, "unseen_rooms_by_training": curve}
     return write_tables(out, "Rooms never seen", text, tables, ["unseen_rooms"])
