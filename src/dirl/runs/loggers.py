@@ -9,7 +9,7 @@ import os
 import secrets
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from omegaconf import OmegaConf
@@ -149,12 +149,12 @@ def _wandb_picture(file: Path) -> Any:
         return wandb.Image(picture.convert("RGB"))
 
 
-def _wandb_mode() -> Literal["online", "offline"] | None:
-    """``offline`` where nobody is logged in or the service is away, unless ``WANDB_MODE`` says what is wanted."""
+def _wandb_mode() -> Any:
+    """``WANDB_MODE`` if it is set; else ``offline`` where nobody is logged in or the service is away."""
     import wandb
 
     if "WANDB_MODE" in os.environ:
-        return None
+        return os.environ["WANDB_MODE"]  # which the package itself reads only once a process
     try:
         return "online" if wandb.login(prompt=False) else "offline"
     except wandb.errors.Error:  # there is a key, but the service is away or refuses it
