@@ -16,7 +16,6 @@ if __name__ == "__main__":
     start("train")  # answers help and refuses options, before the imports below take their time
 
 import json
-import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -34,6 +33,7 @@ from dirl.config.command_line import job_errors, one_line_errors
 from dirl.config.components import check_components
 from dirl.config.places import CONF
 from dirl.config.schemas import Precision, TrainConfig, typed
+from dirl.episodes import bar_interval
 from dirl.evaluation import EvaluationProtocol, assess, mean_shortest, metrics
 from dirl.experts import label
 from dirl.models import caching, count_parameters, noisy, plain_weights, recurrent_keys
@@ -75,6 +75,9 @@ from dirl.training.state import Record, TrainState
 
 NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
 """What a summary says of a run without reinforcement."""
+
+DRAWN_SCENES = 8
+"""Of how many scenes there are pictures at most; those of one take seconds."""
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -171,7 +174,8 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
     draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()
     loss = build_imitation_loss(run.config, policy)
     optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)  # the value head gets no gradient
-    for step in tqdm(range(done + 1, done + options.max_steps + 1), unit=" steps", disable=not options.drawn):
+    steps = range(done + 1, done + options.max_steps + 1)
+    for step in tqdm(steps, unit=" steps", mininterval=bar_interval(), disable=not options.drawn):
         if options.lr_decay:
             set_learning_rate(optimiser, options.lr * (1 - (step - done - 1) / options.max_steps))
         with noisy(policy, options.noise):
@@ -214,8 +218,7 @@ def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
     config = run.config
     total = config.reinforcement.frames_per_scene * len(protocol.world.scenes)
-    often = 0.2 if sys.stderr.isatty() else 10.0
-    bar = tqdm(total=total, initial=state.frames, unit=" frames", unit_scale=True, mininterval=often)
+    bar = tqdm(total=total, initial=state.frames, unit=" frames", unit_scale=True, mininterval=bar_interval())
 
     with interruptible() as stop, bar:
 
@@ -305,7 +308,7 @@ def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[
     run.finish({"frames": summary["frames"], "network": plain_weights(policy)}, summary)
     print(summary_table(summary))
     draw_learning_curve(run.folder, run.folder / "learning_curve.png")
-    for index in range(len(protocol.world.scenes)):
+    for index in range(min(DRAWN_SCENES, len(protocol.world.scenes))):
         draw_scene(policy, protocol, index, run.folder, matching=matching(run.config), facts=summary)
     run.clean_up(summary)
     print(f"pictures, metrics and weights: {run.folder}")

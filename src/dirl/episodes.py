@@ -109,9 +109,10 @@ def run_episodes(
     episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
     recall = None if memory is None else _Recall(memory, world)
     generator = torch.Generator(world.device).manual_seed(seed)
-    often = 0.2 if sys.stderr.isatty() else 10.0
     few = len(start) <= MANY
-    bar = tqdm(total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=often, disable=few)
+    bar = tqdm(
+        total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=bar_interval(), disable=few
+    )
     with frozen(policy), bar:
         if isinstance(policy, RandomPolicy) and not (greedy or few or recall):
             act = partial(_any_action, generator)
@@ -211,6 +212,11 @@ class _Recall:
     def record(self, before: Tensor, action: Tensor, after: Tensor, going: Tensor) -> None:
         moved = ~self.alike[self.row[before] + after]
         self.trace = self.memory.record(self.trace, before, action, after, moved).select(going)
+
+
+def bar_interval() -> float:
+    """Seconds between two drawings of a progress bar: in a file each drawing is a line."""
+    return 0.2 if sys.stderr.isatty() else 10.0
 
 
 def choose(logits: Tensor, generator: torch.Generator, *, greedy: bool) -> Tensor:

@@ -14,6 +14,9 @@ ROWS_AT_ONCE = 50_000
 FEW = 5000
 """States of whose features an update reads most."""
 
+NOISE_ROWS = 1024
+"""Of noise that more states share in an update; to draw normal numbers takes longer than anything else of a reading."""
+
 
 class FeatureTable(nn.Module):
     """Features of N states as a network reads them: standardised or in principal components, then patches if any.
@@ -40,9 +43,8 @@ class FeatureTable(nn.Module):
     ) -> None:
         super().__init__()
         width = features.shape[1]
-        self.noise = 0.0
-        """Deviation of the Gaussian noise that is added to what is read, see `noisy`."""
         self._perturbed: Tensor | None = None
+        self._noise: Tensor | None = None
         self.register_buffer("mean", torch.zeros(width) if mean is None else mean)
         self.register_buffer("std", torch.ones(width) if std is None else std)
         self.register_buffer("axes", axes)
@@ -102,8 +104,8 @@ class FeatureTable(nn.Module):
         if self._perturbed is not None:
             return self._perturbed[states]
         rows = self.table[states]
-        if self.noise:
-            rows = rows + self.noise * torch.randn_like(rows) * (states < len(self)).unsqueeze(-1)
+        if self._noise is not None:
+            rows = rows + self._noise[torch.where(states < len(self), states % NOISE_ROWS, NOISE_ROWS)]
         return rows
 
     @contextmanager
@@ -111,16 +113,18 @@ class FeatureTable(nn.Module):
         """Within this context Gaussian noise is added to known views.
 
         It is drawn for every state when the context begins; of more than `FEW` states, which an update reads but a part
-        of, whenever a view is read.
+        of, `NOISE_ROWS` share theirs.
         """
-        self.noise = deviation
         if len(self) <= FEW:
             self._perturbed = self.table + deviation * torch.randn_like(self.table)
             self._perturbed[-1] = 0
+        else:
+            self._noise = deviation * torch.randn_like(self.table[:1].expand(NOISE_ROWS + 1, -1).contiguous())
+            self._noise[-1] = 0
         try:
             yield
         finally:
-            self.noise, self._perturbed = 0.0, None
+            self._perturbed = self._noise = None
 
 
 def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:

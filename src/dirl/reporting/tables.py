@@ -18,6 +18,9 @@ MEASURES = (
 
 SECTIONS = {"shortest path": "shortest_path", "random": "random", "greedy": "greedy", "sampled": "sampled"}
 
+NAMED_SCENES = 4
+"""Of so many scenes a title gives all names."""
+
 MOST_GOALS = 40
 """Rows of the table by goal; of more goals only ``summary.json`` has the measures of each."""
 
@@ -73,7 +76,8 @@ def summary_table(summary: Mapping[str, Any]) -> str:
 def run_title(summary: Mapping[str, Any]) -> str:
     """The system, scenes and seed of a run, e.g. "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
     scene = summary["scene"]
-    scenes = scene if isinstance(scene, str) else ", ".join(scene)
+    names = [scene] if isinstance(scene, str) else list(scene)
+    scenes = ", ".join(names) if len(names) <= NAMED_SCENES else f"{len(names)} scenes, {names[0]} to {names[-1]}"
     # The built-in rooms have the names of published scenes; their results must not be confused with those.
     sources = ["rooms, synthetic" if source == "rooms" else source for source in summary["source"].split("+")]
     system = summary["system"].upper().replace("_", "-")
