@@ -33,8 +33,8 @@ from dirl.training.build import (
     build_policy,
     build_world,
     feature_table,
-    learning_policy,
 )
+from dirl.training.load import learning_policy
 from dirl.training.losses import set_learning_rate
 
 

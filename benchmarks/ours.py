@@ -24,8 +24,8 @@ from dirl.training.build import (
     build_observation,
     build_protocol,
     build_world,
-    learning_policy,
 )
+from dirl.training.load import learning_policy
 from dirl.training.rollout import collect
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -55,10 +55,11 @@ from dirl.training.build import (
     build_protocol,
     build_world,
     describe,
-    learning_policy,
     matching,
     trained_parameters,
 )
+from dirl.training.initial import initial_weights, with_architecture
+from dirl.training.load import learning_policy
 from dirl.training.losses import (
     Advantages,
     Losses,
@@ -101,15 +102,16 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
     """
     # Without the inner one Hydra would say something of its own about an error of the machine.
     with one_line_exits() if alone else nullcontext(), one_line_errors(folder) if alone else nullcontext():
-        config: TrainConfig = typed(composed)
+        overrides = HydraConfig.get().overrides.task
+        config = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
-        run = open_run(config, folder, HydraConfig.get().overrides.task)
+        run = open_run(config, folder, overrides)
         if run.finished:
             print(f"finished before: {run.folder}")
             return json.loads((run.folder / "summary.json").read_text())
         world = build_world(run.config)
         observation = build_observation(run.config, world)
-        policy = learning_policy(run.config, world, observation)
+        policy = learning_policy(run.config, world, observation, initial_weights(run.config, world, run.saved))
         demos = build_demonstrations(run.config, world, observation)
         losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
         goals = build_goals(run.config, world.scenes)

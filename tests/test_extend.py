@@ -23,9 +23,9 @@ from dirl.training.build import (
     build_observation,
     build_protocol,
     build_world,
-    learning_policy,
     trained_parameters,
 )
+from dirl.training.load import learning_policy
 from dirl.training.losses import ScheduledLoss
 
 PAGE = (ROOT / "docs" / "howto" / "extend.md").read_text()

@@ -14,8 +14,8 @@ from dirl.training.build import (
     build_observation,
     build_protocol,
     build_world,
-    learning_policy,
 )
+from dirl.training.load import learning_policy
 
 
 def make_parts(*options):

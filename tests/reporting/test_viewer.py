@@ -28,9 +28,9 @@ from dirl.training.build import (
     build_observation,
     build_protocol,
     build_world,
-    learning_policy,
     matching,
 )
+from dirl.training.load import learning_policy
 
 LIMIT = 30
 

@@ -167,6 +167,7 @@ class TrainConfig:
     seed: int = MISSING
     device: Device = MISSING
     precision: Precision = MISSING
+    init: str | None = None
     resume: str | None = None
     existing: Existing = MISSING
     trust: list[str] | None = None

@@ -25,6 +25,9 @@ SEAL = b"dirl sha256 "
 DIGITS = 64
 """Of the digest, which ends the file."""
 
+AGENTS = Path(__file__).parents[1] / "agents"
+"""Trained agents that come with the package, each in the folder of its name."""
+
 SUFFIX = ".damaged"
 """Put behind the name of a training checkpoint that cannot be read."""
 
@@ -48,12 +51,14 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 
     Args:
         path: a ``.pt`` file, or the folder of a run for its final weights, or the latest that is whole if it is not
-            finished; or a folder that `dirl.runs.shared` wrote.
+            finished; or a folder that `dirl.runs.shared` wrote; or the name of an agent in `AGENTS`.
 
     Raises:
         RunError: there is none, or it is damaged.
     """
     path = Path(path)
+    if not path.exists() and path.name == str(path) and (AGENTS / path).is_dir():
+        path = AGENTS / path
     if path.is_dir() and not (path / "network.pt").is_file() and training_checkpoints(path):
         return latest_checkpoint(path)[0]
     if not (path / "network.pt").is_file() and (path / WEIGHTS).is_file():

@@ -13,7 +13,7 @@ from torchrl.modules.utils import get_primers_from_module
 
 from dirl.backbones.patches import PATCH_SHAPE
 from dirl.config.components import TARGET, components, find_class, make, schedules
-from dirl.config.schemas import Axes, Cache, ConfigError, Device, Starts, Stop, TrainConfig
+from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
 from dirl.config.signatures import class_parameters
 from dirl.envs import NavigationEnv, Reward, SurroundingViews
 from dirl.envs.transforms import VIEWS
@@ -148,43 +148,6 @@ def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tens
 def reads_patches(config: TrainConfig) -> bool:
     """Whether the encoder compares patches: its constructor takes ``patch_shape``."""
     return "patch_shape" in class_parameters(find_class("encoder", config.encoder[TARGET], config.trust))
-
-
-def learning_policy(config: TrainConfig, world: World, observation: SurroundingViews) -> nn.Module:
-    """`build_policy` for training: with ``network.cache=auto`` each distinct observation is embedded once."""
-    everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
-    policy = build_policy(config, feature_table(config, world), world.names, world=everywhere)
-    noisy, front = config.imitation.noise > 0, config.imitation.front_only > 0
-    principal = config.network.axes == Axes.principal and not noisy
-    return cached(policy, config, world, observation, front=front, noisy=noisy, principal=principal)
-
-
-def _all_goals(config: TrainConfig, world: World) -> dict[str, tuple[int, ...]]:
-    """The trained and the held-out goals of each scene, which a policy that knows the world walks to; empty if same."""
-    held_out = build_goals(config, world.scenes).held_out
-    own = (world.goals[world.goals_in(index)] - offset for index, offset in enumerate(world.offsets))
-    return {name: (*goals.tolist(), *held_out[name]) for name, goals in zip(world.names, own, strict=True) if held_out}
-
-
-def cached(
-    policy: Any,
-    config: TrainConfig,
-    world: World,
-    observation: SurroundingViews,
-    *,
-    front: bool = False,
-    noisy: bool = False,
-    principal: bool = False,
-) -> nn.Module:
-    """The policy, which embeds each distinct observation once if the configuration lets it."""
-    if config.network.cache == Cache.auto and hasattr(policy, "cache"):
-        # With more states than features of a view there is next to nothing to save by principal axes.
-        front = front or observation.goal_view == "front"
-        principal = principal and not front and len(world) <= world.features.shape[1]
-        surrounding = None if observation.history else world.surrounding
-        policy.cache(surrounding, front=front, noisy=noisy, principal=principal)
-    made: nn.Module = policy
-    return made
 
 
 def build_env(

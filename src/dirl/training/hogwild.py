@@ -30,8 +30,8 @@ from dirl.training.build import (
     build_observation,
     build_optimiser,
     build_world,
-    learning_policy,
 )
+from dirl.training.load import learning_policy
 from dirl.training.losses import Advantages, clip_gradients, minibatches, set_learning_rate, total_loss
 from dirl.training.rollout import Update, collect, summarise
 from dirl.training.state import Record, TrainState

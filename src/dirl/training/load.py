@@ -1,4 +1,4 @@
-"""Trained policies from checkpoints, with the conditions under which they are evaluated."""
+"""Policies with weights: those that are to be trained, and trained ones with the conditions of their evaluation."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from torch import Tensor, nn
 
 from dirl.config.saved import read_config
-from dirl.config.schemas import ConfigError, TrainConfig
+from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation import EvaluationProtocol
 from dirl.scenes import World
@@ -17,7 +17,6 @@ from dirl.training.build import (
     build_policy,
     build_protocol,
     build_world,
-    cached,
     feature_table,
 )
 
@@ -62,6 +61,55 @@ def load_trained(
     observation = build_observation(config, world)
     policy = trained_policy(saved, origin, config, world, observation)
     return Trained(config, policy, build_protocol(config, world, observation, held_out))
+
+
+def learning_policy(
+    config: TrainConfig, world: World, observation: SurroundingViews, initial: Mapping[str, Tensor] | None = None
+) -> nn.Module:
+    """`build_policy` for training: with ``network.cache=auto`` each distinct observation is embedded once.
+
+    Args:
+        config: of the run.
+        world: where it walks.
+        observation: what it observes.
+        initial: weights that the training begins with, see `dirl.training.initial`; drawn by the seed if left out.
+    """
+    everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
+    policy = build_policy(config, feature_table(config, world, initial), world.names, world=everywhere)
+    if initial is not None:
+        load_weights(policy, initial, str(config.init), world.names)
+    noisy, front = config.imitation.noise > 0, config.imitation.front_only > 0
+    # In principal axes a run that goes on from a checkpoint could not have the given weights to the last digit.
+    principal = config.network.axes == Axes.principal and not noisy and initial is None
+    return cached(policy, config, world, observation, front=front, noisy=noisy, principal=principal)
+
+
+def _all_goals(config: TrainConfig, world: World) -> dict[str, tuple[int, ...]]:
+    """The trained and the held-out goals of each scene, which a policy that knows the world walks to; empty if same."""
+    held_out = build_goals(config, world.scenes).held_out
+    own = (world.goals[world.goals_in(index)] - offset for index, offset in enumerate(world.offsets))
+    return {name: (*goals.tolist(), *held_out[name]) for name, goals in zip(world.names, own, strict=True) if held_out}
+
+
+def cached(
+    policy: Any,
+    config: TrainConfig,
+    world: World,
+    observation: SurroundingViews,
+    *,
+    front: bool = False,
+    noisy: bool = False,
+    principal: bool = False,
+) -> nn.Module:
+    """The policy, which embeds each distinct observation once if the configuration lets it."""
+    if config.network.cache == Cache.auto and hasattr(policy, "cache"):
+        # With more states than features of a view there is next to nothing to save by principal axes.
+        front = front or observation.goal_view == "front"
+        principal = principal and not front and len(world) <= world.features.shape[1]
+        surrounding = None if observation.history else world.surrounding
+        policy.cache(surrounding, front=front, noisy=noisy, principal=principal)
+    made: nn.Module = policy
+    return made
 
 
 def trained_policy(

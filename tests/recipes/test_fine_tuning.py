@@ -1,0 +1,85 @@
+"""Trainings that begin with the weights of another one, in a room that it was not trained in."""
+
+import shutil
+import signal
+import time
+
+import pytest
+import torch
+from commands import TINY, room_file, run_recipe, start_recipe
+from rooms import grid_scene
+
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.scenes import write_dump
+
+OTHER = [*(option for option in TINY if ".width" not in option), "scene=other.h5", "system=dirl"]
+"""Reinforcement in another room; the architecture is the checkpoint's."""
+
+
+@pytest.fixture(scope="module")
+def pretrained(tmp_path_factory):
+    """A folder with a run with heads for any room (``run``), and with another room (``other.h5``)."""
+    folder = tmp_path_factory.mktemp("pretrained")
+    room_file(folder)
+    write_dump(folder / "other.h5", grid_scene(goals=(2, 9), feature_width=32, seed=1, name="other"))
+    options = [*TINY, "scene=room.h5", "heads=shared", "network.components=12", "hydra.run.dir=run"]
+    status, _, errors = run_recipe(folder, "train", *options)
+    assert status == 0, errors
+    return folder
+
+
+def test_a_training_begins_with_the_weights_and_the_architecture_of_another(pretrained):
+    still = ["reinforcement.frames_per_scene=6", "imitation.fraction=0", "optimiser.lr=0", "evaluation.times=1"]
+    status, _, errors = run_recipe(pretrained, "train", *OTHER, "init=run", *still, "hydra.run.dir=still")
+    assert status == 0, errors
+    before, after = (load_checkpoint(pretrained / name) for name in ("run", "still"))
+    assert after["scenes"] == ["other"]
+    assert before["network"].keys() == after["network"].keys()
+    for name, value in before["network"].items():
+        assert torch.equal(value, after["network"][name]), name
+    status, _, errors = run_recipe(pretrained, "train", *OTHER, "init=run", "hydra.run.dir=tuned")
+    assert status == 0, errors
+    tuned = load_checkpoint(pretrained / "tuned")["network"]
+    assert any(not torch.equal(value, tuned[name]) for name, value in before["network"].items())
+    assert torch.equal(tuned["features.axes"], before["network"]["features.axes"])  # those of its features
+
+
+def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretrained):
+    (pretrained / "lent").mkdir()
+    shutil.copy(pretrained / "run" / "network.pt", pretrained / "lent")
+    options = [*OTHER, "init=lent/network.pt", "reinforcement.frames_per_scene=3000"]
+    whole, killed = pretrained / "whole", pretrained / "killed"
+    status, _, errors = run_recipe(pretrained, "train", *options, "hydra.run.dir=whole")
+    assert status == 0, errors
+    process = start_recipe(pretrained, "train", *options, "hydra.run.dir=killed")
+    waited = time.monotonic()
+    while not list(killed.glob("checkpoints/*[1-9]??.pt")) and time.monotonic() - waited < 120:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (killed / "summary.json").exists(), "it was not killed in time"
+    shutil.rmtree(pretrained / "lent")
+    status, _, errors = run_recipe(pretrained, "train", "resume=killed")
+    assert status == 0, errors
+    first, second = (load_checkpoint(run)["network"] for run in (whole, killed))
+    assert all(torch.equal(first[key], second[key]) for key in first)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["init=nothing"], "nothing: holds no checkpoint"),
+        (
+            ["init=run", "encoder.width=16"],
+            "init=run: its checkpoint decides the architecture; leave out encoder.width=16",
+        ),
+        (["init=run", "scene=far.h5"], "init=run: was trained on features of another extractor than those of far"),
+    ],
+)
+def test_what_cannot_be_begun_with_is_told_in_one_line(pretrained, options, told):
+    write_dump(pretrained / "far.h5", grid_scene(goals=(2,), feature_width=32, name="far", extractor="another"))
+    status, _, errors = run_recipe(pretrained, "train", *OTHER, *options, "hydra.run.dir=refused")
+    assert status != 0
+    assert told in errors
+    assert len(errors.strip().splitlines()) == 1
+    assert not (pretrained / "refused").exists()
