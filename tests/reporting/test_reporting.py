@@ -165,6 +165,12 @@ def test_title_tells_synthetic_rooms_from_published_scenes(source, shown):
     assert run_title({**SUMMARY, "source": source}) == f"TD-DRL, bathroom_02 (source: {shown}), seed 3"
 
 
+def test_a_title_names_the_first_and_the_last_of_many_scenes():
+    names = [f"room_{number}" for number in range(5)]
+    assert "room_0, room_1, room_2, room_3 (" in run_title({**SUMMARY, "scene": names[:4]})
+    assert "5 scenes, room_0 to room_4 (" in run_title({**SUMMARY, "scene": names})
+
+
 # Pictures
 
 
