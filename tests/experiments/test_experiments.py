@@ -362,10 +362,11 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
         file.parent.mkdir(exist_ok=True)
         write_dump(file, grid_scene(name=name, goals=(0,), feature_width=32, seed=seed, patches=True))
         add_entry(file.parent, Entry(name, "bathroom", seed, split, 24, {}, {}, file_digest(file)))
-    options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32", "rooms=1,2"]
+    options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32"]
     options += ["imitation.batch_size=64", "imitation.max_steps=5", "imitation.scenes_at_once=1", "seed=0"]
-    status, _, errors = run_recipe(tmp_path, "train", "-m", "experiment=unseen_rooms", *options)
-    assert status == 0, errors
+    for choices in (["rooms=1,2"], ["rooms=2", "encoder=siamese"]):
+        status, _, errors = run_recipe(tmp_path, "train", "-m", "experiment=unseen_rooms", *options, *choices)
+        assert status == 0, errors
     status, printed, errors = run_recipe(tmp_path, "report", "experiment=unseen_rooms", "out=report")
     assert status == 0, errors
     assert "Tested in 2 rooms of the test split" in printed
@@ -373,3 +374,10 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
     assert float(rows["shortest path"]["SPL"]) == 1.0
     curve = rows_of(tmp_path / "report" / "unseen_rooms_by_training.csv")
     assert list(dict.fromkeys(row["training rooms"] for row in curve)) == ["1", "2"]
+    (kind,) = {row["kind"] for row in rows_of(tmp_path / "report" / "unseen_rooms_by_kind.csv")}
+    assert kind == "room"
+    parts = rows_of(tmp_path / "report" / "unseen_rooms_parts.csv")
+    assert [row["system"].split(",")[0] for row in parts[:: len(parts) // 2]] == [
+        "goal compared",
+        "goal embedded side by side",
+    ]

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from dirl.config.choices import goal_view_options
 from dirl.episodes import Episodes
 from dirl.evaluation import EvaluationProtocol, metrics
-from dirl.experiments.any_goal import DRAWN, FAR, FOUR, MEASURES, PHOTO, walked_by, within
+from dirl.experiments.any_goal import DRAWN, FAR, FOUR, MEASURES, PHOTO, variant, walked_by, within
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
@@ -23,6 +23,9 @@ GOALS, STARTS = 30, 20
 """Goals of each room, and episodes of each room and distance."""
 
 MAX_STEPS = 100
+
+ALL_ROOMS = 10**6
+"""More rooms than a collection has."""
 
 TESTED: Mapping[str, Any] = {
     "split": "test",
@@ -77,23 +80,24 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
     Returns:
         The text of the README.
     """
-    by_count = dict(sorted(grouped(results, lambda config: config.rooms or 10**6).items()))
-    found = {
-        count: [tested(run) for run in tqdm(runs, desc=f"{count} rooms", unit=" runs", disable=None)]
-        for count, runs in by_count.items()
-    }
+    variants = grouped(results, variant)
+    main = max(variants, key=lambda name: ("compared" in name, "no noise" not in name, len(variants[name])))
+    found = _tested_by_count(variants.pop(main))
     most = found[max(found)]
     world = most[0][0]
+    parts = Table(Column("system", "s"), Column("training rooms", "d"), Column("runs", "d"), *_curve_columns())
+    for name, tests in {main: found, **{name: _tested_by_count(runs) for name, runs in variants.items()}}.items():
+        count = max(tests)
+        parts.add(name, count, len(tests[count]), *_curve_cells(tests[count]))
     table = Table(Column("walks by"), Column("runs", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
     far = Table(Column("SPL, walks by"), *(Column(f"{low} steps and more", ".3f") for low, _ in FAR))
     for way in most[0][1]:
         table.add(way, len(most), *(_rooms(most, way, key) for key in MEASURES))
-        parts = [[(one, {way: within(episodes[way], *limits)}) for one, episodes in most] for limits in FAR]
-        far.add(way, *(_rooms(part, way, "spl") for part in parts))
+        near = [[(one, {way: within(episodes[way], *limits)}) for one, episodes in most] for limits in FAR]
+        far.add(way, *(_rooms(part, way, "spl") for part in near))
     curve = Table(Column("training rooms", "d"), Column("runs", "d"), *_curve_columns())
     for count, runs in found.items():
-        cells = [_rooms(runs, way, key) for way in (FOUR, PHOTO) for key in ("sr", "spl")]
-        curve.add(min(count, len(results[0].scenes) if count == 10**6 else count), len(runs), *cells)
+        curve.add(count, len(runs), *_curve_cells(runs))
     _draw(most, out)
     text = (
         f"{note}\n\nTested in {len(world.scenes)} rooms of the test split, which no training saw: {STARTS} episodes of "
@@ -101,7 +105,34 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
         "interquartile mean over rooms and, in brackets, its 95 % bootstrap interval over rooms."
     )
     tables = {"unseen_rooms": table, "unseen_rooms_by_start": far, "unseen_rooms_by_training": curve}
+    tables["unseen_rooms_by_kind"] = _by_kind(most)
+    tables["unseen_rooms_parts"] = parts
     return write_tables(out, "Rooms never seen", text, tables, ["unseen_rooms"])
+
+
+def _tested_by_count(runs: Sequence[Result]) -> dict[int, list[tuple[World, dict[str, Episodes]]]]:
+    """The test of each run, by the number of rooms that it was trained in."""
+    by_count = dict(sorted(grouped(runs, lambda config: config.rooms or ALL_ROOMS).items()))
+    return {
+        min(count, len(group[0].scenes)): [
+            tested(run) for run in tqdm(group, desc=f"{len(group[0].scenes)} rooms", unit=" runs", disable=None)
+        ]
+        for count, group in by_count.items()
+    }
+
+
+def _by_kind(found: Sequence[tuple[World, Mapping[str, Episodes]]]) -> Table:
+    """SR and SPL in the rooms of each kind, which their names begin with."""
+    names = [name.rpartition("_")[0] for name in found[0][0].names]
+    table = Table(Column("kind", "s"), Column("rooms", "d"), *_curve_columns())
+    for kind in dict.fromkeys(names):
+        own = [index for index, name in enumerate(names) if name == kind]
+        table.add(kind, len(own), *([cell[index] for index in own] for cell in _curve_cells(found)))
+    return table
+
+
+def _curve_cells(found: Sequence[tuple[World, Mapping[str, Episodes]]]) -> list[list[float]]:
+    return [_rooms(found, way, key) for way in (FOUR, PHOTO) for key in ("sr", "spl")]
 
 
 def _curve_columns() -> list[Column]:
