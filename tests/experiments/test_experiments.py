@@ -356,7 +356,7 @@ def test_the_nearest_trained_goal_is_of_all_that_were_trained():
 
 def test_rooms_that_no_training_saw_are_reported(tmp_path):
     """Two rooms of a collection are trained on, two tested."""
-    for seed, split in enumerate(["train", "train", "test", "test"]):
+    for seed, split in enumerate(["train", "train", "test", "test", "validation"]):
         name = f"room_{seed}"
         file = tmp_path / "rooms" / f"{name}.h5"
         file.parent.mkdir(exist_ok=True)
@@ -374,6 +374,8 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
     assert float(rows["shortest path"]["SPL"]) == 1.0
     curve = rows_of(tmp_path / "report" / "unseen_rooms_by_training.csv")
     assert list(dict.fromkeys(row["training rooms"] for row in curve)) == ["1", "2"]
+    alike = rows_of(tmp_path / "report" / "unseen_rooms_thresholds.csv")
+    assert [row["goals"] for row in alike] == ["24"] * 5
     (kind,) = {row["kind"] for row in rows_of(tmp_path / "report" / "unseen_rooms_by_kind.csv")}
     assert kind == "room"
     parts = rows_of(tmp_path / "report" / "unseen_rooms_parts.csv")

@@ -59,9 +59,12 @@ def wrong_goals(world: World) -> Tensor:
     return shown
 
 
-def ambiguous(world: World, threshold: float) -> Tensor:
-    """Whether another state's view ahead matches that of each goal, bool ``[G]``: one photo cannot tell them apart."""
-    elsewhere = (TemplateStop(threshold, "front").scores(world) > threshold) & (world.distances != 0)
+def ambiguous(world: World, threshold: float, match: str = "front") -> Tensor:
+    """Whether another state matches each goal, bool ``[G]``, by the view ahead or by all ``views``.
+
+    What is compared cannot tell the two apart.
+    """
+    elsewhere = (TemplateStop(threshold, match).scores(world) > threshold) & (world.distances != 0)
     return torch.stack([world.block(elsewhere, goal).any() for goal in range(len(world.goals))])
 
 

@@ -13,16 +13,19 @@ from tqdm import tqdm
 from dirl.config.choices import goal_view_options
 from dirl.episodes import Episodes
 from dirl.evaluation import EvaluationProtocol, metrics
-from dirl.experiments.any_goal import DRAWN, FAR, FOUR, MEASURES, PHOTO, variant, walked_by, within
+from dirl.experiments.any_goal import DRAWN, FAR, FOUR, MEASURES, PHOTO, ambiguous, variant, walked_by, within
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
-from dirl.scenes import World
+from dirl.scenes import SceneError, World
 
 GOALS, STARTS = 30, 20
 """Goals of each room, and episodes of each room and distance."""
 
 MAX_STEPS = 100
+
+THRESHOLDS = (0.8, 0.85, 0.9, 0.95, 0.98)
+"""Of the matching, compared in the validation rooms."""
 
 ALL_ROOMS = 10**6
 """More rooms than a collection has."""
@@ -107,6 +110,8 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
     tables = {"unseen_rooms": table, "unseen_rooms_by_start": far, "unseen_rooms_by_training": curve}
     tables["unseen_rooms_by_kind"] = _by_kind(most)
     tables["unseen_rooms_parts"] = parts
+    if thresholds := _thresholds(results[0]):
+        tables["unseen_rooms_thresholds"] = thresholds
     return write_tables(out, "Rooms never seen", text, tables, ["unseen_rooms"])
 
 
@@ -128,6 +133,20 @@ def _by_kind(found: Sequence[tuple[World, Mapping[str, Episodes]]]) -> Table:
     for kind in dict.fromkeys(names):
         own = [index for index, name in enumerate(names) if name == kind]
         table.add(kind, len(own), *([cell[index] for index in own] for cell in _curve_cells(found)))
+    return table
+
+
+def _thresholds(run: Result) -> Table | None:
+    """Of all goals in the validation rooms, if there are any, how many look like another state above a threshold."""
+    try:
+        _, _, protocol = run.load({**TESTED, "split": "validation", "evaluation.goals": None})
+    except SceneError:
+        return None
+    world = protocol.world
+    table = Table(Column("threshold", ".2f"), Column("goals", "d"), *(Column(name, "d") for name in (FOUR, PHOTO)))
+    for threshold in THRESHOLDS:
+        alike = [int(ambiguous(world, threshold, match).sum()) for match in ("views", "front")]
+        table.add(threshold, len(world.goals), *alike)
     return table
 
 
