@@ -29,6 +29,7 @@ from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
 from dirl.experiments.unseen_rooms import report_unseen_rooms
+from dirl.reporting.tables import scene_names
 from dirl.runs.checks import RunError
 from dirl.training.build import reads_patches
 
@@ -116,13 +117,12 @@ def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
 def describe_runs(runs: list[Result]) -> str:
     """What must stand above every table: which rooms, which constants, which seeds, and how numbers are summed up."""
     summary, config = runs[0].summary, runs[0].config
-    scene = summary["scene"]
-    names = scene if isinstance(scene, str) else ", ".join(scene)
-    kind = "built-in rooms, **synthetic, not AI2-THOR**" if summary["source"] == "rooms" else summary["source"]
+    rooms = "built-in rooms" if config.split is None else "random rooms"
+    kind = f"{rooms}, **synthetic, not AI2-THOR**" if summary["source"] == "rooms" else summary["source"]
     seeds = sorted({run.config.seed for run in runs})
     several = "Of several runs: interquartile mean and, in brackets, its 95 % bootstrap interval over seeds."
     told = f"seed {seeds[0]} alone." if len(seeds) == 1 else f"seeds {', '.join(map(str, seeds))}. {several}"
-    return f"Scenes: {names} ({kind}). Preset `{config.preset}`, {told}"
+    return f"Scenes: {scene_names(summary['scene'])} ({kind}). Preset `{config.preset}`, {told}"
 
 
 if __name__ == "__main__":

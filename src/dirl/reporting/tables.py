@@ -1,7 +1,7 @@
 """Results as Markdown tables that also read well in a terminal."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 # Heading, key in `dirl.evaluation.metrics`, format. Three digits, so that a share of 0.998 is not printed as 1.
@@ -75,13 +75,17 @@ def summary_table(summary: Mapping[str, Any]) -> str:
 
 def run_title(summary: Mapping[str, Any]) -> str:
     """The system, scenes and seed of a run, e.g. "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
-    scene = summary["scene"]
-    names = [scene] if isinstance(scene, str) else list(scene)
-    scenes = ", ".join(names) if len(names) <= NAMED_SCENES else f"{len(names)} scenes, {names[0]} to {names[-1]}"
+    scenes = scene_names(summary["scene"])
     # The built-in rooms have the names of published scenes; their results must not be confused with those.
     sources = ["rooms, synthetic" if source == "rooms" else source for source in summary["source"].split("+")]
     system = summary["system"].upper().replace("_", "-")
     return f"{system}, {scenes} (source: {' + '.join(sources)}), seed {summary['seed']}"
+
+
+def scene_names(scene: str | Sequence[str]) -> str:
+    """The names of scenes; of many their number, the first and the last."""
+    names = [scene] if isinstance(scene, str) else list(scene)
+    return ", ".join(names) if len(names) <= NAMED_SCENES else f"{len(names)} scenes, {names[0]} to {names[-1]}"
 
 
 def _heading(summary: Mapping[str, Any]) -> str:
