@@ -367,6 +367,10 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
     for choices in (["rooms=1,2"], ["rooms=2", "encoder=siamese"]):
         status, _, errors = run_recipe(tmp_path, "train", "-m", "experiment=unseen_rooms", *options, *choices)
         assert status == 0, errors
+    trained = "checkpoint=" + next(str(file.parent) for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
+    status, printed, errors = run_recipe(tmp_path, "evaluate", trained, "scene=rooms/room_3.h5")
+    assert status == 0, errors
+    assert "room_3" in printed
     status, printed, errors = run_recipe(tmp_path, "report", "experiment=unseen_rooms", "out=report")
     assert status == 0, errors
     assert "Tested in 2 rooms of the test split" in printed

@@ -51,6 +51,8 @@ def load_trained(
     given = dict(changes or {})
     if "goals" in given:
         given.setdefault("hold_out", 0.0)
+    if "scene" in given:  # a collection's split does not go with another scene
+        given = {"split": None, "rooms": None, **given}
     # Goals that are drawn are drawn by the seed of the training: by another, trained ones would count as held out.
     seed = given.pop("seed", None)
     config = read_config(saved["config"], origin, given, trust)
