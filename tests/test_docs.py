@@ -93,6 +93,7 @@ def run_command(words, monkeypatch):
     if words[1].endswith("train.py") and not any(word.startswith("resume=") for word in words):
         given = {word.partition("=")[0] for word in words}
         words += [option for option in QUICK if option.partition("=")[0] not in given]
+        words += ["hydra.sweeper.n_trials=2"] if "hydra/sweeper" in given else []
     monkeypatch.setattr(sys, "argv", words[1:])
     with monkeypatch.context() as patch:
         if words[1].endswith("train.py"):  # its pictures are looked at in test_train.py
