@@ -34,6 +34,11 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 maximum_signature_line_length = 80
 exclude_patterns = ["_build", "results"]  # reports, which other pages include
+# `sphinx-build -b linkcheck docs docs/_build` asks other hosts, so it is run by hand; its output.txt lists every
+# external link. The tests check links and anchors within the site.
+linkcheck_timeout, linkcheck_retries, linkcheck_workers = 15, 2, 4
+linkcheck_anchors = False  # many hosts make anchors by JavaScript
+linkcheck_allowed_redirects = {r"https://doi\.org/.*": r"https://.*"}
 html_theme = "furo"
 html_title = "dirl"
 repository = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["urls"].get("Repository")

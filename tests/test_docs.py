@@ -29,7 +29,7 @@ QUICK += ["evaluation.max_steps=10", "imitation.max_steps=20"]
 """Behind every training of a page, but for the options that it gives itself."""
 
 SHORTER = {
-    "gymnasium.md": {"total_timesteps=40_960": "total_timesteps=1_024", "set(range(180))": "set(range(20, 40))"},
+    "gymnasium.md": {"40_960": "1_024", "36_864": "128", "set(range(180))": "set(range(20, 40))"},
     "navigator.md": {"frames_per_scene=30000": "frames_per_scene=2500", "times=10": "times=1"},
 }
 """What makes the Python code of a page take seconds; it is otherwise run as it stands."""

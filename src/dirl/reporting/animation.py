@@ -16,7 +16,7 @@ from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 
 MAX_FRAMES = 60
-"""Of a longer episode the first steps are shown, and the last."""
+"""Number of frames; of a longer episode the first steps and the last one are shown."""
 
 FRAME_MS, HOLD_MS = 400, 2500
 """How long a step is shown, and the last one; milliseconds."""
@@ -52,14 +52,14 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
     room = _Map(scene, goal)
     views = {state: _small_view(scene, state) for state in {goal, *(path[step] for step in shown)}}
     frames = [_frame(views, goal, path, step, actions[step], room, title) for step in shown]
-    # One palette for all frames, and no dithering: whatever does not change then costs nothing.
+    # One palette for all frames and no dithering, so that unchanged regions take no space.
     sample = Image.new("RGB", (frames[0].width, 4 * frames[0].height))
     for row, which in enumerate((0, len(frames) // 2, len(frames) - 1)):
         sample.paste(frames[which], (0, row * frames[0].height))
-    # The views' many colours would else crowd out the few pixels of the markers'.
+    # Otherwise the many colours of the views would displace those of the few pixels of the markers.
     for place, color in enumerate((*COLORS, GOAL_COLOR)):
         sample.paste(color, (40 * place, 3 * frames[0].height, 40 * (place + 1), 4 * frames[0].height))
-    palette = sample.reduce(3).quantize(128, method=Image.Quantize.MEDIANCUT)  # takes time with every pixel
+    palette = sample.reduce(3).quantize(128, method=Image.Quantize.MEDIANCUT)  # the time grows with the pixels
     first, *rest = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     durations = [FRAME_MS] * (len(frames) - 1) + [HOLD_MS]
     with atomic_path(file) as temporary:
@@ -67,7 +67,7 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
 
 
 class _Map:
-    """The map of a room in pixels: drawn once without a path, and copied for each frame."""
+    """The map of a room in pixels, drawn once without a path and copied for each frame."""
 
     def __init__(self, scene: Scene, goal: int) -> None:
         side = step_length(scene)
