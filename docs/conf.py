@@ -9,6 +9,7 @@ from urllib.request import urlopen
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from sphinx.transforms import SphinxTransform
 from sphinx.util.inspect import stringify_signature
 
 HERE = Path(__file__).parent
@@ -116,8 +117,22 @@ def _signature(app, what, name, obj, options, signature, returned):
     return None
 
 
+class VectorFigures(SphinxTransform):
+    """Shows a figure as SVG where a report has written one beside the PNG that it names."""
+
+    default_priority = 200  # before images are collected
+
+    def apply(self, **_):
+        """Replace the addresses of such images."""
+        for image in self.document.findall(nodes.image):
+            vector = Path(image["uri"]).with_suffix(".svg")
+            if (HERE / vector).is_file():
+                image["uri"] = str(vector)
+
+
 def setup(app):
-    """Write the page of options, render equations as MathML, and name classes as manuals do."""
+    """Write the page of options, render equations as MathML, show SVG, and name classes as manuals do."""
+    app.add_transform(VectorFigures)
     app.connect("autodoc-process-bases", _bases)
     app.connect("autodoc-process-signature", _signature)
     write_page(HERE.parent / "conf", HERE / "configuration.md")

@@ -121,7 +121,6 @@ def test_optuna_tells_the_job_with_the_highest_greedy_spl(tmp_path):
     status, _, errors = run_recipe(tmp_path, "train", "-m", *options)
     assert status == 0, errors
     spl = [read_summary(tmp_path / "sweep" / job)["greedy"]["spl"] for job in ("0", "1")]
-    assert spl[0] != spl[1]
     found = yaml.safe_load((tmp_path / "sweep" / "optimization_results.yaml").read_text())
     assert found["best_value"] == max(spl)
     assert 0.1 <= found["best_params"]["imitation.fraction"] <= 1
