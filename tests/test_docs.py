@@ -37,6 +37,7 @@ SHORTER = {
 NOT_RUN = {
     "any_goal.md": ["takes hours"],
     "gpu.md": ["needs CUDA"],
+    "gymnasium.md": ["needs MoviePy, which holds Pillow below 12"],
     "loggers.md": ["tensorboard is a server that does not end"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
     "paper.md": ["takes an hour and a half"],
