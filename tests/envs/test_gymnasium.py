@@ -1,15 +1,11 @@
-import re
 import warnings
-from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers import FilterObservation
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
-from stable_baselines3.common.env_util import make_vec_env
 
 import dirl  # noqa: F401  registers dirl/Navigation-v0
 from dirl.envs import Reward
@@ -167,35 +163,3 @@ def test_wrong_actions_and_options_are_refused(room):
     for options in ({"state": 0}, {"goal": 5}, {"start": 1}):
         with pytest.raises(ValueError, match="reset"):
             single.reset(options=options)
-
-
-def test_a2c_of_stable_baselines3_learns_with_the_settings_of_its_page(room):
-    page = (Path(__file__).parents[2] / "docs" / "howto" / "gymnasium.md").read_text()
-    (code,) = re.findall(r"^```python\n(from stable_baselines3 import A2C.*?)^```$", page, re.DOTALL | re.MULTILINE)
-    env, means = gymnasium.make(NAME, **room), []
-
-    def walk(choose):
-        steps = []
-        for start in range(1, 24):
-            (seen, _), ended = env.reset(options={"state": start}), False
-            steps.append(0)
-            while not ended:
-                seen, _, terminated, truncated, _ = env.step(choose(seen))
-                ended, steps[-1] = terminated or truncated, steps[-1] + 1
-        means.append(np.mean(steps))
-        return means[-1], 0.0, 0.0
-
-    env.action_space.seed(0)
-    walk(lambda seen: env.action_space.sample())
-    only = {"wrapper_class": FilterObservation, "wrapper_kwargs": {"filter_keys": ["features"]}}
-    names = {
-        "name": NAME,
-        "room": room,
-        "Reward": Reward,
-        "make_vec_env": make_vec_env,
-        "seen_only": only,
-        "walk": walk,
-    }
-    exec(code.replace("36_864", "8_192"), names)
-    random, learnt = means
-    assert learnt < 0.5 * random, means
