@@ -9,6 +9,7 @@ from urllib.request import urlopen
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from sphinx.transforms import SphinxTransform
 from sphinx.util.inspect import stringify_signature
 
 HERE = Path(__file__).parent
@@ -34,6 +35,11 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 maximum_signature_line_length = 80
 exclude_patterns = ["_build", "results"]  # reports, which other pages include
+# `sphinx-build -b linkcheck docs docs/_build` asks other hosts, so it is run by hand; its output.txt lists every
+# external link. The tests check links and anchors within the site.
+linkcheck_timeout, linkcheck_retries, linkcheck_workers = 15, 2, 4
+linkcheck_anchors = False  # many hosts make anchors by JavaScript
+linkcheck_allowed_redirects = {r"https://doi\.org/.*": r"https://.*"}
 html_theme = "furo"
 html_title = "dirl"
 repository = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["urls"].get("Repository")
@@ -111,8 +117,22 @@ def _signature(app, what, name, obj, options, signature, returned):
     return None
 
 
+class VectorFigures(SphinxTransform):
+    """Shows a figure as SVG where a report has written one beside the PNG that it names."""
+
+    default_priority = 200  # before images are collected
+
+    def apply(self, **_):
+        """Replace the addresses of such images."""
+        for image in self.document.findall(nodes.image):
+            vector = Path(image["uri"]).with_suffix(".svg")
+            if (HERE / vector).is_file():
+                image["uri"] = str(vector)
+
+
 def setup(app):
-    """Write the page of options, render equations as MathML, and name classes as manuals do."""
+    """Write the page of options, render equations as MathML, show SVG, and name classes as manuals do."""
+    app.add_transform(VectorFigures)
     app.connect("autodoc-process-bases", _bases)
     app.connect("autodoc-process-signature", _signature)
     write_page(HERE.parent / "conf", HERE / "configuration.md")

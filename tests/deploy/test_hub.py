@@ -140,7 +140,7 @@ def test_a_damaged_folder_is_one_line(run, tmp_path, name, content):
 def test_what_cannot_be_shared_or_found_is_told(run, tmp_path, cache, monkeypatch):
     with pytest.raises(HubError, match="is not empty"):
         save_pretrained(run, run)
-    with pytest.raises(HubError, match="is no folder here, and the Hub: "):
+    with pytest.raises(HubError, match="is no local folder, and cannot be fetched from the Hub: "):
         fetch_pretrained("somebody/nothing")
     with pytest.raises(HubError, match=r"it has no model\.safetensors"):
         fetch_pretrained(run)

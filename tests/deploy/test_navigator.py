@@ -181,7 +181,7 @@ def test_another_extractor_is_refused(run, world):
 
 def test_an_encoder_of_another_width_is_refused(run, world):
     navigator = load(run, rooms(width=17))
-    with pytest.raises(NavigatorError, match=r"gave torch.float32 \[4, 17\] for 4 images; .*\[4, 16\]: random"):
+    with pytest.raises(NavigatorError, match=r"returned torch.float32 \[4, 17\] for 4 images; .*\[4, 16\]: random"):
         navigator.reset(images_of(world.surrounding[0]))
 
 

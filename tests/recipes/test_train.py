@@ -6,6 +6,7 @@ import time
 
 import pytest
 import torch
+import yaml
 from commands import TINY, room_file, run_program, run_recipe, start_recipe
 from PIL import Image
 
@@ -99,6 +100,30 @@ def test_multirun_trains_every_combination(tmp_path):
     assert status == 0, errors
     summaries = [json.loads(file.read_text()) for file in sorted(tmp_path.glob("multirun/*/*/summary.json"))]
     assert [summary["demonstrations"] > 0 for summary in summaries] == [False, True]
+
+
+def test_a_run_until_stable_ends_at_the_first_evaluation_that_finds_every_goal_stable(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *TINY, "imitation.fraction=1", "reinforcement.until=stable"]
+    options += ["reinforcement.frames_per_scene=20_000", "evaluation.times=20", "hydra.run.dir=run"]
+    status, _, errors = run_recipe(tmp_path, "train", *options)
+    assert status == 0, errors
+    summary = read_summary(tmp_path / "run")
+    evaluated = [int(row["frames"]) for row in read_table(tmp_path / "run" / "evaluation.csv")]
+    assert summary["stable_at_frame"] is not None
+    assert [frames for frames in evaluated if frames > summary["stable_at_frame"]] == [summary["frames"]]
+    assert summary["frames"] < 20_000
+
+
+def test_optuna_tells_the_job_with_the_highest_greedy_spl(tmp_path):
+    search = ["hydra/sweeper=search", "hydra.sweeper.n_trials=2", "hydra.sweep.dir=sweep"]
+    search += ["imitation.fraction=interval(0.1,1)", "imitation.max_steps=3", "reinforcement.frames_per_scene=60"]
+    options = [f"scene={room_file(tmp_path)}", *TINY, *search]
+    status, _, errors = run_recipe(tmp_path, "train", "-m", *options)
+    assert status == 0, errors
+    spl = [read_summary(tmp_path / "sweep" / job)["greedy"]["spl"] for job in ("0", "1")]
+    found = yaml.safe_load((tmp_path / "sweep" / "optimization_results.yaml").read_text())
+    assert found["best_value"] == max(spl)
+    assert 0.1 <= found["best_params"]["imitation.fraction"] <= 1
 
 
 @pytest.mark.parametrize("memory", [[], ["memory=gru", "memory.hidden_size=16"]], ids=["no memory", "gru"])

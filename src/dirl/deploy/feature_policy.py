@@ -32,14 +32,14 @@ class FeaturePolicy(nn.Module):
 
         Args:
             features: of the four views, as the backbone returns them, float32 ``[B, 4, D]``; if the encoder compares
-                patches, they follow the pooled features.
-            goal_features: of the goal's. A view of which nothing is known is zeros: with one photo, all but the first.
+                patches, these follow the pooled features.
+            goal_features: of the goal's views, likewise. Unknown views are zeros: with one photo, all but the first.
             state: the recurrent state, ``[B, ...]`` each; zeros at the beginning of an episode.
 
         Returns:
             Logits ``[B, 4]``, value ``[B, 1]``, matching coefficient ``[B]``, and the next recurrent state.
         """
-        # Not `len`, which would fix the number of agents, a free dimension in ONNX, to that of the trace.
+        # Not `len`: ONNX would then keep the number of agents of the trace, which is a free dimension.
         policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
         known = (goal_features != 0).any(-1, keepdim=True)
         goal = torch.where(known, policy.features.standardise(goal_features), 0.0)
@@ -52,7 +52,7 @@ class FeaturePolicy(nn.Module):
         return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene), matching, *after
 
     def _matching(self, features: Tensor, goal_features: Tensor, whole: Tensor) -> Tensor:
-        """The coefficient ``[B]``: of all views where the goal's are known (``whole``, bool ``[B]``), else of one."""
+        """The coefficient ``[B]``: of all views if the goal's are known (``whole``, bool ``[B]``), else of one."""
         # As in dirl.scenes.matching, the pooled features are matched as the backbone gave them.
         pooled = len(self.policy.features.mean)
         features, goal_features = features[..., :pooled], goal_features[..., :pooled]
@@ -76,7 +76,7 @@ class FeaturePolicy(nn.Module):
 
 
 def _in_plain_operations(memory: nn.Module | None) -> nn.Module | None:
-    """The GRU or LSTM of TorchRL's module, in operations that ONNX has for any number of agents; None if it is none."""
+    """The GRU or LSTM of TorchRL's module, in operations that ONNX has for any number of agents; None for others."""
     if isinstance(memory, GRUModule):
         kind, layers = GRU, memory.gru
     elif isinstance(memory, LSTMModule):

@@ -1,7 +1,7 @@
-"""Trained policies in the Hugging Face Hub, or as plain folders: the weights, the configuration, and a card.
+"""Sharing trained policies through the Hugging Face Hub or as plain folders: weights, configuration and a card.
 
-Nothing that is read from there runs code: weights are safetensors, and the configuration may name only classes of dirl
-and of packages that the reader trusts, as that of every checkpoint.
+Loading one runs no code from it: weights are safetensors, and the configuration may name only classes of dirl and of
+packages that the user trusts, as in every checkpoint.
 """
 
 import json
@@ -16,7 +16,7 @@ from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.shared import CONFIG, FACTS, WEIGHTS, write_shared
 
 FILES = [WEIGHTS, CONFIG, FACTS, "README.md", "summary.json", "*.png", "*.gif"]
-"""What is fetched; anything else in a repository stays there."""
+"""What is fetched from a repository; other files are not."""
 
 CARD = """---
 library_name: dirl
@@ -36,8 +36,8 @@ from dirl import Navigator
 navigator = Navigator.from_pretrained("{name}", encoder)
 ```
 
-The features of its scenes are those of: {extractor}. Everything it was trained with stands in `config.yaml`, everything
-that was measured in `summary.json`.
+It was trained on the image features of: {extractor}. All options of the training are in `config.yaml`, all measurements
+in `summary.json`.
 
 ## Numbers
 
@@ -55,26 +55,26 @@ ROOMS = (
 
 
 class HubError(ValueError):
-    """A policy that cannot be shared or fetched; the message says why in one line."""
+    """A policy cannot be shared or fetched; the message says why in one line."""
 
 
 def save_pretrained(run: str | Path, folder: str | Path, *, name: str = "", license: str = "cc-by-nc-4.0") -> Path:
-    """Write the policy of a finished run as a folder to share, with a card.
+    """Write the policy of a finished run and its card to a folder that can be shared.
 
     Args:
         run: the folder of the run.
         folder: a new or empty one.
-        name: by which others will load it, for the card; the folder itself if empty.
+        name: under which others will load it, for the card; if empty, the folder.
         license: of the weights, as the Hub writes it. The default is that of the weights which the features of the
             built-in rooms were computed with.
 
     Raises:
-        HubError: the run is not finished, or the folder not empty.
+        HubError: the run is not finished, or the folder is not empty.
         RunError: the run's weights cannot be read, or safetensors is not installed.
     """
     run, folder = Path(run), Path(folder)
     if not (run / "summary.json").is_file() or not (run / "network.pt").is_file():
-        raise HubError(f"{run}: is not the folder of a finished run with weights")
+        raise HubError(f"{run}: is not the folder of a finished run with weights; train first, or resume the run")
     if folder.exists() and any(folder.iterdir()):
         raise HubError(f"{folder}: is not empty; choose a new folder")
     saved, summary = load_checkpoint(run), json.loads((run / "summary.json").read_text(encoding="utf-8"))
@@ -105,13 +105,13 @@ def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], 
 
 
 def push_to_hub(run: str | Path, name: str, *, private: bool = False, license: str = "cc-by-nc-4.0") -> str:
-    """Share the policy of a finished run as ``user/name`` in the Hub; ``hf auth login`` comes before.
+    """Upload the policy of a finished run to the Hub as ``user/name``; log in first with ``hf auth login``.
 
     Returns:
         The address of the commit.
 
     Raises:
-        HubError: huggingface_hub is not installed, or the Hub refuses; or see `save_pretrained`.
+        HubError: huggingface_hub is not installed, the Hub refuses the upload, or see `save_pretrained`.
     """
     hub = _library()
     with tempfile.TemporaryDirectory() as folder:
@@ -120,31 +120,33 @@ def push_to_hub(run: str | Path, name: str, *, private: bool = False, license: s
             api = hub.HfApi()
             api.create_repo(name, private=private, exist_ok=True)
             commit = api.upload_folder(repo_id=name, folder_path=folder, commit_message="Trained with dirl")
-        except (OSError, ValueError) as error:  # what the library raises are kinds of these
+        except (OSError, ValueError) as error:  # the base classes of the library's errors
             raise HubError(f"{name}: {_first_line(error)}") from None
     return str(commit)
 
 
 def fetch_pretrained(name: str | Path, *, revision: str | None = None) -> Path:
-    """The folder of a shared policy: ``name`` itself if there is such a folder, else fetched from the Hub.
+    """The folder of a shared policy: ``name`` itself if it is a local folder, else a download from the Hub.
 
-    What it returns is a ``checkpoint`` for `dirl.deploy.navigator.Navigator.load` and for ``recipes/evaluate.py``.
+    `dirl.deploy.navigator.Navigator.load` and ``recipes/evaluate.py`` take this folder as ``checkpoint``.
 
     Args:
         name: a folder, or ``user/name`` in the Hub.
         revision: a commit, branch or tag; the latest if left out.
 
     Raises:
-        HubError: there is none, or it cannot be fetched.
+        HubError: there is no such policy, or it cannot be fetched.
     """
     folder = Path(name)
     if not folder.is_dir():
         try:
             folder = Path(_library().snapshot_download(str(name), revision=revision, allow_patterns=FILES))
         except (OSError, ValueError) as error:
-            raise HubError(f"{name}: is no folder here, and the Hub: {_first_line(error)}") from None
+            raise HubError(
+                f"{name}: is no local folder, and cannot be fetched from the Hub: {_first_line(error)}"
+            ) from None
     if not (folder / WEIGHTS).is_file():
-        raise HubError(f"{name}: holds no policy shared by dirl; it has no {WEIGHTS}")
+        raise HubError(f"{name}: holds no policy shared by dirl: it has no {WEIGHTS}")
     return folder
 
 
@@ -152,7 +154,7 @@ def _library() -> Any:
     try:
         import huggingface_hub
     except ImportError:
-        raise HubError("the Hub needs a package that is not installed: pip install 'dirl[hub]'") from None
+        raise HubError("the Hub needs huggingface_hub, which is not installed: pip install 'dirl[hub]'") from None
     return huggingface_hub
 
 

@@ -11,24 +11,24 @@ Images = Tensor | NDArray[np.uint8]
 
 
 class NavigatorError(ValueError):
-    """An input that a `dirl.Navigator` cannot use; the message says what, and what to do."""
+    """An input that a `dirl.Navigator` cannot use; the message says why and what to do."""
 
 
 def checked_images(images: Images, name: str, *, sequential: bool) -> tuple[Tensor, int, bool]:
-    """Images one behind the other, uint8 ``[N, H, W, 3]``; how many are of each agent; and whether they were a batch.
+    """The images as one batch, uint8 ``[N, H, W, 3]``; the number of images per agent; whether a batch was given.
 
     Args:
-        images: of a policy on surrounding views ``[4, H, W, 3]`` or ``[B, 4, H, W, 3]``, and of its goal also one
-            photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; of one on sequential views ``[H, W, 3]`` or ``[B, H, W, 3]``.
+        images: for a policy of surrounding views ``[4, H, W, 3]`` or ``[B, 4, H, W, 3]``; its goal may also be one
+            photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``. For sequential views ``[H, W, 3]`` or ``[B, H, W, 3]``.
         name: ``images`` or ``goal_images``.
-        sequential: which of both.
+        sequential: whether the policy reads sequential views.
 
     Raises:
-        NavigatorError: another shape or type.
+        NavigatorError: the images have another shape or type.
     """
     if not isinstance(images, Tensor | np.ndarray):
         raise NavigatorError(f"{name}: expected a numpy array or a torch tensor, found {type(images).__name__}")
-    # Copied, because what a camera driver or an image library hands out may be read-only or flipped.
+    # Copied, because the array of a camera driver or image library may be read-only or have negative strides.
     pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.array(images, order="C"))
     shape = tuple(pixels.shape)
     accepted = _accepted(shape, sequential=sequential, goal=name == "goal_images")

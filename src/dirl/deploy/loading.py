@@ -23,14 +23,14 @@ Encoder = Callable[[Tensor], Any]
 
 
 def check_extractor(encoder: Encoder | str | Path, given: str | None, trained: str) -> None:
-    """Raise `NavigatorError` unless the encoder says, or is said, to be what made the features of the training."""
+    """Raise `NavigatorError` unless the encoder, or the caller, names the extractor of the training's features."""
     if given is None and isinstance(encoder, ViewEncoder):
         given = encoder.extractor
     if given is not None and given != trained:
         raise NavigatorError(f"the checkpoint was trained on features of another extractor: '{trained}', not '{given}'")
     if given is None and callable(encoder):
         raise NavigatorError(
-            f"say which extractor the encoder is by extractor=...; the checkpoint was trained with '{trained}'"
+            f"say which extractor this function is with extractor=...; the checkpoint was trained with '{trained}'"
         )
 
 
@@ -44,14 +44,14 @@ def choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str |
 
 
 def matched_view(config: TrainConfig, order: list[str]) -> int | None:
-    """Which of the four views is matched with the goal's, None for all."""
+    """The index of the view that is matched with the goal's; None for all four."""
     if order[-1] == "now":
-        return VIEWS - 1  # the newest: there is no other of where the agent is now
+        return VIEWS - 1  # the newest, the only one from where the agent is now
     return 0 if config.stop.match == Match.front else None
 
 
 def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
-    """The trained policy of one scene, with an empty table of features."""
+    """The trained policy with the layers of one scene, and an empty table of features."""
     weights = saved["network"]
     mean = weights.get("features.mean", weights.get("encoder.table.mean"))
     if mean is None:
@@ -68,20 +68,20 @@ def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origi
 
 
 def encoder_of_images(name: str | Path, device: str | torch.device, trained: str | None, *, patches: bool) -> Encoder:
-    """The encoder of a name or a file, compared with the extractor that a checkpoint was trained with, if one is given.
+    """Load an encoder by name or from a file, and compare it with the extractor of the training if one is given.
 
-    It takes any number of images; with ``patches`` their patch features follow the pooled ones.
+    The result takes any number of images. With ``patches`` the patch features follow the pooled ones.
     """
     encoder = load_encoder(str(name), device, patches=patches)
     if trained is not None and encoder.extractor != trained:
         if not Path(name).is_file():
             raise NavigatorError(
                 f"the checkpoint was trained on features of another extractor: '{trained}', not '{encoder.extractor}' "
-                f"(encoder={name}); if they are the same in other words, say so by extractor=..."
+                f"(encoder={name}); if both names mean the same, confirm it with extractor=..."
             )
         warnings.warn(
             f"the weights in {name} are '{encoder.extractor}', and the checkpoint was trained with '{trained}'; if "
-            "they are the same, say so by extractor=...",
+            "they are the same, confirm it with extractor=...",
             stacklevel=3,
         )
     return lambda images: torch.cat([_both(encoder, part) for part in images.split(BATCH)])

@@ -1,4 +1,4 @@
-"""A trained agent outside its scenes: from camera images to actions, for a robot."""
+"""A trained policy on a robot: from camera images to actions."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -33,35 +33,35 @@ class Scores(NamedTuple):
     """The scores behind a decision; for a batch, tensors with a first dimension of ``B``."""
 
     matching: float | Tensor
-    """The coefficient of what is seen with the goal, in [-1, 1]; the agent stops above its threshold."""
+    """Correlation of the agent's views with the goal's, in [-1, 1]; the agent stops above the threshold."""
     probabilities: Tensor
-    """Of the actions ahead, right, left and back, float32 ``[4]`` on the navigator's device."""
+    """Probabilities of ahead, right, left and back, float32 ``[4]`` on the navigator's device."""
 
 
 class Decision(NamedTuple):
     """The agent's action and whether it stops; for a batch, tensors ``[B]``."""
 
     action: int | Tensor
-    """0 ahead, 1 turn right, 2 turn left, 3 back; to be taken unless ``stop``."""
+    """0 ahead, 1 turn right, 2 turn left, 3 back; take it unless ``stop`` is true."""
     stop: bool | Tensor
-    """What is seen matches the goal: the agent has arrived."""
+    """Whether the views match the goal's, that is, the agent has arrived."""
     scores: Scores
 
 
 class Navigator:
-    """An agent that takes images of its goal once, and then chooses an action for each look around.
+    """An agent that is given images of its goal once, and then images of each step, for which it chooses an action.
 
-    Made by `Navigator.load`. A policy of surrounding views takes four images each time, ahead, right, back and left.
-    A policy of sequential views takes a single image, and the navigator keeps the last four.
+    `Navigator.load` makes one. A policy of surrounding views takes four images a step: ahead, right, back and left.
+    A policy of sequential views takes one image a step, and the navigator keeps the last four.
 
     Args:
         policy: see `FeaturePolicy`.
         encoder: images to features, see `Encoder`.
-        view_order: what the four views are; the last of a history is called ``now``.
-        threshold: stop above this matching coefficient. A goal of one photo that is matched where four views are the
-            rule needs at least `FRONT_THRESHOLD`.
-        facts: ``scene`` and ``extractor``, which an exported file is labelled with.
-        recall: what was seen and done in the episode, where the policy has an episodic memory.
+        view_order: the names of the four views; the last name of a history is ``now``.
+        threshold: stop above this matching coefficient. For a policy that matches four views, a goal given as one
+            photo needs at least `FRONT_THRESHOLD`.
+        facts: ``scene`` and ``extractor``, written to the metadata of exported files.
+        recall: the views and actions of the episode, if the policy has an episodic memory.
     """
 
     def __init__(
@@ -95,22 +95,22 @@ class Navigator:
         device: str | torch.device = "cpu",
         trust: Collection[str] = (),
     ) -> "Navigator":
-        """A navigator from a checkpoint; the scenes of the training are not needed.
+        """Load a navigator from a checkpoint; it does not need the scenes of the training.
 
         Args:
             checkpoint: the folder of a run, or a ``.pt`` file in one.
-            encoder: what `dirl.backbones.load_encoder` loads, by name (``resnet50``) or as a file of ResNet-50
-                weights; one that it has loaded; or a function of images (see `Encoder`).
-            extractor: what the encoder is, in the words of the dump whose features it reproduces (``Scene.extractor``).
-                It must be the text that the checkpoint was trained with. Required for a function; encoders of dirl
-                say it themselves. A file of weights may be what a dump describes in other words: if the texts differ,
-                there is a warning unless this argument says that they mean the same.
-            scene: whose layers are used. May be left out if there is only one scene, or if the layers are shared.
+            encoder: a name (``resnet50``) or a file of ResNet-50 weights for `dirl.backbones.load_encoder`; an encoder
+                that it has loaded; or a function of images (see `Encoder`).
+            extractor: the description of the encoder in the dump whose features it reproduces (``Scene.extractor``),
+                which must equal the checkpoint's. Required for a function; encoders of dirl describe themselves. A
+                dump may describe the same file of weights differently: if the texts differ, there is a warning
+                unless this argument confirms that they mean the same.
+            scene: whose layers are used. Optional if there is only one scene or the layers are shared.
             device: ``cpu`` or ``cuda``.
-            trust: packages whose classes the checkpoint's configuration may name, besides dirl's own.
+            trust: packages besides dirl whose classes the checkpoint's configuration may name.
 
         Raises:
-            NavigatorError: another extractor, an unknown scene, no such device, or weights that fit no network.
+            NavigatorError: another extractor, an unknown scene or device, or weights that do not fit the network.
             ValueError: there is no such checkpoint, or no such encoder.
         """
         if torch.device(device).type == "cuda" and not torch.cuda.is_available():
@@ -129,7 +129,9 @@ class Navigator:
             encoder = encoder_of_images(encoder, device, expected, patches=reads_patches(config))
         memory = make("episodic_memory", config.episodic_memory, trust)
         if memory is not None and order[-1] == "now":
-            raise NavigatorError(f"{checkpoint}: an episodic memory knows places by four views, not by the last four")
+            raise NavigatorError(
+                f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
+            )
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
         recall = None if memory is None else Recall(memory)
         return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, recall)
@@ -138,16 +140,16 @@ class Navigator:
     def from_pretrained(
         cls, name: str | Path, encoder: Encoder | str | Path, *, revision: str | None = None, **options: Any
     ) -> "Navigator":
-        """A navigator from the Hugging Face Hub, or from a folder that was shared in the same form.
+        """Load a navigator from the Hugging Face Hub, or from a folder of the same form.
 
         Args:
             name: ``user/name`` in the Hub, or a folder; see `dirl.deploy.hub`.
             encoder: see `load`.
             revision: a commit, branch or tag; the latest if left out.
-            options: of `load`; without ``trust`` nothing but dirl's own classes is made.
+            options: of `load`; without ``trust`` only dirl's own classes are built.
 
         Raises:
-            HubError: there is none, or it cannot be fetched.
+            HubError: there is no such policy, or it cannot be fetched.
             NavigatorError: see `load`.
         """
         return cls.load(fetch_pretrained(name, revision=revision), encoder, **options)
@@ -173,12 +175,12 @@ class Navigator:
 
         Args:
             goal_images: the views at the goal, uint8 RGB ``[4, H, W, 3]`` (ahead, right, back, left) or
-                ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well a policy finds goals
-                by one depends on its training (``imitation.front_only``, ``goal_view=front``). With sequential views
+                ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well this works
+                depends on the training (``imitation.front_only``, ``goal_view=front``). With sequential views
                 one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents.
 
         Raises:
-            NavigatorError: images of another shape or type, or an encoder that gives other features than it should.
+            NavigatorError: images of another shape or type, or an encoder whose features do not fit the checkpoint.
         """
         views = self._encode(goal_images, "goal_images")[0]
         if self.sequential:
@@ -192,22 +194,24 @@ class Navigator:
 
     @torch.no_grad()
     def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
-        """Choose the action; call this once after every step, because the navigator may keep a history.
+        """Choose the action. Call this exactly once a step, because the navigator may keep a history.
 
         Args:
-            images: the agent's views now, in the form that `reset` takes.
-            sample: draw the action by its probability instead of taking the most probable.
+            images: the agent's present views, in the form that `reset` takes.
+            sample: draw the action by its probability instead of taking the most probable one.
             generator: to draw with, on the navigator's device; torch's own if left out.
 
         Raises:
-            NavigatorError: `reset` was not called, images of another shape or type, or not as many as there are goals.
+            NavigatorError: `reset` was not called, or images have another shape, type or number than the goals require.
         """
         if self._goal is None:
             raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
         views, batched = self._encode(images, "images")
         agents, goals = len(views), len(self._goal)
         if goals not in (1, agents):
-            raise NavigatorError(f"images of {agents} agents for {goals} goals; give as many, or reset with one goal")
+            raise NavigatorError(
+                f"images of {agents} agents for {goals} goals; give each agent a goal, or all the same"
+            )
         views = self._remember(views)
         state = self._recurrent_state(agents)
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
@@ -227,7 +231,7 @@ class Navigator:
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
 
     def _threshold_now(self) -> float:
-        """What the coefficient must exceed: more for one photo, where the threshold is that of four views."""
+        """The threshold in use: higher for one photo if `threshold` is meant for four views."""
         assert self._goal is not None
         photo = self.policy.front is None and not self._goal[:, 1:].any()
         return max(self.threshold, FRONT_THRESHOLD) if photo else self.threshold
@@ -257,11 +261,11 @@ class Navigator:
         features = torch.as_tensor(self._encoder(pixels.to(self.device)))
         if features.shape != (len(pixels), self.width) or not features.is_floating_point():
             raise NavigatorError(
-                f"the encoder gave {features.dtype} {list(features.shape)} for {len(pixels)} images; the checkpoint "
-                f"was trained on {self.width} features a view, float [{len(pixels)}, {self.width}]: "
+                f"the encoder returned {features.dtype} {list(features.shape)} for {len(pixels)} images; the "
+                f"checkpoint was trained on {self.width} features a view, float [{len(pixels)}, {self.width}]: "
                 f"{self.facts['extractor']}"
             )
         features = features.to(self.device, torch.float32)
         if not features.isfinite().all():
-            raise NavigatorError("the encoder gave features that are not finite")
+            raise NavigatorError("the encoder returned features that are not finite")
         return features.reshape(-1, count, self.width), batched

@@ -1,4 +1,4 @@
-"""A trained agent as an ONNX file, for machines without torch."""
+"""Export of a trained policy to ONNX, for machines without torch."""
 
 import logging
 import warnings
@@ -16,23 +16,23 @@ from dirl.models import initial_state
 
 
 def export_onnx(navigator: Navigator, file: str | Path) -> None:
-    """Write the policy as ONNX: features to logits, value and matching coefficient, of any number of agents.
+    """Export the policy to ONNX: features to logits, value and matching coefficient, for any number of agents.
 
-    Inputs are ``features`` and ``goal_features``, float32 ``[B, 4, D]`` as the backbone gave them; outputs ``logits``
-    ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. A policy with memory also takes its recurrent state
-    (zeros at the beginning of an episode) and gives the next one, called ``next_<name>``. The layers are those of the
-    navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and ``threshold``.
-    It does not contain the encoder.
+    Inputs are ``features`` and ``goal_features``, float32 ``[B, 4, D]`` as the backbone returns them; outputs
+    ``logits`` ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. A policy with memory also takes its recurrent
+    state (zeros at the beginning of an episode) and returns the next one as ``next_<name>``. The layers are those of
+    the navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and
+    ``threshold``. It does not contain the encoder.
 
     Raises:
-        NavigatorError: the packages that the export needs are not installed.
+        NavigatorError: a package that the export needs is not installed.
     """
     try:
         import onnx  # noqa: F401
         import onnxscript  # noqa: F401
     except ImportError as error:
         raise NavigatorError(
-            f"ONNX needs packages that are not installed ({error}): pip install 'dirl[onnx]'"
+            f"the export needs packages that are not installed ({error}): pip install 'dirl[onnx]'"
         ) from None
     # Two rows, because torch treats a dimension of one as a constant; two tensors, because it merges identical inputs.
     features, goal_features = (torch.zeros(2, VIEWS, navigator.width, device=navigator.device) for _ in range(2))
@@ -58,7 +58,7 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Within this context torch does not warn of its own deprecated functions or of a missing torchvision."""
+    """Suppress torch's warnings about its own deprecated functions and a missing torchvision."""
     log = logging.getLogger("torch.onnx")
     level = log.level
     log.setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""The episodic memory of an agent that sees images: places are what they look like."""
+"""The episodic memory of an agent that sees images: it recognises places by their views."""
 
 import torch
 from torch import Tensor
@@ -8,10 +8,10 @@ from dirl.scenes.matching import normal_vectors
 
 
 class Recall:
-    """What B agents saw and did in their episodes, for `EpisodicMemory`.
+    """The views and actions of B agents in their episodes, for `EpisodicMemory`.
 
     Args:
-        memory: lowers logits by it.
+        memory: lowers the logits of actions that were taken before.
     """
 
     def __init__(self, memory: EpisodicMemory) -> None:
@@ -21,12 +21,12 @@ class Recall:
     def clear(self) -> None:
         """Begin new episodes."""
         self.looks: Tensor | None = None
-        """Of every step so far, float32 ``[B, T, F]``; the product of two is their correlation."""
+        """Normalised features of all steps so far, float32 ``[B, T, F]``; a dot product of two is their correlation."""
         self.trace = self.memory.begin(0)
         self.action: Tensor | None = None
 
     def adjust(self, features: Tensor, logits: Tensor) -> Tensor:
-        """Logits ``[B, 4]`` after what was done where everything looks as now.
+        """Adjust logits ``[B, 4]`` by the actions that were taken where all views looked as they do now.
 
         Args:
             features: of the views around each agent, float32 ``[B, 4, D]``.
@@ -46,5 +46,5 @@ class Recall:
         return self.memory.adjust(logits, self.trace, alike.gather(1, self.trace.place))
 
     def acted(self, action: Tensor) -> None:
-        """Remember what the agents do now, int64 ``[B]``."""
+        """Remember the actions that the agents take now, int64 ``[B]``."""
         self.action = action

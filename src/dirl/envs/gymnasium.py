@@ -1,7 +1,7 @@
 """The navigation task for Gymnasium: ``dirl/Navigation-v0``, one agent or a batch of them.
 
-`import dirl` registers both; this module waits until one is made. The rules are `NavigationEnv`'s: it is asked
-once for every transition there is, and from then on a step is a look-up in NumPy arrays.
+`import dirl` registers both; this module is imported when one is made. The rules are those of `NavigationEnv`: it
+computes every transition once, and from then on a step is a look-up in NumPy arrays.
 """
 
 from dataclasses import replace
@@ -25,26 +25,26 @@ Ints = NDArray[np.int64]
 Observation = dict[str, NDArray[Any]]
 
 OBSERVED = {"features": ("features",), "views": ("views",), "both": ("features", "views")}
-"""What an observation holds, of the agent's surroundings and (key with ``goal_`` before it) of the goal's."""
+"""What an observation holds: of the agent's surroundings, and with the prefix ``goal_`` of the goal's."""
 
 RENDERING = {"render_modes": ["rgb_array"], "render_fps": 4}
 
 
 class Task:
-    """One scene as tables; N states, G goals. What the environments of this module share.
+    """One scene of N states and G goals as tables, which the environments of this module share.
 
     Args:
         scene: a built-in room (``bathroom_02``), or the path of a dump file (``.h5``).
         source: ``rooms`` for the built-in rooms, ``thor`` for the published dumps, see `dirl.scenes.load_scenes`.
         root: the folder of the published dumps.
-        goal: a state of the scene; None = each reset draws one of the scene's own goals.
+        goal: a state of the scene; if None, each reset draws one of the scene's own goals.
         observation: ``features``, ``views`` or ``both``.
-        reward: what a step earns.
-        goal_view: ``surrounding``, the four views of the goal; or ``front``, one photo of it (ImageNav): then what
-            observations hold of the goal is ``[1, ...]`` instead of ``[4, ...]``.
+        reward: of a step.
+        goal_view: ``surrounding``, the four views of the goal; or ``front``, one photo of it (ImageNav). Observations
+            of the goal are then ``[1, ...]`` instead of ``[4, ...]``.
 
     Raises:
-        SceneError: no such scene, goal or views.
+        SceneError: the scene or goal does not exist, or the scene has no views.
         ValueError: an unknown ``observation`` or ``goal_view``.
     """
 
@@ -64,7 +64,7 @@ class Task:
         if observation not in OBSERVED:
             raise ValueError(f"there is no observation '{observation}'; choose one of {list(OBSERVED)}")
         if scene == "all" or not isinstance(scene, str | Path):
-            raise SceneError(f"scene={scene!r}: this environment is one scene; name one, e.g. scene='bathroom_02'")
+            raise SceneError(f"scene={scene!r}: this environment holds one scene; name one, e.g. scene='bathroom_02'")
         self.observed = OBSERVED[observation]
         (self.scene,) = load_scenes(str(scene), source=source, root=root)
         if "views" in self.observed and self.scene.views is None:
@@ -103,13 +103,13 @@ class Task:
         return spaces.Dict(made)
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Ints, Ints]:
-        """Goals (their index) and starts of new episodes, int64 ``[count]`` each, drawn as `NavigationEnv` does."""
+        """Goal indices and starts of new episodes, int64 ``[count]`` each, drawn as `NavigationEnv` does."""
         goal = rng.integers(len(self.goals), size=count)
         start = rng.integers(self.start_count[goal])
         return goal, np.array([self.starts[one][at] for one, at in zip(goal, start, strict=True)], np.int64)
 
     def chosen(self, options: dict[str, Any], goal: int, state: int) -> tuple[int, int]:
-        """The goal's index and the start, where ``options`` name other ones than those drawn."""
+        """The goal's index and the start: those that ``options`` name, else those that were drawn."""
         unknown = sorted(set(options) - {"goal", "state"})
         if unknown:
             raise ValueError(f"reset has no option '{unknown[0]}'; options are 'goal' and 'state'")
@@ -126,7 +126,7 @@ class Task:
         return goal, int(state)
 
     def observe(self, goal: Ints, state: Ints) -> Observation:
-        """What agents see: features float32 ``[..., 4, D]``, views uint8 ``[..., 4, H, W, 3]``."""
+        """The agents' observations: features float32 ``[..., 4, D]``, views uint8 ``[..., 4, H, W, 3]``."""
         made: Observation = {}
         for prefix, at, count in (("", state, VIEWS), ("goal_", self.goals[goal], self.goal_views)):
             around = self.surrounding[at][..., :count]
@@ -139,7 +139,7 @@ class Task:
         return made
 
     def view(self, state: int) -> NDArray[np.uint8]:
-        """The decoded view of a state, kept; a grey one where the scene has none."""
+        """The decoded view of a state, cached; grey if the scene has no views."""
         if state not in self.decoded:
             views = self.scene.views
             self.decoded[state] = np.full((3, 4, 3), 128, np.uint8) if views is None else views[state]
@@ -152,13 +152,13 @@ def _check_render_mode(render_mode: str | None) -> None:
 
 
 def _painter(task: Task) -> Any:
-    from dirl.envs.rendering import Painter  # with the figures' style and thus matplotlib, which few episodes need
+    from dirl.envs.rendering import Painter  # imports matplotlib, which most users of the environment do not need
 
     return Painter(task.scene, task.view)
 
 
 class NavigationGym(gymnasium.Env[Observation, np.int64]):
-    """One agent that walks to a goal, ``gymnasium.make("dirl/Navigation-v0", scene="bathroom_02")``.
+    """One agent on its way to a goal, ``gymnasium.make("dirl/Navigation-v0", scene="bathroom_02")``.
 
     Actions are 0 ahead, 1 turn right, 2 turn left, 3 back. An episode ends at the goal (place and heading), or after
     200 steps (``max_episode_steps`` of ``gymnasium.make``). Observations are a dictionary of ``features`` and
@@ -170,7 +170,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
 
     Args:
         scene: a built-in room, or the path of a dump file.
-        render_mode: ``rgb_array``: `render` gives the view, the goal's view and the map side by side; or None.
+        render_mode: ``rgb_array``: `render` returns the view, the goal's view and the map side by side; or None.
         task: the further arguments of `Task`: source, root, goal, observation, reward.
     """
 
@@ -188,7 +188,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode; ``seed`` starts the draws of goals and starts anew."""
+        """Begin an episode; ``seed`` seeds the draws of goals and starts."""
         super().reset(seed=seed)
         goal, state = self.task.draw(self.np_random, 1)
         self._goal, self._state = self.task.chosen(options or {}, int(goal[0]), int(state[0]))
@@ -227,8 +227,8 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
     Args:
         scene: a built-in room, or the path of a dump file.
         num_envs: B, how many agents.
-        max_episode_steps: after how many steps an episode is truncated; None = never.
-        render_mode: ``rgb_array``: `render` gives one picture an agent; or None.
+        max_episode_steps: number of steps after which an episode is truncated; None for no limit.
+        render_mode: ``rgb_array``: `render` returns one picture for each agent; or None.
         task: the further arguments of `Task`: source, root, goal, observation, reward.
     """
 
@@ -256,7 +256,7 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode of every agent; one ``seed`` for all draws. There are no ``options``."""
+        """Begin an episode of every agent; one ``seed`` determines all draws. There are no ``options``."""
         super().reset(seed=seed)
         if options:
             raise ValueError(f"reset of a vector environment has no options, found {sorted(options)}")
@@ -296,7 +296,7 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
             "distance": task.distances[goal, state],
         }
         info.update(success=success, collision=collision)
-        # Gymnasium marks with _<key> which agents have told <key>: here, all of them.
+        # In Gymnasium's convention _<key> marks the agents that have <key>: here, all of them.
         info.update({f"_{key}": np.ones(self.num_envs, bool) for key in list(info)})
         return task.observe(goal, state), info
 

@@ -25,7 +25,7 @@ class Reward:
 
 
 class NavigationEnv(EnvBase):
-    """Agents that walk to goals, many at once; a transition is one look-up in the world's graph.
+    """A batch of agents that walk to goals; a transition is one look-up in the world's graph.
 
     A reset draws a goal uniformly among the world's and a start uniformly among the other states that reach it. An
     episode ends (``terminated``) where ``stop`` says so, by default exactly at the goal. It has no step limit of its
@@ -40,10 +40,9 @@ class NavigationEnv(EnvBase):
         world: the scenes and goals; the environment runs on its device.
         num_agents: how many agents, B.
         reward: of a step.
-        stop: where an agent stops on its way to each goal, bool ``[P]``, see
-            `dirl.scenes.matching.TemplateStop`. A stop
-            anywhere but at the goal ends the episode with the reward of an ordinary step.
-        seed: of the generator that draws goals and starts; actions are drawn by the policy.
+        stop: where an agent stops on its way to each goal, bool ``[P]``, see `dirl.scenes.matching.TemplateStop`. A
+            stop anywhere but at the goal ends the episode with the reward of an ordinary step.
+        seed: of the generator that draws goals and starts. The policy draws the actions.
     """
 
     def __init__(
@@ -55,14 +54,14 @@ class NavigationEnv(EnvBase):
         stop: Tensor | None = None,
         seed: int = 0,
     ) -> None:
-        # It cannot happen, and allowing it avoids a check at every reset, a host-device synchronisation on a GPU.
+        # It cannot happen. Allowing it avoids a check at every reset, which on a GPU is a host-device synchronisation.
         super().__init__(device=world.device, batch_size=[num_agents], allow_done_after_reset=True)
         self.world = world
         self.reward = reward or Reward()
         states, agents = len(world), self.batch_size
         self.stop = (world.distances == 0 if stop is None else stop).to(self.device)
         self.goal_index = world.goal_index
-        # The starts of a goal lie one behind the other, from `first_start` on.
+        # The starts of a goal are consecutive, from `first_start` on.
         goal_index, state = world.pairs()
         reaches = world.distances > 0
         self.starts = state[reaches]

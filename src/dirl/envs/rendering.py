@@ -19,7 +19,7 @@ class Painter:
 
     Args:
         scene: the room.
-        view: gives the view of a state, uint8 ``[H, W, 3]``.
+        view: returns the view of a state, uint8 ``[H, W, 3]``.
     """
 
     def __init__(self, scene: Scene, view: Callable[[int], NDArray[np.uint8]]) -> None:

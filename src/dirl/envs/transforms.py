@@ -23,15 +23,15 @@ class SurroundingViews(Transform):
 
     Args:
         world: where the agents walk.
-        goal_view: ``surrounding``, all four views of the goal; or ``front``, the one ahead, as a person's photo shows
-            it (the field's ImageNav). Its other three are the number of states, which stands for no view.
+        goal_view: ``surrounding``, all four views of the goal; or ``front``, only the one ahead, as in a photo
+            (ImageNav). The ids of the other three are the number of states, which denotes no view.
     """
 
     history = False
-    """Whether what is observed depends on more than where the agent is."""
+    """Whether an observation depends on earlier states too."""
 
     order: tuple[str, ...] = ("ahead", "right", "back", "left")
-    """What the four views are; a checkpoint says it."""
+    """The names of the four views; they are saved in checkpoints."""
 
     def __init__(self, world: World, goal_view: Literal["surrounding", "front"] = "surrounding") -> None:
         super().__init__(in_keys=["state", "goal"], out_keys=["view_ids", "goal_view_ids"])
@@ -125,7 +125,7 @@ class ViewFeatures(Transform):
     """The features behind view ids, as ``observation`` and ``goal_observation``, float32 ``[..., 4, D]``.
 
     Args:
-        table: features of all N states, float32 ``[N, D]``; view id N, a view that is not known, has zeros.
+        table: features of all N states, float32 ``[N, D]``. View id N, an unknown view, has zeros.
     """
 
     def __init__(self, table: Tensor) -> None:

@@ -1,6 +1,7 @@
 """An episode as an animated picture: the agent's view, the goal's view, and the path so far."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 
 MAX_FRAMES = 60
-"""Of a longer episode the first steps are shown, and the last."""
+"""Number of frames; of a longer episode the first steps and the last one are shown."""
 
 FRAME_MS, HOLD_MS = 400, 2500
 """How long a step is shown, and the last one; milliseconds."""
@@ -49,15 +50,16 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
     actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
     shown = [*range(min(steps, MAX_FRAMES - 1)), steps]
     room = _Map(scene, goal)
-    frames = [_frame(scene, goal, path, step, actions[step], room, title) for step in shown]
-    # One palette for all frames, and no dithering: whatever does not change then costs nothing.
+    views = {state: _small_view(scene, state) for state in {goal, *(path[step] for step in shown)}}
+    frames = [_frame(views, goal, path, step, actions[step], room, title) for step in shown]
+    # One palette for all frames and no dithering, so that unchanged regions take no space.
     sample = Image.new("RGB", (frames[0].width, 4 * frames[0].height))
     for row, which in enumerate((0, len(frames) // 2, len(frames) - 1)):
         sample.paste(frames[which], (0, row * frames[0].height))
-    # The views' many colours would else crowd out the few pixels of the markers'.
+    # Otherwise the many colours of the views would displace those of the few pixels of the markers.
     for place, color in enumerate((*COLORS, GOAL_COLOR)):
         sample.paste(color, (40 * place, 3 * frames[0].height, 40 * (place + 1), 4 * frames[0].height))
-    palette = sample.quantize(128, method=Image.Quantize.MEDIANCUT)
+    palette = sample.reduce(3).quantize(128, method=Image.Quantize.MEDIANCUT)  # the time grows with the pixels
     first, *rest = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     durations = [FRAME_MS] * (len(frames) - 1) + [HOLD_MS]
     with atomic_path(file) as temporary:
@@ -65,7 +67,7 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
 
 
 class _Map:
-    """The map of a room in pixels: drawn once without a path, and copied for each frame."""
+    """The map of a room in pixels, drawn once without a path and copied for each frame."""
 
     def __init__(self, scene: Scene, goal: int) -> None:
         side = step_length(scene)
@@ -73,9 +75,10 @@ class _Map:
         spans = scene.positions.max(0) + 0.75 * side - low
         self.scale = SMOOTH * MAP_SIZE / spans.max()
         self.side = side * self.scale
-        self.size = (int(np.ceil(spans[0] * self.scale)), int(np.ceil(spans[1] * self.scale)))
-        across, up = (scene.positions - low).T * self.scale
-        self.at = np.stack([across, self.size[1] - up], 1)  # rows of an image count downwards
+        width, height = (SMOOTH * math.ceil(span * self.scale / SMOOTH) for span in spans)
+        self.size = (width, height)
+        x, z = (scene.positions - low).T * self.scale
+        self.at = np.stack([x, self.size[1] - z], 1)  # rows of an image count downwards
         self.ahead = heading_directions(scene) * (1, -1)
         self.room = Image.new("RGB", self.size, WALL_COLOR)
         draw = ImageDraw.Draw(self.room)
@@ -99,7 +102,7 @@ class _Map:
         for x, y in points[:1]:
             draw.ellipse((x - width, y - width, x + width, y + width), fill=COLORS[4])
         self._pointer(draw, path[-1], 0.34, color)
-        return picture.resize((self.size[0] // SMOOTH, self.size[1] // SMOOTH), Image.Resampling.LANCZOS)
+        return picture.reduce(SMOOTH)
 
     def _pointer(self, draw: ImageDraw.ImageDraw, state: int, size: float, color: str) -> None:
         """A dart that points along the heading, ``size`` cells in radius."""
@@ -111,18 +114,32 @@ class _Map:
         draw.polygon(points, fill=color, outline="black", width=SMOOTH)
 
 
-def _frame(scene: Scene, goal: int, path: Sequence[int], step: int, action: str, room: _Map, title: str) -> Image.Image:
+def _small_view(scene: Scene, state: int) -> Image.Image | None:
+    """The view of a state as frames show it; None if the scene has none."""
+    if scene.views is None:
+        return None
+    view = Image.fromarray(scene.views[state])
+    return view.resize((VIEW_WIDTH, round(VIEW_WIDTH * view.height / view.width)), Image.Resampling.LANCZOS)
+
+
+def _frame(
+    thumbnails: Mapping[int, Image.Image | None],
+    goal: int,
+    path: Sequence[int],
+    step: int,
+    action: str,
+    room: _Map,
+    title: str,
+) -> Image.Image:
+    """The picture of one step; ``thumbnails`` are the views of the states that are shown."""
     ended = step == len(path) - 1
     arrived = COLORS[2] if action == "goal reached" else COLORS[1]
     color = arrived if ended else COLORS[0]
     picture = room.draw(path[: step + 1], color)
     height = picture.height
-    views: list[tuple[str, Image.Image]] = []
-    if scene.views is not None:
-        for name, state in (("what it sees", path[step]), ("the goal's view", goal)):
-            view = Image.fromarray(scene.views[state])
-            size = (VIEW_WIDTH, round(VIEW_WIDTH * view.height / view.width))
-            views.append((name, view.resize(size, Image.Resampling.LANCZOS)))
+    named = (("what it sees", thumbnails[path[step]]), ("the goal's view", thumbnails[goal]))
+    views = [(name, view) for name, view in named if view is not None]
+    if views:
         height = max(height, sum(view.height + LINE for _, view in views) + GAP)
     caption = f"step {step} of {len(path) - 1}: {action}"
     big, small = ImageFont.load_default(14), ImageFont.load_default(13)

@@ -43,7 +43,7 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
     axes = figure.subplots()
     draw_room(axes, scene, side)
     figure.suptitle(f"{scene.name} ({scene.source}): {len(scene)} states at {place.max() + 1} places", fontsize=11)
-    # Numbers that would not be readable are left out.
+    # Numbers too small to read are left out.
     size = 72 * 0.28 * side * min(width / spans[0], height / spans[1])
     for first in np.unique(place, return_index=True)[1]:
         x, z = scene.positions[first]
@@ -99,7 +99,7 @@ def draw_contact_sheet(scene: Scene, file: Path) -> None:
         groups = [groups[number] for number in np.linspace(0, len(groups) - 1, most).round().astype(int)]
     rows, columns, _ = scene.views[0].shape
     height = max(1, round(THUMBNAIL * rows / columns))
-    # A place's headings stay together in one line; the sheet comes out about as wide as high.
+    # The headings of a place are side by side; the sheet is about as wide as high.
     block = turns * (THUMBNAIL + 1) + GAP
     line = height + LABEL + GAP
     across = max(1, round(math.sqrt(len(groups) * line / block)))

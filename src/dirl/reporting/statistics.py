@@ -21,7 +21,7 @@ def iqm(values: ArrayLike) -> FloatArray:
     """
     runs = np.sort(np.asarray(values, float), axis=0)
     if len(runs) == 0:
-        raise ValueError("there is no mean of no runs")
+        raise ValueError("the mean of no runs is not defined")
     cut = len(runs) // 4
     return runs[cut : len(runs) - cut].mean(0)
 
@@ -39,7 +39,7 @@ def bootstrap_interval(values: ArrayLike, confidence: float = 0.95, seed: int = 
     """
     runs = np.asarray(values, float)
     if len(runs) == 0:
-        raise ValueError("there is no interval of no runs")
+        raise ValueError("the interval of no runs is not defined")
     drawn = np.random.default_rng(seed).integers(len(runs), size=(len(runs), RESAMPLES))
     means = iqm(runs[drawn])
     tail = 100 * (1 - confidence) / 2

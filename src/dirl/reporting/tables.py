@@ -26,7 +26,7 @@ MOST_GOALS = 40
 
 
 def result_table(rows: Mapping[str, Mapping[str, float | None]]) -> str:
-    """One line a row, one column a measure.
+    """A Markdown table with a line for each row and a column for each measure.
 
     Args:
         rows: measures by row label, see `dirl.evaluation.metrics`. One that is missing, None or NaN is printed as

@@ -42,7 +42,7 @@ def viewer_pages(
         stop: where an agent stops on its way to each goal, bool ``[P]``; at the goal itself if None.
         max_steps: after so many steps an episode has failed.
         title: names the run; the same for all scenes.
-        memory: lowers logits by what was done in the episode.
+        memory: lowers the logits of actions that were taken in the episode.
 
     Returns:
         The HTML text of each scene's page by its file name, ``viewer_<scene>.html``. The pages link to each other, and
@@ -53,8 +53,8 @@ def viewer_pages(
     """
     if observation.history or recurrent_keys(policy):
         raise ValueError(
-            "the viewer shows policies that decide by their surroundings; with observation=sequential or a memory the "
-            "answer depends on the states before, which no table of states can hold: leave out viewer=true"
+            "the viewer needs a policy that depends on the present state only; with observation=sequential or a memory "
+            "it depends on earlier states too: leave out viewer=true"
         )
     logits, values = answers(policy, world, observation)
     scores = matching.scores(world)
@@ -128,7 +128,7 @@ def _base64(values: Tensor) -> str:
 
 def _page(data: dict[str, Any]) -> str:
     """The template with style, script and data inside."""
-    # No text in the data, whatever a file calls its scene, may end the script element that it is in.
+    # A scene's name may contain any text, and must not end the script element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     folder = files("dirl.reporting")
     page, style, script = (
