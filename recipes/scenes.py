@@ -2,6 +2,7 @@
 
     python recipes/scenes.py thor scene=FloorPlan401 out=dumps/FloorPlan401.h5
     python recipes/scenes.py photos folder=my_office out=my_office.h5
+    python recipes/scenes.py tour path=my_tour out=my_tour.h5
     python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
     python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
     python recipes/scenes.py encode scene=room.h5 encoder=facebook/dinov2-small out=room_dino.h5
@@ -39,6 +40,7 @@ from dirl.config.scene_schemas import (
     PhotosConfig,
     SampleConfig,
     ThorConfig,
+    TourConfig,
 )
 from dirl.config.schemas import ConfigError, typed
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
@@ -53,6 +55,9 @@ from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.sources.photos import encoded_photos, read_photos
 from dirl.scenes.sources.thor import start_simulator, take_views
+from dirl.scenes.sources.tours import read_tour
+from dirl.scenes.sources.tours.images import cut_views
+from dirl.scenes.sources.tours.moves import tour_scene
 from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
 
@@ -93,10 +98,42 @@ def write_photos(
     """A dump from a folder with ``states.csv``, with features if there is an encoder."""
     scene, images = read_photos(folder, name=name, source=source)
     views = list(tqdm(encoded_photos(images, *shape), total=len(images), desc="images", disable=None))
+    write_encoded(out, scene, views, encoder)
+
+
+def tour(options: TourConfig) -> None:
+    """Make a dump from a 360-degree tour."""
+    out = new_file(options.out)
+    if options.path is None:
+        raise ConfigError("name the tour: path=<its folder, or the file that describes it>")
+    found = read_tour(options.path, reach=options.reach)
+    chosen = {name: getattr(options, name) for name in ("headings", "tolerance", "step", "name")}
+    made = tour_scene(found, **chosen)
+    encoder = chosen_encoder(options)
+    print(
+        "\n".join([f"{found.origin}: {len(found.panoramas)} panoramas", *(f"- {note}" for note in made.notes)]),
+        flush=True,
+    )
+    camera: dict[str, Any] = {"field_of_view": options.field_of_view, "pitch": options.pitch}
+    images = [panorama.image for panorama in found.panoramas]
+    cutting = cut_views(images, made.yaws, size=(options.height, options.width), **camera)
+    views = list(tqdm(cutting, total=len(made.scene), desc="views", disable=None))
+    write_encoded(out, made.scene, views, encoder, {**camera, "positions": "layout" if made.layout else "given"})
+
+
+def write_encoded(
+    out: Path,
+    scene: Scene,
+    views: list[bytes],
+    encoder: ViewEncoder | None,
+    attributes: dict[str, Any] | None = None,
+) -> None:
+    """A dump of a scene with its views, and with features if there is an encoder."""
     if encoder is not None:
-        features = encode_views(encoder, map(decode, views), len(views), str(folder))
+        features = encode_views(encoder, map(decode, views), len(views), scene.origin)
         scene = replace(scene, features=features, extractor=encoder.extractor)
-    write_dump(out, scene, views, feature_attributes=None if encoder is None else dict(encoder.attributes))
+    about = None if encoder is None else dict(encoder.attributes)
+    write_dump(out, scene, views, attributes=attributes, feature_attributes=about)
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
     print("no features yet; see the command encode" if encoder is None else f"extractor: {encoder.extractor}")
 
@@ -240,7 +277,7 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     print(f"\npictures: {folder}")
 
 
-def chosen_encoder(options: ThorConfig | PhotosConfig | BuildConfig) -> ViewEncoder | None:
+def chosen_encoder(options: ThorConfig | PhotosConfig | TourConfig | BuildConfig) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names."""
     return None if options.encoder is None else load_encoder(options.encoder, options.device)
 
@@ -269,6 +306,7 @@ def new_file(name: str | None, ending: str = ".h5") -> Path:
 COMMANDS: dict[str, Callable[[Any], None]] = {
     "thor": thor,
     "photos": photos,
+    "tour": tour,
     "build": build,
     "sample": sample,
     "encode": encode,

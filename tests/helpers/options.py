@@ -65,6 +65,7 @@ def base(recipe, files, tiny=()):
         "report": ["experiment=table1", f"runs={files / 'runs'}", "out=report"],
         "thor": ["scene=FloorPlan401", "out=new.h5", *small],
         "photos": [f"folder={files / 'photos'}", "out=new.h5", *small],
+        "tour": [f"path={files / 'tour'}", "out=new.h5", *small],
         "build": ["description=bathroom_02", "out=new.h5", *small, "fine=false", "workers=1"],
         "sample": ["kind=bathroom", "out=rooms", *small, "fine=false", "workers=1", "sheet=false"],
         "encode": [room, "out=new.h5", "encoder=resnet50_small"],

@@ -14,6 +14,7 @@ from PIL import Image
 from rooms import grid_scene, published_dump
 from scenes import COMMANDS
 from simulator import Simulator
+from tours import Camera360, grid_truth, turned, write_table
 
 from dirl.backbones import ResNet50
 from dirl.config.command_line import SCHEMAS, choose_command, prepare, register
@@ -136,6 +137,38 @@ def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
     assert "| turn | 45 degrees |" in capsys.readouterr().out
     names = {"map.png", "contact_sheet.jpg", "distances.png", "false_stops.png"}
     assert {path.name for path in (here / "pictures").iterdir()} == names
+
+
+def test_a_tour_becomes_a_dump(here, capsys):
+    """Its views are in the order of the states, and what a user must know of it is printed first."""
+    truth = turned(grid_truth(2, 2), 0.5)
+    (here / "hall").mkdir()
+    write_table(here / "hall", truth, Camera360(), 16)
+    for index, name in enumerate(truth.names):  # the brightness of a column tells the direction that it shows
+        columns = (np.arange(64) / 64 * 360 - 180 + truth.middles[index]) % 360 * 255 / 360
+        pixels = np.broadcast_to(columns[None, :, None], (32, 64, 3)).astype(np.uint8)
+        Image.fromarray(pixels).save(here / "hall" / f"{name}.png")
+        text = (here / "hall" / "links.csv").read_text()
+        (here / "hall" / "links.csv").write_text(text.replace(f"{name}.jpg", f"{name}.png"))
+        text = (here / "hall" / "panoramas.csv").read_text()
+        (here / "hall" / "panoramas.csv").write_text(text.replace(f"{name}.jpg", f"{name}.png"))
+    run("tour path=hall out=hall.h5 height=16 width=16 field_of_view=40 encoder=null")
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[:2] == [
+        "hall/links.csv: 4 panoramas",
+        "- 4 images have no link and are left out, the first: place_0.jpg",
+    ]
+    assert "hall.h5: 32 states (source: tour), " in printed[-2]
+    scene = read_dump("hall.h5")
+    assert (scene.positions[::8] == truth.places).all()
+    shown = np.array([scene.views[state][:, 7:9].mean() for state in range(32)]).reshape(4, 8) * 360 / 255
+    off = (shown - scene.headings.reshape(4, 8) + 180) % 360 - 180
+    off = (off - np.median(off) + 180) % 360 - 180  # the zero of the map is any multiple of 45 degrees
+    assert (np.abs(off) < 5).sum() >= 28  # not where white follows black
+    with pytest.raises(SceneError, match="headings=6: must be a multiple of four"):
+        run("tour path=hall out=new.h5 headings=6 encoder=null")
+    with pytest.raises(ConfigError, match="name the tour: path="):
+        run("tour out=new.h5")
 
 
 def test_live_thor_becomes_a_dump(here, monkeypatch, capsys):

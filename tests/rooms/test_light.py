@@ -140,3 +140,14 @@ def test_the_camera_looks_where_it_should():
     east_half = renderer.view(camera, (1.0, 1.0, 45.0), (8, 8))
     assert east_half[4, 0, 1] == 0  # left of north-east lies the north
     assert east_half[4, 7, 1] > 100
+
+
+def test_a_panorama_shows_all_directions():
+    cube = furnace({"r": RED, "b": BLUE, "g": GREY}, "rbgggg")
+    renderer = Renderer(cube, np.ones((len(cube.point_corner), 3), np.float32))
+    north = renderer.panorama(1.0, (1.0, 1.0, 0.0), (16, 32))
+    assert north[8, 16].tolist()[1:] == [0, 0]  # in the middle it looks to the north, which is red
+    assert north[8, 0].tolist()[:2] == north[8, 31].tolist()[:2] == [0, 0]  # at both edges to the south, which is blue
+    assert min(*north[0, 16], *north[15, 16], *north[8, 8], *north[8, 24]) > 100
+    east = renderer.panorama(1.0, (1.0, 1.0, 90.0), (16, 32))
+    assert (east == np.roll(north, -8, 1)).mean() > 0.95

@@ -29,6 +29,7 @@ from dirl.config.scene_schemas import (
     PhotosConfig,
     SampleConfig,
     ThorConfig,
+    TourConfig,
 )
 from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, ReportConfig, Schedule, TrainConfig
 
@@ -39,6 +40,7 @@ SCHEMAS = {
     "benchmark": BenchmarkConfig,
     "thor": ThorConfig,
     "photos": PhotosConfig,
+    "tour": TourConfig,
     "build": BuildConfig,
     "sample": SampleConfig,
     "encode": EncodeConfig,

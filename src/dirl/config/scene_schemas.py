@@ -40,6 +40,25 @@ class PhotosConfig:
 
 
 @dataclass
+class TourConfig:
+    """Everything ``recipes/scenes.py tour`` takes."""
+
+    path: str | None = None
+    out: str | None = None
+    name: str | None = None
+    headings: int = MISSING
+    tolerance: float | None = None
+    step: float = MISSING
+    reach: float = MISSING
+    height: int = MISSING
+    width: int = MISSING
+    field_of_view: float = MISSING
+    pitch: float = MISSING
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
 class BuildConfig:
     """Everything ``recipes/scenes.py build`` takes."""
 
@@ -121,6 +140,7 @@ class InspectConfig:
 MEANINGS = {
     "thor": "take a scene from live AI2-THOR",
     "photos": "make a scene from photographs of a real place",
+    "tour": "make a scene from a 360-degree tour",
     "build": "build a synthetic room from its description",
     "sample": "furnish random rooms and build them",
     "encode": "compute the features of a dump anew, with another encoder",

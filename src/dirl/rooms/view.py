@@ -1,5 +1,6 @@
 """Camera views of a lit room: one ray for each sample, one texture look-up, one reflection where it is polished."""
 
+from collections.abc import Callable
 from typing import Self
 
 import numpy as np
@@ -63,18 +64,54 @@ class Renderer:
             size: height and width in pixels.
         """
         (x, y, heading), (height, width) = pose, size
-        turn, pitch, half = np.radians(heading), np.radians(camera.pitch), np.tan(np.radians(camera.fov / 2))
-        flat = np.array([np.sin(turn), np.cos(turn), 0])
-        ahead = flat * np.cos(pitch) + [0, 0, np.sin(pitch)]
-        right = np.array([flat[1], -flat[0], 0])
-        up = np.cross(right, ahead)
-        origins = np.broadcast_to(np.array([x, y, camera.height], np.float32), (height * width, 3))
+        half = np.tan(np.radians(camera.fov / 2))
+        ahead, right, up = _axes(heading, camera.pitch)
+
+        def way(across: Array, down: Array) -> Array:
+            return ahead + across[None, :, None] * half * right - down[:, None, None] * half * height / width * up
+
+        return self._picture((x, y, camera.height), size, way, 1.4 * half / width)
+
+    def panorama(self, height: float, pose: Pose, size: tuple[int, int]) -> Array:
+        """All directions from a place as an equirectangular image, uint8 ``[height, width, 3]``.
+
+        Columns are degrees clockwise from the pose's heading, -180 to 180; rows are degrees up, 90 to -90.
+
+        Args:
+            height: of the camera above the floor, metres.
+            pose: where it stands, and what the middle of the image looks at.
+            size: height and width in pixels.
+        """
+        x, y, heading = pose
+
+        def way(across: Array, down: Array) -> Array:
+            turn, pitch = np.radians(heading) + np.pi * across[None, :], -np.pi / 2 * down[:, None]
+            flat = np.cos(pitch)
+            return np.stack(np.broadcast_arrays(flat * np.sin(turn), flat * np.cos(turn), np.sin(pitch)), -1)
+
+        return self._picture((x, y, height), size, way, 2 * np.pi / size[1])
+
+    def _picture(
+        self,
+        origin: tuple[float, float, float],
+        size: tuple[int, int],
+        way: Callable[[Array, Array], Array],
+        spread: float,
+    ) -> Array:
+        """What is seen from a point, uint8 ``[height, width, 3]``.
+
+        Args:
+            origin: metres.
+            size: height and width in pixels.
+            way: the directions ``[height, width, 3]`` of columns ``[width]`` and rows ``[height]``, both -1 to 1.
+            spread: of a ray, see `radiance`.
+        """
+        height, width = size
+        origins = np.broadcast_to(np.array(origin, np.float32), (height * width, 3))
         total = np.zeros((height * width, 3), np.float32)
         for dx, dy in SAMPLES:
-            across = ((np.arange(width) + dx) / width * 2 - 1) * half
-            down = (1 - (np.arange(height) + dy) / height * 2) * half * height / width
-            way = ahead + across[None, :, None] * right + down[:, None, None] * up
-            seen = self.radiance(origins, unit(way.reshape(-1, 3)).astype(np.float32), 1.4 * half / width, reflect=True)
+            ways = way((np.arange(width) + dx) / width * 2 - 1, (np.arange(height) + dy) / height * 2 - 1)
+            seen = self.radiance(origins, unit(ways.reshape(-1, 3)).astype(np.float32), spread, reflect=True)
             total += np.minimum(seen * self.exposure, 4.0)  # one bright sample must not outshine the other three
         return display(total.reshape(height, width, 3) / len(SAMPLES))
 
@@ -124,6 +161,15 @@ class Renderer:
             tint = np.where(bare[:, None], base[shiny], 1)
             out[shiny] = out[shiny] * below[:, None] + seen * tint * share[:, None]
         return out
+
+
+def _axes(heading: float, pitch: float) -> tuple[Array, Array, Array]:
+    """Unit vectors ahead, to the right and up of a camera; degrees clockwise from the y axis, degrees up."""
+    turn, pitch = np.radians(heading), np.radians(pitch)
+    flat = np.array([np.sin(turn), np.cos(turn), 0])
+    ahead = flat * np.cos(pitch) + [0, 0, np.sin(pitch)]
+    right = np.array([flat[1], -flat[0], 0])
+    return ahead, right, np.cross(right, ahead)
 
 
 def _exposure(renderer: Renderer, room: RoomDescription) -> float:

@@ -1,0 +1,219 @@
+"""The pixels of panoramas: equirectangular images and tiled cubes, and the views that are cut out of them.
+
+py360convert would do the cutting, but it brings SciPy, and reads cubes by way of an equirectangular image.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from dirl.scenes.scene import SceneError
+from dirl.scenes.views import ImageError, encode, open_image
+
+MAX_BYTES = 2**28
+"""Of an image file."""
+
+MAX_PIXELS = 2**28
+"""Of a panorama, or of a face."""
+
+FACES = "frblud"
+"""Of a cube: front, right, back, left, up, down. The lower edge of ``u`` and the upper one of ``d`` touch ``f``."""
+
+Pixels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Equirectangular:
+    """One image, twice as wide as high."""
+
+    file: Path
+
+    def files(self) -> Iterator[Path]:
+        """The files of the image."""
+        yield self.file
+
+
+@dataclass(frozen=True)
+class CubeLevel:
+    """The six faces of a cube at one size.
+
+    Args:
+        size: pixels a side; None if only the file tells.
+        tiles: of each of `FACES` the rows of its tiles.
+    """
+
+    size: int | None
+    tiles: Mapping[str, tuple[tuple[Path, ...], ...]]
+
+
+@dataclass(frozen=True)
+class Cube:
+    """A cube at one or several sizes, the smallest first."""
+
+    levels: tuple[CubeLevel, ...]
+
+    def files(self) -> Iterator[Path]:
+        """The files of all sizes."""
+        yield from (file for level in self.levels for rows in level.tiles.values() for row in rows for file in row)
+
+
+def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]:
+    """The pixels of a panorama: one equirectangular array ``[H, 2 H, 3]``, or six faces ``[S, S, 3]`` as `FACES`.
+
+    Args:
+        image: where they are.
+        density: pixels a radian that are needed; an image that has twice as many or more is reduced.
+
+    Raises:
+        SceneError: a file cannot be read, or has another shape than it should.
+    """
+    if isinstance(image, Equirectangular):
+        found = _open(image.file)
+        if abs(found.width - 2 * found.height) > 2:
+            raise SceneError(
+                f"{image.file}: {found.width}x{found.height} pixels; an equirectangular image is twice as wide as high"
+            )
+        return [_reduced(found, found.width / (2 * np.pi), density)]
+    enough = [level for level in image.levels if level.size is None or level.size / 2 >= density]
+    level = enough[0] if enough else image.levels[-1]
+    faces = [_face(level, face) for face in FACES]
+    sizes = {face.size for face in faces}
+    if len(sizes) > 1:
+        raise SceneError(
+            f"{level.tiles['f'][0][0]}: the faces of this cube have {len(sizes)} sizes, {sorted(sizes)[:2]}"
+        )
+    return [_reduced(face, face.width / 2, density) for face in faces]
+
+
+def _face(level: CubeLevel, face: str) -> Image.Image:
+    """A face put together from its tiles."""
+    rows = [[_open(file) for file in row] for row in level.tiles[face]]
+    width, height = sum(tile.width for tile in rows[0]), sum(row[0].height for row in rows)
+    first = level.tiles[face][0][0]
+    if width != height or (level.size is not None and width != level.size) or width * height > MAX_PIXELS:
+        wanted = "a square" if level.size is None else f"{level.size}x{level.size}"
+        raise SceneError(f"{first}: the tiles of face '{face}' make {width}x{height} pixels, not {wanted}")
+    whole = Image.new("RGB", (width, height))
+    top = 0
+    for files, row in zip(level.tiles[face], rows, strict=True):
+        left = 0
+        for file, tile in zip(files, row, strict=True):
+            if tile.height != row[0].height or left + tile.width > width:
+                raise SceneError(f"{file}: this tile has {tile.width}x{tile.height} pixels, which fit its row not")
+            whole.paste(tile, (left, top))
+            left += tile.width
+        if left != width:
+            raise SceneError(f"{files[0]}: this row of tiles has {left} pixels, the first one {width}")
+        top += row[0].height
+    return whole
+
+
+def _open(file: Path) -> Image.Image:
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise SceneError(f"{file}: has more than {MAX_BYTES >> 20} MB, which no image of a tour needs")
+        return open_image(file.read_bytes(), MAX_PIXELS).convert("RGB")
+    except (OSError, ImageError) as error:
+        raise SceneError(f"{file}: not a readable image ({error})") from None
+
+
+def _reduced(image: Image.Image, has: float, needs: float) -> Pixels:
+    """The image with as few pixels a radian as are needed, so that views cut out of it do not flicker at edges."""
+    factor = int(has / needs)
+    return np.asarray(image.reduce(factor) if factor > 1 else image)
+
+
+def density(size: tuple[int, int], field_of_view: float) -> float:
+    """Pixels a radian in the middle of a view of this height and width; the field of view is horizontal, degrees."""
+    return float(size[1] / 2 / np.tan(np.radians(field_of_view / 2)))
+
+
+def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], field_of_view: float) -> Pixels:
+    """A view out of a panorama, uint8 ``[height, width, 3]``, by bilinear interpolation.
+
+    Args:
+        pixels: see `read_panorama`.
+        yaw: where the view looks, degrees clockwise from the middle of the image (of the front face).
+        pitch: degrees up.
+        size: height and width in pixels.
+        field_of_view: horizontal, degrees.
+    """
+    x, y, z = _directions(np.radians(yaw), np.radians(pitch), size, density(size, field_of_view))
+    if len(pixels) == 1:
+        height, width = pixels[0].shape[:2]
+        across = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * width - 0.5
+        down = (0.5 - np.arcsin(np.clip(y, -1, 1)) / np.pi) * height - 0.5
+        return _bilinear(pixels[0], across, down, wraps=True)
+    view = np.empty((*size, 3), np.uint8)
+    face, right, below = _on_cube(x, y, z)
+    for index, pixels_of_face in enumerate(pixels):
+        here = face == index
+        if here.any():
+            side = len(pixels_of_face)
+            places = ((where[here] + 1) / 2 * side - 0.5 for where in (right, below))
+            view[here] = _bilinear(pixels_of_face, *places, wraps=False)
+    return view
+
+
+def _directions(yaw: float, pitch: float, size: tuple[int, int], focal: float) -> NDArray[np.float64]:
+    """Unit vectors of a view's pixels: right, up and ahead of the panorama's middle, float64 ``[3, height, width]``."""
+    height, width = size
+    right, down = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
+    up = -down * np.cos(pitch) + focal * np.sin(pitch)
+    ahead = focal * np.cos(pitch) + down * np.sin(pitch)
+    turned = np.stack([right * np.cos(yaw) + ahead * np.sin(yaw), up, ahead * np.cos(yaw) - right * np.sin(yaw)])
+    return turned / np.linalg.norm(turned, axis=0)
+
+
+def _on_cube(x: NDArray, y: NDArray, z: NDArray) -> tuple[NDArray, NDArray, NDArray]:  # type: ignore[type-arg]
+    """Which of `FACES` each direction meets, and where: right and below its middle, -1 to 1."""
+    along = np.stack([z, x, -z, -x, y, -y])
+    face = along.argmax(0)
+    right = np.stack([x, -z, -x, z, x, x])
+    below = np.stack([-y, -y, -y, -y, z, -z])
+    which = face[None]
+    depth = np.take_along_axis(along, which, 0)[0]
+    return face, np.take_along_axis(right, which, 0)[0] / depth, np.take_along_axis(below, which, 0)[0] / depth
+
+
+def _bilinear(pixels: Pixels, across: NDArray[np.float64], down: NDArray[np.float64], *, wraps: bool) -> Pixels:
+    """Pixels at fractional columns and rows; beyond the edges the last ones, or those of the other side."""
+    height, width = pixels.shape[:2]
+    left, top = np.floor(across).astype(int), np.floor(down).astype(int)
+    share_x, share_y = (across - left)[..., None], (down - top)[..., None]
+    columns = [(left + step) % width if wraps else np.clip(left + step, 0, width - 1) for step in (0, 1)]
+    rows = [np.clip(top + step, 0, height - 1) for step in (0, 1)]
+    upper, lower = (pixels[row, columns[0]] * (1 - share_x) + pixels[row, columns[1]] * share_x for row in rows)
+    return (upper * (1 - share_y) + lower * share_y + 0.5).astype(np.uint8)
+
+
+def cut_views(
+    images: Sequence[Equirectangular | Cube],
+    yaws: NDArray[np.float64],
+    *,
+    size: tuple[int, int],
+    field_of_view: float,
+    pitch: float = 0.0,
+    quality: int = 90,
+) -> Iterator[bytes]:
+    """The views of all panoramas, one after the other, as WebP.
+
+    Args:
+        images: of P panoramas.
+        yaws: where the views of each look, degrees clockwise from its middle, float64 ``[P, K]``.
+        size: height and width in pixels.
+        field_of_view: horizontal, degrees.
+        pitch: degrees up.
+        quality: of WebP, 0 to 100.
+
+    Raises:
+        SceneError: an image cannot be read; raised when its turn comes.
+    """
+    for image, of_image in zip(images, yaws, strict=True):
+        pixels = read_panorama(image, density(size, field_of_view))
+        for yaw in of_image.tolist():
+            yield encode(cut(pixels, yaw, pitch, size, field_of_view), quality)

@@ -1,0 +1,246 @@
+"""Tours of a room that is known exactly, written as each of the five kinds of tour that dirl reads."""
+
+import csv
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+from closet import closet
+from PIL import Image
+
+from dirl.rooms.description import Camera
+from dirl.rooms.navigation import walk
+from dirl.rooms.view import Renderer
+from dirl.scenes.graph import AHEAD
+from dirl.scenes.sources.tours.images import Equirectangular
+from dirl.scenes.sources.tours.tour import Link, Panorama, Tour
+
+HEADINGS = 8
+CUBE = {"f": (0, 0), "r": (90, 0), "b": (180, 0), "l": (270, 0), "u": (0, 90), "d": (0, -90)}
+"""Where the faces of a cube look: degrees clockwise from the front, degrees up."""
+
+EYES = 1.4
+"""Metres of the camera above the floor."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A tour as it should be read: P panoramas.
+
+    Args:
+        places: metres, ``[P, 2]``.
+        middles: where the middle of each panorama looks, degrees clockwise, ``[P]``.
+        links: pairs of panoramas and where the link is on the map, degrees clockwise.
+    """
+
+    places: np.ndarray
+    middles: np.ndarray
+    links: list[tuple[int, int, float]]
+
+    @property
+    def names(self):
+        return [f"place_{index}" for index in range(len(self.places))]
+
+    def yaw(self, link):
+        """Where a link is in its image, degrees, -180 to 180."""
+        return (link[2] - self.middles[link[0]] + 180) % 360 - 180
+
+
+def room_truth(middles=None, room=None):
+    """The tour of a room: each of its places, and a link for each free way to a neighbour, diagonals too."""
+    way = walk(room or closet(), 360 / HEADINGS)
+    ahead = way.graph[:, AHEAD]
+    states = np.flatnonzero(ahead >= 0)
+    links = [(int(s // HEADINGS), int(ahead[s] // HEADINGS), float(s % HEADINGS * 45)) for s in states]
+    return Truth(way.places, np.zeros(len(way.places)) if middles is None else np.asarray(middles), links)
+
+
+def grid_truth(width, depth, middles=None):
+    """The tour of an empty hall with places on a grid, 2 m apart, linked along the axes."""
+    places = np.array([(2.0 * x, 2.0 * z) for x in range(width) for z in range(depth)])
+    offsets = places[None] - places[:, None]
+    near = np.argwhere(np.isclose(np.hypot(*np.moveaxis(offsets, -1, 0)), 2))
+    links = [(int(i), int(j), float(np.degrees(np.arctan2(*offsets[i, j])) % 360)) for i, j in near]
+    return Truth(places, np.zeros(len(places)) if middles is None else np.asarray(middles), links)
+
+
+class Camera360:
+    """Takes the pictures of a tour in a room, each once; without a room all are grey."""
+
+    def __init__(self, room=None):
+        self.renderer = None if room is None else Renderer.of(room, fine=False)
+        self.taken = {}
+
+    def panorama(self, truth, index, width):
+        """Equirectangular, ``[width / 2, width, 3]``."""
+        return self._once("panorama", (*truth.places[index], truth.middles[index]), (width // 2, width))
+
+    def face(self, truth, index, face, side):
+        """A face of the cube, ``[side, side, 3]``."""
+        turn, pitch = CUBE[face]
+        return self._once("view", (*truth.places[index], truth.middles[index] + turn), (side, side), 90.0, pitch)
+
+    def view(self, place, heading, size, fov):
+        """What an agent would see there."""
+        return self._once("view", (*place, heading), size, fov, 0.0)
+
+    def _once(self, kind, pose, size, fov=0.0, pitch=0.0):
+        key = (kind, *pose, size, fov, pitch)
+        if self.renderer is None:
+            return np.full((*size, 3), 128, np.uint8)
+        if key not in self.taken:
+            look = EYES if kind == "panorama" else Camera(EYES, pitch, fov)
+            self.taken[key] = getattr(self.renderer, kind)(look, pose, size)
+        return self.taken[key]
+
+
+def write_marzipano(folder, truth, camera, side=48):
+    """``data.js`` with a preview level, one of half the size in one tile, and one in tiles of 3/4 of a side."""
+    levels = [{"tileSize": side // 4, "size": side // 4, "fallbackOnly": True}]
+    levels += [{"tileSize": side // 2, "size": side // 2}, {"tileSize": side * 3 // 4, "size": side}]
+    scenes = []
+    for index, name in enumerate(truth.names):
+        for face in CUBE:
+            pixels = camera.face(truth, index, face, side)
+            for level, about in enumerate(levels[1:], 1):
+                scaled = np.asarray(Image.fromarray(pixels).resize((about["size"],) * 2, Image.Resampling.BOX))
+                save_tiles(scaled, about["tileSize"], folder, f"tiles/{name}/{level}/{face}/{{y}}/{{x}}.jpg")
+        spots = [
+            {"yaw": np.radians(truth.yaw(link)), "pitch": 0.2, "rotation": 0, "target": truth.names[link[1]]}
+            for link in truth.links
+            if link[0] == index
+        ]
+        scenes.append(
+            {"id": name, "name": name, "levels": levels, "faceSize": side, "linkHotspots": spots, "infoHotspots": []}
+        )
+    text = json.dumps({"scenes": scenes, "name": "closet", "settings": {}}, indent=1)
+    (folder / "data.js").write_text(f"var APP_DATA = {text};\n")
+    return folder
+
+
+def write_krpano(folder, truth, camera, side=48, *, multires=False):
+    """``tour.xml`` with six images a panorama, or with tiles."""
+    lines = ['<krpano version="1.20" title="closet">', '<include url="skin/vtourskin.xml" />']
+    for index, name in enumerate(truth.names):
+        for face in CUBE:
+            pixels = camera.face(truth, index, face, side)
+            if multires:
+                pattern = f"panos/{name}.tiles/{face}/l1/{{y1:02d}}/l1_{face}_{{y1:02d}}_{{x1:02d}}.jpg"
+                save_tiles(pixels, side // 2, folder, pattern)
+            else:
+                save(pixels, folder / "panos" / f"{name}_{face}.jpg")
+        url = f"panos/{name}.tiles/%s/l%l/%0v/l%l_%s_%0v_%0h.jpg" if multires else f"panos/{name}_%s.jpg"
+        sizes = f' multires="{side // 2},{side}"' if multires else ""
+        lines += [f'<scene name="{name}" title="{name}" heading="">', '<view hlookat="0.0" fov="120" />']
+        lines += [f'<image><cube url="{url}"{sizes} /></image>']
+        for number, link in enumerate(link for link in truth.links if link[0] == index):
+            target, yaw = truth.names[link[1]], truth.yaw(link)
+            lines.append(f'<hotspot name="spot{number}" ath="{yaw:.4f}" atv="5" linkedscene="{target}" />')
+        lines.append("</scene>")
+    (folder / "tour.xml").write_text("\n".join([*lines, "</krpano>"]))
+    return folder
+
+
+def write_pannellum(folder, truth, camera, side=48, *, cube=False):
+    """``tour.json`` with equirectangular images or with cubes."""
+    scenes = {}
+    for index, name in enumerate(truth.names):
+        if cube:
+            names = [f"{name}_{face}.png" for face in CUBE]
+            for face, file in zip(CUBE, names, strict=True):
+                save(camera.face(truth, index, face, side), folder / file)
+            image = {"type": "cubemap", "cubeMap": names}
+        else:
+            save(camera.panorama(truth, index, 4 * side), folder / f"{name}.jpg")
+            image = {"type": "equirectangular", "panorama": f"{name}.jpg"}
+        spots = [{"type": "info", "yaw": 3, "pitch": 0, "text": "a stool"}]
+        spots += [
+            {"type": "scene", "yaw": truth.yaw(link), "pitch": 0, "sceneId": truth.names[link[1]]}
+            for link in truth.links
+            if link[0] == index
+        ]
+        scenes[name] = {"title": name, **image, "hotSpots": spots}
+    (folder / "tour.json").write_text(json.dumps({"default": {"firstScene": truth.names[0]}, "scenes": scenes}))
+    return folder
+
+
+def write_table(folder, truth, camera, side=48, *, places=True):
+    """Images with ``links.csv`` and, if asked for, ``panoramas.csv``."""
+    for index, name in enumerate(truth.names):
+        save(camera.panorama(truth, index, 4 * side), folder / f"{name}.jpg")
+    with (folder / "links.csv").open("w", newline="") as stream:
+        rows = [(f"{truth.names[link[0]]}.jpg", f"{truth.names[link[1]]}.jpg", truth.yaw(link)) for link in truth.links]
+        csv.writer(stream).writerows([("image", "to", "yaw"), *rows])
+    if places:
+        with (folder / "panoramas.csv").open("w", newline="") as stream:
+            rows = [(f"{name}.jpg", *place, "") for name, place in zip(truth.names, truth.places, strict=True)]
+            csv.writer(stream).writerows([("image", "x", "z", "heading"), *rows])
+    return folder
+
+
+def write_zind(folder, truth, camera, side=48, *, size=(2.0, 1.5), scale=2.5):
+    """``zind_data.json``: places and rotations in a rectangular room of this size, no links."""
+    panoramas = {}
+    for index, name in enumerate(truth.names):
+        save(camera.panorama(truth, index, 4 * side), folder / "panos" / f"{name}.jpg")
+        shift, turn = truth.places[index] * [-1, 1] / scale, np.radians(truth.middles[index])
+        corners = np.array([(0, 0), (0, size[1]), size, (size[0], 0)]) * [-1, 1] / scale - shift
+        local = corners @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) / 0.7
+        panoramas[f"pano_{index}"] = {
+            "image_path": f"panos/{name}.jpg",
+            "is_primary": index == 0,
+            "floor_plan_transformation": {
+                "rotation": truth.middles[index],
+                "scale": 0.7,
+                "translation": shift.tolist(),
+            },
+            "layout_raw": {"vertices": local.tolist(), "doors": [], "windows": [], "openings": []},
+        }
+    floor = {"complete_room_01": {"partial_room_01": panoramas}}
+    data = {"scale_meters_per_coordinate": {"floor_01": scale}, "merger": {"floor_01": floor}, "redraw": {}}
+    (folder / "zind_data.json").write_text(json.dumps(data))
+    return folder
+
+
+WRITERS = {
+    "marzipano": write_marzipano,
+    "krpano": write_krpano,
+    "pannellum": write_pannellum,
+    "table": write_table,
+    "zind": write_zind,
+}
+
+
+def save(pixels, file):
+    """An image file, as good as its format lets it be."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels).save(file, quality=97, subsampling=0)
+
+
+def save_tiles(pixels, tile, folder, pattern):
+    """Tiles of an image, numbered from 0 (x, y) or 1 (x1, y1); at its right and lower edges they may be smaller."""
+    for y, top in enumerate(range(0, len(pixels), tile)):
+        for x, left in enumerate(range(0, pixels.shape[1], tile)):
+            name = pattern.format(x=x, y=y, x1=x + 1, y1=y + 1)
+            save(pixels[top : top + tile, left : left + tile], folder / name)
+
+
+def turned(truth, share, seed=0):
+    """The same tour with a share of its panoramas turned at random."""
+    rng = np.random.default_rng(seed)
+    chosen = rng.permutation(len(truth.places))[: round(share * len(truth.places))]
+    middles = truth.middles.astype(float).copy()
+    middles[chosen] = rng.uniform(0, 360, len(chosen))
+    return replace(truth, middles=middles)
+
+
+def tour_of(truth, off=None, dropped=()):
+    """The tour as a reader gives it; ``off`` degrees are added to the yaw of each link."""
+    off = np.zeros(len(truth.links)) if off is None else off
+    links = {index: [] for index in range(len(truth.places))}
+    for number, link in enumerate(truth.links):
+        if link[:2] not in dropped:
+            links[link[0]].append(Link(truth.names[link[1]], truth.yaw(link) + off[number]))
+    image = Equirectangular("nowhere.jpg")
+    made = [Panorama(name, image, tuple(links[index])) for index, name in enumerate(truth.names)]
+    return Tour("grid", tuple(made), (), "a test")

@@ -1,0 +1,96 @@
+"""From a tour to the graph of a scene: moves along links, headings, maps, and what a user is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tours import grid_truth, tour_of, turned
+
+from dirl.scenes import SceneError
+from dirl.scenes.graph import AHEAD, BACK
+from dirl.scenes.sources.tours.moves import tour_scene
+
+
+def told(made, words):
+    return [note for note in made.notes if words in note]
+
+
+@pytest.mark.parametrize("headings", [4, 8, 12])
+def test_moves_follow_links_and_keep_the_heading(headings):
+    truth = turned(grid_truth(3, 2), 0.3)
+    made = tour_scene(tour_of(truth), headings=headings)
+    graph, quarter = made.scene.graph, headings // 4
+    assert len(graph) == 6 * headings
+    moves = np.flatnonzero(graph[:, AHEAD] >= 0)
+    assert len(moves) == len(truth.links)
+    assert (graph[moves, AHEAD] % headings == moves % headings).all()
+    assert (graph[graph[moves, AHEAD], BACK] == moves).all()
+    assert ((moves % headings - moves[0] % headings) % quarter == 0).all()
+    assert np.allclose(np.diff(made.scene.headings[:headings]) % 360, 360 / headings)
+
+
+def test_a_laid_out_map_has_the_shape_of_the_place():
+    truth = turned(grid_truth(4, 3), 1.0)
+    made = tour_scene(tour_of(truth), headings=8, step=2.0)
+    assert made.layout
+    assert told(made, "positions are not known: the map is a layout in which each link is 2 m long")
+    places = made.scene.positions[::8]
+    apart, wanted = (np.hypot(*np.moveaxis(p[:, None] - p, -1, 0)) for p in (places, truth.places))
+    assert np.allclose(apart, wanted, atol=1e-6)
+
+
+def test_given_positions_and_headings_are_kept():
+    truth = grid_truth(2, 2, middles=[50, 60, 70, 80])
+    tour = tour_of(truth)
+    known = [replace(one, position=tuple(at)) for one, at in zip(tour.panoramas, truth.places, strict=True)]
+    known[1] = replace(known[1], heading=60.0)
+    made = tour_scene(replace(tour, panoramas=tuple(known)), headings=4)
+    assert not made.layout
+    assert (made.scene.positions[::4] == truth.places).all()
+    assert np.allclose(made.scene.headings[:4], [0, 90, 180, 270])
+    assert np.allclose(made.yaws[1] % 360, [300, 30, 120, 210])
+
+
+def test_links_that_no_heading_shows_are_counted():
+    truth = grid_truth(3, 1)
+    links = [*truth.links, (0, 2, 100.0), (2, 0, 280.0)]  # beside the link at 90 degrees
+    made = tour_scene(tour_of(replace(truth, links=links)), headings=8)
+    (note,) = told(made, "shown by no heading")
+    assert note == "2 of 6 links are shown by no heading, the first: 'place_0' to 'place_2'"
+    all_shown = tour_scene(tour_of(replace(truth, links=links)), headings=36, tolerance=5)
+    assert not told(all_shown, "shown by no heading")
+    crooked = [(i, j, d + 20 * j) for i, j, d in truth.links]
+    with pytest.raises(SceneError, match="no heading shows any of the 4 links"):
+        tour_scene(tour_of(replace(truth, links=crooked)), headings=4, tolerance=0)
+
+
+def test_what_cannot_be_aligned_is_named():
+    truth = grid_truth(6, 2)
+    ends = [link[:2] for link in truth.links]
+    between = [pair for pair in ends if {pair[0] // 2, pair[1] // 2} == {3, 4}]
+    made = tour_scene(tour_of(truth, dropped=between[1:]), headings=8)
+    assert told(made, "4 panoramas cannot be aligned with the others, no links go both ways: 'place_8', 'place_9'")
+    assert told(made, "1 links lead one way only, the first: 'place_6' to 'place_8'")
+    island = tour_scene(tour_of(truth, dropped=between), headings=8)
+    assert not told(island, "one way only")
+    places = island.scene.positions[::8]
+    assert len(np.unique(places.round(6), axis=0)) == 12  # parts do not lie upon each other
+
+
+def test_how_well_loops_close_is_told():
+    truth = grid_truth(3, 3)
+    off = np.zeros(len(truth.links))
+    off[0] = 90
+    made = tour_scene(tour_of(truth, off), headings=8)
+    assert told(made, "4 loops of links close with a median error of 0.0 degrees, at most 90.0")
+    assert told(made, "1 links both ways contradict the others")
+    assert told(tour_scene(tour_of(grid_truth(3, 1)), headings=8), "no links form a loop: nothing checks the headings")
+    hall = replace(truth, links=[link for link in truth.links if {link[0], link[1]} not in ({7, 8}, {4, 7})])
+    made = tour_scene(tour_of(hall), headings=8)
+    assert told(made, "3 panoramas are on no loop, nothing checks their headings: 'place_6', 'place_7', 'place_8'")
+
+
+@pytest.mark.parametrize("headings", [0, 6, 40, -4])
+def test_headings_are_a_multiple_of_four(headings):
+    with pytest.raises(SceneError, match=f"headings={headings}: must be a multiple of four"):
+        tour_scene(tour_of(grid_truth(2, 2)), headings=headings)
