@@ -2,8 +2,8 @@
 
 Where the link from i to j stands at yaw a of image i and the link back at yaw b of image j, the headings of both
 images differ by a - b - 180 degrees. Over a graph with loops these equations are overdetermined. They are solved by
-least squares, reweighted so that wrong links lose their weight (Geman and McClure's function, its width shrinking). That
-needs a good beginning: headings along a spanning tree of the links whose short loops close best.
+least squares, reweighted so that wrong links lose weight (Geman and McClure's function, its width shrinking). The
+beginning are headings along a spanning tree of the links whose short loops close best.
 """
 
 from collections.abc import Iterator, Sequence

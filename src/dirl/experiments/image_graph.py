@@ -1,0 +1,148 @@
+"""Walk once, then go to any photo: rooms never seen, with no map, a list of what was seen, and an image graph.
+
+    python -m dirl.experiments.image_graph my_rooms runs/any_goal_rooms --out reports/image_graph
+
+The first argument is a collection of rooms (``scenes.py sample``), the second a run of ``system=any_goal`` that was
+trained in its training rooms; without it only maps are measured. Every room of the test split is walked through once,
+from a drawn state, with so many steps for each state; then episodes begin at drawn states.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from dirl.config.choices import goal_view_options
+from dirl.envs import SurroundingViews
+from dirl.episodes import Episodes
+from dirl.evaluation import EvaluationProtocol
+from dirl.experiments.any_goal import FAR, MEASURES, wrong_goals
+from dirl.experiments.results import Column, Table, write_tables
+from dirl.experiments.unseen_rooms import by_room
+from dirl.mapping import GraphMemory, GuidedPolicy
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.scenes import World, make_world
+from dirl.scenes.collection import read_collection
+from dirl.scenes.goals import well_reached
+from dirl.scenes.matching import FRONT_THRESHOLD, TemplateStop
+from dirl.training.load import load_trained
+
+MAX_STEPS = 100
+
+THRESHOLD = 0.95
+"""Above which views match: of goals, where an agent stops, and of nodes."""
+
+WALKS = (0.5, 1.0, 2.0)
+"""Steps of a walk for each state of the room."""
+
+LAST_STEPS = 3
+"""Near the goal the policy decides, see `GuidedPolicy`."""
+
+
+def drawn_goals(collection: Path, rooms: int | None, goals: int, seed: int) -> World:
+    """The test rooms of a collection with some goals each, drawn among the states that all others reach."""
+    scenes = list(read_collection(collection).select(split="test")[:rooms])
+    chosen: dict[str, tuple[int, ...]] = {}
+    for index, scene in enumerate(scenes):
+        generator = torch.Generator().manual_seed(seed + index)
+        states = torch.from_numpy(well_reached(scene)).nonzero().flatten()
+        chosen[scene.name] = tuple(states[torch.randperm(len(states), generator=generator)[:goals]].tolist())
+    return make_world(scenes, chosen)
+
+
+def drawn_starts(world: World, each: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Up to ``each`` episodes of every room and distance of `FAR`: goal index and start, int64 ``[E]`` each."""
+    generator = torch.Generator().manual_seed(seed)
+    goal_index, state = world.pairs()
+    scene, distance = world.scene_of[state], world.distances.long()
+    kept = []
+    for room in range(len(world.scenes)):
+        for low, high in FAR:
+            fitting = torch.nonzero((scene == room) & (distance >= low) & (distance <= high)).flatten()
+            kept.append(fitting[torch.randperm(len(fitting), generator=generator)[:each]])
+    pairs = torch.cat(kept)
+    return goal_index[pairs], state[pairs]
+
+
+def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> Iterator[tuple[str, Episodes]]:
+    """Episodes from the same starts by what leads the agent."""
+    world = protocol.world
+    ahead = TemplateStop(FRONT_THRESHOLD, "front")(world)
+    photo = replace(protocol, observation=SurroundingViews(world, "front"), stop=ahead)
+    yield "random walk", protocol.run_random()
+    yield "list, walk of 2 N steps", protocol.run(GraphMemory(world, max(WALKS), THRESHOLD, merge=False))
+    for steps in WALKS:
+        memory = GraphMemory(world, steps, THRESHOLD)
+        yield f"graph, walk of {steps:g} N steps", protocol.run(memory)
+    yield "graph, one photo of the goal", photo.run(memory)
+    yield "graph, shown another goal", replace(protocol, shown=wrong_goals(world)).run(memory)
+    if run is not None:
+        policy, recall = _policy(run, world, collection)
+        yield "policy without a map", protocol.run(policy)
+        yield "policy with episodic memory", replace(protocol, memory=recall).run(policy)
+        yield f"graph, last {LAST_STEPS} steps by the policy", protocol.run(GuidedPolicy(policy, memory, LAST_STEPS))
+
+
+def _policy(run: Path, world: World, collection: Path) -> tuple[nn.Module, Any]:
+    """The policy of a run on the features of another world, and its episodic memory."""
+    names = {name: tuple(goals) for name, goals in _goals(world).items()}
+    changes = {"scene": f"collection:{collection}", "split": "test", "rooms": len(world.scenes), "goals": names}
+    trained = load_trained(load_checkpoint(run), str(run), {**changes, **goal_view_options("surrounding")})
+    if trained.protocol.world.names != world.names:
+        raise SystemExit(f"error: {run}: its world is not that of {collection}")
+    return trained.policy, trained.protocol.memory
+
+
+def _goals(world: World) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {name: [] for name in world.names}
+    for goal in world.goals.tolist():
+        scene, local = world.local(goal)
+        found[scene.name].append(local)
+    return found
+
+
+def measure(options: argparse.Namespace) -> str:
+    """Measure, and write a report; the text of its README."""
+    world = drawn_goals(options.collection, options.rooms, options.goals, options.seed)
+    protocol = EvaluationProtocol(
+        world,
+        SurroundingViews(world),
+        drawn_starts(world, options.starts, options.seed),
+        TemplateStop(THRESHOLD)(world),
+        MAX_STEPS,
+        options.seed,
+    )
+    table = Table(Column("led by"), Column("rooms", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
+    for way, episodes in walked(protocol, options.run, options.collection):
+        values = [by_room(world, episodes, key) for key in MEASURES]
+        print(way, *(f"{key} {sum(of) / len(of):.4f}" for key, of in zip(MEASURES, values, strict=True)), flush=True)
+        table.add(way, len(world.scenes), *values)
+    text = (
+        f"{len(world.scenes)} rooms of the test split of {options.collection.name}, {len(world)} states, "
+        f"{len(protocol.starts[0])} episodes, at most {MAX_STEPS} steps, stop by template matching above {THRESHOLD}. "
+        "N is the number of states of a room. Interquartile mean over rooms, and its 95 % bootstrap interval."
+    )
+    options.out.mkdir(parents=True, exist_ok=True)
+    return write_tables(options.out, "Walk once, then go to any photo", text, {"image_graph": table}, [])
+
+
+def main() -> None:
+    """The program."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("collection", type=Path, help="a folder made by scenes.py sample")
+    parser.add_argument("run", type=Path, nargs="?", help="a run of system=any_goal")
+    parser.add_argument("--out", type=Path, default=Path("reports/image_graph"))
+    parser.add_argument("--rooms", type=int, help="the first so many of the test split; all if left out")
+    parser.add_argument("--goals", type=int, default=20, help="of each room")
+    parser.add_argument("--starts", type=int, default=20, help="episodes of each room and distance")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    print(measure(options))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""Image graphs: what was seen is merged where it looks the same, and leads to wherever the walk has been."""
+
+import numpy as np
+import pytest
+import torch
+from rooms import grid_scene
+
+from dirl.mapping import ImageGraph, MapError
+from dirl.mapping.graph import UNKNOWN
+from dirl.mapping.walks import explore, step
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
+
+ROOM = {"width": 4, "depth": 3, "blocked": [(1, 1)], "feature_width": 64}
+
+
+def looks(scene):
+    """What is seen from each state, float32 ``[N, 4, D]``."""
+    return torch.tensor(scene.features)[torch.tensor(scene.surrounding)]
+
+
+def disturbed(views, share, seed):
+    """The same with noise, a share of the features' deviation."""
+    return views + share * views.std() * torch.randn(views.shape, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize(("headings", "most"), [(4, 2.0), (8, 2.0), (12, 2.0)])
+def test_a_walk_through_everything_gives_the_scene(headings, most):
+    scene = grid_scene(**ROOM, headings=headings)
+    graph = ImageGraph(turns=headings)
+    passed, nodes = explore(scene, graph, 5, round(most * len(scene)))
+    assert graph.frontier_action(nodes[-1]) is None  # nothing is left to be learnt
+    assert len(graph) == len(scene)
+    seen = looks(scene)
+    node_of = [graph.locate(views) for views in seen]
+    graph.lose()
+    assert sorted(node_of) == list(range(len(scene)))
+    assert [node_of[state] for state in passed] == nodes
+    for state, node in enumerate(node_of):
+        found = [graph.moves[node][action] for action in range(4)]
+        assert found == [node_of[step(scene.graph, state, action)] for action in range(4)]
+    distances = graph.plan([node_of[7]])[:, 0]
+    assert distances[node_of].tolist() == scene.distances[:, 7].tolist()
+
+
+def test_the_numbers_of_states_tell_the_walker_nothing():
+    scene = grid_scene(**ROOM)
+    graph = ImageGraph()
+    passed, _ = explore(scene, graph, 5, 30)
+    other = ImageGraph()
+    order = np.random.default_rng(0).permutation(len(scene))
+    features = torch.tensor(scene.features)
+
+    class Shuffled:
+        graph = np.append(np.argsort(order), -1)[scene.graph[order]]
+        surrounding = np.argsort(order)[scene.surrounding[order]]
+
+    again, _ = explore(Shuffled, other, int(np.argsort(order)[5]), 30, features[order])
+    assert order[again].tolist() == passed
+    assert other.moves == graph.moves
+
+
+def test_a_list_recognises_nothing():
+    scene = grid_scene(**ROOM)
+    graph = ImageGraph(merge=False)
+    passed, nodes = explore(scene, graph, 5, 20)
+    assert len(graph) == 4 * len(passed)
+    assert len(set(nodes)) == len(passed) == 21
+
+
+def test_a_move_is_known_in_all_four_forms():
+    scene = grid_scene(3, 1, feature_width=64)
+    seen = looks(scene)
+    graph = ImageGraph()
+    assert graph.see(seen[5]) == 0  # in the middle, facing the third place
+    assert graph.see(seen[9], AHEAD) == 4
+    assert (graph.moves[0][AHEAD], graph.moves[4][BACK]) == (4, 0)
+    assert (graph.moves[2][BACK], graph.moves[6][AHEAD]) == (6, 2)
+    assert graph.moves[0][BACK] == graph.moves[2][AHEAD] == UNKNOWN
+    assert graph.see(seen[9], AHEAD) == 4  # a wall
+    assert graph.moves[4][AHEAD] == graph.moves[6][BACK] == 4 or (graph.moves[4][AHEAD], graph.moves[6][BACK]) == (4, 6)
+    assert [graph.moves[4][RIGHT], graph.moves[4][LEFT]] == [5, 7]
+
+
+def test_what_stands_still_does_not_flicker():
+    """Two places that look much alike, and noise: which node fits best changes from look to look."""
+    views = torch.randn(4, 64, generator=torch.Generator().manual_seed(0))
+    near = disturbed(views, 0.1, 1)
+    graph = ImageGraph(threshold=0.998, keep=0.5)
+    graph.see(views)
+    graph.see(near, AHEAD)
+    noisy = [disturbed(near, 0.9, seed) for seed in range(2, 42)]
+    best = {int(graph.scores(look).argmax()) for look in noisy}
+    assert len(best) > 1
+    assert {graph.locate(look) for look in noisy} == {4}
+    graph.lose()
+    assert {graph.locate(look) for look in noisy} == {None}
+    graph.follow(near)
+    assert graph.at == 4
+    graph.follow(views)
+    assert graph.at == 4  # one of them is as good as the other, and it stays
+
+
+def test_a_walker_that_is_carried_away_is_found_again():
+    scene = grid_scene(**ROOM)
+    graph = ImageGraph()
+    passed, nodes = explore(scene, graph, 5, 100)
+    seen = looks(scene)
+    for state in (0, 17, 30):
+        assert graph.follow(seen[state]) == nodes[passed.index(state)] or state not in passed
+    assert graph.follow(torch.randn(4, 64)) is None
+    assert graph.follow(seen[passed[3]], AHEAD) == nodes[3]
+
+
+def test_a_door_that_has_been_closed_is_noticed():
+    open_, closed = grid_scene(3, 2, feature_width=64), grid_scene(3, 2, feature_width=64).graph.copy()
+    closed[[0 * 4 + 1, 1 * 4 + 3], AHEAD] = closed[[1 * 4 + 1, 0 * 4 + 3], BACK] = -1
+    closed[[0 * 4 + 3, 1 * 4 + 1], BACK] = closed[[1 * 4 + 3, 0 * 4 + 1], BACK] = -1
+    graph = ImageGraph()
+    explore(open_, graph, 0, 100)
+    seen = looks(open_)
+    graph.lose()
+    node_of = [graph.locate(views) for views in seen]
+    goal, state, action, steps = node_of[1 * 4 + 1], 1, None, 0
+    while state != 5 and steps < 20:
+        here = graph.follow(seen[state], action)
+        action = graph.next_action(here, graph.plan([goal])[:, 0])
+        state, steps = step(closed, state, action), steps + 1
+    assert state == 5
+    assert steps > open_.distances[1, 5]
+
+
+def test_a_photo_is_found_in_the_map():
+    scene = grid_scene(**ROOM)
+    graph = ImageGraph()
+    explore(scene, graph, 5, 100)
+    seen = looks(scene)
+    for state in (2, 9, 33):
+        assert graph.scores(seen[state][:1]).argmax() == graph.scores(seen[state]).argmax()
+
+
+@pytest.mark.parametrize("options", [{"keep": 0.95}, {"threshold": 2.0}, {"margin": -1.0}, {"turns": 6}, {"turns": 0}])
+def test_options_are_checked(options):
+    with pytest.raises(MapError, match=f"{next(iter(options))}="):
+        ImageGraph(**options)
