@@ -10,6 +10,7 @@ from torch import Tensor
 
 from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
+from dirl.deploy.exploring import Explorer, Guide, guide_to
 from dirl.deploy.feature_policy import FeaturePolicy
 from dirl.deploy.hub import fetch_pretrained
 from dirl.deploy.images import Images, NavigatorError, checked_images
@@ -23,6 +24,7 @@ from dirl.deploy.loading import (
 )
 from dirl.deploy.recall import Recall
 from dirl.envs.transforms import VIEWS
+from dirl.mapping import ImageGraph
 from dirl.models import FeatureTable, initial_state
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.matching import FRONT_THRESHOLD
@@ -79,6 +81,7 @@ class Navigator:
         self.threshold = threshold
         self.facts = facts
         self.recall = recall
+        self.guide: Guide | None = None
         self._encoder = encoder
         self._goal: Tensor | None = None
         self._views: Tensor | None = None
@@ -170,7 +173,7 @@ class Navigator:
         return self._table.inputs
 
     @torch.no_grad()
-    def reset(self, goal_images: Images) -> None:
+    def reset(self, goal_images: Images, *, graph: ImageGraph | str | Path | None = None, last_steps: int = 3) -> None:
         """Begin an episode, or one for each row of a batch.
 
         Args:
@@ -178,11 +181,19 @@ class Navigator:
                 ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well this works
                 depends on the training (``imitation.front_only``, ``goal_view=front``). With sequential views
                 one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents.
+            graph: a map of the place, see `explore`, or the folder of a saved one. It leads a single agent to the goal;
+                the policy decides within ``last_steps`` of it, and where the agent does not recognise what it sees.
+            last_steps: see ``graph``.
 
         Raises:
-            NavigatorError: images of another shape or type, or an encoder whose features do not fit the checkpoint.
+            NavigatorError: images of another shape or type, an encoder whose features do not fit the checkpoint, or a
+                map that cannot be used.
         """
         views = self._encode(goal_images, "goal_images")[0]
+        self.guide = None
+        if graph is not None:
+            self._check_alone(len(views))
+            self.guide = guide_to(graph, self._pooled(views[0]), last_steps, self.facts["extractor"])
         if self.sequential:
             views = views.expand(-1, VIEWS, -1)
         elif views.shape[1] == 1:  # what is not known of a goal is zeros
@@ -217,18 +228,52 @@ class Navigator:
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
         self._state = tuple(after)
         if self.recall is not None:
-            logits = self.recall.adjust(views[..., : len(self._table.mean)], logits)
+            logits = self.recall.adjust(self._pooled(views), logits)
         probabilities = logits.softmax(-1)
         if sample:
             action = torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
         else:
             action = logits.argmax(-1)
+        action = self._guided(action, views)
         if self.recall is not None:
             self.recall.acted(action)
         stop = matching > self._threshold_now()
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
+
+    def explore(self, graph: ImageGraph | None = None, *, turns: int = 4) -> Explorer:
+        """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
+
+        Args:
+            graph: a map to walk on with; a new one if left out, in which nodes match above the navigator's threshold.
+            turns: right turns in a full circle: 4, 8 or 12.
+
+        Raises:
+            NavigatorError: the policy sees the last four views, not those around it.
+            MapError: turns that are no multiple of four.
+        """
+        self._check_alone(1)
+        new = ImageGraph(self.threshold, min(0.6, self.threshold), turns=turns) if graph is None else graph
+        return Explorer(lambda images: self._pooled(self._encode(images, "images")[0][0]), new, self.facts["extractor"])
+
+    def _check_alone(self, agents: int) -> None:
+        """Raise `NavigatorError` unless a map can lead the agents."""
+        if self.sequential or agents != 1:
+            raise NavigatorError("a map leads one agent that sees four views around it, not a batch")
+
+    def _guided(self, action: Tensor, views: Tensor) -> Tensor:
+        """The action of the map, if it has one, for the policy's, int64 ``[B]``."""
+        if self.guide is None:
+            return action
+        self._check_alone(len(views))
+        planned = self.guide.advise(self._pooled(views[0]))
+        self.guide.action = int(action) if planned is None else planned
+        return torch.full_like(action, self.guide.action)
+
+    def _pooled(self, views: Tensor) -> Tensor:
+        """The pooled features of views, ``[..., D']``, without those of patches."""
+        return views[..., : len(self._table.mean)]
 
     def _threshold_now(self) -> float:
         """The threshold in use: higher for one photo if `threshold` is meant for four views."""

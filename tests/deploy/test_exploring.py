@@ -1,0 +1,107 @@
+"""A navigator that walks through a place once, and then goes to any photo of it."""
+
+import numpy as np
+import pytest
+import torch
+from shown_goals import images_of, look_up, rooms, trained
+
+from dirl import Navigator
+from dirl.deploy.navigator import NavigatorError
+from dirl.mapping import ImageGraph
+
+
+@pytest.fixture(scope="module")
+def world():
+    return rooms(width=48)
+
+
+@pytest.fixture(scope="module")
+def navigator(world, tmp_path_factory):
+    """Of a policy that has learnt nothing."""
+    folder = tmp_path_factory.mktemp("run")
+    trained(folder, world)
+    return Navigator.load(folder, look_up(world), extractor="random")
+
+
+@pytest.fixture
+def explorer(navigator, world):
+    """After a walk in which the navigator chose where to go."""
+    walk = navigator.explore()
+    assert walk.next_action() is None
+    state, action = 3, None
+    for _ in range(2 * len(world)):
+        walk.see(images_of(world.surrounding[state]), action)
+        action = walk.next_action()
+        if action is None:
+            break
+        state = int(world.graph[state, action])
+    assert len(walk.graph) == len(world)
+    return walk
+
+
+def walk_to(navigator, world, state, goal, most=30):
+    """The states that are passed."""
+    passed = [state]
+    for _ in range(most):
+        decision = navigator.act(images_of(world.surrounding[state]))
+        if decision.stop:
+            break
+        state = int(world.graph[state, decision.action])
+        passed.append(state)
+    return passed
+
+
+@pytest.mark.parametrize("photo", [False, True])
+def test_it_goes_to_any_photo_on_a_shortest_way(photo, navigator, explorer, world):
+    for goal in (1, 13, 22):
+        seen = images_of(goal) if photo else images_of(world.surrounding[goal])
+        for start in (0, 7, 18):
+            navigator.reset(seen, graph=explorer.graph, last_steps=0)
+            passed = walk_to(navigator, world, start, goal)
+            assert passed[-1] == goal
+            assert len(passed) - 1 == world.scenes[0].distances[start, goal]
+        assert navigator.guide.match == pytest.approx(1, abs=1e-4)
+
+
+def test_the_last_steps_are_the_policys(navigator, explorer, world):
+    seen = images_of(world.surrounding[22])
+    navigator.reset(seen)
+    own = [navigator.act(images_of(world.surrounding[state])).action for state in range(24)]
+    navigator.reset(seen, graph=explorer.graph, last_steps=2)
+    far = world.scenes[0].distances[:, 22]
+    led = []
+    for state in range(24):
+        explorer.graph.lose()
+        navigator.guide.action = None
+        led.append(navigator.act(images_of(world.surrounding[state])).action)
+    near = far <= 2
+    assert (np.array(led)[near] == np.array(own)[near]).all()
+    after = far[[int(world.graph[state, action]) for state, action in enumerate(led)]]
+    assert (after[~near] == far[~near] - 1).all()
+    navigator.reset(seen)
+    assert navigator.guide is None
+
+
+def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_path):
+    folder = explorer.save(tmp_path / "map")
+    navigator.reset(images_of(world.surrounding[5]), graph=folder, last_steps=0)
+    assert walk_to(navigator, world, 20, 5)[-1] == 5
+    (folder / "map.json").write_text((folder / "map.json").read_text().replace('"random"', '"other"'))
+    with pytest.raises(NavigatorError, match="was made with another extractor: 'other', not 'random'"):
+        navigator.reset(images_of(world.surrounding[5]), graph=folder)
+
+
+def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
+    goal = images_of(world.surrounding[5])
+    with pytest.raises(NavigatorError, match="the map is empty"):
+        navigator.reset(goal, graph=ImageGraph())
+    with pytest.raises(NavigatorError, match="holds no map"):
+        navigator.reset(goal, graph=tmp_path)
+    with pytest.raises(NavigatorError, match="a map leads one agent"):
+        navigator.reset(np.stack([goal, goal]), graph=explorer.graph)
+    with pytest.raises(NavigatorError, match="action=7: expected 0 ahead"):
+        explorer.see(goal, 7)
+    narrow = ImageGraph()
+    narrow.see(torch.randn(4, 5))
+    with pytest.raises(NavigatorError, match="the map has 5 features a view, the navigator 48"):
+        navigator.reset(goal, graph=narrow)
