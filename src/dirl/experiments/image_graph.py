@@ -74,12 +74,12 @@ def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> 
     ahead = TemplateStop(FRONT_THRESHOLD, "front")(world)
     photo = replace(protocol, observation=SurroundingViews(world, "front"), stop=ahead)
     yield "random walk", protocol.run_random()
-    yield "list, walk of 2 N steps", protocol.run(GraphMemory(world, max(WALKS), THRESHOLD, merge=False))
     for steps in WALKS:
         memory = GraphMemory(world, steps, THRESHOLD)
         yield f"graph, walk of {steps:g} N steps", protocol.run(memory)
     yield "graph, one photo of the goal", photo.run(memory)
     yield "graph, shown another goal", replace(protocol, shown=wrong_goals(world)).run(memory)
+    yield "list, walk of 2 N steps", protocol.run(GraphMemory(world, max(WALKS), THRESHOLD, merge=False))
     if run is not None:
         policy, recall = _policy(run, world, collection)
         yield "policy without a map", protocol.run(policy)

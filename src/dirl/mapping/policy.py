@@ -13,12 +13,15 @@ from dirl.mapping.walks import explore
 from dirl.scenes import ACTIONS, World
 from dirl.scenes.graph import turns_per_circle
 
+NO_GOAL = -(2**60)
+"""In a table of goals: of a state that is none."""
+
 CERTAIN = 30.0
 """The logit of the planned action, of others 0: drawn actions are the planned ones too."""
 
 
 class GraphMemory(TensorDictModuleBase):
-    """Walks once through each scene of its world, and then goes to any goal by the map of that walk.
+    """Walks once through each scene of its world, and then goes to any of the world's goals by the map of that walk.
 
     It matches what it sees and what the goal looks like with the nodes of the map, and takes the first action of a
     shortest way; where the map knows no way, all actions are equally probable. Reads ``view_ids`` and
@@ -47,18 +50,20 @@ class GraphMemory(TensorDictModuleBase):
         self.graphs: list[ImageGraph] = []
         generator = torch.Generator().manual_seed(seed)
         actions, distances, row, photo, size = [], [], [], [], 0
-        for scene, offset in zip(world.scenes, world.offsets, strict=True):
-            count = len(scene)
+        for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
+            count, goals = len(scene), world.goals[world.goals_in(index)].cpu() - offset
             graph = ImageGraph(threshold, min(0.6, threshold), turns=turns_per_circle(scene.graph), merge=merge)
             features = world.features[offset : offset + count].cpu()
             start = int(torch.randint(count, (1,), generator=generator))
             explore(scene, graph, start, round(steps_per_state * count), features)
-            first, far = plan_table(graph, features, torch.tensor(scene.surrounding))
+            first, far = plan_table(graph, features, torch.tensor(scene.surrounding), goals)
             actions.append(first.flatten())
             distances.append(far.flatten())
             # The place of the pair of a goal and a state is row[goal] + state, as in `World.pair`.
-            row.append(size - offset + count * torch.arange(count))
-            photo.append(torch.full((count,), count * count))
+            of_goal = torch.full((count,), NO_GOAL)
+            of_goal[goals] = size - offset + count * torch.arange(len(goals))
+            row.append(of_goal)
+            photo.append(torch.full((count,), count * len(goals)))
             size += first.numel()
             self.graphs.append(graph)
         tables = {"actions": actions, "distances": distances, "row": row, "photo": photo}
@@ -70,8 +75,10 @@ class GraphMemory(TensorDictModuleBase):
         state, goal_views = tensordict["view_ids"][..., 0], tensordict["goal_view_ids"]
         goal = goal_views[..., 0]
         is_photo = goal_views[..., 1] == len(self.row)  # the view id of what is not known
-        pair = self.row[goal] + state + is_photo * self.photo[goal]
-        return self.actions[pair].long(), self.distances[pair].long()
+        is_goal = self.row[goal] != NO_GOAL
+        pair = torch.where(is_goal, self.row[goal] + state + is_photo * self.photo[goal], 0)
+        action, distance = (torch.where(is_goal, table[pair].long(), -1) for table in (self.actions, self.distances))
+        return action, distance
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``logits``."""
@@ -107,28 +114,29 @@ class GuidedPolicy(TensorDictModuleBase):
 
 
 def plan_table(
-    graph: ImageGraph, features: Tensor, surrounding: Tensor, goal_features: Tensor | None = None
+    graph: ImageGraph, features: Tensor, surrounding: Tensor, goals: Tensor, goal_features: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """What to do in each of n states on the way to each goal, and how far it is.
+    """What to do in each of n states on the way to each of g goals, and how far it is.
 
     Args:
         graph: a map.
         features: what is seen from each state, float32 ``[n, D]``.
         surrounding: the states ahead, right, back and left of each, int64 ``[n, 4]``.
-        goal_features: of the views of goals, if they are others.
+        goals: states, int64 ``[g]``.
+        goal_features: of the views at goals, if they are others than ``features``, float32 ``[n, D]``.
 
     Returns:
-        Actions, int8 ``[2, n goals, n states]``, and distances in the map, int16 likewise; -1 where no way is known.
+        Actions, int8 ``[2, g, n]``, and distances in the map, int16 likewise; -1 where no way is known.
         First for goals of four views, then for goals of one photo, the view ahead.
     """
     wanted = features if goal_features is None else goal_features
     here = graph.scores(features[surrounding]).argmax(1)
-    four, photo = graph.scores(wanted[surrounding]), graph.scores(wanted.unsqueeze(1))
-    actions = torch.empty((2, len(features), len(features)), dtype=torch.int8)
+    four, photo = graph.scores(wanted[surrounding[goals]]), graph.scores(wanted[goals].unsqueeze(1))
+    actions = torch.empty((2, len(goals), len(features)), dtype=torch.int8)
     distances = torch.empty(actions.shape, dtype=torch.int16)
     for kind, scores in enumerate((four, photo)):
-        goals, which = scores.argmax(1).unique(return_inverse=True)
-        far = graph.plan(goals.tolist())
+        nodes, which = scores.argmax(1).unique(return_inverse=True)
+        far = graph.plan(nodes.tolist())
         actions[kind] = first_actions(graph, far)[here][:, which].T
         distances[kind] = far[here][:, which].T.to(torch.int16)
     return actions, distances
