@@ -41,6 +41,7 @@ NOT_RUN = {
     "loggers.md": ["tensorboard is a server that does not end"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
     "paper.md": ["takes an hour and a half"],
+    "robot.md": ["needs ROS 2"],
     "share.md": ["needs an account"],
     "rooms.md": ["takes minutes", "takes minutes", "takes an hour", "takes minutes", "takes minutes"],
     "sweeps.md": ["needs launchers and clusters"],

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -10,12 +11,18 @@ import torch
 from parts import make_parts, train_in
 from PIL import Image
 from rooms import grid_scene
+from tours import grid_truth, tour_of, turned
 
 from dirl.deploy.navigator import Navigator
+from dirl.envs import SurroundingViews
+from dirl.episodes import every_start, run_episodes
 from dirl.evaluation import metrics
-from dirl.reporting import draw_scene, viewer_pages
-from dirl.scenes import write_dump
+from dirl.experts import ShortestPathPolicy
+from dirl.mapping import GraphMemory
+from dirl.reporting import draw_scene, draw_scene_map, viewer_pages
+from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.matching import TemplateStop
+from dirl.scenes.sources.tours.moves import tour_scene
 from dirl.scenes.views import encode
 from dirl.training.build import describe, matching
 
@@ -92,3 +99,33 @@ def test_a_robot_and_gymnasium_walk_there(trained):
             break
     assert info["state"] == GOAL
     assert env.render().shape[0] == 300
+
+
+@pytest.mark.parametrize("headings", [4, 8, 12])
+def test_a_tour_is_mapped_shown_and_walked(headings, tmp_path):
+    """A graph that is no grid, on a laid-out map: in gymnasium, in the viewer, on a map, by an image graph."""
+    truth = turned(grid_truth(3, 2), 0.5)
+    leaning = [(i, j, heading + 10 * (i + j)) for i, j, heading in truth.links]
+    made = tour_scene(tour_of(replace(truth, links=leaning)), headings=headings, tolerance=45)
+    rng = np.random.default_rng(0)
+    states = len(made.scene)
+    scene = replace(made.scene, features=rng.normal(size=(states, 32)).astype(np.float32), goals=(states - 1,))
+    views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8), quality=None) for _ in range(states)]
+    write_dump(tmp_path / "tour.h5", scene, views)
+    env = gymnasium.make("dirl/Navigation-v0", scene=str(tmp_path / "tour.h5"), render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().shape[0] == 300
+    scene = load_scenes(str(tmp_path / "tour.h5"))[0]
+    draw_scene_map(scene, np.zeros(states, int), tmp_path / "map.png")
+    world = make_world([scene])
+    shown = {"stop": None, "max_steps": 60, "title": "a test", "matching": TemplateStop(0.9)}
+    (page,) = viewer_pages(ShortestPathPolicy(world), world, SurroundingViews(world), **shown).values()
+    data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
+    quarter = headings // 4
+    assert data["surrounding"][0] == [0, quarter, 2 * quarter, 3 * quarter]
+    turn = np.radians(360 / headings)
+    first, second = np.array(data["directions"][:2])
+    assert first @ second == pytest.approx(np.cos(turn), abs=1e-3)
+    starts = every_start(world)
+    found = run_episodes(GraphMemory(world, 3.0), world, starts, observation=SurroundingViews(world), max_steps=60)
+    assert metrics(found)["sr"] == 1

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from dirl.atomic import atomic_path
-from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
+from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room, has_walls
 from dirl.reporting.style import COLORS, tell_cut, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
@@ -69,7 +69,7 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
             zorder=5,
         )
         axes.plot(x, z, "*", color=GOAL_COLOR, markeredgecolor="black", markersize=14, zorder=6)
-    handles: list[Patch | Line2D] = [Patch(color=WALL_COLOR, label="walls, furniture")]
+    handles: list[Patch | Line2D] = [Patch(color=WALL_COLOR, label="walls, furniture")] if has_walls(scene) else []
     handles.append(Line2D([], [], color="0.7", linewidth=0.8, label="moves ahead"))
     if len(scene.goals):
         star = Line2D([], [], linestyle="", marker="*", markersize=12, color=GOAL_COLOR, markeredgecolor="black")

@@ -3,17 +3,22 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
 
 from dirl.reporting.style import GOAL_COLOR, WALL_COLOR
 from dirl.scenes import Scene
 
-__all__ = ["GOAL_COLOR", "WALL_COLOR", "draw_room"]
+__all__ = ["GOAL_COLOR", "WALL_COLOR", "draw_room", "has_walls"]
+
+
+def has_walls(scene: Scene) -> bool:
+    """Whether what lies between places is a wall or furniture; of a tour it is not known."""
+    return not scene.source.startswith("tour")
 
 
 def draw_room(axes: Axes, scene: Scene, side: float) -> None:
-    """Draw white squares where an agent can be, on the grey of walls and furniture.
+    """Draw white squares where an agent can be, on the grey of walls and furniture; discs for a tour.
 
     Args:
         axes: drawn on; get the limits and labels of the room.
@@ -21,9 +26,16 @@ def draw_room(axes: Axes, scene: Scene, side: float) -> None:
         side: of a square, metres, see `dirl.scenes.geometry.step_length`.
     """
     cells = np.unique(scene.positions.round(3), axis=0)
-    squares = [Rectangle((x - side / 2, z - side / 2), side, side) for x, z in cells]
-    axes.add_collection(PatchCollection(squares, facecolor="white", edgecolor="0.9", linewidth=0.5, zorder=1))
-    axes.set_facecolor(WALL_COLOR)
+    places: list[Patch]
+    if has_walls(scene):
+        places = [Rectangle((x - side / 2, z - side / 2), side, side) for x, z in cells]
+        axes.set_facecolor(WALL_COLOR)
+    else:
+        places = [Circle((x, z), 0.25 * side) for x, z in cells]
+    edge = "0.9" if has_walls(scene) else "0.6"
+    axes.add_collection(
+        PatchCollection(places, facecolor="white", edgecolor=edge, linewidth=0.5, zorder=1 if has_walls(scene) else 1.6)
+    )
     low, high = cells.min(0) - side, cells.max(0) + side
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", anchor="N", xlabel="x (m)", ylabel="z (m)")
     axes.xaxis.set_major_locator(MultipleLocator(1))

@@ -7,6 +7,7 @@ import pytest
 from tours import grid_truth, tour_of, turned
 
 from dirl.scenes import SceneError
+from dirl.scenes.diagnostics import inspect_scene
 from dirl.scenes.graph import AHEAD, BACK
 from dirl.scenes.sources.tours.moves import tour_scene
 
@@ -94,3 +95,19 @@ def test_how_well_loops_close_is_told():
 def test_headings_are_a_multiple_of_four(headings):
     with pytest.raises(SceneError, match=f"headings={headings}: must be a multiple of four"):
         tour_scene(tour_of(grid_truth(2, 2)), headings=headings)
+
+
+def test_inspect_warns_of_what_makes_a_tour_bad():
+    """An island, a link that leads one way, and places that look the same."""
+    truth = grid_truth(4, 2)
+    apart = [link[:2] for link in truth.links if {link[0] // 2, link[1] // 2} == {2, 3}]
+    made = tour_scene(tour_of(truth, dropped=[*apart, (0, 2)]), headings=4)
+    features = np.random.default_rng(0).normal(size=(len(made.scene), 32)).astype(np.float32)
+    features[4:8] = features[20:24]
+    problems = inspect_scene(replace(made.scene, features=features)).problems
+    for words in (
+        "and 7 more are not connected with the largest part",
+        "a move ahead leads to state 3, and the opposite move does not lead back (1 such moves)",
+        "states 4 and 20 match with 1.000 though",
+    ):
+        assert any(words in problem for problem in problems), words

@@ -74,7 +74,7 @@ def tour_scene(
         graph=graph,
         positions=np.repeat(places, headings, axis=0),
         headings=np.tile(facing.round(6) % 360, len(tour.panoramas)),
-        source="tour",
+        source="tour, laid out" if layout else "tour",
         extractor="none",
         origin=tour.origin,
     )

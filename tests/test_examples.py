@@ -1,0 +1,129 @@
+"""The examples: what they decide, without the robot."""
+
+import importlib.util
+from collections import deque
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from commands import ROOT
+
+from dirl.deploy.navigator import Decision, Scores
+
+
+@pytest.fixture(scope="module")
+def ros2():
+    """The module of the node; importing it needs no ROS 2."""
+    spec = importlib.util.spec_from_file_location("ros2_navigator", ROOT / "examples" / "ros2_navigator.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+class Robot:
+    """A fake transport: integrates the velocities that it is sent, and takes images that show where it is."""
+
+    def __init__(self):
+        self.now, self.x, self.y, self.angle, self.velocity = 100.0, 0.0, 0.0, 0.0, (0.0, 0.0)
+        self.sent = []
+
+    def drive(self, linear, angular):
+        self.velocity = (linear, angular)
+        self.sent.append((self.now, linear, angular))
+
+    def wait(self, seconds):
+        linear, angular = self.velocity
+        self.x += linear * np.cos(self.angle) * seconds
+        self.y += linear * np.sin(self.angle) * seconds
+        self.angle += angular * seconds
+        self.now += seconds
+
+    def image(self, quarter=0):
+        return np.full((4, 6, 3), round(np.degrees(-self.angle) + 90 * quarter) % 360 // 2, np.uint8)
+
+
+class Scripted:
+    """A navigator that does what it is told, and remembers what it saw."""
+
+    def __init__(self, actions):
+        self.actions, self.seen = deque(actions), []
+
+    def act(self, images):
+        self.seen.append(images[:, 0, 0, 0].tolist())
+        stop = not self.actions
+        return Decision(0 if stop else self.actions.popleft(), stop, Scores(1.0, None))
+
+
+def run(ros2, actions, seconds=60, panorama=False):
+    robot, navigator = Robot(), Scripted(actions)
+    pilot = ros2.Pilot(navigator, robot.drive)
+    for _ in range(10 * seconds):
+        if panorama:
+            columns = (np.arange(64) * 360 / 64 - 180 - np.degrees(robot.angle)) % 360 / 2
+            pilot.see_panorama(np.tile(columns[None, :, None], (32, 1, 3)).astype(np.uint8), robot.now, (8, 8), 60)
+        else:
+            for quarter, side in enumerate(ros2.SIDES):
+                pilot.see(side, robot.image(quarter), robot.now)
+        pilot.tick(robot.now)
+        robot.wait(0.1)
+    return robot, navigator, pilot
+
+
+def test_it_drives_what_was_decided_and_stops_at_the_goal(ros2):
+    robot, navigator, pilot = run(ros2, [0, 1, 0, 2, 3])
+    assert pilot.arrived
+    assert robot.velocity == (0.0, 0.0)
+    assert (robot.x, robot.y) == (pytest.approx(0, abs=0.06), pytest.approx(-0.5, abs=0.06))
+    assert robot.angle == pytest.approx(0, abs=0.06)
+    assert len(navigator.seen) == 6
+    # Clockwise degrees, halved: after the right turn all views have moved on by one.
+    assert np.abs(np.array(navigator.seen[0]) - [0, 45, 90, 135]).max() <= 1
+    assert np.abs(np.array(navigator.seen[2]) - [45, 90, 135, 0]).max() <= 3
+
+
+def test_it_only_looks_where_it_stands(ros2):
+    robot = Robot()
+    navigator = Scripted([0, 0])
+    pilot = ros2.Pilot(navigator, robot.drive)
+    for side in ros2.SIDES[:3]:
+        pilot.see(side, robot.image(), robot.now)
+    pilot.tick(robot.now)
+    assert navigator.seen == []  # three views are not enough
+    pilot.see("left", robot.image(), robot.now)
+    pilot.tick(robot.now)
+    assert robot.velocity == (0.2, 0.0)
+    robot.wait(2.4)
+    for side in ros2.SIDES:
+        pilot.see(side, robot.image(), robot.now)
+    pilot.tick(robot.now)
+    assert (len(navigator.seen), robot.velocity) == (1, (0.2, 0.0))  # still on its way
+    robot.wait(0.2)
+    pilot.tick(robot.now)
+    assert robot.velocity == (0.0, 0.0)
+    for side in ros2.SIDES:
+        pilot.see(side, robot.image(), robot.now)  # too soon: the robot may still shake
+    pilot.tick(robot.now)
+    assert len(navigator.seen) == 1
+    robot.wait(0.4)
+    for side in ros2.SIDES:
+        pilot.see(side, robot.image(), robot.now)
+    pilot.tick(robot.now)
+    assert len(navigator.seen) == 2
+
+
+def test_a_panoramic_camera_gives_the_four_views(ros2):
+    _, navigator, pilot = run(ros2, [1], panorama=True)
+    assert pilot.arrived
+    assert np.abs(np.array(navigator.seen[0][1:]) - [30, 75, 120]).max() <= 3  # the left edges of the views
+
+
+def test_messages_of_cameras_become_pixels(ros2):
+    rgb = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    padded = np.concatenate([rgb.reshape(2, 9), np.zeros((2, 3), np.uint8)], 1).tobytes()
+    message = SimpleNamespace(encoding="rgb8", height=2, width=3, step=12, data=padded)
+    assert (ros2.pixels(message) == rgb).all()
+    message.encoding = "bgr8"
+    assert (ros2.pixels(message) == rgb[..., ::-1]).all()
+    message.encoding = "mono8"
+    with pytest.raises(ValueError, match="encoding is mono8"):
+        ros2.pixels(message)
