@@ -30,6 +30,16 @@ def test_a_system_that_learns_nothing_is_measured_like_the_others(tmp_path, syst
     assert "| greedy " in printed
 
 
+def test_an_image_graph_is_measured_like_the_others(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *TINY, "system=graph_memory", "hydra.run.dir=run"]
+    status, _, errors = run_recipe(tmp_path, "train", *options)
+    assert status == 0, errors
+    summary = summary_of(tmp_path / "run")
+    assert summary["greedy"] == summary["sampled"]
+    assert summary["greedy"]["sr"] == 1
+    assert summary["greedy"]["spl"] > 0.95
+
+
 def test_a_clone_is_not_reinforced_whatever_frames_a_grid_is_given(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "reinforcement.frames_per_scene=600"]
     status, _, errors = run_recipe(tmp_path, "train", *options, "hydra.run.dir=run")
