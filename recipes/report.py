@@ -116,7 +116,8 @@ def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
 
 def describe_runs(runs: list[Result]) -> str:
     """What must stand above every table: which rooms, which constants, which seeds, and how numbers are summed up."""
-    summary, config = runs[0].summary, runs[0].config
+    most = max(runs, key=lambda run: len(run.scenes))
+    summary, config = most.summary, most.config
     rooms = "built-in rooms" if config.split is None else "random rooms"
     kind = f"{rooms}, **synthetic, not AI2-THOR**" if summary["source"] == "rooms" else summary["source"]
     seeds = sorted({run.config.seed for run in runs})

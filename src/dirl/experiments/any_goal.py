@@ -31,6 +31,8 @@ UNREACHED = 10_000
 FAR = ((1, 4), (5, 9), (10, UNREACHED))
 """Fewest steps from start to goal, in which episodes are told apart."""
 
+FAR_NAMES = [f"{low} to {high} steps" if high < UNREACHED else f"{low} steps and more" for low, high in FAR]
+
 DRAWN = {
     FOUR: BLUE,
     PHOTO: SKY,
@@ -165,8 +167,7 @@ def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
 
 def _by_distance(found: Sequence[tuple[World, Mapping[str, Episodes]]], ways: Sequence[str]) -> Table:
     """SPL by how far the start is from the goal."""
-    names = [f"{low} to {high} steps" if high < 1000 else f"{low} and more" for low, high in FAR]
-    table = Table(Column("SPL, walks by"), *(Column(name, ".3f") for name in names))
+    table = Table(Column("SPL, walks by"), *(Column(name, ".3f") for name in FAR_NAMES))
     for way in ways:
         cells = []
         for low, high in FAR:

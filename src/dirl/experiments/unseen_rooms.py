@@ -13,7 +13,18 @@ from tqdm import tqdm
 from dirl.config.choices import goal_view_options
 from dirl.episodes import Episodes
 from dirl.evaluation import EvaluationProtocol, metrics
-from dirl.experiments.any_goal import DRAWN, FAR, FOUR, MEASURES, PHOTO, ambiguous, variant, walked_by, within
+from dirl.experiments.any_goal import (
+    DRAWN,
+    FAR,
+    FAR_NAMES,
+    FOUR,
+    MEASURES,
+    PHOTO,
+    ambiguous,
+    variant,
+    walked_by,
+    within,
+)
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
@@ -93,7 +104,7 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
         count = max(tests)
         parts.add(name, count, len(tests[count]), *_curve_cells(tests[count]))
     table = Table(Column("walks by"), Column("runs", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
-    far = Table(Column("SPL, walks by"), *(Column(f"{low} steps and more", ".3f") for low, _ in FAR))
+    far = Table(Column("SPL, walks by"), *(Column(name, ".3f") for name in FAR_NAMES))
     for way in most[0][1]:
         table.add(way, len(most), *(_rooms(most, way, key) for key in MEASURES))
         near = [[(one, {way: within(episodes[way], *limits)}) for one, episodes in most] for limits in FAR]
