@@ -127,7 +127,8 @@ def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping
         upper.axvline(stable, color="0.3", linestyle="-.", linewidth=1, label=f"stable at {stable:,} frames")
         lower.axvline(stable, color="0.3", linestyle="-.", linewidth=1)
     for axes in (upper, lower):
-        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
+        if axes.get_legend_handles_labels()[0]:  # no episode has ended yet in a short run
+            axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
     # A little room on the left keeps the evaluation at frame 0 off the axis.
     end = max(summary["frames"], 1)
     lower.set_xlim(-0.02 * end, 1.02 * end)
