@@ -36,6 +36,7 @@ SHORTER = {
 
 NOT_RUN = {
     "any_goal.md": ["takes hours"],
+    "any_room.md": ["takes minutes", "needs the room that was encoded above", "takes an hour"],
     "gpu.md": ["needs CUDA"],
     "gymnasium.md": ["needs MoviePy, which holds Pillow below 12"],
     "loggers.md": ["tensorboard is a server that does not end"],
