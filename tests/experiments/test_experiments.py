@@ -20,11 +20,13 @@ from dirl.experiments.new_goals import new_goals
 from dirl.experiments.results import published
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
 from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
+from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.collection import Entry, add_entry
 from dirl.scenes.goals import choose_goals
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.views import encode
+from dirl.training.load import load_trained
 
 SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.fraction="))]
 
@@ -367,8 +369,10 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
     for choices in (["rooms=1,2"], ["rooms=2", "encoder=siamese"]):
         status, _, errors = run_recipe(tmp_path, "train", "-m", "experiment=unseen_rooms", *options, *choices)
         assert status == 0, errors
-    trained = "checkpoint=" + next(str(file.parent) for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
-    status, printed, errors = run_recipe(tmp_path, "evaluate", trained, "scene=rooms/room_3.h5")
+    run = next(file.parent for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
+    elsewhere = {"scene": f"collection:{tmp_path / 'rooms'}"}  # the collection has moved; its test rooms stay out
+    assert load_trained(load_checkpoint(run), str(run), elsewhere).protocol.world.names == ("room_0", "room_1")
+    status, printed, errors = run_recipe(tmp_path, "evaluate", f"checkpoint={run}", "scene=rooms/room_3.h5")
     assert status == 0, errors
     assert "room_3" in printed
     status, printed, errors = run_recipe(tmp_path, "report", "experiment=unseen_rooms", "out=report")

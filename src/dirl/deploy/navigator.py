@@ -254,7 +254,7 @@ class Navigator:
             MapError: turns that are no multiple of four.
         """
         self._check_alone(1)
-        new = ImageGraph(self.threshold, min(0.6, self.threshold), turns=turns) if graph is None else graph
+        new = ImageGraph(self.threshold, turns=turns) if graph is None else graph
         return Explorer(lambda images: self._pooled(self._encode(images, "images")[0][0]), new, self.facts["extractor"])
 
     def _check_alone(self, agents: int) -> None:

@@ -126,6 +126,11 @@ def variant(config: TrainConfig) -> str:
     return f"goal {encoder}, {noise}, {config.imitation.front_only:.0%} photos"
 
 
+def main_variant(variants: Mapping[str, Sequence[Result]]) -> str:
+    """Which of the groups by `variant` has most of the system's parts, and of these most runs."""
+    return max(variants, key=lambda name: ("compared" in name, "no noise" not in name, len(variants[name])))
+
+
 def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
     """Write how well goals are found that were held out, and what each part of the system gives.
 
@@ -138,7 +143,7 @@ def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
         The text of the README.
     """
     variants = grouped(results, lambda config: variant(config))
-    main = max(variants, key=lambda name: ("compared" in name, "no noise" not in name, len(variants[name])))
+    main = main_variant(variants)
     found = [walked(run) for run in tqdm(variants[main], desc="any goal", unit=" runs", disable=None)]
     ways = list(found[0][1])
     table = Table(Column("walks by"), Column("runs", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
@@ -204,10 +209,9 @@ def nearest_trained(config: TrainConfig, world: World) -> Tensor:
     """The fewest steps from each held-out goal to a trained one of its scene, int64 ``[G]``."""
     trained: Any = build_goals(config, world.scenes).trained
     found = torch.zeros(len(world.goals), dtype=torch.int64)
-    for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
-        own = world.goals_in(index)
-        distances = scene.distances[np.ix_((world.goals[own] - offset).numpy(), trained[scene.name])]
-        found[own] = torch.from_numpy(np.where(distances < 0, UNREACHED, distances).min(1)).long()
+    for index, scene in enumerate(world.scenes):
+        distances = scene.distances[np.ix_(world.local_goals(index).numpy(), trained[scene.name])]
+        found[world.goals_in(index)] = torch.from_numpy(np.where(distances < 0, UNREACHED, distances).min(1)).long()
     return found
 
 

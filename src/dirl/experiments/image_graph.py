@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from dirl.config.choices import goal_view_options
 from dirl.envs import SurroundingViews
 from dirl.episodes import Episodes
 from dirl.evaluation import EvaluationProtocol
-from dirl.experiments.any_goal import FAR, MEASURES, wrong_goals
+from dirl.experiments.any_goal import MEASURES, wrong_goals
 from dirl.experiments.results import Column, Table, write_tables
-from dirl.experiments.unseen_rooms import by_room
+from dirl.experiments.unseen_rooms import MAX_STEPS, by_room, drawn_starts
 from dirl.mapping import GraphMemory, GuidedPolicy
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World, make_world
@@ -30,8 +30,6 @@ from dirl.scenes.collection import read_collection
 from dirl.scenes.goals import well_reached
 from dirl.scenes.matching import FRONT_THRESHOLD, TemplateStop
 from dirl.training.load import load_trained
-
-MAX_STEPS = 100
 
 THRESHOLD = 0.95
 """Above which views match: of goals, where an agent stops, and of nodes."""
@@ -52,20 +50,6 @@ def drawn_goals(collection: Path, rooms: int | None, goals: int, seed: int) -> W
         states = torch.from_numpy(well_reached(scene)).nonzero().flatten()
         chosen[scene.name] = tuple(states[torch.randperm(len(states), generator=generator)[:goals]].tolist())
     return make_world(scenes, chosen)
-
-
-def drawn_starts(world: World, each: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Up to ``each`` episodes of every room and distance of `FAR`: goal index and start, int64 ``[E]`` each."""
-    generator = torch.Generator().manual_seed(seed)
-    goal_index, state = world.pairs()
-    scene, distance = world.scene_of[state], world.distances.long()
-    kept = []
-    for room in range(len(world.scenes)):
-        for low, high in FAR:
-            fitting = torch.nonzero((scene == room) & (distance >= low) & (distance <= high)).flatten()
-            kept.append(fitting[torch.randperm(len(fitting), generator=generator)[:each]])
-    pairs = torch.cat(kept)
-    return goal_index[pairs], state[pairs]
 
 
 def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> Iterator[tuple[str, Episodes]]:
@@ -89,20 +73,12 @@ def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> 
 
 def _policy(run: Path, world: World, collection: Path) -> tuple[nn.Module, Any]:
     """The policy of a run on the features of another world, and its episodic memory."""
-    names = {name: tuple(goals) for name, goals in _goals(world).items()}
+    names = {name: tuple(world.local_goals(index).tolist()) for index, name in enumerate(world.names)}
     changes = {"scene": f"collection:{collection}", "split": "test", "rooms": len(world.scenes), "goals": names}
     trained = load_trained(load_checkpoint(run), str(run), {**changes, **goal_view_options("surrounding")})
     if trained.protocol.world.names != world.names:
         raise SystemExit(f"error: {run}: its world is not that of {collection}")
     return trained.policy, trained.protocol.memory
-
-
-def _goals(world: World) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {name: [] for name in world.names}
-    for goal in world.goals.tolist():
-        scene, local = world.local(goal)
-        found[scene.name].append(local)
-    return found
 
 
 def measure(options: argparse.Namespace) -> str:

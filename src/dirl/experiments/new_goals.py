@@ -60,7 +60,7 @@ def new_goals(
     generator = np.random.default_rng(seed)
     chosen = {}
     for index, scene in enumerate(world.scenes):
-        trained = [int(world.goals[row]) - world.offsets[index] for row in world.goals_in(index)]
+        trained = world.local_goals(index).tolist()
         to_trained = scene.distances[:, trained]
         nearest = np.where(to_trained < 0, np.iinfo(np.int64).max, to_trained).min(1)
         reached = (scene.distances >= 0).sum(0) == (scene.distances >= 0).sum(0).max()

@@ -21,6 +21,7 @@ from dirl.experiments.any_goal import (
     MEASURES,
     PHOTO,
     ambiguous,
+    main_variant,
     variant,
     walked_by,
     within,
@@ -38,9 +39,6 @@ MAX_STEPS = 100
 THRESHOLDS = (0.8, 0.85, 0.9, 0.95, 0.98)
 """Of the matching, compared in the validation rooms."""
 
-ALL_ROOMS = 10**6
-"""More rooms than a collection has."""
-
 TESTED: Mapping[str, Any] = {
     "split": "test",
     "rooms": None,
@@ -50,8 +48,8 @@ TESTED: Mapping[str, Any] = {
 }
 
 
-def drawn_starts(world: World, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Up to `STARTS` episodes of each room and distance of `FAR`: goal index and start, int64 ``[E]`` each."""
+def drawn_starts(world: World, each: int = STARTS, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Up to ``each`` episodes of every room and distance of `FAR`: goal index and start, int64 ``[E]`` each."""
     generator = torch.Generator().manual_seed(seed)
     goal_index, state = world.pairs()
     scene, distance = world.scene_of[state], world.distances.long()
@@ -59,7 +57,7 @@ def drawn_starts(world: World, seed: int = 0) -> tuple[Tensor, Tensor]:
     for room in range(len(world.scenes)):
         for low, high in FAR:
             fitting = torch.nonzero((scene == room) & (distance >= low) & (distance <= high)).flatten()
-            chosen.append(fitting[torch.randperm(len(fitting), generator=generator)[:STARTS]])
+            chosen.append(fitting[torch.randperm(len(fitting), generator=generator)[:each]])
     kept = torch.cat(chosen)
     return goal_index[kept], state[kept]
 
@@ -95,7 +93,7 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
         The text of the README.
     """
     variants = grouped(results, variant)
-    main = max(variants, key=lambda name: ("compared" in name, "no noise" not in name, len(variants[name])))
+    main = main_variant(variants)
     found = _tested_by_count(variants.pop(main))
     most = found[max(found)]
     world = most[0][0]
@@ -128,13 +126,10 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
 
 def _tested_by_count(runs: Sequence[Result]) -> dict[int, list[tuple[World, dict[str, Episodes]]]]:
     """The test of each run, by the number of rooms that it was trained in."""
-    by_count = dict(sorted(grouped(runs, lambda config: config.rooms or ALL_ROOMS).items()))
-    return {
-        min(count, len(group[0].scenes)): [
-            tested(run) for run in tqdm(group, desc=f"{len(group[0].scenes)} rooms", unit=" runs", disable=None)
-        ]
-        for count, group in by_count.items()
-    }
+    found: dict[int, list[tuple[World, dict[str, Episodes]]]] = {}
+    for run in tqdm(sorted(runs, key=lambda run: len(run.scenes)), desc="rooms never seen", unit=" runs", disable=None):
+        found.setdefault(len(run.scenes), []).append(tested(run))
+    return found
 
 
 def _by_kind(found: Sequence[tuple[World, Mapping[str, Episodes]]]) -> Table:

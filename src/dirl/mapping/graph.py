@@ -17,6 +17,8 @@ from dirl.scenes.matching import normal_vectors
 
 UNKNOWN, VIEWS = -1, 4
 
+KEEP = 0.6
+
 UNDOES = {AHEAD: BACK, BACK: AHEAD, RIGHT: LEFT, LEFT: RIGHT}
 
 
@@ -29,7 +31,8 @@ class ImageGraph:
 
     Args:
         threshold: above this correlation of four views two looks around are of the same node.
-        keep: above this one the expected node is believed, unless another looks more alike by ``margin``.
+        keep: above this one the expected node is believed, unless another looks more alike by ``margin``; `KEEP` or the
+            threshold, whichever is lower, if left out.
         margin: see ``keep``.
         turns: right turns in a full circle.
         merge: whether nodes are recognised; without it each step makes a new station, and the map is a list.
@@ -41,12 +44,13 @@ class ImageGraph:
     def __init__(
         self,
         threshold: float = 0.9,
-        keep: float = 0.6,
+        keep: float | None = None,
         margin: float = 0.1,
         turns: int = 4,
         *,
         merge: bool = True,
     ) -> None:
+        keep = min(KEEP, threshold) if keep is None else keep
         if not -1 <= keep <= threshold <= 1 or not 0 <= margin <= 2:
             raise MapError(
                 f"keep={keep:g}, threshold={threshold:g}, margin={margin:g}: expected -1 <= keep <= threshold <= 1 and "

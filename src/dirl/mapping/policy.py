@@ -51,8 +51,8 @@ class GraphMemory(TensorDictModuleBase):
         generator = torch.Generator().manual_seed(seed)
         actions, distances, row, photo, size = [], [], [], [], 0
         for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
-            count, goals = len(scene), world.goals[world.goals_in(index)].cpu() - offset
-            graph = ImageGraph(threshold, min(0.6, threshold), turns=turns_per_circle(scene.graph), merge=merge)
+            count, goals = len(scene), world.local_goals(index).cpu()
+            graph = ImageGraph(threshold, turns=turns_per_circle(scene.graph), merge=merge)
             features = world.features[offset : offset + count].cpu()
             start = int(torch.randint(count, (1,), generator=generator))
             explore(scene, graph, start, round(steps_per_state * count), features)

@@ -8,14 +8,13 @@ import torch
 
 from dirl.atomic import atomic_path, write_json
 from dirl.mapping.graph import UNKNOWN, VIEWS, ImageGraph, MapError
+from dirl.runs.shared import MISSING
 from dirl.scenes.graph import ACTIONS
 from dirl.texts import read_text
 
 TENSORS, FACTS = "map.safetensors", "map.json"
 
 SCHEMA = 1
-
-MISSING = "needs a package that is not installed (safetensors): pip install 'dirl[hub]'"
 
 
 def save_graph(graph: ImageGraph, folder: str | Path, *, extractor: str = "unknown") -> Path:

@@ -58,12 +58,18 @@ def find_rooms(scene: str | Sequence[str], split: str | None, rooms: int | None)
     Raises:
         SceneError: no such collection, or none of its rooms.
     """
-    name = scene if isinstance(scene, str) else scene[0] if len(scene) == 1 else ""
-    if name.startswith(COLLECTION):
+    if names_collection(scene):
+        name = scene if isinstance(scene, str) else scene[0]
         return read_collection(name.removeprefix(COLLECTION)).select(split=split)[:rooms]
     if split is not None or rooms is not None:
         raise SceneError("split and rooms choose among the rooms of a collection: scene=collection:<folder>")
     return None
+
+
+def names_collection(scene: str | Sequence[str]) -> bool:
+    """Whether a user asks for the rooms of a collection, see `load_scenes`."""
+    name = scene if isinstance(scene, str) else scene[0] if len(scene) == 1 else ""
+    return name.startswith(COLLECTION)
 
 
 def find_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Dump]:

@@ -86,10 +86,9 @@ class TemplateStop:
     def scores(self, world: World) -> Tensor:
         """The coefficient of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`."""
         found = []
-        for index, offset in enumerate(world.offsets):
+        for index in range(len(world.scenes)):
             of_scene = scene_vectors(world, index, self.match)
-            goals = world.goals[world.goals_in(index)] - offset
-            found.append((of_scene[goals] @ of_scene.T).flatten())
+            found.append((of_scene[world.local_goals(index)] @ of_scene.T).flatten())
         return torch.cat(found)
 
     def __call__(self, world: World) -> Tensor:

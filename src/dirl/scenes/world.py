@@ -99,6 +99,10 @@ class World:
         """The places in ``goals`` of those in one scene, given by its place in ``scenes``."""
         return torch.nonzero(self.scene_of[self.goals] == scene).flatten().tolist()
 
+    def local_goals(self, scene: int) -> Tensor:
+        """The goals of one scene, given by its place in ``scenes``, as its own states, int64 ``[g]``."""
+        return self.goals[self.goals_in(scene)] - self.offsets[scene]
+
     def with_goals(self, goals: "Goals") -> "World":
         """The same scenes with other goals, see `make_world`; what does not depend on goals is shared."""
         return replace(self, **_goal_tables(self.scenes, self.offsets, _goals(self.scenes, goals))).to(self.device)

@@ -307,8 +307,8 @@ def _some_goals(world: World, count: int, seed: int) -> dict[str, tuple[int, ...
     """Up to so many goals of each scene, drawn by the seed."""
     generator = torch.Generator().manual_seed(seed)
     chosen = {}
-    for index, (name, offset) in enumerate(zip(world.names, world.offsets, strict=True)):
-        own = world.goals.cpu()[world.goals_in(index)] - offset
+    for index, name in enumerate(world.names):
+        own = world.local_goals(index).cpu()
         drawn = torch.randperm(len(own), generator=generator)[:count]
         chosen[name] = tuple(sorted(own[drawn].tolist()))
     return chosen

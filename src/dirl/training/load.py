@@ -11,6 +11,7 @@ from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation import EvaluationProtocol
 from dirl.scenes import World
+from dirl.scenes.catalogue import names_collection
 from dirl.training.build import (
     build_goals,
     build_observation,
@@ -51,7 +52,7 @@ def load_trained(
     given = dict(changes or {})
     if "goals" in given:
         given.setdefault("hold_out", 0.0)
-    if "scene" in given:  # a collection's split does not go with another scene
+    if "scene" in given and not names_collection(given["scene"]):  # else the rooms of the training's split
         given = {"split": None, "rooms": None, **given}
     # Goals that are drawn are drawn by the seed of the training: by another, trained ones would count as held out.
     seed = given.pop("seed", None)
@@ -89,8 +90,8 @@ def learning_policy(
 def _all_goals(config: TrainConfig, world: World) -> dict[str, tuple[int, ...]]:
     """The trained and the held-out goals of each scene, which a policy that knows the world walks to; empty if same."""
     held_out = build_goals(config, world.scenes).held_out
-    own = (world.goals[world.goals_in(index)] - offset for index, offset in enumerate(world.offsets))
-    return {name: (*goals.tolist(), *held_out[name]) for name, goals in zip(world.names, own, strict=True) if held_out}
+    names = enumerate(world.names) if held_out else ()
+    return {name: (*world.local_goals(index).tolist(), *held_out[name]) for index, name in names}
 
 
 def cached(

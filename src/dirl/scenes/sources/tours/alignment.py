@@ -100,8 +100,7 @@ def _solved(edges: Edges, turns: Array, count: int) -> Array:
 
 def _loop_errors(edges: Edges, turns: Array, count: int) -> Array:
     """How far off the best of a few short loops through each link closes, degrees, float64 ``[E]``; 180 without any."""
-    turn = {(i, j): t for (i, j), t in zip(edges.tolist(), turns.tolist(), strict=True)}
-    turn |= {(j, i): -t for (i, j), t in turn.items()}
+    turn = _both_ways(edges, turns)
     near = _neighbours(edges, count)
     errors = np.full(len(edges), 180.0)
     for index, (i, j) in enumerate(edges.tolist()):
@@ -115,6 +114,12 @@ def _loop_errors(edges: Edges, turns: Array, count: int) -> Array:
             error = abs(float(wrap(np.array(turn[i, j] - sum(turn[step] for step in steps)))))
             errors[index] = min(errors[index], error)
     return errors
+
+
+def _both_ways(edges: Edges, turns: Array) -> dict[tuple[int, int], float]:
+    """The turn along each link, and its opposite the other way."""
+    turn = {(i, j): t for (i, j), t in zip(edges.tolist(), turns.tolist(), strict=True)}
+    return turn | {(j, i): -t for (i, j), t in turn.items()}
 
 
 def _neighbours(edges: Edges, count: int) -> list[list[int]]:
@@ -165,8 +170,7 @@ def _tree(edges: Edges, count: int) -> list[int]:
 
 def _propagated(edges: Edges, turns: Array, count: int) -> Array:
     """Headings along a forest, from 0 at the first panorama of each part."""
-    turn = {(i, j): t for (i, j), t in zip(edges.tolist(), turns.tolist(), strict=True)}
-    turn |= {(j, i): -t for (i, j), t in turn.items()}
+    turn = _both_ways(edges, turns)
     parents, _ = _forest(edges, count)
     headings = np.zeros(count)
     for here in sorted(range(count), key=lambda one: parents[one][1]):
@@ -214,8 +218,7 @@ def _forest(edges: Edges, count: int) -> tuple[list[tuple[int, int]], NDArray[np
 
 def _loops(edges: Edges, turns: Array, parents: Sequence[tuple[int, int]]) -> tuple[Array, set[int]]:
     """How far off the loop closes that each link makes which is not in the forest, and the panoramas on any loop."""
-    turn = {(i, j): t for (i, j), t in zip(edges.tolist(), turns.tolist(), strict=True)}
-    turn |= {(j, i): -t for (i, j), t in turn.items()}
+    turn = _both_ways(edges, turns)
     errors, on_loop = [], set()
     for (i, j), t in zip(edges.tolist(), turns.tolist(), strict=True):
         if j in (parents[i][0],) or i in (parents[j][0],):

@@ -20,6 +20,9 @@ MAX_BYTES = 2**28
 MAX_PIXELS = 2**28
 """Of a panorama, or of a face."""
 
+MOST_LEVELS, MOST_TILES = 16, 64
+"""Sizes of a cube, and tiles along a side."""
+
 FACES = "frblud"
 """Of a cube: front, right, back, left, up, down. The lower edge of ``u`` and the upper one of ``d`` touch ``f``."""
 
@@ -48,6 +51,18 @@ class CubeLevel:
 
     size: int | None
     tiles: Mapping[str, tuple[tuple[Path, ...], ...]]
+
+
+def tiles_along(size: int, tile: int, where: str) -> int:
+    """How many tiles of ``tile`` pixels lie along a side of ``size`` pixels.
+
+    Raises:
+        SceneError: more than `MOST_TILES`.
+    """
+    count = -(-size // tile)
+    if count > MOST_TILES:
+        raise SceneError(f"{where}: {size} pixels in tiles of {tile} are more than {MOST_TILES} tiles a side")
+    return count
 
 
 @dataclass(frozen=True)

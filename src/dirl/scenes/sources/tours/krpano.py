@@ -9,11 +9,8 @@ from pathlib import Path
 from xml.parsers import expat
 
 from dirl.scenes.scene import SceneError
-from dirl.scenes.sources.tours.images import FACES, Cube, CubeLevel, Equirectangular
+from dirl.scenes.sources.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, Equirectangular, tiles_along
 from dirl.scenes.sources.tours.tour import Link, Panorama, Tour, inside, make_tour, number, tour_text
-
-MOST_LEVELS, MOST_TILES = 16, 64
-"""Sizes of a cube, and tiles along a side."""
 
 
 def read_krpano(file: Path) -> Tour:
@@ -105,9 +102,7 @@ def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
 
 
 def _level(url: str, size: int, tile: int, level: int, file: Path, where: str) -> CubeLevel:
-    tiles = range(1, -(-size // tile) + 1)
-    if len(tiles) > MOST_TILES:
-        raise SceneError(f"{where}: {size} pixels in tiles of {tile} are more than {MOST_TILES} tiles a side")
+    tiles = range(1, tiles_along(size, tile, where) + 1)
     paths = {
         face: tuple(tuple(_file(url, face, level, v, h, file, where) for h in tiles) for v in tiles) for face in FACES
     }

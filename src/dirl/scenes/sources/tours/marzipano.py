@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dirl.scenes.scene import SceneError
-from dirl.scenes.sources.tours.images import FACES, Cube, CubeLevel
+from dirl.scenes.sources.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, tiles_along
 from dirl.scenes.sources.tours.tour import (
     Link,
     Panorama,
@@ -25,9 +25,6 @@ from dirl.scenes.sources.tours.tour import (
 )
 
 ASSIGNMENT = re.compile(r"\s*(?:var|let|const)\s+[A-Za-z_]\w*\s*=\s*(?=\{)")
-
-MOST_LEVELS, MOST_TILES = 16, 64
-"""Sizes of a cube, and tiles along a side."""
 
 
 def read_marzipano(file: Path) -> Tour:
@@ -61,9 +58,7 @@ def _cube(scene: Mapping[str, Any], name: str, file: Path, where: str) -> Cube:
     sizes = []
     for level in entries(scene, "levels", where):
         size, tile = (int(number(level.get(key), f"{where}: {key}", 1, 2**15)) for key in ("size", "tileSize"))
-        if -(-size // tile) > MOST_TILES:
-            raise SceneError(f"{where}: {size} pixels in tiles of {tile} are more than {MOST_TILES} tiles a side")
-        sizes.append((size, -(-size // tile), level.get("fallbackOnly") is True))
+        sizes.append((size, tiles_along(size, tile, where), level.get("fallbackOnly") is True))
     if not sizes or len(sizes) > MOST_LEVELS or sizes != sorted(sizes, key=lambda level: level[0]):
         raise SceneError(f"{where}: expected 1 to {MOST_LEVELS} levels, the smallest first")
     levels = []

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dirl.scenes.scene import SceneError
-from dirl.scenes.sources.tours.images import FACES, Cube, CubeLevel, Equirectangular
+from dirl.scenes.sources.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, Equirectangular, tiles_along
 from dirl.scenes.sources.tours.tour import (
     Link,
     Panorama,
@@ -21,9 +21,6 @@ from dirl.scenes.sources.tours.tour import (
     read_json,
     tour_text,
 )
-
-MOST_TILES = 64
-"""Along a side of a face."""
 
 
 def read_pannellum(file: Path) -> Tour:
@@ -84,15 +81,13 @@ def _tiles(given: Mapping[str, Any], folder: Path, where: str) -> Cube:
         folder = inside(folder, given["basePath"], where)
     most, size, tile = (
         int(number(given.get(key), f"{where}: {key}", 1, high))
-        for key, high in (("maxLevel", 16), ("cubeResolution", 2**15), ("tileResolution", 2**15))
+        for key, high in (("maxLevel", MOST_LEVELS), ("cubeResolution", 2**15), ("tileResolution", 2**15))
     )
     pattern, ending = entry(given, "path", str, where), str(given.get("extension", "jpg"))
     levels = []
     for level in range(1, most + 1):
         side = -(-size // 2 ** (most - level))
-        tiles = -(-side // tile)
-        if tiles > MOST_TILES:
-            raise SceneError(f"{where}: {side} pixels in tiles of {tile} are more than {MOST_TILES} tiles a side")
+        tiles = tiles_along(side, tile, where)
 
         def path(face: str, row: int, column: int, level: int = level) -> Path:
             values = {"%s": face, "%l": str(level), "%y": str(row), "%x": str(column)}

@@ -90,10 +90,7 @@ def _read_panorama(floor: _Floor, name: str, about: Mapping[str, Any], metres: f
     if isinstance(layout, Mapping):
         corners = on_map(_points(layout.get("vertices"), where))
         floor.walls += list(np.stack([corners, np.roll(corners, -1, 0)], 1))
-        for kind in (
-            "doors",
-            "openings",
-        ):  # each is its left and right end, and the heights of its lower and upper edge
+        for kind in ("doors", "openings"):  # of each the left and right end, then the heights of its two edges
             ends = _points(layout.get(kind) or [], where)
             floor.gaps += [on_map(ends[first : first + 2]) for first in range(0, len(ends) - 1, 3)]
 
