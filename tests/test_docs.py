@@ -25,14 +25,25 @@ DOCS = ROOT / "docs"
 PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "howto").glob("*.md"))]
 
 QUICK = [option for option in TINY if not option.startswith(("evaluation.max_steps", "checkpoint"))]
-QUICK += ["evaluation.max_steps=10", "imitation.max_steps=20"]
+QUICK = [option for option in QUICK if not option.startswith(("imitation.max_steps", "reinforcement.frames"))]
+QUICK += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.frames_per_scene=240"]
 """Behind every training of a page, but for the options that it gives itself."""
 
 SHORTER = {
+    "any_goal.md": {"imitation.max_steps=100": "imitation.max_steps=5", "evaluation.goals=20": "evaluation.goals=2"},
+    "many_goals.md": {
+        "train.py scene=kitchen_02": "train.py evaluation.goals=2 evaluation.starts=sampled scene=kitchen_02"
+    },
+    "own_photographs.md": {"height=150 width=200": "height=48 width=64"},
+    "own_rooms.md": {"height=60 width=80": "height=24 width=32"},
+    "rooms.md": {"RoomSettings(height=48, width=64": "RoomSettings(height=24, width=32"},
     "gymnasium.md": {"40_960": "1_024", "36_864": "128", "set(range(180))": "set(range(20, 40))"},
-    "navigator.md": {"frames_per_scene=30000": "frames_per_scene=2500", "times=10": "times=1"},
+    "navigator.md": {
+        'frames_per_scene=30000"': 'frames_per_scene=240", "imitation.max_steps=5"',
+        "times=10": "times=1",
+    },
 }
-"""What makes the Python code of a page take seconds; it is otherwise run as it stands."""
+"""What makes the code of a page take seconds; it is otherwise run as it stands."""
 
 NOT_RUN = {
     "any_goal.md": ["takes hours"],
@@ -142,11 +153,11 @@ def run_block(block, page, names, monkeypatch):
     if is_file(caption):
         Path(caption).parent.mkdir(exist_ok=True)
         Path(caption).write_text(text)
-    elif caption:
+    if caption:
         return
-    elif language == "python":
-        for old, new in SHORTER.get(page.name, {}).items():
-            text = text.replace(old, new)
+    for old, new in SHORTER.get(page.name, {}).items():
+        text = text.replace(old, new)
+    if language == "python":
         exec(compile(text, str(page), "exec"), names)
     elif language == "bash":
         for words in shell_words(text):

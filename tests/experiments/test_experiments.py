@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from commands import TINY, room_file, run_program, run_recipe, start_recipe, train_config
+from commands import TINY, room_file, run_recipe, start_recipe, train_config
 from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
@@ -48,7 +48,7 @@ def summaries(folder):
 def grid(tmp_path_factory):
     """A folder with the runs of a small grid: every kind of system, and the expert's share."""
     folder = tmp_path_factory.mktemp("grid")
-    options = [f"scene={room_file(folder)}", *SMALL, "evaluation.times=4", "reinforcement.frames_per_scene=2400"]
+    options = [f"scene={room_file(folder)}", *SMALL, "evaluation.times=4", "reinforcement.frames_per_scene=1200"]
     for given in (["table2", "system=random,il,td_drl,dirl"], ["fig8", "imitation={fraction:0.0},{fraction:0.5}"]):
         status, _, errors = run_recipe(folder, "train", "-m", f"experiment={given[0]}", *options, given[1], "seed=0,1")
         assert status == 0, errors
@@ -65,7 +65,7 @@ def test_experiments_share_runs_and_what_is_finished_is_not_made_again(grid):
 @pytest.mark.parametrize("experiment", EXPERIMENTS[:-1])
 def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
     status, printed, errors = run_recipe(
-        grid, "report", f"experiment={experiment}", "scene=grid", "goal=7", "starts=20", f"out={experiment}"
+        grid, "report", f"experiment={experiment}", "scene=grid", "goal=7", "starts=5", f"out={experiment}"
     )
     assert status == 0, errors
     text = (grid / experiment / "README.md").read_text()
@@ -98,14 +98,14 @@ def test_table_1_is_half_of_the_way(grid):
     run_recipe(grid, "report", "experiment=table1", "out=half")
     (row, *_) = [row for row in rows_of(grid / "half" / "table1_greedy.csv") if row["system"] == "DIRL"]
     tests = rows_of(grid / "runs/experiments/fast/dirl_random_0.05_0/evaluation.csv")
-    (half,) = [test for test in tests if test["frames"] == "1200"]
+    (half,) = [test for test in tests if test["frames"] == "600"]
     assert float(row["ATL, ours"]) == pytest.approx(float(half["atl"]))
 
 
 def test_a_report_of_one_seed_says_so(grid, tmp_path):
     (tmp_path / "fast").mkdir()
     (tmp_path / "fast/dirl").symlink_to(grid / "runs/experiments/fast/dirl_random_0.05_1")
-    status, printed, errors = run_program(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
+    status, printed, errors = run_recipe(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
     assert status == 0, errors
     assert "Preset `fast`, seed 1 alone.\n" in printed
 
@@ -138,7 +138,7 @@ def test_a_failed_job_is_told_and_the_others_are_not_lost_and_are_not_made_again
 
 
 def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_again(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *SMALL, "reinforcement.frames_per_scene=3000", "experiment=fig4"]
+    options = [f"scene={room_file(tmp_path)}", *SMALL, "reinforcement.frames_per_scene=1500", "experiment=fig4"]
     command = ["-m", *options, "system=dirl", "seed=0,1"]
     process = start_recipe(tmp_path, "train", *command)
     first, second = (tmp_path / f"runs/experiments/fast/dirl_random_0.05_{seed}" for seed in (0, 1))
@@ -166,8 +166,8 @@ def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # sums depend on the number of threads
     options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
     options += ["reinforcement.gamma=1.5,0.9,0.95", "hydra.sweep.subdir=${reinforcement.gamma}"]
-    for folder, launcher, start in (("alone", "basic", run_recipe), ("together", "cores", run_program)):
-        status, _, errors = start(
+    for folder, launcher in (("alone", "basic"), ("together", "cores")):
+        status, _, errors = run_recipe(
             tmp_path, "train", *options, f"hydra/launcher={launcher}", f"hydra.sweep.dir={folder}"
         )
         assert status == 1

@@ -17,6 +17,7 @@ TINY = [
     "encoder.width=32",
     "heads.width=32",
     "imitation.fraction=0.2",
+    "imitation.max_steps=60",
     "reinforcement.frames_per_scene=600",
     "reinforcement.agents_per_scene=6",
     "evaluation.times=2",

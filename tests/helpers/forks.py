@@ -108,7 +108,18 @@ def no_pictures():
     """Leave the pictures empty, which take most of a short run's time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+    from dirl.reporting import pictures
+
     FigureCanvasAgg.print_figure = empty_picture
+    pictures.draw_policy = pictures.draw_trajectories = pictures.write_gif = empty_file
+
+
+def empty_file(*arguments, **options):
+    """In place of what draws a picture of a scene: an image of one pixel, in the file that is among the arguments."""
+    from PIL import Image
+
+    (file,) = (argument for argument in arguments if isinstance(argument, Path))
+    Image.new("RGB", (1, 1)).save(file)
 
 
 def empty_picture(canvas, file, **options):

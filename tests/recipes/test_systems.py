@@ -121,11 +121,11 @@ def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
         "encoder.width=64",
         "heads.width=64",
         "imitation.fraction=0",
-        "reinforcement.agents_per_scene=20",
-        "optimiser.lr=2e-3",
+        "reinforcement.agents_per_scene=40",
+        "optimiser.lr=4e-3",
         "reinforcement.workers=2",
     ]
-    options = [f"scene={room_file(tmp_path)}", *TINY, "system=a3c", *small, "reinforcement.frames_per_scene=40_000"]
+    options = [f"scene={room_file(tmp_path)}", *TINY, "system=a3c", *small, "reinforcement.frames_per_scene=16_000"]
     process = start_recipe(tmp_path, "train", *options, "hydra.run.dir=run", "checkpoint.every_seconds=1000")
     table = tmp_path / "run" / "reinforcement.csv"
     waited = time.monotonic()
@@ -137,9 +137,9 @@ def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
     assert "resume=run" in ended.errors
     assert "Traceback" not in ended.errors
     (checkpoint,) = (tmp_path / "run" / "checkpoints").glob("*.pt")
-    assert 0 < int(checkpoint.stem) < 40_000
+    assert 0 < int(checkpoint.stem) < 16_000
     status, _, errors = run_recipe(tmp_path, "train", "resume=run")
     assert status == 0, errors
     summary = summary_of(tmp_path / "run")
-    assert summary["frames"] == 40_000
+    assert summary["frames"] == 16_000
     assert summary["sampled"]["sr"] > summary["random"]["sr"] + 0.1

@@ -15,7 +15,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, Override, QuotedString, Sweep
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config.components import GROUPS, in_words
@@ -124,6 +124,7 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
     known = option_types(schema)
     folders = [] if conf is None else [conf, *config_dirs(arguments)]
     sweeps = any(text in ("-m", "--multirun") for text in arguments)
+    trial = OmegaConf.structured(schema)
     prepared = []
     for text in arguments:
         override = parsed(text)
@@ -142,7 +143,7 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
             constant = _constant(name, override) if known[name] is Schedule else text
             prepared.append(constant)
             if constant == text:
-                _check_value(schema, name, known[name], override)
+                _check_value(trial, name, known[name], override)
     return prepared
 
 
@@ -234,8 +235,8 @@ def _values(override: Override) -> list[Any]:
     return [one.text if isinstance(one, QuotedString) else one for one in several]
 
 
-def _check_value(schema: type, name: str, kind: Any, override: Override) -> None:
-    """Raise `ConfigError` unless OmegaConf can convert each value to the type of the option."""
+def _check_value(trial: DictConfig, name: str, kind: Any, override: Override) -> None:
+    """Raise `ConfigError` unless OmegaConf can convert each value to the type of the option, by trying it."""
     if is_dataclass(kind):
         if not all(isinstance(given, dict) for given in _values(override)):
             inside = ", ".join(f"{name}.{option.name}" for option in fields(kind))
@@ -243,7 +244,7 @@ def _check_value(schema: type, name: str, kind: Any, override: Override) -> None
         return
     for given in _values(override):
         try:
-            OmegaConf.update(OmegaConf.structured(schema), name, given)
+            OmegaConf.update(trial, name, given)
         except OmegaConfBaseException:
             shown = "null" if given is None else given
             raise ConfigError(f"{name}={shown}: must be {in_words(kind)}") from None

@@ -75,7 +75,7 @@ def build_room(
         out: the dump to write, completely or not at all.
         size: height and width of the views, pixels.
         turn: degrees of a turn, see `walk`.
-        workers: processes that render views; all cores if left out. Each needs about 0.5 GB.
+        workers: processes that render views; up to one for each core if left out. Each needs about 0.5 GB.
         encoder: what makes the features, from the views as they are stored; no features if left out.
         provenance: origin of the encoder's weights, stored in the file beside their hash.
         quality: of the stored WebP views, 0 to 100.
@@ -181,6 +181,10 @@ def poses(way: Walk) -> list[Pose]:
     return [(float(x), float(y), float(heading)) for x, y in way.places for heading in way.headings]
 
 
+PIXELS = 2_000_000
+"""Of views that are rendered in the time that it takes to start another process."""
+
+
 @dataclass(frozen=True)
 class View:
     """A stored view, and what the checks need of it."""
@@ -207,11 +211,14 @@ def take_views(
         poses: where it stands.
         size: height and width in pixels.
         quality: of WebP.
-        workers: how many processes; all cores if None, this process alone if 1.
+        workers: how many processes; this process alone if 1. If None, one for each `PIXELS` of all views together, at
+            most one for each core.
         progress: show a progress bar.
     """
     job = (renderer, camera, size, quality)
-    workers = min(workers or os.cpu_count() or 1, len(poses))
+    if workers is None:
+        workers = min(1 + size[0] * size[1] * len(poses) // PIXELS, os.cpu_count() or 1)
+    workers = min(workers, len(poses))
     with tqdm(total=len(poses), desc="views", unit=" views", disable=None if progress else True) as bar:
         if workers == 1:
             for pose in poses:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from typing import Any, Self
 
@@ -17,15 +18,26 @@ class Part:
 
     Args:
         corners: metres, float64 ``[n, 3 corners, 3]``, anticlockwise seen from outside.
-        normals: at the corners, of length 1, float64 ``[n, 3, 3]``.
         uv: where in the texture each corner is, float64 ``[n, 3, 2]``; None until it is known how large a repeat is.
         material: its name.
+        smooth: degrees up to which triangles that share a corner look rounded.
+        unturned: ``corners`` before the part was turned, if it was.
+        turn: how it was turned, a rotation matrix ``[3, 3]``.
     """
 
     corners: Array
-    normals: Array
     uv: Array | None
     material: str
+    smooth: float
+    unturned: Array | None = None
+    turn: Array | None = None
+
+    @property
+    def normals(self) -> Array:
+        """At the corners, of length 1, float64 ``[n, 3, 3]``; computed here, as most parts are only measured."""
+        if self.unturned is None or self.turn is None:
+            return corner_normals(self.corners, self.smooth)
+        return corner_normals(self.unturned, self.smooth) @ self.turn
 
     def moved(self, at: ArrayLike, yaw: float, texture_size: float, *, grained: bool = False) -> "Part":
         """Turned anticlockwise by ``yaw`` degrees about the z axis, then shifted by ``at`` ``[3]``.
@@ -35,7 +47,7 @@ class Part:
         c, s = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
         turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         uv = _box_projection(self.corners, texture_size, grained) if self.uv is None else self.uv
-        return Part(self.corners @ turn + np.asarray(at), self.normals @ turn, uv, self.material)
+        return Part(self.corners @ turn + np.asarray(at), uv, self.material, self.smooth, self.corners, turn)
 
 
 def _box_projection(corners: Array, texture_size: float, grained: bool) -> Array:
@@ -94,7 +106,7 @@ class Mesh:
         points = np.asarray(corners, float)
         area = np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1)
         points, wanted = points[area > 1e-10], None if uv is None else np.asarray(uv, float)[area > 1e-10]
-        self.parts.append(Part(points, corner_normals(points, smooth), wanted, material))
+        self.parts.append(Part(points, wanted, material, smooth))
         return self
 
     def box(
@@ -103,26 +115,8 @@ class Mesh:
         """A box from corner to corner, its edges cut off by ``bevel`` metres (less where the box is thin)."""
         low, high = np.array([x0, y0, z0]), np.array([x1, y1, z1])
         bevel = min(bevel, 0.45 * (high - low).min())
-        signs = (-1, 1)
-
-        def corner(sign: Sequence[int], axis: int) -> Array:
-            """The corner of the face across ``axis`` that lies nearest to a corner of the box."""
-            inset = np.where(np.arange(3) == axis, 0, bevel)
-            return np.where(np.array(sign) > 0, high, low) - np.array(sign) * inset
-
-        quads, triangles = [], []
-        for axis in range(3):
-            a, b = (other for other in range(3) if other != axis)
-            around = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-            for side in signs:
-                quads.append([corner(_signs({axis: side, a: p, b: q}), axis) for p, q in around])
-            for p, q in product(signs, signs) if bevel else ():
-                ends = [(-1, a), (1, a), (1, b), (-1, b)]
-                quads.append([corner(_signs({axis: end, a: p, b: q}), face) for end, face in ends])
-        if bevel:
-            triangles = [[corner(sign, axis) for axis in range(3)] for sign in product(signs, signs, signs)]
-        triangles += [[q[i] for i in pick] for q in quads for pick in ((0, 1, 2), (0, 2, 3))]
-        points: Array = np.array(triangles)
+        signs, inset = _box_corners(bool(bevel))
+        points = np.where(signs > 0, high, low) - signs * (inset * bevel)
         outwards = points.mean(1) - (low + high) / 2
         inverted = (np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]) * outwards).sum(1) < 0
         points[inverted] = points[inverted][:, ::-1]
@@ -201,6 +195,27 @@ class Mesh:
         v, u = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
         uv = _triangles(np.stack([u, 1 - v], -1)) if image else None
         return self.add(_triangles(surface(u, v)), material, uv, smooth=80.0)
+
+
+@cache
+def _box_corners(beveled: bool) -> tuple[Array, Array]:
+    """The corners of a box's triangles: on which side of the box, -1 or 1, and where inset; int ``[n, 3, 3]`` each."""
+    sides, quads, triangles = (-1, 1), [], []
+    for axis in range(3):
+        a, b = (other for other in range(3) if other != axis)
+        around = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+        for side in sides:
+            quads.append([(_signs({axis: side, a: p, b: q}), axis) for p, q in around])
+        for p, q in product(sides, sides) if beveled else ():
+            ends = [(-1, a), (1, a), (1, b), (-1, b)]
+            quads.append([(_signs({axis: end, a: p, b: q}), face) for end, face in ends])
+    if beveled:
+        triangles = [[(sign, axis) for axis in range(3)] for sign in product(sides, sides, sides)]
+    triangles += [[quad[i] for i in pick] for quad in quads for pick in ((0, 1, 2), (0, 2, 3))]
+    signs = np.array([[sign for sign, _ in triangle] for triangle in triangles])
+    # The corner of the face across an axis that lies nearest to a corner of the box.
+    inset = np.array([[[other != axis for other in range(3)] for _, axis in triangle] for triangle in triangles])
+    return signs, inset.astype(int)
 
 
 def _signs(chosen: dict[int, int]) -> tuple[int, int, int]:

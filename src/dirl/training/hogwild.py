@@ -60,7 +60,7 @@ def share(policy: nn.Module, optimiser: Optimizer, frames: int) -> Shared:
         optimiser: of its parameters; its statistics are from now on those that the workers write.
         frames: that the training has taken so far.
     """
-    context = torch.multiprocessing.get_context("spawn")
+    context = _context()
     going = context.Event()
     going.set()
     for parameter in policy.parameters():
@@ -75,6 +75,12 @@ def share(policy: nn.Module, optimiser: Optimizer, frames: int) -> Shared:
         going=going,
         stopped=context.Event(),
     )
+
+
+def _context() -> Any:
+    """How workers start: as forks of a process that has only imported what they need, or else as new interpreters."""
+    methods = torch.multiprocessing.get_all_start_methods()
+    return torch.multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
 
 
 def _first_statistics(optimiser: Optimizer, parameter: Tensor) -> dict[str, Tensor]:
@@ -129,7 +135,7 @@ def asynchronous_updates(
     Raises:
         RuntimeError: a worker failed; it has printed why.
     """
-    context = torch.multiprocessing.get_context("spawn")
+    context = _context()
     listening: dict[Any, Any] = {}  # a connection to each worker, and its process
     # Workers inherit it: Ctrl-C, which the terminal sends to all of them, is for this process to handle.
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
