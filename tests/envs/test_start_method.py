@@ -17,7 +17,7 @@ print(multiprocessing.get_start_method(allow_none=True))
 """
 
 
-@pytest.mark.parametrize("chosen", [None, "forkserver", "spawn"])
+@pytest.mark.parametrize("chosen", [None, "forkserver"])
 def test_gymnasium_make_leaves_the_start_method_of_processes_alone(tmp_path, chosen):
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", PROGRAM.format(chosen=chosen)],

@@ -62,6 +62,7 @@ def test_products_can_be_rounded_to_bfloat16_but_not_the_weights(tmp_path):
     weights = []
     for precision in ("float32", "bfloat16"):
         options = [f"scene={room_file(tmp_path)}", *TINY, f"precision={precision}", f"hydra.run.dir={precision}"]
+        options += ["imitation.max_steps=5", "reinforcement.frames_per_scene=60", "evaluation.times=0"]
         status, _, errors = run_recipe(tmp_path, "train", *options)
         assert status == 0, errors
         weights.append(torch.load(tmp_path / precision / "network.pt", weights_only=True)["network"])
@@ -132,7 +133,7 @@ def test_optuna_tells_the_job_with_the_highest_greedy_spl(tmp_path):
 
 @pytest.mark.parametrize("memory", [[], ["memory=gru", "memory.hidden_size=16"]], ids=["no memory", "gru"])
 def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path, memory):
-    options = [f"scene={room_file(tmp_path)}", *TINY, *memory, "reinforcement.frames_per_scene=3000"]
+    options = [f"scene={room_file(tmp_path)}", *TINY, *memory, "reinforcement.frames_per_scene=1500"]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={whole}")
     assert status == 0, errors
@@ -207,7 +208,7 @@ def test_benchmark_measures_every_loop(tmp_path):
     small = "encoder.width=32,heads.width=32,reinforcement.agents_per_scene=6"
     small += ",imitation.max_steps=2,reinforcement.frames_per_scene=240"
     train = "train=[" + ",".join(f"'{option}'" for option in small.split(",")) + "]"
-    status, printed, errors = run_program(tmp_path, "benchmark", *options, train)
+    status, printed, errors = run_recipe(tmp_path, "benchmark", *options, train)
     assert status == 0, errors
     (row,) = json.loads((tmp_path / "benchmark.json").read_text())["rows"]
     assert set(row["frames_per_second"]) == {"training", "rollout", "bare_tensors", "stock_torchrl"}

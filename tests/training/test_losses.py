@@ -25,7 +25,8 @@ def learn(tmp_path, *options):
 
 
 def test_imitation_alone_learns_what_the_expert_shows(tmp_path):
-    before, after = learn(tmp_path, "system=il", "imitation.fraction=1", "imitation.lr=3e-3")
+    options = ["system=il", "imitation.fraction=1", "imitation.lr=3e-3", "reinforcement.frames_per_scene=1"]
+    before, after = learn(tmp_path, *options)
     assert before["sr"] < 0.5
     assert after["sr"] == 1
     assert after["spl"] == 1
@@ -35,8 +36,8 @@ def test_imitation_alone_learns_what_the_expert_shows(tmp_path):
     ("how", "spl"), [(["objective=a2c"], 0.85), (["objective=ppo"], 0.85), (GRU, 0.75)], ids=["a2c", "ppo", "gru"]
 )
 def test_reinforcement_alone_finds_every_goal(tmp_path, how, spl):
-    options = ["imitation.fraction=0", "optimiser.lr=2e-3", *how]
-    sizes = ["reinforcement.frames_per_scene=30_000", "reinforcement.agents_per_scene=30"]
+    options = ["imitation.fraction=0", "optimiser.lr=4e-3", *how]
+    sizes = ["reinforcement.frames_per_scene=20_000", "reinforcement.agents_per_scene=40"]
     before, after = learn(tmp_path, *options, *sizes)
     assert before["sr"] < 0.5
     assert after["sr"] == 1
