@@ -185,6 +185,11 @@ def test_a_checkpoint_whose_tables_or_counts_cannot_be_is_not_gone_on_from(tmp_p
     save_checkpoint(second, {key: value for key, value in state.items() if key != "tables"})
     assert resumed(tmp_path).saved["frames"] == 10
     assert "it lacks tables" in capsys.readouterr().err
+    save_checkpoint(second, state | {"tables": {}})
+    for begun_at, kept in ((0, 10), (20, 10), (21, 20)):
+        table.write_text(f"frames,atl\n{begun_at},3\n" + 100 * " ")
+        assert resumed(tmp_path).saved["frames"] == kept
+        assert (f"knows nothing of {table}" in capsys.readouterr().err) == (kept == 10)
 
 
 def test_what_killed_processes_left_is_removed(tmp_path):

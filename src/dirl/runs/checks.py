@@ -1,5 +1,6 @@
 """Valid contents of a checkpoint, and of one of a run with given options."""
 
+import csv
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -129,9 +130,22 @@ def check_progress(file: Path, state: Mapping[str, Any], config: TrainConfig) ->
     most = scenes * (options.frames_per_scene + options.agents_per_scene * options.n_steps)  # the last rollout is whole
     if state["frames"] != int(file.stem) or state["frames"] > most:
         raise RunError(f"{file}: counts {state['frames']} frames, where its name and options have others")
-    if not state["tables"] and list(file.parent.parent.glob("*.csv")):
-        raise RunError(f"{file}: knows nothing of the tables beside it, whose rows would be lost")
+    for table in sorted(file.parent.parent.glob("*.csv")):
+        if table.name not in state["tables"] and _begins_before(table, state["frames"]):
+            raise RunError(f"{file}: knows nothing of {table}, whose rows would be lost")
     for name, size in state["tables"].items():
         table = file.parent.parent / name
         if not table.is_file() or table.stat().st_size < size:
             raise RunError(f"{file}: does not fit {table}, which is shorter than it was, or missing")
+
+
+def _begins_before(table: Path, frames: int) -> bool:
+    """Whether the first row of a table is older than a checkpoint at so many frames; rows without frames always are."""
+    with table.open(newline="", errors="replace") as stream:
+        row = next(csv.DictReader(stream), None)
+    if row is None:
+        return False
+    try:
+        return "frames" not in row or (frames > 0 and float(row["frames"]) <= frames)
+    except (TypeError, ValueError):
+        return True
