@@ -64,20 +64,20 @@ def main(composed: DictConfig) -> None:
         trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
         facts = describe(trained.config, trained.protocol.world)
         pages = viewer(trained, facts) if options.viewer else {}
-    result = {
-        "checkpoint": options.checkpoint,
-        "frames": saved["frames"],
-        **facts,
-        **assess(trained.policy, trained.protocol),
-    }
-    print(summary_table(result))
-    if options.out is not None:
-        write_json(Path(options.out), result)
-    for name, page in pages.items():
-        file = run_folder(options.checkpoint) / name
-        replaced = " (in place of the one before)" if file.exists() else ""
-        write_text(file, page)
-        print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+        result = {
+            "checkpoint": options.checkpoint,
+            "frames": saved["frames"],
+            **facts,
+            **assess(trained.policy, trained.protocol),
+        }
+        print(summary_table(result))
+        if options.out is not None:
+            write_json(Path(options.out), result)
+        for name, page in pages.items():
+            file = run_folder(options.checkpoint) / name
+            replaced = " (in place of the one before)" if file.exists() else ""
+            write_text(file, page)
+            print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 
 def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
