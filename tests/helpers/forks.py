@@ -124,6 +124,7 @@ def empty_file(*arguments, **options):
 
 def leave_empty(canvas):
     """In place of matplotlib's ``draw``: pictures of the right size with nothing in them, which loggers can read."""
+    canvas.get_renderer()
 
 
 def _processor_seconds(pid):
