@@ -1,4 +1,4 @@
-"""Policies with weights: those that are to be trained, and trained ones with the conditions of their evaluation."""
+"""Policies with weights: new ones for training, and trained ones with their evaluation protocol."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -71,7 +71,7 @@ def load_trained(
 def learning_policy(
     config: TrainConfig, world: World, observation: SurroundingViews, initial: Mapping[str, Tensor] | None = None
 ) -> nn.Module:
-    """`build_policy` for training: with ``network.cache=auto`` each distinct observation is embedded once.
+    """The policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
 
     Args:
         config: of the run.
@@ -106,7 +106,7 @@ def cached(
     noisy: bool = False,
     principal: bool = False,
 ) -> nn.Module:
-    """The policy, which embeds each distinct observation once if the configuration lets it."""
+    """The policy, with cached embeddings if ``network.cache`` is ``auto``."""
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
         # With more states than features of a view there is next to nothing to save by principal axes.
         front = front or observation.goal_view == "front"
