@@ -50,6 +50,7 @@ NOT_RUN = {
     "any_room.md": ["takes minutes", "needs the room that was encoded above", "takes an hour"],
     "gpu.md": ["needs CUDA"],
     "gymnasium.md": ["needs MoviePy, which holds Pillow below 12"],
+    "install.md": ["makes an environment of its own"],
     "loggers.md": ["tensorboard is a server that does not end"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
     "paper.md": ["takes an hour and a half"],
