@@ -261,5 +261,5 @@ def test_what_only_the_training_finds_out_is_told_in_one_line(tmp_path):
     again = ["++losses.again._target_=torchrl.objectives.A2CLoss", "hydra.run.dir=run"]
     status, _, errors = run_recipe(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *again)
     assert status == 1
-    lines = [line for line in errors.splitlines() if "frames/s" not in line]  # of the progress bar
+    lines = [line for line in errors.splitlines() if line and "frames/s" not in line]  # of the progress bar
     assert lines == ["error: losses.again: writes entropy, as another loss does"]
