@@ -52,7 +52,6 @@ def main(composed: DictConfig) -> None:
             "device": options.device,
             "seed": options.seed,
             "stop.evaluation": options.stop,
-            **goal_view_options(options.goal_view),
             "stop.threshold": options.threshold,
             "stop.match": options.match,
             "episodic_memory": group_options("episodic_memory", options.episodic_memory),
@@ -60,24 +59,25 @@ def main(composed: DictConfig) -> None:
             "evaluation.episodes_per_goal": options.episodes_per_goal,
             "evaluation.max_steps": options.max_steps,
         }
-        changes = {name: value for name, value in changes.items() if value is not None}
+        given = {name: value for name, value in changes.items() if value is not None}
+        changes = {**goal_view_options(options.goal_view), **given}
         trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
         facts = describe(trained.config, trained.protocol.world)
         pages = viewer(trained, facts) if options.viewer else {}
-    result = {
-        "checkpoint": options.checkpoint,
-        "frames": saved["frames"],
-        **facts,
-        **assess(trained.policy, trained.protocol),
-    }
-    print(summary_table(result))
-    if options.out is not None:
-        write_json(Path(options.out), result)
-    for name, page in pages.items():
-        file = run_folder(options.checkpoint) / name
-        replaced = " (in place of the one before)" if file.exists() else ""
-        write_text(file, page)
-        print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+        result = {
+            "checkpoint": options.checkpoint,
+            "frames": saved["frames"],
+            **facts,
+            **assess(trained.policy, trained.protocol),
+        }
+        print(summary_table(result))
+        if options.out is not None:
+            write_json(Path(options.out), result)
+        for name, page in pages.items():
+            file = run_folder(options.checkpoint) / name
+            replaced = " (in place of the one before)" if file.exists() else ""
+            write_text(file, page)
+            print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 
 def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:

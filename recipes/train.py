@@ -103,7 +103,7 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
     # Without the inner one Hydra would say something of its own about an error of the machine.
     with one_line_exits() if alone else nullcontext(), one_line_errors(folder) if alone else nullcontext():
         overrides = HydraConfig.get().overrides.task
-        config = with_architecture(typed(composed), overrides)
+        config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
         run = open_run(config, folder, overrides)
         if run.finished:
@@ -111,7 +111,8 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
             return json.loads((run.folder / "summary.json").read_text())
         world = build_world(run.config)
         observation = build_observation(run.config, world)
-        policy = learning_policy(run.config, world, observation, initial_weights(run.config, world, run.saved))
+        weights = initial_weights(run.config, world, run.saved or initial)
+        policy = learning_policy(run.config, world, observation, weights)
         demos = build_demonstrations(run.config, world, observation)
         losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
         goals = build_goals(run.config, world.scenes)
@@ -120,7 +121,7 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
         run.begin(world, observation.order)
     for name, count in goals.left_out.items():
         print(f"{name}: {count} states are no goals, because not every state can reach them")
-    with one_line_exits(run.how_to_go_on) if alone else nullcontext():
+    with one_line_exits(run.how_to_go_on) if alone else nullcontext(), one_line_errors() if alone else nullcontext():
         return run_stages(run, policy, demos, state, protocol)
 
 

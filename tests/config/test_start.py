@@ -1,4 +1,5 @@
 import contextlib
+import gc
 import io
 import random
 import sys
@@ -14,6 +15,13 @@ from dirl.config.schemas import ConfigError
 from dirl.config.start import run_main, start
 
 RECIPES = sorted(set(SCHEMAS) - {"benchmark"})
+
+
+@pytest.fixture(autouse=True)
+def _collect_garbage():
+    """A recipe would turn it on again after its imports, which these tests do not reach."""
+    yield
+    gc.enable()
 
 
 def started(recipe, *arguments):

@@ -5,8 +5,11 @@ import pytest
 import torch
 
 from dirl import Navigator
+from dirl.config.schemas import ConfigError
+from dirl.deploy.hub import fetch_pretrained
 from dirl.runs.checkpoints import AGENTS, load_checkpoint
 from dirl.scenes import load_scenes
+from dirl.training.load import load_trained
 
 
 @pytest.fixture
@@ -23,6 +26,17 @@ def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path):
     (tmp_path / "general").mkdir()  # a folder of the reader's with this name comes first
     with pytest.raises(ValueError, match="holds no checkpoint"):
         load_checkpoint("general")
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_it_is_not_looked_for_in_the_hub():
+    assert fetch_pretrained("general") == AGENTS / "general"
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_its_evaluation_needs_a_room():
+    with pytest.raises(ConfigError, match=r"general: its training rooms, .* are not here; .*: scene=\.\.\."):
+        load_trained(load_checkpoint("general"), "general")
 
 
 @pytest.mark.usefixtures("elsewhere")

@@ -15,6 +15,7 @@ from commands import TINY, room_file, run_recipe, start_recipe, train_config
 from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
+from dirl.experiments import image_graph
 from dirl.experiments.any_goal import ambiguous, nearest_trained, wrong_goals
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.results import published
@@ -391,3 +392,22 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
         "goal compared",
         "goal embedded side by side",
     ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["nowhere"], "error: nowhere: is no collection; it holds no collection.jsonl"),
+        (["rooms", "no_run"], "error: no_run: holds no checkpoint"),
+    ],
+)
+def test_what_an_image_graph_cannot_be_measured_of_is_told_in_one_line(tmp_path, monkeypatch, arguments, told):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rooms").mkdir()
+    write_dump(tmp_path / "rooms" / "room.h5", grid_scene(name="room", goals=(0,)))
+    digest = file_digest(tmp_path / "rooms" / "room.h5")
+    add_entry(tmp_path / "rooms", Entry("room", "bathroom", 0, "test", 24, {}, {}, digest))
+    monkeypatch.setattr("sys.argv", ["image_graph", *arguments])
+    with pytest.raises(SystemExit, match=re.escape(told)) as caught:
+        image_graph.main()
+    assert "\n" not in str(caught.value)

@@ -110,7 +110,7 @@ def no_pictures():
 
     from dirl.reporting import pictures
 
-    FigureCanvasAgg.print_figure = empty_picture
+    FigureCanvasAgg.draw = leave_empty
     pictures.draw_policy = pictures.draw_trajectories = pictures.write_gif = empty_file
 
 
@@ -122,11 +122,9 @@ def empty_file(*arguments, **options):
     Image.new("RGB", (1, 1)).save(file)
 
 
-def empty_picture(canvas, file, **options):
-    """In place of matplotlib's ``print_figure``: a picture of one pixel, which loggers can read."""
-    from PIL import Image
-
-    Image.new("RGB", (1, 1)).save(file, "png")
+def leave_empty(canvas):
+    """In place of matplotlib's ``draw``: pictures of the right size with nothing in them, which loggers can read."""
+    canvas.get_renderer()
 
 
 def _processor_seconds(pid):

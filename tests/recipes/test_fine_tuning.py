@@ -6,11 +6,13 @@ import time
 
 import pytest
 import torch
-from commands import TINY, room_file, run_recipe, start_recipe
+from commands import TINY, room_file, run_recipe, start_recipe, train_config
 from rooms import grid_scene
 
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import write_dump
+from dirl.training.build import build_world
+from dirl.training.initial import initial_weights, with_architecture
 
 OTHER = [*(option for option in TINY if ".width" not in option), "scene=other.h5", "system=dirl"]
 """Reinforcement in another room; the architecture is the checkpoint's."""
@@ -65,6 +67,14 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
     assert all(torch.equal(first[key], second[key]) for key in first)
 
 
+def test_the_checkpoint_is_read_once(pretrained, monkeypatch):
+    monkeypatch.chdir(pretrained)
+    config, saved = with_architecture(train_config(*OTHER, "init=run"), ["init=run"])
+    monkeypatch.setattr("dirl.training.initial.load_checkpoint", None)
+    world = build_world(config)
+    assert initial_weights(config, world, saved) is saved["network"]
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [
@@ -73,7 +83,10 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
             ["init=run", "encoder.width=16"],
             "init=run: its checkpoint decides the architecture; leave out encoder.width=16",
         ),
-        (["init=run", "scene=far.h5"], "init=run: was trained on features of another extractor than those of far"),
+        (
+            ["init=run", "scene=far.h5"],
+            "init=run: was trained on features of another extractor: 'random', not 'another'",
+        ),
     ],
 )
 def test_what_cannot_be_begun_with_is_told_in_one_line(pretrained, options, told):

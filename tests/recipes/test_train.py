@@ -255,3 +255,11 @@ def test_an_error_of_the_machine_in_one_job_of_a_sweep_leaves_the_others(tmp_pat
     assert "failed: sweep/0: " in errors
     assert (tmp_path / "sweep" / "1" / "learning_curve.png").is_file()
     assert (tmp_path / "sweep" / "1" / "summary.json").is_file()
+
+
+def test_what_only_the_training_finds_out_is_told_in_one_line(tmp_path):
+    again = ["++losses.again._target_=torchrl.objectives.A2CLoss", "hydra.run.dir=run"]
+    status, _, errors = run_recipe(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *again)
+    assert status == 1
+    lines = [line for line in errors.splitlines() if line and "frames/s" not in line]  # of the progress bar
+    assert lines == ["error: losses.again: writes entropy, as another loss does"]

@@ -7,11 +7,13 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 from PIL import Image
 from rooms import CELL, grid_scene, renumbered
 
 from dirl.reporting import draw_learning_curve, draw_trajectories, result_table, run_title, summary_table
+from dirl.reporting.style import write_figure
 from dirl.reporting.trajectories import chosen_steps, path_actions
 from dirl.scenes import load_scenes, read_dump
 from dirl.scenes.geometry import heading_directions, step_length
@@ -55,6 +57,21 @@ def labels(text):
     """The row labels of all tables in a text."""
     lines = [line for line in text.splitlines() if line.startswith("|") and not line.startswith("| -")]
     return [line.split("|")[1].strip() for line in lines]
+
+
+# Figures
+
+
+def test_a_png_has_the_pixels_that_matplotlib_itself_would_write(tmp_path):
+    figure = Figure((4, 2), layout="constrained")
+    axes, _ = figure.subplots(1, 2)
+    axes.plot([3, 1, 2], label="a line")
+    figure.legend(loc="outside lower center")
+    write_figure(figure, tmp_path / "ours.png", dpi=90)
+    FigureCanvasAgg(figure).print_figure(tmp_path / "theirs.png", dpi=90)
+    ours, theirs = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB")) for name in ("ours", "theirs"))
+    assert ours.shape == (180, 360, 3)
+    assert np.array_equal(ours, theirs)
 
 
 # Tables
@@ -178,14 +195,13 @@ def test_a_title_names_the_first_and_the_last_of_many_scenes():
 def drawn(monkeypatch):
     """The figures that were written to files."""
     figures = []
-    print_figure = FigureCanvasAgg.print_figure
+    draw = FigureCanvasAgg.draw
 
-    def record(canvas, *arguments, **options):
-        print_figure(canvas, *arguments, **options)
-        canvas.figure.set_dpi(options["dpi"])  # measured as it was drawn
+    def record(canvas):
+        draw(canvas)
         figures.append(canvas.figure)
 
-    monkeypatch.setattr(FigureCanvasAgg, "print_figure", record)
+    monkeypatch.setattr(FigureCanvasAgg, "draw", record)
     return figures
 
 

@@ -90,6 +90,7 @@ def pages_of(room):
         stop=room.protocol.stop,
         max_steps=room.protocol.max_steps,
         title="a test",
+        memory=room.protocol.memory,
     )
 
 
@@ -188,7 +189,10 @@ def test_evaluate_writes_the_viewer_into_the_runs_folder_and_says_when_it_replac
     data = data_in((tmp_path / "run" / "viewer_grid.html").read_text())
     assert data["max_steps"] == 9
     assert "DIRL, grid (source: synthetic), seed 1" in data["title"]
-    assert "in place of the one before" in run_recipe(tmp_path, "evaluate", *command)[1]
+    assert (data["goal_view"], data["match"], data["threshold"]) == ("surrounding", "views", 0.9)
+    assert "in place of the one before" in run_recipe(tmp_path, "evaluate", *command, "goal_view=front")[1]
+    data = data_in((tmp_path / "run" / "viewer_grid.html").read_text())
+    assert (data["goal_view"], data["match"], data["threshold"]) == ("front", "front", 0.95)
 
 
 @pytest.fixture
@@ -220,8 +224,9 @@ def choose(tab, goal_index, start):
         (["imitation.fraction=1"], True, {"Stopped"}),
         (["stop.threshold=0.02"], False, {"Stopped", "False", "Failed:"}),
         (["stop.evaluation=goal"], False, {"Stopped", "Failed:"}),
+        (["goal_view=front", "episodic_memory=counts"], False, {"Stopped", "Failed:"}),
     ],
-    ids=["trained", "false stops", "stopped by the environment"],
+    ids=["trained", "false stops", "stopped by the environment", "one photo and a memory"],
 )
 def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page, options, trained, ends):
     room = small_room(tmp_path, *options)
@@ -248,6 +253,35 @@ def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page,
     ]
     assert {end for _, _, end in expected} == ends
     assert found == expected
+
+
+def test_a_photo_and_a_memory_are_told_and_the_memory_can_be_left_out(tmp_path, open_page):
+    room = small_room(tmp_path, "goal_view=front", "episodic_memory=counts", "episodic_memory.blocked=1")
+    tab = open_page(room)
+    assert tab.locator("#goal-views figure").count() == 1
+    assert "one photo" in tab.inner_text("#goal-title")
+    assert "the view ahead; threshold 0.95" in tab.inner_text("#match-title")
+    assert "Episodic memory" in tab.inner_text("#facts")
+    choose(tab, 1, 8)
+    tab.press("body", "d")
+    tab.press("body", "a")  # back at the start: turning right is less likely now
+    logits = room.answers(torch.tensor([8]), 1)["logits"]
+    remembering = logits - 4 * torch.tensor([0, 2, 0, 0])  # it was done, and its opposite was undone
+    for box, expected in ((True, remembering), (False, logits)):
+        if not box:
+            tab.uncheck("#memory")  # begins the episode anew
+            assert shown(tab) == (0, 8)
+        bars = tab.locator("#actions .number").all_inner_texts()
+        assert [float(text.rstrip("%")) for text in bars] == pytest.approx(
+            (100 * expected.softmax(-1))[0].tolist(), abs=0.06
+        )
+        assert tab.locator("#actions b:visible").count() == (4 if box else 0)
+
+
+def test_a_page_without_a_memory_offers_none(tmp_path, open_page):
+    tab = open_page(small_room(tmp_path))
+    assert not tab.is_visible("#memory")
+    assert tab.locator("#goal-views figure").count() == 4
 
 
 def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):

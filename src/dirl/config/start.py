@@ -1,6 +1,7 @@
 """The start of a recipe: help and most refusals, before anything imports torch."""
 
 import contextlib
+import gc
 import io
 import os
 import sys
@@ -50,6 +51,8 @@ def start(recipe: str, text: str | None = None) -> str:
         recipe: a key of `RECIPES`.
         text: of ``--help`` for a recipe with several commands.
 
+    Until `run_main` no garbage is collected: the imports make several hundred thousand objects that stay.
+
     Returns:
         The name of its configuration: ``train``, or the command of ``recipes/scenes.py``.
 
@@ -69,6 +72,7 @@ def start(recipe: str, text: str | None = None) -> str:
             raise SystemExit(0)
         _check_values(config, options)
     sys.argv[1:] = options
+    gc.disable()
     return name
 
 
@@ -79,6 +83,8 @@ def run_main(main: Callable[[], Any]) -> None:
         SystemExit: see `dirl.runs.exits`.
     """
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells errors in many lines
+    gc.freeze()  # what the imports made is not looked through again
+    gc.enable()
     with one_line_exits(), one_line_errors():
         main()
 

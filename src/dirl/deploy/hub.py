@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dirl.reporting.tables import run_title, summary_table
-from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.checkpoints import load_checkpoint, packaged_agent
 from dirl.runs.shared import CONFIG, FACTS, WEIGHTS, write_shared
 
 FILES = [WEIGHTS, CONFIG, FACTS, "README.md", "summary.json", "*.png", "*.gif"]
@@ -128,6 +128,8 @@ def push_to_hub(run: str | Path, name: str, *, private: bool = False, license: s
 def fetch_pretrained(name: str | Path, *, revision: str | None = None) -> Path:
     """The folder of a shared policy: ``name`` itself if it is a local folder, else a download from the Hub.
 
+    An agent of the package, as ``general``, is never looked for in the Hub.
+
     `dirl.deploy.navigator.Navigator.load` and ``recipes/evaluate.py`` take this folder as ``checkpoint``.
 
     Args:
@@ -137,6 +139,8 @@ def fetch_pretrained(name: str | Path, *, revision: str | None = None) -> Path:
     Raises:
         HubError: there is no such policy, or it cannot be fetched.
     """
+    if (agent := packaged_agent(name)) is not None:
+        return agent
     folder = Path(name)
     if not folder.is_dir():
         try:

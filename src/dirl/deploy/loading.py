@@ -1,7 +1,7 @@
 """The components of a navigator, from a checkpoint."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +16,31 @@ from dirl.deploy.images import NavigatorError
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
 from dirl.training.build import build_policy, reads_patches, saved_statistics
-from dirl.training.load import load_weights
+from dirl.training.load import check_extractor, load_weights
 
 Encoder = Callable[[Tensor], Any]
 """RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""
 
 
-def check_extractor(encoder: Encoder | str | Path, given: str | None, trained: str) -> None:
+def check_encoder(encoder: Encoder | str | Path, given: str | None, saved: Mapping[str, Any], origin: str) -> None:
     """Raise `NavigatorError` unless the encoder, or the caller, names the extractor of the training's features."""
     if given is None and isinstance(encoder, ViewEncoder):
         given = encoder.extractor
-    if given is not None and given != trained:
-        raise NavigatorError(f"the checkpoint was trained on features of another extractor: '{trained}', not '{given}'")
     if given is None and callable(encoder):
         raise NavigatorError(
-            f"say which extractor this function is with extractor=...; the checkpoint was trained with '{trained}'"
+            "say which extractor this function is with extractor=...; "
+            f"the checkpoint was trained with '{saved['extractor']}'"
         )
+    if given is not None:
+        _check_extractor(saved, given, origin)
+
+
+def _check_extractor(saved: Mapping[str, Any], extractor: str, origin: str, hint: str = "") -> None:
+    """`check_extractor` with the error of a navigator."""
+    try:
+        check_extractor(saved, extractor, origin)
+    except ConfigError as error:
+        raise NavigatorError(f"{error}{hint}") from None
 
 
 def choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str | None:
@@ -67,21 +76,27 @@ def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origi
     return policy.requires_grad_(False)
 
 
-def encoder_of_images(name: str | Path, device: str | torch.device, trained: str | None, *, patches: bool) -> Encoder:
-    """Load an encoder by name or from a file, and compare it with the extractor of the training if one is given.
+def encoder_of_images(
+    name: str | Path,
+    device: str | torch.device,
+    saved: Mapping[str, Any],
+    origin: str,
+    *,
+    confirmed: bool,
+    patches: bool,
+) -> Encoder:
+    """Load an encoder by name or from a file, and compare it with the extractor of the training unless confirmed.
 
     The result takes any number of images. With ``patches`` the patch features follow the pooled ones.
     """
     encoder = load_encoder(str(name), device, patches=patches)
-    if trained is not None and encoder.extractor != trained:
-        if not Path(name).is_file():
-            raise NavigatorError(
-                f"the checkpoint was trained on features of another extractor: '{trained}', not '{encoder.extractor}' "
-                f"(encoder={name}); if both names mean the same, confirm it with extractor=..."
-            )
+    if not confirmed and not Path(name).is_file():
+        hint = f" (encoder={name}); if both names mean the same, confirm it with extractor=..."
+        _check_extractor(saved, encoder.extractor, origin, hint)
+    elif not confirmed and encoder.extractor != saved["extractor"]:
         warnings.warn(
-            f"the weights in {name} are '{encoder.extractor}', and the checkpoint was trained with '{trained}'; if "
-            "they are the same, confirm it with extractor=...",
+            f"the weights in {name} are '{encoder.extractor}', and the checkpoint was trained with "
+            f"'{saved['extractor']}'; if they are the same, confirm it with extractor=...",
             stacklevel=3,
         )
     return lambda images: torch.cat([_both(encoder, part) for part in images.split(BATCH)])

@@ -16,7 +16,7 @@ from dirl.deploy.hub import fetch_pretrained
 from dirl.deploy.images import Images, NavigatorError, checked_images
 from dirl.deploy.loading import (
     Encoder,
-    check_extractor,
+    check_encoder,
     choose_scene,
     encoder_of_images,
     matched_view,
@@ -120,7 +120,7 @@ class Navigator:
             raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
         saved = load_checkpoint(checkpoint)
         config = read_config(saved["config"], str(checkpoint), trust=trust)
-        check_extractor(encoder, extractor, saved["extractor"])
+        check_encoder(encoder, extractor, saved, str(checkpoint))
         own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
         order = saved.get("views", own)  # checkpoints of older versions name none
         if order != own:
@@ -128,8 +128,8 @@ class Navigator:
         scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
         policy = FeaturePolicy(rebuild(saved, config, scene, str(checkpoint)), matched_view(config, order))
         if not callable(encoder):
-            expected = None if extractor else saved["extractor"]
-            encoder = encoder_of_images(encoder, device, expected, patches=reads_patches(config))
+            given = {"confirmed": extractor is not None, "patches": reads_patches(config)}
+            encoder = encoder_of_images(encoder, device, saved, str(checkpoint), **given)
         memory = make("episodic_memory", config.episodic_memory, trust)
         if memory is not None and order[-1] == "now":
             raise NavigatorError(
@@ -146,7 +146,7 @@ class Navigator:
         """Load a navigator from the Hugging Face Hub, or from a folder of the same form.
 
         Args:
-            name: ``user/name`` in the Hub, or a folder; see `dirl.deploy.hub`.
+            name: ``user/name`` in the Hub, or a folder, see `dirl.deploy.hub`; or an agent of the package, ``general``.
             encoder: see `load`.
             revision: a commit, branch or tag; the latest if left out.
             options: of `load`; without ``trust`` only dirl's own classes are built.

@@ -17,6 +17,7 @@ import torch
 from torch import nn
 
 from dirl.config.choices import goal_view_options
+from dirl.config.command_line import one_line_errors
 from dirl.envs import SurroundingViews
 from dirl.episodes import Episodes
 from dirl.evaluation import EvaluationProtocol
@@ -25,6 +26,8 @@ from dirl.experiments.results import Column, Table, write_tables
 from dirl.experiments.unseen_rooms import MAX_STEPS, by_room, drawn_starts
 from dirl.mapping import GraphMemory, GuidedPolicy
 from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.checks import RunError
+from dirl.runs.exits import one_line_exits
 from dirl.scenes import World, make_world
 from dirl.scenes.collection import read_collection
 from dirl.scenes.goals import well_reached
@@ -52,8 +55,8 @@ def drawn_goals(collection: Path, rooms: int | None, goals: int, seed: int) -> W
     return make_world(scenes, chosen)
 
 
-def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> Iterator[tuple[str, Episodes]]:
-    """Episodes from the same starts by what leads the agent."""
+def walked(protocol: EvaluationProtocol, trained: tuple[nn.Module, Any] | None) -> Iterator[tuple[str, Episodes]]:
+    """Episodes from the same starts by what leads the agent; ``trained`` are a policy and its episodic memory."""
     world = protocol.world
     ahead = TemplateStop(FRONT_THRESHOLD, "front")(world)
     photo = replace(protocol, observation=SurroundingViews(world, "front"), stop=ahead)
@@ -64,8 +67,8 @@ def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> 
     yield "graph, one photo of the goal", photo.run(memory)
     yield "graph, shown another goal", replace(protocol, shown=wrong_goals(world)).run(memory)
     yield "list, walk of 2 N steps", protocol.run(GraphMemory(world, max(WALKS), THRESHOLD, merge=False))
-    if run is not None:
-        policy, recall = _policy(run, world, collection)
+    if trained is not None:
+        policy, recall = trained
         yield "policy without a map", protocol.run(policy)
         yield "policy with episodic memory", replace(protocol, memory=recall).run(policy)
         yield f"graph, last {LAST_STEPS} steps by the policy", protocol.run(GuidedPolicy(policy, memory, LAST_STEPS))
@@ -77,7 +80,7 @@ def _policy(run: Path, world: World, collection: Path) -> tuple[nn.Module, Any]:
     changes = {"scene": f"collection:{collection}", "split": "test", "rooms": len(world.scenes), "goals": names}
     trained = load_trained(load_checkpoint(run), str(run), {**changes, **goal_view_options("surrounding")})
     if trained.protocol.world.names != world.names:
-        raise SystemExit(f"error: {run}: its world is not that of {collection}")
+        raise RunError(f"{run}: its world is not that of {collection}")
     return trained.policy, trained.protocol.memory
 
 
@@ -92,8 +95,9 @@ def measure(options: argparse.Namespace) -> str:
         MAX_STEPS,
         options.seed,
     )
+    trained = None if options.run is None else _policy(options.run, world, options.collection)
     table = Table(Column("led by"), Column("rooms", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
-    for way, episodes in walked(protocol, options.run, options.collection):
+    for way, episodes in walked(protocol, trained):
         values = [by_room(world, episodes, key) for key in MEASURES]
         print(way, *(f"{key} {sum(of) / len(of):.4f}" for key, of in zip(MEASURES, values, strict=True)), flush=True)
         table.add(way, len(world.scenes), *values)
@@ -106,18 +110,24 @@ def measure(options: argparse.Namespace) -> str:
     return write_tables(options.out, "Walk once, then go to any photo", text, {"image_graph": table}, [])
 
 
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: must be a whole number above 0")
+    return int(text)
+
+
 def main() -> None:
     """The program."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("collection", type=Path, help="a folder made by scenes.py sample")
     parser.add_argument("run", type=Path, nargs="?", help="a run of system=any_goal")
     parser.add_argument("--out", type=Path, default=Path("reports/image_graph"))
-    parser.add_argument("--rooms", type=int, help="the first so many of the test split; all if left out")
-    parser.add_argument("--goals", type=int, default=20, help="of each room")
-    parser.add_argument("--starts", type=int, default=20, help="episodes of each room and distance")
+    parser.add_argument("--rooms", type=_positive, help="the first so many of the test split; all if left out")
+    parser.add_argument("--goals", type=_positive, default=20, help="of each room")
+    parser.add_argument("--starts", type=_positive, default=20, help="episodes of each room and distance")
     parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    print(measure(options))
+    with one_line_exits(), one_line_errors():
+        print(measure(parser.parse_args()))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The network: encoder, memory, heads."""
+"""The network: encoder, optional memory, and heads."""
 
 from dirl.models.actor_critic import (
     ActorCritic,

@@ -1,4 +1,4 @@
-"""The whole network (paper figure 2), and its view as TorchRL's actor and critic."""
+"""The whole network (paper figure 2), and its form as TorchRL's actor-critic operator."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -24,9 +24,9 @@ OBSERVATIONS = ("observation", "goal_observation")
 
 
 class KeyedModule(TensorDictModuleBase):
-    """A module that reads its arguments from a tensordict of any batch size and writes its one result there.
+    """A module that reads its inputs from a tensordict of any batch size, and writes its output to it.
 
-    Each call of tensordict 0.14's own ``TensorDictModule`` searches the disk for pandas, a third of a rollout's time.
+    Each call of ``TensorDictModule`` in tensordict 0.14 searches the disk for pandas, a third of a rollout's time.
 
     Args:
         module: takes one tensor ``[B, ...]`` for each of ``in_keys``.
@@ -51,7 +51,7 @@ class KeyedModule(TensorDictModuleBase):
 
 
 class ActorCritic(TensorDictModuleBase):
-    """Encoder, memory if any, and heads, on the features of the states that view ids stand for.
+    """Encoder, optional memory, and heads, applied to the features that view ids refer to.
 
     Reads ``view_ids``, ``goal_view_ids`` (int64 ``[B, 4]``) and ``scene`` (int64 ``[B]``); with a memory also
     ``is_init`` and its recurrent state. Writes ``hidden``, ``logits`` ``[B, A]`` and ``state_value`` ``[B, 1]``.
@@ -110,12 +110,12 @@ class ActorCritic(TensorDictModuleBase):
         return whole.shape == parts.shape and torch.allclose(whole, parts, rtol=1e-4, atol=1e-5)
 
     def restore(self) -> None:
-        """Make the embedding a layer on features again if it was learnt in principal axes."""
+        """Convert the embedding back to a layer on features if it was learnt in principal axes."""
         if isinstance(self.cached, CachedSiamese):
             self.cached.restore()
 
     def plain_state_dict(self) -> dict[str, Tensor]:
-        """The state_dict that the network has without `cache`, which any other instance can load."""
+        """The state_dict of the network without `cache`; any other instance can load it."""
         state = {name: value for name, value in self.state_dict().items() if not name.startswith("cached.")}
         if isinstance(self.cached, CachedSiamese):
             state["encoder.embedding.weight"] = self.cached.weight_on_features()
@@ -164,24 +164,24 @@ def count_parameters(network: nn.Module) -> int:
 
 
 def caching(policy: nn.Module) -> AbstractContextManager[None]:
-    """A context in which no observation is embedded twice between two changes of the weights, if the policy can."""
+    """A context in which each observation is embedded once between two weight updates, if the policy supports it."""
     cached = getattr(policy, "cached", None)
     return nullcontext() if cached is None else cached.caching()
 
 
 def frozen(policy: nn.Module) -> AbstractContextManager[None]:
-    """A context for evaluation, in which the weights must not change, so that a policy may compute things once."""
+    """A context for evaluation: the weights must not change, so that the policy may precompute embeddings."""
     cached = getattr(policy, "cached", None)
     return nullcontext() if cached is None else cached.frozen()
 
 
 def noisy(policy: nn.Module, deviation: float) -> AbstractContextManager[None]:
-    """A context in which views are read with Gaussian noise, see `FeatureTable`."""
+    """A context in which Gaussian noise is added to the views, see `FeatureTable`."""
     return policy.features.noisy(deviation) if deviation else nullcontext()  # type: ignore[union-attr, operator]
 
 
 def plain_weights(policy: nn.Module) -> dict[str, Tensor]:
-    """A policy's state_dict, without what only makes its training faster."""
+    """A policy's state_dict, in the form that it has without a cache."""
     weights: dict[str, Tensor] = getattr(policy, "plain_state_dict", policy.state_dict)()
     return weights
 

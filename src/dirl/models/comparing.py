@@ -1,4 +1,4 @@
-"""An encoder that compares: where in what the agent sees lies what the goal shows."""
+"""An encoder that compares the patches and views of the observation with those of the goal."""
 
 from typing import Annotated
 
@@ -14,12 +14,12 @@ SCALE = 5.0
 
 
 class ComparingEncoder(nn.Module):
-    """Four views of an agent and up to four of its goal, to one vector; the goal enters by comparison only.
+    """Encode four views of the agent and up to four of the goal; the goal enters by comparison only.
 
-    The observation is embedded, as in the paper. The goal is not: a network that reads an embedding of its goal learns
-    the trained goals by heart and is lost on the way to others (docs/results_any_goal.md). Instead every patch of the
-    observed views is compared with every patch of the goal's, and every observed view with every view of the goal, by
-    cosines of learnt projections. A layer reads each of the two matrices.
+    The observation is embedded, as in the paper. The goal is not: a network that reads an embedding of its goal
+    memorises the trained goals and fails at others (docs/results_any_goal.md). Instead, every patch of the observed
+    views is compared with every patch of the goal's, and every observed view with every view of the goal, by cosines of
+    learnt projections. A layer reads each of the two matrices.
 
     Views of the goal that are not known are zeros; their cosines are zeros, as the projections have no bias.
 

@@ -1,4 +1,4 @@
-"""An episodic memory with nothing to learn: an agent that comes back to a place tries another action there."""
+"""An episodic memory without parameters: an agent that returns to a place tries another action there."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -14,7 +14,7 @@ OPPOSITE = (3, 2, 1, 0)
 
 @dataclass
 class Trace:
-    """What B agents did in their episodes so far, two entries a step; made by `EpisodicMemory.begin`."""
+    """The actions of B agents in their present episodes, two entries a step; made by `EpisodicMemory.begin`."""
 
     place: Tensor
     """Where, int64 ``[B, H]``; what the numbers mean is the caller's, who says which places look the same."""
@@ -29,14 +29,14 @@ class Trace:
 
 
 class EpisodicMemory(nn.Module):
-    """Lowers the logit of each action by how often the agent has taken it here in this episode.
+    """Lowers the logit of each action by the number of times that the agent has taken it here in this episode.
 
-    It ends the circles in which a greedy policy without memory walks. A step counts in both directions: whoever went
-    ahead from A to B took ``ahead`` at A, and shall not take ``back`` at B. A move after which everything looks as
-    before was blocked, and is not tried again for long. Places are recognised by template matching (paper section
+    It breaks the loops of a greedy policy without memory. A step counts in both directions: an agent that went
+    ahead from A to B took ``ahead`` at A, and ``back`` at B becomes less likely too. A move after which all views look
+    as before was blocked, and is not tried again for long. Places are recognised by template matching (paper section
     3.4), as goals are, never by the number of a state.
 
-    It decides in evaluation, in the viewer and in a `dirl.Navigator`; trained is the policy without it.
+    It is used in evaluation, in the viewer and in a `dirl.Navigator`, but not in training.
 
     Args:
         penalty: by which a logit falls for each time.
@@ -56,12 +56,12 @@ class EpisodicMemory(nn.Module):
         self.penalty, self.opposite, self.blocked, self.threshold = penalty, opposite, blocked, threshold
 
     def begin(self, agents: int, device: torch.device | str = "cpu") -> Trace:
-        """Of agents at the start of their episodes."""
+        """The empty trace of agents at the start of their episodes."""
         empty = torch.empty((agents, 0), dtype=torch.int64, device=device)
         return Trace(empty, empty, torch.empty((agents, 0), device=device))
 
     def adjust(self, logits: Tensor, trace: Trace, same: Tensor) -> Tensor:
-        """Logits after what was done here before.
+        """The logits, lowered for actions that were taken here before.
 
         Args:
             logits: of the policy, float32 ``[B, 4]``.
@@ -71,7 +71,7 @@ class EpisodicMemory(nn.Module):
         return logits.scatter_add(1, trace.action, -self.penalty * (trace.weight * same).to(logits.dtype))
 
     def record(self, trace: Trace, place: Tensor, action: Tensor, after: Tensor, moved: Tensor) -> Trace:
-        """The trace one step longer.
+        """The trace, extended by one step.
 
         Args:
             trace: of the agents.

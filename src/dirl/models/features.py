@@ -1,4 +1,4 @@
-"""The frozen backbone, as the table of its outputs: what is known of a view without computing anything."""
+"""The outputs of the frozen backbone, as a table with one row for each state."""
 
 import math
 from collections.abc import Iterator
@@ -19,10 +19,10 @@ NOISE_ROWS = 1024
 
 
 class FeatureTable(nn.Module):
-    """Features of N states as a network reads them: standardised or in principal components, then patches if any.
+    """Features of N states as the network reads them: standardised or whitened, followed by patches if there are any.
 
     The table itself is data, not a parameter, and stays out of the state_dict. ``mean``, ``std`` and ``axes`` are kept
-    there, because a network is worth nothing without them. State N stands for a view that is not known, as three of
+    there, because the weights depend on them. State N stands for a view that is not known, as three of
     the four of a goal that is given by one photo; its features are zeros, the mean of all views.
 
     Args:
@@ -91,7 +91,7 @@ class FeatureTable(nn.Module):
         return self.table[:-1]
 
     def standardise(self, features: Tensor) -> Tensor:
-        """What the backbone gives, float32 ``[..., D + patch features]``, as the network reads it, ``[..., width]``."""
+        """Backbone outputs ``[..., D + patches]`` in the form that the network reads, float32 ``[..., width]``."""
         pooled = features[..., : len(self.mean)]
         pooled = (pooled - self.mean) / self.std
         if self.axes is not None:
@@ -137,6 +137,6 @@ def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def whitening(features: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean, deviation (ones) and axes by which features become principal components of unit variance."""
+    """Mean, standard deviation (ones) and axes that whiten features to principal components of unit variance."""
     mean, axes, _ = principal_components(features, count)
     return mean, torch.ones_like(mean), axes

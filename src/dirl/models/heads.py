@@ -1,4 +1,4 @@
-"""Scene-specific layers: each scene has weights of its own, and each row goes through those of its scene."""
+"""Scene-specific layers: each scene has its own weights, and each row is passed through those of its scene."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated
@@ -12,7 +12,7 @@ from dirl.models.fast.caching import avoid_host_sync
 
 
 class ActorCriticHeads(nn.Module):
-    """What follows the encoder: a hidden layer, policy and value, one set for each scene or one for all (figure 2).
+    """The layers after the encoder (paper figure 2): hidden layer, policy and value, for each scene or shared.
 
     Args:
         scenes: the scenes' names, in the order of the world.
@@ -39,7 +39,7 @@ class ActorCriticHeads(nn.Module):
 
 
 class SceneTrunks(nn.Module):
-    """One module for each scene; row by row the one that ``scene`` names is applied.
+    """One module for each scene; each row is passed through the module of its scene.
 
     Rows are sorted by scene, split, and put back. On a GPU and in ``torch.vmap`` every layer is applied to all of them:
     counting the rows of each scene would be a host-device synchronisation, and ``vmap`` allows none. (A stacked
@@ -73,10 +73,10 @@ class SceneTrunks(nn.Module):
 
 
 class SceneLinear(nn.Module):
-    """One small linear layer for each scene; row by row the one that ``scene`` names is applied.
+    """One small linear layer for each scene; each row is passed through the layer of its scene.
 
-    All of them are applied to all rows at once and the right outputs picked: for a handful of outputs that is faster
-    than to sort the rows.
+    All layers are applied to all rows, and the outputs of the right layer are selected. For a few outputs this is
+    faster than sorting the rows.
 
     Args:
         scenes: as for `SceneTrunks`.

@@ -11,7 +11,7 @@ from dirl.envs.transforms import VIEWS
 
 
 class SiameseEncoder(nn.Module):
-    """Four views of an agent and four of its goal, to one vector.
+    """Encode four views of the agent and four of the goal as one vector.
 
     Args:
         num_features: D, of a view.

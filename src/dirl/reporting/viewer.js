@@ -12,8 +12,8 @@ let goal = goals[0], path = [], taken = [], by = [], blocked = [], at = 0, timer
 
 // The same as dirl.models.EpisodicMemory: what was done here in this episode is less likely to be done again.
 const OPPOSITE = [3, 2, 1, 0];
-function logitsNow() {
-  const state = path[at], logits = Float32Array.from(goal.logits.subarray(4 * state, 4 * state + 4)), m = D.memory;
+function logitsNow(m = byId("memory").checked && D.memory) {
+  const state = path[at], logits = Float32Array.from(goal.logits.subarray(4 * state, 4 * state + 4));
   if (!m) return logits;
   const alike = (a, b) => m.alike[a].includes(b);
   for (let i = 0; i < at; i++) {
@@ -28,8 +28,8 @@ function chosenAction() {
   const logits = logitsNow();
   return logits.indexOf(Math.max(...logits));
 }
-function probabilities() {
-  const logits = logitsNow(), top = Math.max(...logits);
+function probabilities(logits) {
+  const top = Math.max(...logits);
   const weights = Array.from(logits, (x) => Math.exp(x - top)), sum = weights.reduce((a, b) => a + b);
   return weights.map((w) => w / sum);
 }
@@ -151,11 +151,12 @@ function makeViews(parent, looks = LOOKS) {
     };
   });
 }
-const agentViews = makeViews(byId("views")), goalViews = makeViews(byId("goal-views"), D.goal_view === "front" ? [LOOKS[1]] : LOOKS);
+const photo = D.goal_view === "front";
+const agentViews = makeViews(byId("views")), goalViews = makeViews(byId("goal-views"), photo ? [LOOKS[1]] : LOOKS);
 const rows = D.actions.map((name, action) => {
   const row = byId("actions").appendChild(document.createElement("button"));
   row.className = "act";
-  row.innerHTML = '<span></span><span class="bar"><i></i></span><span class="number"></span>';
+  row.innerHTML = '<span></span><span class="bar"><i></i><b hidden></b></span><span class="number"></span>';
   row.children[0].textContent = NAMES[name];
   row.addEventListener("click", () => walk(action));
   return row;
@@ -176,12 +177,16 @@ function show() {
   byId("play").textContent = timer === null ? "Play" : "Pause";
   byId("back").disabled = at === 0;
   byId("step").disabled = byId("end").disabled = !canGoOn();
-  const chosen = chosenAction();
-  probabilities().forEach((p, action) => {
+  const chosen = chosenAction(), alone = probabilities(logitsNow(null)), remembers = D.memory && byId("memory").checked;
+  probabilities(logitsNow()).forEach((p, action) => {
     rows[action].classList.toggle("chosen", action === chosen);
     rows[action].querySelector("i").style.width = percent(p);
+    rows[action].querySelector("b").style.left = percent(alone[action]);
+    rows[action].querySelector("b").hidden = !remembers;
     rows[action].children[2].textContent = percent(p);
   });
+  byId("actions-title").textContent = "What the policy would do (press one to do it yourself)"
+    + (remembers ? "; the marks: without its memory" : "");
   const score = goal.scores[state];
   byId("score").textContent = score.toFixed(3);
   byId("score-bar").style.width = onBar(score);
@@ -192,7 +197,7 @@ function show() {
 }
 function chooseGoal(index) {
   goal = goals[index];
-  byId("goal-title").textContent = `The goal, state ${goal.state}`;
+  byId("goal-title").textContent = `The goal, state ${goal.state}` + (photo ? ": one photo is all that the policy has" : "");
   goalViews.forEach((draw) => draw(goal.state));
   begin(farthest());
 }
@@ -200,7 +205,9 @@ function chooseGoal(index) {
 document.title = `dirl viewer: ${D.scene}`;
 byId("title").textContent = `Episodes in ${D.scene}`;
 byId("facts").textContent = `${D.title}. Greedy policy; ` + (D.stops_by === "match" ? "stopped by template matching."
-  : "stopped by the environment, exactly at the goal.");
+  : "stopped by the environment, exactly at the goal.")
+  + (D.memory ? " Episodic memory: what was done in this episode where it looked as it does now is less likely." : "");
+byId("with-memory").hidden = !D.memory;
 byId("match-title").textContent = `Matching with the goal (${D.match === "front" ? "the view ahead" : "all four views"}; `
   + `threshold ${D.threshold}${D.stops_by === "match" ? "" : ", not used here"})`;
 byId("threshold").style.left = onBar(D.threshold);
@@ -214,6 +221,7 @@ byId("start").addEventListener("change", (e) => {
   const wanted = Number(e.target.value);
   begin(e.target.value !== "" && Number.isInteger(wanted) && wanted in D.graph ? wanted : path[0]);
 });
+byId("memory").addEventListener("change", () => { begin(path[0]); byId("memory").blur(); });
 byId("random").addEventListener("click", () => begin(randomStart()));
 byId("speed").addEventListener("change", () => { if (timer !== null) { pause(); play(); } byId("speed").blur(); });
 byId("time").addEventListener("pointerup", () => byId("time").blur());  // else the arrow keys would go on moving it

@@ -56,9 +56,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     Raises:
         RunError: there is none, or it is damaged.
     """
-    path = Path(path)
-    if not path.exists() and path.name == str(path) and (AGENTS / path).is_dir():
-        path = AGENTS / path
+    path = packaged_agent(path) or Path(path)
     if path.is_dir() and not (path / "network.pt").is_file() and training_checkpoints(path):
         return latest_checkpoint(path)[0]
     if not (path / "network.pt").is_file() and (path / WEIGHTS).is_file():
@@ -67,6 +65,12 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     if not file.is_file():
         raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
     return read_checkpoint(file)
+
+
+def packaged_agent(name: str | Path) -> Path | None:
+    """The folder of an agent in `AGENTS`; None if there is none, or what the name means lies in the present folder."""
+    path = Path(name)
+    return AGENTS / path if not path.exists() and path.name == str(name) and (AGENTS / path).is_dir() else None
 
 
 def training_checkpoints(folder: Path) -> list[Path]:

@@ -72,6 +72,14 @@ def names_collection(scene: str | Sequence[str]) -> bool:
     return name.startswith(COLLECTION)
 
 
+def missing_collection(scene: str | Sequence[str]) -> Path | None:
+    """The folder of the collection whose rooms a user asks for, if there is no such folder."""
+    if not names_collection(scene):
+        return None
+    folder = Path((scene if isinstance(scene, str) else scene[0]).removeprefix(COLLECTION))
+    return None if folder.is_dir() else folder
+
+
 def find_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Dump]:
     """The dumps of the scenes a user asks for, not read yet; see `load_scenes`.
 

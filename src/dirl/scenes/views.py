@@ -97,11 +97,16 @@ def decode(data: bytes) -> NDArray[np.uint8]:
     return np.asarray(open_image(data, MAX_PIXELS).convert("RGB"))
 
 
-def open_image(data: bytes, max_pixels: int) -> Image.Image:
-    """The image in the bytes of a file in one of `FORMATS`, its pixels loaded.
+def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Image:
+    """The image in the bytes of a file in one of `FORMATS`.
+
+    Args:
+        data: the bytes.
+        max_pixels: at most so many are decoded.
+        load: whether to decode the pixels; without, the image tells the size that it declares.
 
     Raises:
-        ImageError: it is none, cannot be decoded, or has more than ``max_pixels``.
+        ImageError: it is none, cannot be decoded, or declares more than ``max_pixels``.
     """
     try:
         with warnings.catch_warnings():
@@ -109,7 +114,8 @@ def open_image(data: bytes, max_pixels: int) -> Image.Image:
             image = Image.open(io.BytesIO(data), formats=FORMATS)
             if image.width * image.height > max_pixels:
                 raise ImageError(f"{image.width}x{image.height} pixels are more than {max_pixels}")
-            image.load()
+            if load:
+                image.load()
     except ImageError:
         raise
     except UnidentifiedImageError:

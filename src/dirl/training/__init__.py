@@ -1,1 +1,1 @@
-"""From a configuration to updates: the pieces that the recipes' loops are made of."""
+"""The functions that the recipes' training loops call, from configuration to update."""

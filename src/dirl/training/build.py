@@ -1,4 +1,4 @@
-"""From a configuration to the parts of a run, one function each."""
+"""The components of a run, built from its configuration by one function each."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -31,11 +31,11 @@ from dirl.training.pairs import Demonstrations, DrawnPairs
 
 
 def build_world(config: TrainConfig) -> World:
-    """Read the scenes and join them, on the device of the configuration.
+    """Read the scenes and join them into a world, on the configured device.
 
     Raises:
         SceneError: a scene or goal that does not exist or cannot be used.
-        ConfigError: a device that is not there, or workers that cannot be.
+        ConfigError: the device is not available, or so many workers are impossible.
     """
     if config.device == Device.cuda and not torch.cuda.is_available():
         raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
@@ -55,7 +55,7 @@ def build_goals(config: TrainConfig, scenes: Sequence[Scene]) -> ChosenGoals:
 
 
 def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
-    """The transform that says what agents observe."""
+    """The transform that computes what agents observe."""
     made: SurroundingViews = make("observation", config.observation, config.trust, world=world)
     return made.to(world.device)
 
@@ -67,7 +67,7 @@ def build_policy(
     *,
     world: World | None = None,
 ) -> nn.Module:
-    """The policy with its initial weights, which the seed decides alone.
+    """The policy with its initial weights, which depend on the seed alone.
 
     Args:
         config: of the run.
@@ -113,12 +113,12 @@ def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
 
 
 def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tensor] | None = None) -> FeatureTable:
-    """The features of the world's states, as the configuration says that the network reads them.
+    """The features of the world's states, standardised or whitened as configured.
 
     Args:
         config: of the run.
         world: whose states.
-        weights: of a trained network, whose mean, deviation and axes are used; those of the world if left out.
+        weights: of a trained network, whose mean, standard deviation and axes are used; the world's if left out.
 
     Raises:
         ConfigError: the encoder reads patches, and the scenes have none.
@@ -140,7 +140,7 @@ def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tenso
 
 
 def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
-    """Mean, deviation and axes of the features that a network was trained on."""
+    """Mean, standard deviation and axes of the features that a network was trained on."""
     found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
     return found.get("features.mean"), found.get("features.std"), found.get("features.axes")
 
@@ -199,13 +199,13 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
 
 
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
-    """The expert."""
+    """The expert that labels states with actions."""
     made: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
     return made
 
 
 def build_imitation_loss(config: TrainConfig, policy: Any) -> Any:
-    """The loss of the imitation before reinforcement: that which is called ``imitation`` among the losses."""
+    """The loss of the imitation stage: the configured loss named ``imitation``."""
     actor = policy.operator().get_policy_head()
     if "imitation" not in config.losses:
         return ImitationLoss(actor)
@@ -213,10 +213,10 @@ def build_imitation_loss(config: TrainConfig, policy: Any) -> Any:
 
 
 def build_losses(config: TrainConfig, policy: Any, world: World, demos: Demonstrations) -> Losses:
-    """The losses of an update; those on demonstrations, where there are none or they have no weight, are left out.
+    """The losses of an update, without imitation losses that have no demonstrations or no weight.
 
     Raises:
-        ConfigError: a policy or a loss that cannot be trained as it is, see docs/howto/extend.md.
+        ConfigError: a policy or loss lacks what training needs, see docs/howto/extend.md.
     """
     if not (hasattr(policy, "trunk") and hasattr(policy, "operator")):
         raise ConfigError(f"policy: {type(policy).__name__} has weights but no trunk() and operator() to train them by")
@@ -266,7 +266,7 @@ def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> li
 
 
 def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
-    """Where an agent stops on its way to each goal, bool ``[P]``; None = at the goal."""
+    """The states in which an agent stops on its way to each goal, bool ``[P]``; None: at the goal itself."""
     return matching(config)(world) if rule == Stop.match else None
 
 
@@ -315,7 +315,7 @@ def _some_goals(world: World, count: int, seed: int) -> dict[str, tuple[int, ...
 
 
 def describe(config: TrainConfig, world: World) -> dict[str, Any]:
-    """What a table or picture of a run must say of it."""
+    """The facts of a run that tables and pictures state: scenes, source, system, preset, seed."""
     names = world.names
     return {
         "scene": names[0] if len(names) == 1 else list(names),

@@ -1,10 +1,10 @@
 """Workers that update the same weights without a lock: asynchronous advantage actor-critic (Mnih et al. 2016).
 
 Each worker is a process with agents of its own. It copies the shared weights, lets its agents walk, computes gradients
-of its copy, and applies them to the shared weights whatever the others have made of these meanwhile (Hogwild). The
+of its copy, and applies them to the shared weights even if others have changed these meanwhile (Hogwild). The
 optimiser's statistics are shared in the same way, as in the published code of TD-DRL.
 
-Who writes first is up to the machine, so that no two such runs are equal, whatever the seed.
+The order of the updates depends on the operating system, so that no two runs are equal, even with the same seed.
 """
 
 import copy
@@ -39,7 +39,7 @@ from dirl.training.state import Record, TrainState
 
 @dataclass
 class Shared:
-    """What all processes write to; every tensor lies in shared memory."""
+    """The state that all processes write; every tensor lies in shared memory."""
 
     weights: list[Tensor]
     statistics: list[dict[str, Tensor]]
@@ -53,7 +53,7 @@ class Shared:
 
 
 def share(policy: nn.Module, optimiser: Optimizer, frames: int) -> Shared:
-    """Copy the weights to shared memory, and move the optimiser's statistics there.
+    """Copy the weights to shared memory, and move the optimiser's statistics to it.
 
     Args:
         policy: it stays on its own; see `fetch`.
@@ -102,7 +102,7 @@ def fetch(shared: Shared, policy: nn.Module) -> None:
 
 @contextmanager
 def waiting(shared: Shared, policy: nn.Module) -> Iterator[None]:
-    """Within this context the workers wait, each once it has ended its update; the policy has the shared weights."""
+    """A context in which the workers wait, each after its present update; the policy has the shared weights."""
     shared.going.clear()
     try:
         fetch(shared, policy)
@@ -112,7 +112,7 @@ def waiting(shared: Shared, policy: nn.Module) -> Iterator[None]:
 
 
 def learn(config: TrainConfig, state: TrainState, total: int, record: Record, interrupted: Sequence[int]) -> None:
-    """Train with several workers, until ``total`` frames are walked or there is anything in ``interrupted``."""
+    """Train with several workers until ``total`` frames are done, or ``interrupted`` is not empty."""
     if state.frames >= total:
         return
     shared = share(state.policy, state.optimiser, state.frames)
@@ -124,7 +124,7 @@ def learn(config: TrainConfig, state: TrainState, total: int, record: Record, in
 def asynchronous_updates(
     config: TrainConfig, shared: Shared, total: int, interrupted: Sequence[int]
 ) -> Iterator[Update]:
-    """Start the workers, and yield what they tell until ``total`` frames are walked.
+    """Start the workers, and yield their updates until ``total`` frames are done.
 
     Args:
         config: of the run; each worker makes the parts from it anew.
@@ -165,7 +165,7 @@ def asynchronous_updates(
 
 
 def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: Connection) -> None:
-    """The life of a worker: walk and update, as long as there are frames left.
+    """The loop of a worker: collect a rollout and update, as long as frames are left.
 
     Args:
         config: of the run.
@@ -219,7 +219,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
 
 
 def claim(shared: Shared, frames: int, total: int) -> float | None:
-    """Set out to walk some frames; the share of the training that is left before them, or None if there is none."""
+    """Reserve frames for a rollout; the share of the training that is left before them, or None if none is."""
     with shared.claimed.get_lock():
         claimed = shared.claimed.value
         if claimed >= total:

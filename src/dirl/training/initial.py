@@ -10,41 +10,46 @@ from dirl.config.saved import read_config
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
+from dirl.training.load import check_extractor
 
 ARCHITECTURE = ("observation", "encoder", "memory", "heads", "policy", "network")
 """The options that decide which weights a policy has, and what they read."""
 
 
-def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> TrainConfig:
+def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:
     """The configuration with the architecture of the checkpoint that ``init`` names; unchanged without it.
 
     Args:
         config: as composed.
         overrides: of the command line.
 
+    Returns:
+        The configuration, and the checkpoint, for `initial_weights`; None without ``init``.
+
     Raises:
         ConfigError: an option of the architecture is given beside ``init``.
         RunError: there is no such checkpoint, or it is damaged.
     """
     if config.init is None:
-        return config
+        return config, None
     texts = [text.lstrip("+") for text in overrides]
     given = [text for text in texts if text.partition("=")[0].partition(".")[0] in ARCHITECTURE]
     if given:
         raise ConfigError(f"init={config.init}: its checkpoint decides the architecture; leave out {' '.join(given)}")
-    trained = read_config(load_checkpoint(config.init)["config"], config.init, trust=config.trust or [])
-    return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE})
+    saved = load_checkpoint(config.init)
+    trained = read_config(saved["config"], config.init, trust=config.trust or [])
+    return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
 
 
 def initial_weights(
-    config: TrainConfig, world: World, resumed: Mapping[str, Any] | None = None
+    config: TrainConfig, world: World, saved: Mapping[str, Any] | None = None
 ) -> Mapping[str, Tensor] | None:
     """The weights that a training begins with, by name; None without ``init``.
 
     Args:
         config: of the run, see `with_architecture`.
         world: where it walks.
-        resumed: the checkpoint of the run itself that it goes on from; the one that ``init`` names is not needed then.
+        saved: the checkpoint that ``init`` names, if it has been read; or the one that the run itself resumes from.
 
     Raises:
         ConfigError: they were trained on the features of another extractor, or have heads for other scenes.
@@ -52,13 +57,8 @@ def initial_weights(
     """
     if config.init is None:
         return None
-    saved = resumed or load_checkpoint(config.init)
-    extractor = world.scenes[0].extractor
-    if saved["extractor"] != extractor:
-        raise ConfigError(
-            f"init={config.init}: was trained on features of another extractor than those of {world.names[0]}: "
-            f"'{saved['extractor']}', not '{extractor}'"
-        )
+    saved = saved or load_checkpoint(config.init)
+    check_extractor(saved, world.scenes[0].extractor, f"init={config.init}")
     unknown = sorted(set(world.names) - set(saved["scenes"]))
     if unknown and not config.heads.get("shared"):
         raise ConfigError(f"init={config.init}: has heads for the scenes {saved['scenes']}, none for {unknown[0]}")

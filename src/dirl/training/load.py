@@ -1,4 +1,4 @@
-"""Policies with weights: those that are to be trained, and trained ones with the conditions of their evaluation."""
+"""Policies with weights: new ones for training, and trained ones with their evaluation protocol."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation import EvaluationProtocol
 from dirl.scenes import World
-from dirl.scenes.catalogue import names_collection
+from dirl.scenes.catalogue import missing_collection, names_collection
 from dirl.training.build import (
     build_goals,
     build_observation,
@@ -57,6 +57,8 @@ def load_trained(
     # Goals that are drawn are drawn by the seed of the training: by another, trained ones would count as held out.
     seed = given.pop("seed", None)
     config = read_config(saved["config"], origin, given, trust)
+    if "scene" not in given and (missing := missing_collection(config.scene or [])) is not None:
+        raise ConfigError(f"{origin}: its training rooms, {missing}, are not here; say where to evaluate it: scene=...")
     world = build_world(config)
     held_out = build_goals(config, world.scenes).held_out
     if seed is not None:
@@ -69,7 +71,7 @@ def load_trained(
 def learning_policy(
     config: TrainConfig, world: World, observation: SurroundingViews, initial: Mapping[str, Tensor] | None = None
 ) -> nn.Module:
-    """`build_policy` for training: with ``network.cache=auto`` each distinct observation is embedded once.
+    """The policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
 
     Args:
         config: of the run.
@@ -104,7 +106,7 @@ def cached(
     noisy: bool = False,
     principal: bool = False,
 ) -> nn.Module:
-    """The policy, which embeds each distinct observation once if the configuration lets it."""
+    """The policy, with cached embeddings if ``network.cache`` is ``auto``."""
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
         # With more states than features of a view there is next to nothing to save by principal axes.
         front = front or observation.goal_view == "front"
@@ -130,16 +132,28 @@ def trained_policy(
     Raises:
         ConfigError: the scenes' features are of another extractor, or the weights do not fit the configuration.
     """
-    extractor = world.scenes[0].extractor
-    if extractor != saved["extractor"]:
-        raise ConfigError(
-            f"the scenes' features are of another extractor than those {origin} was trained on: "
-            f"'{extractor}', not '{saved['extractor']}'"
-        )
+    check_extractor(saved, world.scenes[0].extractor, origin)
     names = _scenes(saved["scenes"], world.names)
     policy = build_policy(config, feature_table(config, world, saved["network"]), names, world=world)
     load_weights(policy, saved["network"], origin, names)
     return cached(policy, config, world, observation)
+
+
+def check_extractor(saved: Mapping[str, Any], extractor: str, origin: str) -> None:
+    """Compare the extractor of features with the one that a checkpoint was trained on.
+
+    Args:
+        saved: see `dirl.runs.checkpoints.load_checkpoint`.
+        extractor: of the scenes, see `dirl.scenes.Scene.extractor`, or of the encoder that a navigator uses.
+        origin: of the checkpoint, for the error.
+
+    Raises:
+        ConfigError: they differ.
+    """
+    if extractor != saved["extractor"]:
+        raise ConfigError(
+            f"{origin}: was trained on features of another extractor: '{saved['extractor']}', not '{extractor}'"
+        )
 
 
 def _scenes(trained: Sequence[str], names: Sequence[str]) -> Sequence[str]:

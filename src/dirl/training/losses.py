@@ -29,7 +29,7 @@ MINIBATCH = 512
 
 @dataclass(frozen=True)
 class ScheduledLoss:
-    """A loss and what of it changes linearly over the training."""
+    """A loss with the coefficients that change linearly over the training."""
 
     module: Any
     """Reads a batch and writes ``loss_*`` entries, as TorchRL's ``LossModule`` does."""
@@ -144,7 +144,7 @@ def demonstration_batches(
 
 
 def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorDictBase:
-    """Demonstrations as the first steps of episodes, with the recurrent state that a policy with memory reads."""
+    """Demonstrations as first steps of episodes, with the initial recurrent state of a policy with memory."""
     count, device = len(demonstrations), demonstrations["state"].device
     if not recurrent_keys(policy) or not count:
         return demonstrations
@@ -171,7 +171,7 @@ class Advantages:
         self.estimator = make_advantages(gamma, lmbda)
 
     def __call__(self, batch: TensorDictBase) -> TensorDictBase:
-        """Of a rollout ``[B, T]`` with ``state_value``."""
+        """Add advantages and value targets to a rollout ``[B, T]`` with ``state_value``."""
         return self.estimator(bootstrap(batch, self.critic))
 
 

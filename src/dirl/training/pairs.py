@@ -1,4 +1,4 @@
-"""Demonstrations of many goals: pairs of a state and a goal, drawn when they are needed."""
+"""Demonstrations for many goals: pairs of a state and a goal, sampled for each update."""
 
 import copy
 from typing import TypeAlias
@@ -15,7 +15,7 @@ from dirl.scenes import World
 
 
 class DrawnPairs:
-    """What the expert does in pairs of a state and a goal, drawn anew for every update.
+    """The expert's actions for pairs of a state and a goal, sampled anew for every update.
 
     A table of all pairs grows with the square of the states. A draw takes a goal uniformly among all, then a state of
     its scene.

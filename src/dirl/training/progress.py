@@ -1,4 +1,4 @@
-"""How long the latest training episodes took, and since when a policy is stable."""
+"""The lengths of the latest training episodes, and the frame from which the policy is stable."""
 
 import math
 from collections import deque
@@ -18,7 +18,7 @@ NEAR = 1.5
 
 
 class EpisodeMeter:
-    """Steps of the latest training episodes of each goal, and since when the policy is stable.
+    """Lengths of the latest training episodes of each goal, and the frame from which the policy is stable.
 
     Args:
         shortest: the fewest steps to each goal, in the mean over its starts.
@@ -82,7 +82,7 @@ class EpisodeMeter:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from a saved state."""
+        """Restore a saved state."""
         self.steps = [deque(last, maxlen=WINDOW) for last in state["steps"]]
         self.totals = [sum(last) for last in self.steps]
         self.episodes, self.stable_at, self.near_at = state["episodes"], state["stable_at"], state["near_at"]
@@ -94,7 +94,7 @@ def due(before: int, now: int, total: int, times: int) -> bool:
 
 
 def is_done(config: TrainConfig, meter: EpisodeMeter, frames: int, total: int) -> bool:
-    """Whether a training is over: all its frames are walked, or all goals are stable and were evaluated since.
+    """Whether a training is over: all frames are done, or every goal is stable and has been evaluated since.
 
     Args:
         config: of the run; the latter counts with ``reinforcement.until=stable`` only.

@@ -1,4 +1,4 @@
-"""Collecting rollouts: agents walk on from where they stand."""
+"""Collecting rollouts: agents continue from their present states."""
 
 from typing import NamedTuple
 
@@ -18,19 +18,19 @@ def collect(
 ) -> tuple[TensorDictBase, TensorDictBase]:
     """Let every agent take some steps.
 
-    This is what TorchRL's ``Collector`` does, without its state: where the agents stand between two calls is a
-    tensordict in the caller's hand, which a checkpoint can hold. (A ``Collector`` can only start again from a reset.)
+    This is what TorchRL's ``Collector`` does, without its state: the agents' states between two calls are a
+    tensordict that the caller keeps, and that a checkpoint can hold. (A ``Collector`` can only restart from a reset.)
     A new episode is drawn for every agent at every step, and used where the old one ended: ``step_and_maybe_reset``
     would first read whether any has ended, a host-device synchronisation.
 
     Args:
         env: batched, B agents.
         policy: writes ``action``.
-        agents: where they stand, ``[B]``; at first ``env.reset()``.
+        agents: their present states, ``[B]``; at first ``env.reset()``.
         n_steps: how many each takes, T.
 
     Returns:
-        The steps, ``[B, T]``, and where the agents stand now, ``[B]``; those whose episode ended start a new one.
+        The steps, ``[B, T]``, and the agents' present states, ``[B]``; those whose episode ended start a new one.
     """
     taken = []
     # Without this TorchRL's actors take the most probable action.

@@ -1,4 +1,4 @@
-"""The state of a training: what a checkpoint holds, so that a killed run goes on to the same result."""
+"""The state of a training: what a checkpoint holds, so that a killed run resumes to the same result."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -23,7 +23,7 @@ Record = Callable[[Update, AbstractContextManager[None]], None]
 
 @dataclass
 class TrainState:
-    """Everything that changes from update to update."""
+    """Everything that changes between updates."""
 
     policy: Any
     """See `dirl.models.ActorCritic`."""
@@ -40,7 +40,7 @@ class TrainState:
     """When the current update began."""
 
     def start_clock(self) -> None:
-        """An update begins now."""
+        """Start to time an update."""
         self.began = time.perf_counter()
 
     def count(self, update: Update) -> None:
@@ -69,7 +69,7 @@ class TrainState:
         return {name: value for name, value in self.losses.state_dict().items() if _place(value) not in shared}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from a saved state."""
+        """Restore a saved state."""
         self.frames, self.seconds = state["frames"], state["training_seconds"]
         self.policy.load_state_dict(state["learning"])
         self.losses.load_state_dict({**self.losses.state_dict(), **state["losses"]})
@@ -85,13 +85,13 @@ def _place(value: Any) -> Any:
 
 
 def random_state(env: EnvBase) -> dict[str, Tensor]:
-    """The state of everything that draws random numbers during training."""
+    """The states of all random number generators of the training."""
     state = {"env": env.base_env.generator.get_state(), "cpu": torch.get_rng_state()}
     return state | ({"cuda": torch.cuda.get_rng_state()} if env.device.type == "cuda" else {})
 
 
 def restore_random_state(env: EnvBase, state: Mapping[str, Tensor]) -> None:
-    """Undo what has been drawn since `random_state`."""
+    """Restore the generators' states that `random_state` returned."""
     env.base_env.generator.set_state(state["env"])
     torch.set_rng_state(state["cpu"])
     if "cuda" in state:

@@ -1,1 +1,1 @@
-"""The same functions as the plain modules with less arithmetic; a test holds each equal to its plain form."""
+"""Faster equivalents of the plain modules; a test compares each with its plain form."""

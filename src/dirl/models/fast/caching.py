@@ -1,4 +1,4 @@
-"""Embed once what many frames share: agents in one place have the same observation, and one goal serves many.
+"""Embed each distinct observation once: many agents share a state, and many frames share a goal.
 
 A batch holds far fewer distinct observations than frames, and the embedding, 4 x 2048 -> 512, is most of the arithmetic
 of the network. `CachedEncoder` works with any encoder whose ``forward(o, g)`` is ``fuse(embed(o), embed(g))``.
@@ -17,7 +17,7 @@ from dirl.models.features import FeatureTable
 
 
 def avoid_host_sync(tensor: Tensor) -> bool:
-    """Whether reading a tensor's values in Python would wait for a device to finish its queue, or cannot be (vmap)."""
+    """Whether reading a tensor's values would synchronise with a device, or is impossible (in ``vmap``)."""
     return tensor.is_cuda or is_batchedtensor(tensor)
 
 
@@ -46,7 +46,7 @@ def unpack(keys: Tensor, states: int, slots: int) -> Tensor:
 
 
 class EmbeddingCache:
-    """Rows computed for some keys, each once; valid as long as the weights that compute them do not change.
+    """A cache of rows by key, each computed once; valid until the weights that compute them change.
 
     Args:
         every: compute the rows of all keys below this number at the first use, which saves looking up what is known
@@ -102,7 +102,7 @@ class Cacheable(Protocol):
 
 
 class CachedEncoder(nn.Module):
-    """An encoder on view ids instead of features, which embeds each distinct observation once.
+    """An encoder that takes view ids instead of features, and embeds each distinct observation once.
 
     The encoder and the table are not its submodules: they belong to the network, whose state_dict has them once.
 
@@ -167,7 +167,7 @@ class CachedEncoder(nn.Module):
 
     @property
     def slots(self) -> int:
-        """How many of the four view ids tell the whole observation."""
+        """How many of the four view ids determine the whole observation."""
         return VIEWS if self.surrounding is None else 1
 
     def _valid_cache(self) -> Any:
@@ -189,7 +189,7 @@ class CachedEncoder(nn.Module):
 
     @contextmanager
     def caching(self) -> Iterator[None]:
-        """Within this context what is embedded without gradients is kept until the weights change."""
+        """A context in which embeddings computed without gradients are kept until the weights change."""
         self._keeps, self._cache = True, None
         try:
             yield
@@ -197,5 +197,5 @@ class CachedEncoder(nn.Module):
             self._keeps, self._cache = False, None
 
     def frozen(self) -> AbstractContextManager[None]:
-        """A context for evaluation, within which the weights must not change."""
+        """A context for evaluation, in which the weights must not change."""
         return self.caching()

@@ -1,4 +1,4 @@
-"""The embedding in the principal axes of all that can be seen: the same layer, with far less arithmetic."""
+"""The embedding in the principal axes of all possible observations: the same layer with far fewer operations."""
 
 import torch
 import torch.nn.functional as F
@@ -11,7 +11,7 @@ DEPENDENT = 1e-9
 
 
 class PrincipalAxes(nn.Module):
-    """The inputs of the embedding, as coordinates in the axes that they span.
+    """The inputs of the embedding, as coordinates in the axes of their span.
 
     The N states of a world give N rows of 4 x D features, if all that is seen depends on the state alone. They span
     at most N dimensions, so that a linear layer on their coordinates needs at most N columns instead of 4 x D. What
@@ -49,7 +49,7 @@ class PrincipalAxes(nn.Module):
     """What is multiplied with the part of any features that lies outside the axes."""
 
     def forward(self, view_ids: Tensor) -> Tensor:
-        """The coordinates of what is seen, int64 ``[..., 4]`` to float32 ``[..., slots * R]``."""
+        """The coordinates of observations, int64 ``[..., 4]`` to float32 ``[..., slots * R]``."""
         return F.embedding(view_ids[..., : self.slots], self.table).flatten(-2)
 
     def narrow(self, weight: Tensor) -> Tensor:
@@ -57,7 +57,7 @@ class PrincipalAxes(nn.Module):
         return (weight.unflatten(1, (self.slots, -1)) @ self._rows().T @ self._unscaled()).flatten(1)
 
     def widen(self, weight: Tensor) -> Tensor:
-        """The weight on features that does to every row what this one does to its coordinates; see `narrow`."""
+        """The weight on features that is equivalent to a weight on coordinates; the inverse of `narrow` on the rows."""
         return self.beside + (weight.unflatten(1, (self.slots, -1)) @ self._unscaled().T @ self._rows()).flatten(1)
 
     def _rows(self) -> Tensor:

@@ -1,4 +1,4 @@
-"""`SiameseEncoder` with far less arithmetic: known outputs are not computed again, and few columns are multiplied."""
+"""`SiameseEncoder` with far fewer operations: cached outputs, and matrix products with fewer columns."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -50,7 +50,7 @@ class CachedSiamese(CachedEncoder):
 
     @torch.no_grad()
     def restore(self) -> None:
-        """Make the encoder's embedding a layer on features again; what was learnt stays."""
+        """Convert the encoder's embedding back to a layer on features, with the learnt weights."""
         encoder, _ = self._wrapped
         encoder.embedding = _linear(self.weight_on_features(), encoder.embedding.bias)
         self.axes = None
@@ -99,12 +99,12 @@ class CachedSiamese(CachedEncoder):
         )
 
     def _inputs(self, view_ids: Tensor) -> Tensor:
-        """What the embedding multiplies, int64 ``[R, 4]`` to float32 ``[R, columns]``."""
+        """The inputs of the embedding, int64 ``[R, 4]`` to float32 ``[R, columns]``."""
         return self._wrapped[1](view_ids).flatten(-2) if self.axes is None else self.axes(view_ids)
 
     @contextmanager
     def frozen(self) -> Iterator[None]:
-        """A context for evaluation, within which the weights must not change: the whole world is projected once.
+        """A context for evaluation, in which the weights must not change: all states are projected once.
 
         The embedding is a sum of projections, one for each of the four views, so that any four views are then embedded
         by adding four rows. Equal to the plain form up to rounding.
@@ -121,7 +121,7 @@ class CachedSiamese(CachedEncoder):
 
 
 class KnownLinear(torch.autograd.Function):
-    """A linear layer whose output is known already: only its gradients are computed."""
+    """A linear layer whose output has been computed before: only its gradients are computed."""
 
     @staticmethod
     def forward(ctx: FunctionCtx, x: Tensor, weight: Tensor, bias: Tensor | None, output: Tensor) -> Tensor:  # noqa: D102

@@ -2,6 +2,8 @@
 
 import json
 import re
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -226,4 +228,14 @@ def test_a_panorama_of_another_shape_is_refused(tmp_path):
     tour = read_tour(write_table(tmp_path, grid_truth(2, 2), GREY, SIDE))
     Image.new("RGB", (40, 30)).save(tmp_path / "place_1.jpg")
     with pytest.raises(SceneError, match=r"place_1\.jpg: 40x30 pixels; an equirectangular image is twice as wide"):
+        cut_all(tour)
+
+
+def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path):
+    tour = read_tour(write_marzipano(tmp_path, grid_truth(2, 2), GREY, SIDE))
+    header = struct.pack(">II5B", 12_000, 12_000, 8, 2, 0, 0, 0)  # of a PNG of 144 million pixels that are not there
+    chunk = struct.pack(">I", len(header)) + b"IHDR" + header + struct.pack(">I", zlib.crc32(b"IHDR" + header))
+    for tile in (tmp_path / "tiles" / "place_1").rglob("*.jpg"):
+        tile.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk + struct.pack(">I", 9) + b"IDAT")
+    with pytest.raises(SceneError, match=r"place_1.*: the tiles of face 'f' make 24000x24000 pixels, not 8x8"):
         cut_all(tour)

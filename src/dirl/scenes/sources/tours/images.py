@@ -18,7 +18,7 @@ MAX_BYTES = 2**28
 """Of an image file."""
 
 MAX_PIXELS = 2**28
-"""Of a panorama, or of a face."""
+"""Of a panorama, or of a face; the sizes that files declare are checked before any pixel is decoded."""
 
 MOST_LEVELS, MOST_TILES = 16, 64
 """Sizes of a cube, and tiles along a side."""
@@ -87,51 +87,63 @@ def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]
         SceneError: a file cannot be read, or has another shape than it should.
     """
     if isinstance(image, Equirectangular):
-        found = _open(image.file)
+        found = _open(image.file, load=False)
         if abs(found.width - 2 * found.height) > 2:
             raise SceneError(
                 f"{image.file}: {found.width}x{found.height} pixels; an equirectangular image is twice as wide as high"
             )
-        return [_reduced(found, found.width / (2 * np.pi), density)]
+        return [_reduced(_open(image.file).convert("RGB"), found.width / (2 * np.pi), density)]
     enough = [level for level in image.levels if level.size is None or level.size / 2 >= density]
     level = enough[0] if enough else image.levels[-1]
-    faces = [_face(level, face) for face in FACES]
-    sizes = {face.size for face in faces}
-    if len(sizes) > 1:
+    sizes = {face: _tile_sizes(level, face) for face in FACES}  # of all, before any pixel is decoded
+    sides = sorted({sum(width for width, _ in rows[0]) for rows in sizes.values()})
+    if len(sides) > 1:
         raise SceneError(
-            f"{level.tiles['f'][0][0]}: the faces of this cube have {len(sizes)} sizes, {sorted(sizes)[:2]}"
+            f"{level.tiles['f'][0][0]}: the faces of this cube have {len(sides)} sizes, {sides[:2]} pixels"
         )
-    return [_reduced(face, face.width / 2, density) for face in faces]
+    return [_reduced(_face(level.tiles[face], sizes[face]), sides[0] / 2, density) for face in FACES]
 
 
-def _face(level: CubeLevel, face: str) -> Image.Image:
-    """A face put together from its tiles."""
-    rows = [[_open(file) for file in row] for row in level.tiles[face]]
-    width, height = sum(tile.width for tile in rows[0]), sum(row[0].height for row in rows)
-    first = level.tiles[face][0][0]
+def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
+    """Width and height that the tiles of a face declare, row by row.
+
+    Raises:
+        SceneError: they do not make the square that the face should be.
+    """
+    sizes = [[_open(file, load=False).size for file in row] for row in level.tiles[face]]
+    width, height = sum(tile[0] for tile in sizes[0]), sum(row[0][1] for row in sizes)
     if width != height or (level.size is not None and width != level.size) or width * height > MAX_PIXELS:
         wanted = "a square" if level.size is None else f"{level.size}x{level.size}"
+        first = level.tiles[face][0][0]
         raise SceneError(f"{first}: the tiles of face '{face}' make {width}x{height} pixels, not {wanted}")
-    whole = Image.new("RGB", (width, height))
-    top = 0
-    for files, row in zip(level.tiles[face], rows, strict=True):
-        left = 0
+    for files, row in zip(level.tiles[face], sizes, strict=True):
         for file, tile in zip(files, row, strict=True):
-            if tile.height != row[0].height or left + tile.width > width:
-                raise SceneError(f"{file}: this tile has {tile.width}x{tile.height} pixels, which fit its row not")
-            whole.paste(tile, (left, top))
-            left += tile.width
-        if left != width:
-            raise SceneError(f"{files[0]}: this row of tiles has {left} pixels, the first one {width}")
-        top += row[0].height
+            if tile[1] != row[0][1]:
+                raise SceneError(f"{file}: this tile is {tile[1]} pixels high, the first of its row {row[0][1]}")
+        if (found := sum(tile[0] for tile in row)) != width:
+            raise SceneError(f"{files[0]}: this row of tiles has {found} pixels, the first one {width}")
+    return sizes
+
+
+def _face(tiles: Sequence[Sequence[Path]], sizes: Sequence[Sequence[tuple[int, int]]]) -> Image.Image:
+    """A face put together from its tiles, whose sizes fit, see `_tile_sizes`."""
+    side = sum(width for width, _ in sizes[0])
+    whole = Image.new("RGB", (side, side))
+    top = 0
+    for files, row in zip(tiles, sizes, strict=True):
+        left = 0
+        for file, (width, _) in zip(files, row, strict=True):
+            whole.paste(_open(file).convert("RGB"), (left, top))
+            left += width
+        top += row[0][1]
     return whole
 
 
-def _open(file: Path) -> Image.Image:
+def _open(file: Path, *, load: bool = True) -> Image.Image:
     try:
         if file.stat().st_size > MAX_BYTES:
             raise SceneError(f"{file}: has more than {MAX_BYTES >> 20} MB, which no image of a tour needs")
-        return open_image(file.read_bytes(), MAX_PIXELS).convert("RGB")
+        return open_image(file.read_bytes(), MAX_PIXELS, load=load)
     except (OSError, ImageError) as error:
         raise SceneError(f"{file}: not a readable image ({error})") from None
 
