@@ -18,8 +18,10 @@ from urllib.parse import unquote
 import pytest
 import torch
 from commands import ROOT, TINY
-from forks import leave_empty
+from forks import empty_file, leave_empty
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from dirl.reporting import pictures
 
 DOCS = ROOT / "docs"
 PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "howto").glob("*.md"))]
@@ -113,6 +115,8 @@ def run_command(words, monkeypatch):
     with monkeypatch.context() as patch:
         if words[1].endswith("train.py"):  # its pictures are looked at in test_train.py
             patch.setattr(FigureCanvasAgg, "draw", leave_empty)
+            for name in ("draw_policy", "draw_trajectories", "write_gif"):
+                patch.setattr(pictures, name, empty_file)
         runpy.run_path(str(ROOT / words[1]), run_name="__main__")
 
 

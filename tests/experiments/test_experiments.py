@@ -5,13 +5,12 @@ import json
 import math
 import re
 import signal
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from commands import TINY, room_file, run_recipe, start_recipe, train_config
+from commands import TINY, room_file, run_recipe, start_recipe, train_config, wait_until
 from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
@@ -143,9 +142,7 @@ def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_agai
     command = ["-m", *options, "system=dirl", "seed=0,1"]
     process = start_recipe(tmp_path, "train", *command)
     first, second = (tmp_path / f"runs/experiments/fast/dirl_random_0.05_{seed}" for seed in (0, 1))
-    waited = time.monotonic()
-    while not list(second.glob("checkpoints/*[1-9]???.pt")) and time.monotonic() - waited < 120:
-        time.sleep(0.02)
+    wait_until(lambda: list(second.glob("checkpoints/*[1-9]???.pt")))
     process.send_signal(signal.SIGKILL)
     assert process.wait().status == -signal.SIGKILL
     assert (first / "summary.json").exists()

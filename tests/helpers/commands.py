@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 
 from fork_server import Started as start_recipe
 from forks import ROOT, recipe_file
@@ -33,6 +34,14 @@ def run_recipe(folder, name, *arguments):
     """Run a recipe in a folder, in a fork, as `start_recipe`; its exit status, what it printed, and its errors."""
     ended = start_recipe(folder, name, *arguments).wait()
     return ended.status, ended.printed, ended.errors
+
+
+def wait_until(happens, patience=1800):
+    """Wait until a function says so; on a busy machine what takes a second may take minutes."""
+    began = time.monotonic()
+    while not happens():
+        assert time.monotonic() - began < patience, "it did not happen"
+        time.sleep(0.02)
 
 
 def run_program(folder, name, *arguments):

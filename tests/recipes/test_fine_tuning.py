@@ -2,11 +2,10 @@
 
 import shutil
 import signal
-import time
 
 import pytest
 import torch
-from commands import TINY, room_file, run_recipe, start_recipe, train_config
+from commands import TINY, room_file, run_recipe, start_recipe, train_config, wait_until
 from rooms import grid_scene
 
 from dirl.runs.checkpoints import load_checkpoint
@@ -54,9 +53,7 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
     status, _, errors = run_recipe(pretrained, "train", *options, "hydra.run.dir=whole")
     assert status == 0, errors
     process = start_recipe(pretrained, "train", *options, "hydra.run.dir=killed")
-    waited = time.monotonic()
-    while not list(killed.glob("checkpoints/*[1-9]??.pt")) and time.monotonic() - waited < 120:
-        time.sleep(0.02)
+    wait_until(lambda: list(killed.glob("checkpoints/*[1-9]??.pt")))
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (killed / "summary.json").exists(), "it was not killed in time"

@@ -6,7 +6,7 @@ import time
 
 import pytest
 import torch
-from commands import TINY, room_file, run_recipe, start_recipe
+from commands import TINY, room_file, run_recipe, start_recipe, wait_until
 from parts import make_parts
 
 from dirl.config.schemas import ConfigError
@@ -128,9 +128,7 @@ def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=a3c", *small, "reinforcement.frames_per_scene=16_000"]
     process = start_recipe(tmp_path, "train", *options, "hydra.run.dir=run", "checkpoint.every_seconds=1000")
     table = tmp_path / "run" / "reinforcement.csv"
-    waited = time.monotonic()
-    while not table.exists() and time.monotonic() - waited < 120:
-        time.sleep(0.05)
+    wait_until(lambda: table.exists())
     process.send_signal(signal.SIGINT)
     ended = process.wait()
     assert ended.status == 130

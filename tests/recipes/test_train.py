@@ -7,7 +7,7 @@ import time
 import pytest
 import torch
 import yaml
-from commands import TINY, room_file, run_program, run_recipe, start_recipe
+from commands import TINY, room_file, run_program, run_recipe, start_recipe, wait_until
 from PIL import Image
 
 STAGES = ("imitation", "reinforcement", "evaluation")
@@ -138,9 +138,7 @@ def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path, memory):
     status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={whole}")
     assert status == 0, errors
     process = start_recipe(tmp_path, "train", *options, f"hydra.run.dir={killed}")
-    waited = time.monotonic()
-    while not list(killed.glob("checkpoints/*[1-9]???.pt")) and time.monotonic() - waited < 120:
-        time.sleep(0.02)
+    wait_until(lambda: list(killed.glob("checkpoints/*[1-9]???.pt")))
     process.send_signal(signal.SIGKILL)
     assert process.wait().status == -signal.SIGKILL
     assert not (killed / "summary.json").exists(), "it was not killed in time"
@@ -157,9 +155,7 @@ def test_ctrl_c_saves_a_checkpoint_and_says_how_to_go_on(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "reinforcement.frames_per_scene=100_000_000"]
     process = start_recipe(tmp_path, "train", *options, "hydra.run.dir=stopped", "checkpoint.every_seconds=1000")
     evaluation = tmp_path / "stopped" / "evaluation.csv"
-    waited = time.monotonic()
-    while not evaluation.exists() and time.monotonic() - waited < 120:
-        time.sleep(0.1)
+    wait_until(lambda: evaluation.exists())
     time.sleep(1)
     process.send_signal(signal.SIGINT)
     ended = process.wait()
