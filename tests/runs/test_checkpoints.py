@@ -55,6 +55,13 @@ def test_no_flipped_bit_and_no_lost_byte_is_accepted(file):
         load_checkpoint(file)
 
 
+@pytest.mark.parametrize(("schema", "told"), [(3, "newer version"), (-1, "schema is not"), ([], "schema is not")])
+def test_one_of_another_schema_is_refused(file, schema, told):
+    save_checkpoint(file, STATE | {"schema": schema})
+    with pytest.raises(RunError, match=told):
+        load_checkpoint(file)
+
+
 def test_nothing_is_advised_to_be_deleted_that_dirl_did_not_write(tmp_path):
     (tmp_path / "thesis.pt").write_bytes(b"PK\3\4 not a checkpoint")
     with pytest.raises(RunError, match=r"is damaged or no checkpoint of this version") as caught:

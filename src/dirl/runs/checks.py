@@ -11,6 +11,9 @@ from torch import Tensor
 
 from dirl.config.schemas import TrainConfig
 
+SCHEMA = 2
+"""Of configurations and checkpoints; 1 was dirl 0.1."""
+
 
 class RunError(ValueError):
     """A run folder or checkpoint that cannot be used."""
@@ -99,6 +102,7 @@ REQUIRED: dict[str, Rule] = {
 """What every checkpoint holds, how it is checked, and what it is in words."""
 
 OPTIONAL: dict[str, Rule] = {
+    "schema": (is_count, "a count"),
     "views": (_is_texts, "a list of names"),
     "learning": (_is_tensors, "tensors by name"),
     "tables": (_is_sizes, "sizes of CSV files by name"),
@@ -115,6 +119,10 @@ def check_header(state: Any, file: Path) -> dict[str, Any]:
     missing = sorted(REQUIRED.keys() - state.keys())
     if missing:
         raise RunError(f"{file}: is no checkpoint of dirl; it lacks {', '.join(missing)}")
+    if is_count(state.get("schema")) and state["schema"] > SCHEMA:
+        raise RunError(
+            f"{file}: was written by a newer version of dirl (schema {state['schema']}); update dirl to use it"
+        )
     for name, (fits, wanted) in (REQUIRED | OPTIONAL).items():
         if name in state and not fits(state[name]):
             raise RunError(f"{file}: {name} is not what a checkpoint holds; expected {wanted}")
@@ -123,7 +131,7 @@ def check_header(state: Any, file: Path) -> dict[str, Any]:
 
 def check_progress(file: Path, state: Mapping[str, Any], config: TrainConfig) -> None:
     """Raise `RunError` unless a run with these options can have a checkpoint's counts."""
-    missing = {"tables", "seconds"} - state.keys()
+    missing = {"schema", "tables", "seconds"} - state.keys()
     if missing:
         raise RunError(f"{file}: is no checkpoint of a training; it lacks {' and '.join(sorted(missing))}")
     options, scenes = config.reinforcement, len(state["scenes"])

@@ -24,14 +24,11 @@ from dirl.runs.checkpoints import (
     save_checkpoint,
     training_checkpoints,
 )
-from dirl.runs.checks import RunError, check_progress
+from dirl.runs.checks import SCHEMA, RunError, check_progress
 from dirl.runs.locks import FolderLock, claim, config_file, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.scenes import World
 from dirl.texts import read_text
-
-SCHEMA = 2
-"""Of configurations and checkpoints; 1 was dirl 0.1."""
 
 
 class Run:
