@@ -66,13 +66,16 @@ class Guide:
         self.match = float(scores[self.goal])
         """How much it does, -1 to 1; a goal far from all that was seen has a low one."""
         self.action: int | None = None
+        self._planned: tuple[int, Tensor] = (-1, torch.empty(0))
 
     def advise(self, views: Tensor) -> int | None:
         """The next action by the map, for what is seen now, float32 ``[4, D]``; None where the policy shall decide."""
         node = self.graph.follow(views, self.action)
         if node is None:
             return None
-        distances = self.graph.plan([self.goal])[:, 0]
+        if self._planned[0] != self.graph.changes:
+            self._planned = self.graph.changes, self.graph.plan([self.goal])[:, 0]
+        distances = self._planned[1]
         if distances[node] <= self.last_steps:  # -1 where no way is known
             return None
         return self.graph.next_action(node, distances)

@@ -1,19 +1,20 @@
 """Walk once, then go to any photo: rooms never seen, with no map, a list of what was seen, and an image graph.
 
-    python -m dirl.experiments.image_graph my_rooms runs/any_goal_rooms --out reports/image_graph
+    python -m dirl.experiments.image_graph my_rooms general --out reports/image_graph
 
 The first argument is a collection of rooms (``scenes.py sample``), the second a run of ``system=any_goal`` that was
-trained in its training rooms; without it only maps are measured. Every room of the test split is walked through once,
-from a drawn state, with so many steps for each state; then episodes begin at drawn states.
+trained in other rooms; without it only maps are measured. Every room of the test split is walked through once, from a
+drawn state, with so many steps for each state; then episodes begin at drawn states.
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
+from matplotlib.figure import Figure
 from torch import nn
 
 from dirl.config.choices import goal_view_options
@@ -21,10 +22,12 @@ from dirl.config.command_line import one_line_errors
 from dirl.envs import SurroundingViews
 from dirl.episodes import Episodes
 from dirl.evaluation import EvaluationProtocol
-from dirl.experiments.any_goal import MEASURES, wrong_goals
-from dirl.experiments.results import Column, Table, write_tables
+from dirl.experiments.any_goal import FAR, FAR_NAMES, MEASURES, within, wrong_goals
+from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.unseen_rooms import MAX_STEPS, by_room, drawn_starts
 from dirl.mapping import GraphMemory, GuidedPolicy
+from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, PURPLE, plain
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.exits import one_line_exits
@@ -37,8 +40,12 @@ from dirl.training.load import load_trained
 THRESHOLD = 0.95
 """Above which views match: of goals, where an agent stops, and of nodes."""
 
-WALKS = (0.5, 1.0, 2.0)
+WALKS = (0.25, 0.5, 1.0, 2.0)
 """Steps of a walk for each state of the room."""
+
+PHOTO = ", one photo of the goal"
+
+LIST, ALONE, RECALLING = "list, walk of 2 N steps", "policy without a map", "policy with episodic memory"
 
 LAST_STEPS = 3
 """Near the goal the policy decides, see `GuidedPolicy`."""
@@ -55,30 +62,39 @@ def drawn_goals(collection: Path, rooms: int | None, goals: int, seed: int) -> W
     return make_world(scenes, chosen)
 
 
-def walked(protocol: EvaluationProtocol, trained: tuple[nn.Module, Any] | None) -> Iterator[tuple[str, Episodes]]:
-    """Episodes from the same starts by what leads the agent; ``trained`` are a policy and its episodic memory."""
+def by_graph(steps: float) -> str:
+    """The name of what is led by the graph of a walk."""
+    return f"graph, walk of {steps:g} N steps"
+
+
+def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> Iterator[tuple[str, Episodes]]:
+    """Episodes from the same starts by what leads the agent."""
     world = protocol.world
     ahead = TemplateStop(FRONT_THRESHOLD, "front")(world)
     photo = replace(protocol, observation=SurroundingViews(world, "front"), stop=ahead)
     yield "random walk", protocol.run_random()
+    yield LIST, protocol.run(GraphMemory(world, max(WALKS), THRESHOLD, merge=False))
     for steps in WALKS:
         memory = GraphMemory(world, steps, THRESHOLD)
-        yield f"graph, walk of {steps:g} N steps", protocol.run(memory)
-    yield "graph, one photo of the goal", photo.run(memory)
+        yield by_graph(steps), protocol.run(memory)
+    yield by_graph(steps) + PHOTO, photo.run(memory)
     yield "graph, shown another goal", replace(protocol, shown=wrong_goals(world)).run(memory)
-    yield "list, walk of 2 N steps", protocol.run(GraphMemory(world, max(WALKS), THRESHOLD, merge=False))
-    if trained is not None:
-        policy, recall = trained
-        yield "policy without a map", protocol.run(policy)
-        yield "policy with episodic memory", replace(protocol, memory=recall).run(policy)
-        yield f"graph, last {LAST_STEPS} steps by the policy", protocol.run(GuidedPolicy(policy, memory, LAST_STEPS))
+    if run is None:
+        return
+    for view, conditions, name in (("surrounding", protocol, ""), ("front", photo, PHOTO)):
+        policy, recall = _policy(run, world, collection, view)
+        recalling = replace(conditions, memory=recall)
+        yield ALONE + name, conditions.run(policy)
+        yield RECALLING + name, recalling.run(policy)
+        led = recalling.run(GuidedPolicy(policy, memory, LAST_STEPS))
+        yield f"graph, last {LAST_STEPS} steps by the policy with memory{name}", led
 
 
-def _policy(run: Path, world: World, collection: Path) -> tuple[nn.Module, Any]:
+def _policy(run: Path, world: World, collection: Path, view: str) -> tuple[nn.Module, Any]:
     """The policy of a run on the features of another world, and its episodic memory."""
     names = {name: tuple(world.local_goals(index).tolist()) for index, name in enumerate(world.names)}
     changes = {"scene": f"collection:{collection}", "split": "test", "rooms": len(world.scenes), "goals": names}
-    trained = load_trained(load_checkpoint(run), str(run), {**changes, **goal_view_options("surrounding")})
+    trained = load_trained(load_checkpoint(run), str(run), {**changes, **goal_view_options(view)})
     if trained.protocol.world.names != world.names:
         raise RunError(f"{run}: its world is not that of {collection}")
     return trained.policy, trained.protocol.memory
@@ -97,17 +113,40 @@ def measure(options: argparse.Namespace) -> str:
     )
     trained = None if options.run is None else _policy(options.run, world, options.collection)
     table = Table(Column("led by"), Column("rooms", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
-    for way, episodes in walked(protocol, trained):
+    far = Table(Column("SR, led by"), *(Column(name, ".3f") for name in FAR_NAMES))
+    rates: dict[str, list[float]] = {}
+    for way, episodes in walked(protocol, options.run, options.collection):
         values = [by_room(world, episodes, key) for key in MEASURES]
         print(way, *(f"{key} {sum(of) / len(of):.4f}" for key, of in zip(MEASURES, values, strict=True)), flush=True)
         table.add(way, len(world.scenes), *values)
+        far.add(way, *(by_room(world, within(episodes, *limits), "sr") for limits in FAR))
+        rates[way] = values[0]
     text = (
-        f"{len(world.scenes)} rooms of the test split of {options.collection.name}, {len(world)} states, "
-        f"{len(protocol.starts[0])} episodes, at most {MAX_STEPS} steps, stop by template matching above {THRESHOLD}. "
-        "N is the number of states of a room. Interquartile mean over rooms, and its 95 % bootstrap interval."
+        f"{len(world.scenes)} rooms of the test split, {len(world)} states, {len(protocol.starts[0])} episodes, at "
+        f"most {MAX_STEPS} steps, stop by template matching above {THRESHOLD} (one photo: {FRONT_THRESHOLD}). N is the "
+        "number of states of a room. Interquartile mean over rooms, and its 95 % bootstrap interval."
     )
     options.out.mkdir(parents=True, exist_ok=True)
-    return write_tables(options.out, "Walk once, then go to any photo", text, {"image_graph": table}, [])
+    _draw(rates, options.out)
+    tables = {"image_graph": table, "image_graph_by_start": far}
+    return write_tables(options.out, "Walk once, then go to any photo", text, tables, ["image_graph"])
+
+
+def _draw(rates: Mapping[str, list[float]], out: Path) -> None:
+    """SR over the length of the walk, beside what needs none or profits from none."""
+    figure = Figure(figsize=(6, 3.4), layout="constrained")
+    axes = figure.subplots()
+    found = [rates[by_graph(steps)] for steps in WALKS]
+    low, high = zip(*(bootstrap_interval(values) for values in found), strict=True)
+    axes.fill_between(WALKS, low, high, color=BLUE, alpha=0.2, linewidth=0)
+    axes.plot(WALKS, [iqm(values) for values in found], "o-", color=BLUE, label="graph")
+    for name, color in {ALONE: PURPLE, RECALLING: GREEN, LIST: ORANGE, "random walk": GREY}.items():
+        if name in rates:
+            axes.axhline(float(iqm(rates[name])), color=color, linestyle="--", label=name)
+    axes.set(xlabel="steps of the walk for each state of the room", ylabel="SR", ylim=(-0.03, 1.03))
+    figure.legend(loc="outside right center", frameon=False)
+    plain(axes)
+    save_figure(figure, out, "image_graph")
 
 
 def _positive(text: str) -> int:

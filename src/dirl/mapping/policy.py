@@ -9,7 +9,7 @@ from torch import Tensor
 
 from dirl.config.bounds import Bounds
 from dirl.mapping.graph import ImageGraph
-from dirl.mapping.walks import explore
+from dirl.mapping.walks import explore, looks
 from dirl.scenes import ACTIONS, World
 from dirl.scenes.graph import turns_per_circle
 
@@ -55,7 +55,8 @@ class GraphMemory(TensorDictModuleBase):
             graph = ImageGraph(threshold, turns=turns_per_circle(scene.graph), merge=merge)
             features = world.features[offset : offset + count].cpu()
             start = int(torch.randint(count, (1,), generator=generator))
-            explore(scene, graph, start, round(steps_per_state * count), features)
+            explore(scene, graph, start, round(steps_per_state * count), looks(scene, features))
+            graph.lose()
             first, far = plan_table(graph, features, torch.tensor(scene.surrounding), goals)
             actions.append(first.flatten())
             distances.append(far.flatten())

@@ -7,7 +7,8 @@ from typing import Any
 import torch
 
 from dirl.atomic import atomic_path, write_json
-from dirl.mapping.graph import UNKNOWN, VIEWS, ImageGraph, MapError
+from dirl.mapping.graph import ImageGraph, MapError
+from dirl.mapping.looks import UNKNOWN, VIEWS
 from dirl.runs.shared import MISSING
 from dirl.scenes.graph import ACTIONS
 from dirl.texts import read_text
@@ -37,7 +38,7 @@ def save_graph(graph: ImageGraph, folder: str | Path, *, extractor: str = "unkno
         raise MapError(f"{folder}: {MISSING}") from None
     folder.mkdir(parents=True, exist_ok=True)
     tensors = {"views": graph.views, "moves": torch.tensor(graph.moves), "observed": torch.tensor(graph.observed)}
-    facts = {key: getattr(graph, key) for key in ("threshold", "keep", "margin", "turns", "merge")}
+    facts = {key: getattr(graph, key) for key in ("threshold", "keep", "margin", "turns", "merge", "verify")}
     with atomic_path(folder / TENSORS) as temporary:
         temporary.write_bytes(save(tensors))
     write_json(folder / FACTS, {"schema": SCHEMA, "extractor": extractor, **facts})
@@ -65,7 +66,9 @@ def load_graph(folder: str | Path, *, extractor: str | None = None) -> ImageGrap
         facts = json.loads(read_text(folder / FACTS))
         tensors = load((folder / TENSORS).read_bytes())
         options = {key: float(facts[key]) for key in ("threshold", "keep", "margin")}
-        graph = ImageGraph(**options, turns=int(facts["turns"]), merge=bool(facts["merge"]))
+        graph = ImageGraph(
+            **options, turns=int(facts["turns"]), **{key: bool(facts[key]) for key in ("merge", "verify")}
+        )
         _fill(graph, tensors)
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
@@ -86,5 +89,5 @@ def _fill(graph: ImageGraph, tensors: dict[str, Any]) -> None:
     if int(moves.min()) < UNKNOWN or int(moves.max()) >= len(moves):
         raise ValueError("a move leads to a node that is not there")
     for one in views:
-        graph._add_station(one)
+        graph.add_station(one)
     graph.moves, graph.observed = moves.tolist(), observed.bool().tolist()
