@@ -40,11 +40,8 @@ class Looks:
         if views.shape[-2] == 1:
             return normal_vectors(views.squeeze(-2)) @ self._vectors("one").flatten(0, 1).T
         now = normal_vectors(views.flatten(-2)).view_as(views)
-        pairs = now @ self._vectors("four").flatten(0, 1).T  # of each view now with each view of each station
-        pairs = pairs.unflatten(-1, (-1, VIEWS))
-        order = torch.arange(VIEWS)
-        each = [pairs[..., order, :, (order + k) % VIEWS].sum(0) for k in range(VIEWS)]
-        return torch.stack(each, -1).flatten(-2)
+        each = torch.stack([now.roll(k, -2).flatten(-2) for k in range(VIEWS)], -2)
+        return (each @ self._vectors("four").flatten(1).T).transpose(-1, -2).flatten(-2)
 
     def _vectors(self, kind: str) -> Tensor:
         """The views of each station as normal vectors, each by itself (``one``) or all four together (``four``)."""

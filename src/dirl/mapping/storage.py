@@ -65,10 +65,9 @@ def load_graph(folder: str | Path, *, extractor: str | None = None) -> ImageGrap
     try:
         facts = json.loads(read_text(folder / FACTS))
         tensors = load((folder / TENSORS).read_bytes())
-        options = {key: float(facts[key]) for key in ("threshold", "keep", "margin")}
-        graph = ImageGraph(
-            **options, turns=int(facts["turns"]), **{key: bool(facts[key]) for key in ("merge", "verify")}
-        )
+        threshold, keep, margin = (float(facts[key]) for key in ("threshold", "keep", "margin"))
+        merge, verify = bool(facts["merge"]), bool(facts.get("verify", False))
+        graph = ImageGraph(threshold, keep, margin, int(facts["turns"]), merge=merge, verify=verify)
         _fill(graph, tensors)
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
