@@ -138,6 +138,59 @@ def test_a_photo_is_found_in_the_map():
         assert graph.scores(seen[state][:1]).argmax() == graph.scores(seen[state]).argmax()
 
 
+@pytest.mark.parametrize("turns", [4, 8])
+def test_twins_are_told_apart_by_their_neighbours(turns):
+    scene = grid_scene(5, 3, feature_width=64, headings=turns)
+    features = torch.tensor(scene.features)
+    features[-turns:] = features[:turns]
+    sizes = []
+    for verify in (False, True):
+        graph = ImageGraph(turns=turns, verify=verify)
+        explore(scene, graph, 9, 4 * len(scene), lambda state: features[torch.tensor(scene.surrounding)[state]])
+        graph.lose()
+        sizes.append(len(graph))
+    assert sizes == [len(scene) - turns, len(scene)]
+
+
+def test_a_walk_that_ends_in_doubt_believes_the_match():
+    graph, views = ImageGraph(), torch.randn(3, 4, 64, generator=torch.Generator().manual_seed(0))
+    graph.see(views[0])
+    graph.see(views[1], AHEAD)
+    graph.see(views[2], AHEAD)
+    graph.see(views[0], AHEAD)
+    assert len(graph) == 16
+    assert graph.doubt is not None
+    graph.lose()
+    assert len(graph) == 12
+    assert graph.moves[8][AHEAD] == 0
+
+
+def test_one_look_that_fits_nowhere_is_passed_over():
+    scene = grid_scene(**ROOM)
+    graph, seen = ImageGraph(), looks(scene)
+    explore(scene, graph, 5, 100)
+    size = len(graph)
+    graph.lose()
+    first = graph.see(seen[5])
+    assert graph.see(torch.randn(4, 64), RIGHT) == graph.moves[first][RIGHT]
+    assert len(graph) == size
+    graph.see(torch.randn(4, 64), RIGHT)
+    assert len(graph) == size + 4  # the second is of a new place
+
+
+def test_what_was_seen_is_only_changed_by_what_is_seen_twice():
+    scene = grid_scene(3, 1, feature_width=64)
+    graph, seen = ImageGraph(), looks(scene)
+    explore(scene, graph, 1, 100)
+    graph.lose()
+    node_of = [graph.locate(views) for views in seen]
+    for believed in (node_of[5], node_of[9]):  # it slides through a place, twice
+        graph.follow(seen[1])
+        graph.follow(seen[9], AHEAD)
+        assert graph.moves[node_of[1]][AHEAD] == believed
+        graph.lose()
+
+
 @pytest.mark.parametrize("options", [{"keep": 0.95}, {"threshold": 2.0}, {"margin": -1.0}, {"turns": 6}, {"turns": 0}])
 def test_options_are_checked(options):
     with pytest.raises(MapError, match=f"{next(iter(options))}="):

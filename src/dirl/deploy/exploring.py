@@ -9,6 +9,9 @@ from torch import Tensor
 from dirl.deploy.images import Images, NavigatorError
 from dirl.mapping import ImageGraph, MapError, load_graph, save_graph
 
+NO_WAY = 2**30
+"""More steps than any way has."""
+
 
 class Explorer:
     """A walk through a place, by a robot or a person, that makes a map of it. Made by `dirl.Navigator.explore`.
@@ -65,6 +68,8 @@ class Guide:
         """The node that looks most like the goal."""
         self.match = float(scores[self.goal])
         """How much it does, -1 to 1; a goal far from all that was seen has a low one."""
+        self.goals = (scores > self.match - graph.margin / 2).nonzero().flatten().tolist()
+        """All nodes that look like it nearly as much: in disturbed views the same place may be several nodes."""
         self.action: int | None = None
         self._planned: tuple[int, Tensor] = (-1, torch.empty(0))
 
@@ -74,7 +79,9 @@ class Guide:
         if node is None:
             return None
         if self._planned[0] != self.graph.changes:
-            self._planned = self.graph.changes, self.graph.plan([self.goal])[:, 0]
+            far = self.graph.plan(self.goals)
+            nearest = torch.where(far < 0, NO_WAY, far).min(1).values
+            self._planned = self.graph.changes, torch.where(nearest == NO_WAY, -1, nearest)
         distances = self._planned[1]
         if distances[node] <= self.last_steps:  # -1 where no way is known
             return None

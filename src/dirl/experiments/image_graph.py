@@ -1,14 +1,14 @@
 """Walk once, then go to any photo: rooms never seen, with no map, a list of what was seen, and an image graph.
 
-    python -m dirl.experiments.image_graph my_rooms general --out reports/image_graph
+    python -m dirl.experiments.image_graph general --collection my_rooms --out reports/image_graph
 
-The first argument is a collection of rooms (``scenes.py sample``), the second a run of ``system=any_goal`` that was
-trained in other rooms; without it only maps are measured. Every room of the test split is walked through once, from a
-drawn state, with so many steps for each state; then episodes begin at drawn states.
+The argument is a run of ``system=any_goal`` that was trained in other rooms; without it only maps are measured. Every
+room of the test split of a collection (``scenes.py sample``) is walked through once, from a drawn state, with so many
+steps for each state; then episodes begin at drawn states.
 """
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,7 @@ from dirl.mapping import GraphMemory, GuidedPolicy
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, PURPLE, plain
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.checks import RunError
-from dirl.runs.exits import one_line_exits
-from dirl.scenes import World, make_world
+from dirl.scenes import Scene, World, make_world
 from dirl.scenes.collection import read_collection
 from dirl.scenes.goals import well_reached
 from dirl.scenes.matching import FRONT_THRESHOLD, TemplateStop
@@ -51,12 +49,12 @@ LAST_STEPS = 3
 """Near the goal the policy decides, see `GuidedPolicy`."""
 
 
-def drawn_goals(collection: Path, rooms: int | None, goals: int, seed: int) -> World:
-    """The test rooms of a collection with some goals each, drawn among the states that all others reach."""
-    scenes = list(read_collection(collection).select(split="test")[:rooms])
+def drawn_goals(scenes: Sequence[Scene], goals: int) -> World:
+    """Scenes with some goals each, drawn among the states that all others reach."""
+    scenes = list(scenes)
     chosen: dict[str, tuple[int, ...]] = {}
     for index, scene in enumerate(scenes):
-        generator = torch.Generator().manual_seed(seed + index)
+        generator = torch.Generator().manual_seed(index)
         states = torch.from_numpy(well_reached(scene)).nonzero().flatten()
         chosen[scene.name] = tuple(states[torch.randperm(len(states), generator=generator)[:goals]].tolist())
     return make_world(scenes, chosen)
@@ -67,8 +65,14 @@ def by_graph(steps: float) -> str:
     return f"graph, walk of {steps:g} N steps"
 
 
-def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> Iterator[tuple[str, Episodes]]:
-    """Episodes from the same starts by what leads the agent."""
+def walked(protocol: EvaluationProtocol, run: Path | None, where: Mapping[str, Any]) -> Iterator[tuple[str, Episodes]]:
+    """Episodes from the same starts by what leads the agent.
+
+    Args:
+        protocol: of the world.
+        run: of ``system=any_goal``; only maps are measured if None.
+        where: the options of that world, by name.
+    """
     world = protocol.world
     ahead = TemplateStop(FRONT_THRESHOLD, "front")(world)
     photo = replace(protocol, observation=SurroundingViews(world, "front"), stop=ahead)
@@ -82,7 +86,7 @@ def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> 
     if run is None:
         return
     for view, conditions, name in (("surrounding", protocol, ""), ("front", photo, PHOTO)):
-        policy, recall = _policy(run, world, collection, view)
+        policy, recall = _policy(run, world, where, view)
         recalling = replace(conditions, memory=recall)
         yield ALONE + name, conditions.run(policy)
         yield RECALLING + name, recalling.run(policy)
@@ -90,41 +94,52 @@ def walked(protocol: EvaluationProtocol, run: Path | None, collection: Path) -> 
         yield f"graph, last {LAST_STEPS} steps by the policy with memory{name}", led
 
 
-def _policy(run: Path, world: World, collection: Path, view: str) -> tuple[nn.Module, Any]:
+def _policy(run: Path, world: World, where: Mapping[str, Any], view: str) -> tuple[nn.Module, Any]:
     """The policy of a run on the features of another world, and its episodic memory."""
     names = {name: tuple(world.local_goals(index).tolist()) for index, name in enumerate(world.names)}
-    changes = {"scene": f"collection:{collection}", "split": "test", "rooms": len(world.scenes), "goals": names}
-    trained = load_trained(load_checkpoint(run), str(run), {**changes, **goal_view_options(view)})
+    trained = load_trained(load_checkpoint(run), str(run), {**where, "goals": names, **goal_view_options(view)})
     if trained.protocol.world.names != world.names:
-        raise RunError(f"{run}: its world is not that of {collection}")
+        raise SystemExit(f"error: {run}: its world is not that of {where['scene']}")
     return trained.policy, trained.protocol.memory
 
 
-def measure(options: argparse.Namespace) -> str:
-    """Measure, and write a report; the text of its README."""
-    world = drawn_goals(options.collection, options.rooms, options.goals, options.seed)
+def of_collection(options: argparse.Namespace) -> tuple[World, dict[str, Any]]:
+    """The rooms to walk in, and the options that name them."""
+    world = drawn_goals(read_collection(options.collection).select(split="test")[: options.rooms], options.goals)
+    where = {"scene": f"collection:{options.collection}", "split": "test", "rooms": len(world.scenes)}
+    return world, where
+
+
+def measure(world: World, where: Mapping[str, Any], about: str, options: argparse.Namespace) -> str:
+    """Measure, and write a report; the text of its README.
+
+    Args:
+        world: where.
+        where: see `walked`.
+        about: what the world is.
+        options: ``run``, ``starts`` of each scene and distance, ``out``.
+    """
     protocol = EvaluationProtocol(
         world,
         SurroundingViews(world),
-        drawn_starts(world, options.starts, options.seed),
+        drawn_starts(world, options.starts),
         TemplateStop(THRESHOLD)(world),
         MAX_STEPS,
-        options.seed,
+        0,
     )
-    trained = None if options.run is None else _policy(options.run, world, options.collection)
-    table = Table(Column("led by"), Column("rooms", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
+    table = Table(Column("led by"), Column("scenes", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
     far = Table(Column("SR, led by"), *(Column(name, ".3f") for name in FAR_NAMES))
     rates: dict[str, list[float]] = {}
-    for way, episodes in walked(protocol, options.run, options.collection):
+    for way, episodes in walked(protocol, options.run, where):
         values = [by_room(world, episodes, key) for key in MEASURES]
         print(way, *(f"{key} {sum(of) / len(of):.4f}" for key, of in zip(MEASURES, values, strict=True)), flush=True)
         table.add(way, len(world.scenes), *values)
         far.add(way, *(by_room(world, within(episodes, *limits), "sr") for limits in FAR))
         rates[way] = values[0]
     text = (
-        f"{len(world.scenes)} rooms of the test split, {len(world)} states, {len(protocol.starts[0])} episodes, at "
-        f"most {MAX_STEPS} steps, stop by template matching above {THRESHOLD} (one photo: {FRONT_THRESHOLD}). N is the "
-        "number of states of a room. Interquartile mean over rooms, and its 95 % bootstrap interval."
+        f"{about}, {len(world)} states, {len(protocol.starts[0])} episodes, at most {MAX_STEPS} steps, stop by "
+        f"template matching above {THRESHOLD}. N is the number of states of a scene. Interquartile mean over scenes, "
+        "and its 95 % bootstrap interval."
     )
     options.out.mkdir(parents=True, exist_ok=True)
     _draw(rates, options.out)
@@ -149,24 +164,24 @@ def _draw(rates: Mapping[str, list[float]], out: Path) -> None:
     save_figure(figure, out, "image_graph")
 
 
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text}: must be a whole number above 0")
-    return int(text)
+def program(description: str | None) -> argparse.ArgumentParser:
+    """The options of a measurement."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, nargs="?", help="a run of system=any_goal, or the name of a shipped agent")
+    parser.add_argument("--out", type=Path, default=Path("reports/image_graph"))
+    parser.add_argument("--goals", type=int, default=20, help="of each scene")
+    parser.add_argument("--starts", type=int, default=20, help="episodes of each scene and distance")
+    return parser
 
 
 def main() -> None:
     """The program."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("collection", type=Path, help="a folder made by scenes.py sample")
-    parser.add_argument("run", type=Path, nargs="?", help="a run of system=any_goal")
-    parser.add_argument("--out", type=Path, default=Path("reports/image_graph"))
-    parser.add_argument("--rooms", type=_positive, help="the first so many of the test split; all if left out")
-    parser.add_argument("--goals", type=_positive, default=20, help="of each room")
-    parser.add_argument("--starts", type=_positive, default=20, help="episodes of each room and distance")
-    parser.add_argument("--seed", type=int, default=0)
-    with one_line_exits(), one_line_errors():
-        print(measure(parser.parse_args()))
+    parser = program(__doc__)
+    parser.add_argument("--collection", type=Path, required=True, help="a folder made by scenes.py sample")
+    parser.add_argument("--rooms", type=int, help="the first so many of the test split; all if left out")
+    options = parser.parse_args()
+    world, where = of_collection(options)
+    print(measure(world, where, f"{len(world.scenes)} rooms of the test split", options))
 
 
 if __name__ == "__main__":

@@ -166,7 +166,7 @@ def episode(
         action = guide.advise(place.look(state))
         node = guide.graph.at
         located += node is not None and int(truth[node]) == state
-        if node == guide.goal or steps == MAX_STEPS:
+        if node in guide.goals or steps == MAX_STEPS:
             break
         guide.action = int(generator.integers(4)) if action is None else action
         state = step(place.scene.graph, state, guide.action)

@@ -100,10 +100,10 @@ class ImageGraph:
             return self.at
         before = self.at
         node = self.locate(views, action) if self.merge or action is None else None
-        twins = self._possible_twins(views, action) if node is not None else []
+        twins = None if node is None else self._possible_twins(views, action)
         if node is None and self._coast(action):
             node = self._expected(action)
-        elif node is None or twins:
+        elif node is None or twins is not None:
             before = None if self._coasting else before
             node = self.add_station(views)
             self.doubt = Doubt(node, twins) if twins else None
@@ -261,18 +261,21 @@ class ImageGraph:
         self._coasting = known and not self._coasting
         return self._coasting
 
-    def _possible_twins(self, views: Tensor, action: int | None) -> list[int]:
-        """The nodes that look like what is seen, if the walker may as well be in a new place; the most alike first.
+    def _possible_twins(self, views: Tensor, action: int | None) -> list[int] | None:
+        """The nodes that look like what is seen, the most alike first, if the walker may as well be in a new place.
 
-        A blocked move leads to the same node, and turns to the same place: that is believed.
+        A blocked move leads to the same node, and turns to the same place: that is believed (None). Nodes that are
+        known to be turned to from another one are not meant.
         """
         before = self.at
         if not self.verify or before is None or action is None or self.moves[before][action] != UNKNOWN:
-            return []
+            return None
         alike = self.alike(views)
         if action in (AHEAD, BACK):
-            return [] if before in alike else alike
-        return [] if {node // VIEWS for node in alike} & self._place(before) else alike
+            return None if before in alike else alike
+        if {node // VIEWS for node in alike} & self._place(before):
+            return None
+        return [node for node in alike if self.moves[node][UNDOES[action]] in (UNKNOWN, before)]
 
     def _place(self, node: int) -> set[int]:
         """The stations that are known to be at the place of a node, because turns lead to them."""

@@ -1,5 +1,8 @@
 """From a description to triangles: the shell of the room, and every piece of furniture in its place."""
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from dirl.rooms.description import Material, Piece, RoomDescription
@@ -12,6 +15,22 @@ Corner = tuple[float, float]
 
 YAW = {"north": 0.0, "west": 90.0, "south": 180.0, "east": -90.0}
 """How far a piece with its back to a wall is turned."""
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A doorway in a wall, from the floor up.
+
+    Args:
+        wall: north, south, east or west.
+        low, high: where it begins and ends along the wall, metres: x for north and south, y for east and west.
+        top: its height.
+    """
+
+    wall: str
+    low: float
+    high: float
+    top: float
 
 
 def place_of(piece: Piece, room: RoomDescription) -> tuple[float, float, float]:
@@ -35,19 +54,23 @@ def materials_of(room: RoomDescription) -> dict[str, Material]:
     return {**STOCK, **room.materials}
 
 
-def assemble(room: RoomDescription) -> list[Part]:
+def assemble(room: RoomDescription, openings: Sequence[Opening] = ()) -> list[Part]:
     """All triangles of a room, in metres.
+
+    Args:
+        room: to be made.
+        openings: in its walls.
 
     Raises:
         SceneError: a piece cannot be made, or something is of a material that there is not. The message names it.
     """
-    return [part for _, parts in assemble_pieces(room) for part in parts]
+    return [part for _, parts in assemble_pieces(room, openings) for part in parts]
 
 
-def assemble_pieces(room: RoomDescription) -> list[tuple[str, list[Part]]]:
+def assemble_pieces(room: RoomDescription, openings: Sequence[Opening] = ()) -> list[tuple[str, list[Part]]]:
     """The shell of a room and each of its pieces, with what to call it in a message; raises as `assemble` does."""
     materials = materials_of(room)
-    made = [("[room]", _placed(_shell(room), (0, 0, 0), 0, materials, "[room]"))]
+    made = [("[room]", _placed(_shell(room, openings), (0, 0, 0), 0, materials, "[room]"))]
     for number, piece in enumerate(room.furniture, 1):
         where = f"[[furniture]] number {number} ({piece.kind})"
         x, y, yaw = place_of(piece, room)
@@ -72,7 +95,7 @@ def _placed(
     ]
 
 
-def _shell(room: RoomDescription) -> Mesh:
+def _shell(room: RoomDescription, openings: Sequence[Opening]) -> Mesh:
     """Floor, ceiling, walls with their bands, skirting and rail."""
     w, d, h = room.size
     mesh = Mesh().quad([(0, 0, 0), (w, 0, 0), (w, d, 0), (0, d, 0)], room.floor)
@@ -83,17 +106,32 @@ def _shell(room: RoomDescription) -> Mesh:
         "west": ((0, 0), (0, d)),
         "east": ((w, d), (w, 0)),
     }
-    for side, (a, b) in ends.items():
-        low = 0.0
-        for top, material in room.walls[side]:
-            mesh.quad([(*a, low), (*b, low), (*b, top), (*a, top)], material)
-            low = top
-        if room.rail and len(room.walls[side]) > 1:
+    for side, (first, last) in ends.items():
+        for a, b, foot in _stretches(first, last, [one for one in openings if one.wall == side]):
+            low = 0.0
+            for top, material in room.walls[side]:
+                if top > foot:
+                    mesh.quad([(*a, max(low, foot)), (*b, max(low, foot)), (*b, top), (*a, top)], material)
+                low = top
             edge = room.walls[side][0][0]
-            _board(mesh, a, b, (edge - 0.025, edge + 0.025), 0.02, room.rail)
-        if room.skirting:
-            _board(mesh, a, b, (0, 0.09), 0.015, room.skirting)
+            if room.rail and len(room.walls[side]) > 1 and edge > foot:
+                _board(mesh, a, b, (edge - 0.025, edge + 0.025), 0.02, room.rail)
+            if room.skirting and not foot:
+                _board(mesh, a, b, (0, 0.09), 0.015, room.skirting)
     return mesh
+
+
+def _stretches(first: Corner, last: Corner, openings: Sequence[Opening]) -> Iterator[tuple[Corner, Corner, float]]:
+    """The stretches of a wall between its openings and above them: from where to where, and from which height up."""
+    axis = 0 if first[1] == last[1] else 1
+    start, end = sorted((first[axis], last[axis]))
+    cuts = [(start, end, 0.0)]
+    for one in sorted(openings, key=lambda opening: opening.low):
+        before = cuts.pop()
+        cuts += [(before[0], one.low, 0.0), (one.low, one.high, one.top), (one.high, end, 0.0)]
+    for low, high, foot in cuts:
+        a, b = (low, high) if first[axis] < last[axis] else (high, low)
+        yield ((a, first[1]), (b, first[1]), foot) if axis == 0 else ((first[0], a), (first[0], b), foot)
 
 
 def _board(

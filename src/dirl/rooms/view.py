@@ -52,7 +52,7 @@ class Renderer:
         rng = np.random.default_rng(0)
         light = bake(scenery, rng=rng) if fine else bake(scenery, direct=9, indirect=36, bounces=3, rng=rng)
         renderer = cls(scenery, light)
-        renderer.exposure = _exposure(renderer, room)
+        renderer.exposure = exposure(renderer, room.size, room.camera.height)
         return renderer
 
     def view(self, camera: Camera, pose: Pose, size: tuple[int, int]) -> Array:
@@ -172,14 +172,19 @@ def _axes(heading: float, pitch: float) -> tuple[Array, Array, Array]:
     return ahead, right, np.cross(right, ahead)
 
 
-def _exposure(renderer: Renderer, room: RoomDescription) -> float:
-    """What makes the mean brightness of rays from all over the room `MIDDLE_GREY`, to three digits.
+def exposure(renderer: Renderer, size: tuple[float, float, float], height: float) -> float:
+    """What makes the mean brightness of rays from all over a room `MIDDLE_GREY`, to three digits.
 
     The digits are few so that the last bit of a sum, which differs between machines, does not show.
+
+    Args:
+        renderer: of the room.
+        size: of the room, metres.
+        height: of the camera, metres.
     """
     rng = np.random.default_rng(0)
-    middle = np.array([room.size[0], room.size[1], 0])
-    origins = rng.uniform(0.2, 0.8, (4096, 3)) * middle + [0, 0, room.camera.height]
+    middle = np.array([size[0], size[1], 0])
+    origins = rng.uniform(0.2, 0.8, (4096, 3)) * middle + [0, 0, height]
     way = unit(rng.normal(size=(4096, 3)) * [1, 1, 0.5]).astype(np.float32)
     brightness = np.sort(renderer.radiance(origins.astype(np.float32), way, 0.01, reflect=False) @ LUMINANCE)
     return float(f"{MIDDLE_GREY / max(brightness[410:-410].mean(), 1e-6):.3g}")
