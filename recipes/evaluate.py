@@ -26,6 +26,7 @@ from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation import assess
+from dirl.mapping import GraphMemory, GuidedPolicy
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
@@ -62,6 +63,8 @@ def main(composed: DictConfig) -> None:
         given = {name: value for name, value in changes.items() if value is not None}
         changes = {**goal_view_options(options.goal_view), **given}
         trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
+        if options.image_graph is not None:
+            trained = trained._replace(policy=led_by_map(trained, options.image_graph))
         facts = describe(trained.config, trained.protocol.world)
         pages = viewer(trained, facts) if options.viewer else {}
         result = {
@@ -80,6 +83,13 @@ def main(composed: DictConfig) -> None:
             print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 
+def led_by_map(trained: Trained, steps_per_state: float) -> GuidedPolicy:
+    """The policy, led to near its goals by the maps of one walk through each scene."""
+    if trained.protocol.observation.history:
+        raise RunError("image_graph: needs a policy that sees four views around it; this one sees its last four")
+    return GuidedPolicy(trained.policy, GraphMemory(trained.protocol.world, steps_per_state))
+
+
 def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
     """The pages of the policy's greedy episodes, by file name, under the conditions of the evaluation."""
     config, policy, protocol = trained
@@ -92,6 +102,7 @@ def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
         max_steps=protocol.max_steps,
         title=run_title(facts),
         memory=protocol.memory,
+        graphs=policy.memory.graphs if isinstance(policy, GuidedPolicy) else None,
     )
 
 

@@ -215,6 +215,7 @@ class EvaluateConfig:
     episodes_per_goal: int | None = None
     max_steps: int | None = None
     out: str | None = None
+    image_graph: float | None = None
     viewer: bool = False
 
 
@@ -244,6 +245,60 @@ class BenchmarkConfig:
     growth: bool = MISSING
     train: list[str] = MISSING
     out: str | None = None
+
+
+LIMITS: Mapping[str, Bounds] = {
+    "seed": Bounds(0, 2**63 - 1),
+    "hold_out": Bounds(0, 0.99),
+    "image_graph": Bounds(0, 100),
+    "imitation.fraction": Bounds(0, 1),
+    "imitation.lr": Bounds(0),
+    "imitation.max_steps": Bounds(1),
+    "imitation.loss_threshold": Bounds(0),
+    "imitation.bc_coef.start": Bounds(0),
+    "imitation.bc_coef.end": Bounds(0),
+    "imitation.batch_size": Bounds(1),
+    "imitation.front_only": Bounds(0, 1),
+    "imitation.noise": Bounds(0, 100),
+    "imitation.scenes_at_once": Bounds(1),
+    "rooms": Bounds(1),
+    "evaluation.goals": Bounds(1),
+    "network.components": Bounds(1, 65_536),
+    "imitation.rounds": Bounds(0),
+    "imitation.walk_steps": Bounds(1),
+    "reinforcement.frames_per_scene": Bounds(1, 10**12),
+    "reinforcement.agents_per_scene": Bounds(1, 10**6),
+    "reinforcement.workers": Bounds(1, 1024),
+    "reinforcement.n_steps": Bounds(1, 10**6),
+    "reinforcement.max_steps": Bounds(1),
+    "reinforcement.epochs": Bounds(1),
+    "reinforcement.minibatches": Bounds(1),
+    "reinforcement.gamma": Bounds(0, 1),
+    "reinforcement.lmbda": Bounds(0, 1),
+    "reinforcement.max_grad_norm": Bounds(0),
+    "stop.threshold": Bounds(-1, 1),
+    "evaluation.episodes_per_goal": Bounds(1, 10**7),
+    "evaluation.max_steps": Bounds(1, 10**7),
+    "evaluation.times": Bounds(0, 10**6),
+    "checkpoint.every_seconds": Bounds(0),
+    "checkpoint.keep": Bounds(1),
+    "episodes_per_goal": Bounds(1, 10**7),
+    "max_steps": Bounds(1, 10**7),
+    "frames_per_scene": Bounds(1, 10**12),
+    "repeats": Bounds(1),
+    "goal": Bounds(0),
+    "count": Bounds(1),
+    "step": Bounds(0.05, 10),
+    "turn": Bounds(1, 360),
+    "headings": Bounds(4, 36),
+    "tolerance": Bounds(0, 180),
+    "reach": Bounds(0.1, 100),
+    "pitch": Bounds(-80, 80),
+    "height": Bounds(16, 4096),
+    "width": Bounds(16, 4096),
+    "field_of_view": Bounds(10, 150),
+    "threshold": Bounds(-1, 1),
+}
 
 
 def typed(config: DictConfig) -> Any:

@@ -12,6 +12,10 @@ from dirl.scenes import Scene
 __all__ = ["GOAL_COLOR", "WALL_COLOR", "draw_room", "has_walls"]
 
 
+LAID_OUT = "tour, laid out"
+"""The source of a scene whose positions are known only by its links."""
+
+
 def has_walls(scene: Scene) -> bool:
     """Whether what lies between places is a wall or furniture; of a tour it is not known."""
     return not scene.source.startswith("tour")
@@ -38,5 +42,7 @@ def draw_room(axes: Axes, scene: Scene, side: float) -> None:
     )
     low, high = cells.min(0) - side, cells.max(0) + side
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", anchor="N", xlabel="x (m)", ylabel="z (m)")
+    if scene.source == LAID_OUT:
+        axes.set(xlabel="layout of links: distances mean nothing", ylabel="", xticklabels=[], yticklabels=[])
     axes.xaxis.set_major_locator(MultipleLocator(1))
     axes.yaxis.set_major_locator(MultipleLocator(1))

@@ -98,22 +98,48 @@ const beside = (state, length, turn = 0) => {  // a point in the direction of th
   return [x + length * (dx * Math.cos(turn) - dy * Math.sin(turn)), y + length * (dx * Math.sin(turn) + dy * Math.cos(turn))];
 };
 const join = (points) => points.map((p) => p.map((v) => v.toFixed(1)).join(",")).join(" ");
-let overlay;
+let overlay, nodes = [];
+const isTour = D.source.startsWith("tour");
+function drawLinks(map, pairs, place) {
+  for (const [a, b] of pairs) {
+    const [[x1, y1], [x2, y2]] = [place(a), place(b)];
+    draw(map, "line", { class: "link", x1, y1, x2, y2 });
+  }
+}
 function drawRoom() {
   const all = D.positions.map((_, state) => point(state)), xs = all.map((p) => p[0]), ys = all.map((p) => p[1]);
   const left = Math.min(...xs) - 50, top = Math.min(...ys) - 50;
   const box = [left, top, Math.max(...xs) + 50 - left, Math.max(...ys) + 50 - top];
   const map = draw(byId("map"), "svg", { viewBox: box.join(" "), role: "img", "aria-label": "map of the room" });
+  // Of a tour nothing is known of what lies between its places: only the ways are drawn.
+  if (isTour) drawLinks(map, D.graph.flatMap((next, state) => [0, 3].filter((a) => next[a] > state).map((a) => [state, next[a]])), point);
+  byId("about-map").hidden = D.source !== "tour, laid out";
+  byId("about-map").textContent = "The places of this tour are known only by their links: distances on the map mean nothing.";
   const seen = new Set();
   all.forEach(([x, y], state) => {
     const key = join([[x, y]]);
     if (seen.has(key)) return;
     seen.add(key);
-    const cell = draw(map, "rect", { class: "cell", x: x - 30, y: y - 30, width: 60, height: 60 });
+    const cell = isTour ? draw(map, "circle", { class: "cell", cx: x, cy: y, r: 16 })
+      : draw(map, "rect", { class: "cell", x: x - 30, y: y - 30, width: 60, height: 60 });
     cell.dataset.state = state;
     cell.addEventListener("click", () => begin(state));
   });
   overlay = draw(map, "g", { class: "overlay" });
+  if (D.image_graph) drawNodes(box, all);
+}
+function drawNodes(box, all) {  // each of its places in the middle of the states that look like it most
+  const { place, places, links } = D.image_graph;
+  const of = Array.from({ length: places }, (_, i) => all.filter((_, state) => place[state] === i));
+  const mean = (list, axis) => list.reduce((sum, p) => sum + p[axis], 0) / list.length;
+  const middle = (i) => [mean(of[i], 0), mean(of[i], 1)];
+  const shown = (i) => of[i].length > 0;
+  byId("image-graph").hidden = false;
+  const map = draw(byId("nodes"), "svg", { viewBox: box.join(" "), role: "img", "aria-label": "image graph" });
+  drawLinks(map, links.filter(([a, b]) => shown(a) && shown(b)), middle);
+  nodes = of.map((_, i) => shown(i) && draw(map, "circle", { class: "node", cx: middle(i)[0], cy: middle(i)[1], r: 14 }));
+  byId("about-graph").textContent = `${plural(places, "place")} that it tells apart, ${plural(links.length, "way")} between `
+    + "them. It knows no positions: each is drawn where what it shows is. Blue: where it takes the agent to be; yellow: the goal.";
 }
 function drawEpisode() {
   overlay.replaceChildren();
@@ -194,6 +220,11 @@ function show() {
   byId("value").textContent = `Value of this state: ${goal.values[state].toFixed(3)}`;
   agentViews.forEach((draw) => draw(state));
   drawEpisode();
+  nodes.forEach((node, i) => {
+    if (!node) return;
+    node.classList.toggle("here", i === D.image_graph.place[state]);
+    node.classList.toggle("goal-node", i === D.image_graph.place[goal.state]);
+  });
 }
 function chooseGoal(index) {
   goal = goals[index];

@@ -2,18 +2,22 @@
 
 import base64
 import json
+from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from dirl.decisions import answers
 from dirl.envs import SurroundingViews
+from dirl.mapping import ImageGraph
 from dirl.models import EpisodicMemory, recurrent_keys
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 from dirl.scenes.matching import TemplateStop, look_alike
 from dirl.scenes.views import encode
 
@@ -28,6 +32,7 @@ def viewer_pages(
     max_steps: int,
     title: str,
     memory: EpisodicMemory | None = None,
+    graphs: Sequence[ImageGraph] | None = None,
 ) -> dict[str, str]:
     """Pages to step through greedy episodes and to walk the scenes by keyboard.
 
@@ -43,6 +48,7 @@ def viewer_pages(
         max_steps: after so many steps an episode has failed.
         title: names the run; the same for all scenes.
         memory: lowers the logits of actions that were taken in the episode.
+        graphs: an image graph of each scene, to be drawn beside the map.
 
     Returns:
         The HTML text of each scene's page by its file name, ``viewer_<scene>.html``. The pages link to each other, and
@@ -84,7 +90,10 @@ def viewer_pages(
                 }
             )
         recall = None if memory is None else _memory(memory, world, index)
-        pages[file_name(scene.name)] = _page({**common, **_room(scene), "memory": recall, "goals": goals})
+        seen = world.features[offset : offset + len(scene)].cpu()
+        image_graph = None if graphs is None else _image_graph(graphs[index], scene, seen)
+        data = {**common, **_room(scene), "memory": recall, "image_graph": image_graph, "goals": goals}
+        pages[file_name(scene.name)] = _page(data)
     return pages
 
 
@@ -102,6 +111,7 @@ def _room(scene: Scene) -> dict[str, Any]:
         "positions": scene.positions.round(4).tolist(),
         "directions": heading_directions(scene).round(4).tolist(),
         "side": round(step_length(scene), 4),
+        "source": scene.source,
         "views": None if scene.views is None else [_view(scene, state) for state in range(len(scene))],
     }
 
@@ -114,6 +124,24 @@ def _memory(memory: EpisodicMemory, world: World, index: int) -> dict[str, Any]:
     same = alike[first : first + size * size].view(size, size)
     options = {name: getattr(memory, name) for name in ("penalty", "opposite", "blocked")}
     return {**options, "alike": [torch.nonzero(states).flatten().tolist() for states in same]}
+
+
+def _image_graph(graph: ImageGraph, scene: Scene, features: Tensor) -> dict[str, Any]:
+    """The data of an image graph that a page needs: the place that each state looks like most, and the moves."""
+    node = graph.scores(features[torch.tensor(scene.surrounding)]).argmax(1)
+    moves, first = np.array(graph.moves), np.arange(len(graph))
+    for _ in range(graph.turns):
+        for turn in (RIGHT, LEFT):
+            first = np.minimum(first, first[np.where(moves[:, turn] >= 0, moves[:, turn], np.arange(len(graph)))])
+    place = np.unique(first, return_inverse=True)[1]  # of each node
+    pairs = {
+        (int(place[start]), int(place[to[action]]))
+        for start, to in enumerate(graph.moves)
+        for action in (AHEAD, BACK)
+        if to[action] >= 0
+    }
+    links = sorted({(min(pair), max(pair)) for pair in pairs if pair[0] != pair[1]})
+    return {"place": place[node.numpy()].tolist(), "places": int(place.max()) + 1, "links": links}
 
 
 def _view(scene: Scene, state: int) -> str:
