@@ -9,7 +9,7 @@ place each, in all directions (twins). The map alone decides what to do, and whe
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from torch import Tensor
-from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_views, load_encoder
 from dirl.deploy.exploring import Guide
@@ -46,6 +45,8 @@ STARTS = 8
 
 TWINS = (0.05, 0.1, 0.2, 0.4)
 """Shares of places that look like another one."""
+
+KINDS = ("twins", *DISTURBANCES)
 
 WALK = 2
 """Steps for each state of the room, at most."""
@@ -96,7 +97,7 @@ def twin_looks(scene: Scene, clean: Tensor, share: float, kept: set[int]) -> Loo
     return looks(scene, clean[torch.from_numpy(shown)])
 
 
-def conditions(world: World, encoder: ViewEncoder) -> Iterator[tuple[str, float, list[Place]]]:
+def conditions(world: World, encoder: ViewEncoder, kinds: Sequence[str]) -> Iterator[tuple[str, float, list[Place]]]:
     """What is done, how much, and the rooms under it."""
     pairs: list[list[tuple[int, int]]] = [[] for _ in world.scenes]
     for goal, start in zip(*(drawn.tolist() for drawn in drawn_starts(world, STARTS)), strict=True):
@@ -105,12 +106,12 @@ def conditions(world: World, encoder: ViewEncoder) -> Iterator[tuple[str, float,
     clean = [torch.tensor(scene.features).float() for scene in world.scenes]
     rooms = list(zip(world.scenes, clean, pairs, strict=True))
     yield "none", 0.0, [Place(scene, views, own, looks(scene, views)) for scene, views, own in rooms]
-    for share in TWINS:
+    for share in TWINS if "twins" in kinds else ():
         kept = [{goal for goal, _ in own} for own in pairs]
         made = [twin_looks(scene, views, share, goals) for (scene, views, _), goals in zip(rooms, kept, strict=True)]
         yield "twins", share, [Place(*room, look) for room, look in zip(rooms, made, strict=True)]
-    for kind, (_, strengths) in DISTURBANCES.items():
-        for strength in strengths[1::2]:
+    for kind in (kind for kind in DISTURBANCES if kind in kinds):
+        for strength in DISTURBANCES[kind][1][1::2]:
             yield kind, strength, [Place(*room, disturbed_looks(room[0], encoder, kind, strength)) for room in rooms]
 
 
@@ -204,7 +205,7 @@ def measure(options: argparse.Namespace) -> str:
     world = make_world(scenes, goals)
     encoder = load_encoder(options.encoder, precision="bfloat16")
     found: dict[tuple[str, float, float, bool], dict[str, float]] = {}
-    for kind, strength, places in tqdm(conditions(world, encoder), total=5 + 2 * len(DISTURBANCES), disable=None):
+    for kind, strength, places in conditions(world, encoder, options.kinds):
         for threshold, verify in VARIANTS:
             rooms = [measured(place, threshold, verify=verify) for place in places]
             means = {name: float(np.mean([room[name] for room in rooms])) for name in MEASURES}
@@ -263,6 +264,7 @@ def main() -> None:
     parser.add_argument("collection", type=Path, help="a folder made by scenes.py sample")
     parser.add_argument("--out", type=Path, default=Path("reports/wrong_merges"))
     parser.add_argument("--rooms", type=int, help="the first so many of the validation split; all if left out")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="what is done to the views")
     parser.add_argument("--goals", type=int, default=10, help="of each room")
     parser.add_argument("--encoder", default="resnet50_small", help="of the collection's features")
     print(measure(parser.parse_args()))

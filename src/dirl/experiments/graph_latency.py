@@ -1,0 +1,77 @@
+"""What takes how long in a step of a navigator that is led by a map: processor time on one thread.
+
+    python -m dirl.experiments.graph_latency my_rooms
+
+The argument is a collection of rooms (``scenes.py sample``) with features of the included encoder; the smallest and the
+largest room of its validation split are walked through with the shipped agent.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from dirl.deploy.navigator import Navigator
+from dirl.experiments.results import Column, Table
+from dirl.mapping import ImageGraph
+from dirl.mapping.walks import explore
+from dirl.scenes import Scene
+from dirl.scenes.collection import read_collection
+
+STEPS = 20
+
+
+def median_ms(work: Callable[[int], Any]) -> float:
+    """The median processor time of a piece of work, done `STEPS` times, milliseconds."""
+    taken = []
+    for step in range(STEPS):
+        start = time.process_time()
+        work(step)
+        taken.append(1000 * (time.process_time() - start))
+    return float(np.median(taken))
+
+
+def latencies(scene: Scene) -> tuple[int, list[float]]:
+    """Nodes of the map, and milliseconds of encoding, localising, planning, the policy, and a whole step."""
+    assert scene.views is not None
+    navigator = Navigator.load("general", "resnet50_small")
+    graph = ImageGraph(navigator.threshold)
+    explore(scene, graph, 0, 2 * len(scene))
+    graph.lose()
+    states = np.random.default_rng(0).integers(len(scene), size=STEPS)
+    looks = [np.stack([scene.views[view] for view in scene.surrounding[state]]) for state in states]
+    features = torch.tensor(scene.features).float()[torch.tensor(scene.surrounding)[states]]
+    encode = median_ms(lambda step: navigator._encode(looks[step], "images"))
+    localise = median_ms(lambda step: graph.follow(features[step]))
+    plan = median_ms(lambda step: graph.plan([step]))
+    navigator.reset(looks[0])
+    alone = median_ms(lambda step: navigator.act(looks[step]))
+    navigator.reset(looks[0], graph=graph)
+    whole = median_ms(lambda step: navigator.act(looks[step]))
+    return len(graph), [encode, localise, plan, max(0.0, alone - encode), whole]
+
+
+def main() -> None:
+    """The program."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("collection", type=Path, help="a folder made by scenes.py sample")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    rooms = read_collection(options.collection).select(split="validation")
+    sizes = [entry.states for entry in rooms.entries]
+    table = Table(
+        Column("nodes", "d"),
+        *(Column(f"{name}, ms", ".1f") for name in ("encode", "localise", "plan", "policy", "step")),
+    )
+    for index in (int(np.argmin(sizes)), int(np.argmax(sizes))):
+        nodes, found = latencies(rooms[index])
+        table.add(nodes, *found)
+    print(table.markdown())
+
+
+if __name__ == "__main__":
+    main()
