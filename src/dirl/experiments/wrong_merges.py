@@ -55,6 +55,9 @@ MEASURES = ("SR", "SPL", "located", "wrong links", "nodes a state")
 
 Look = Callable[[int], Tensor]
 
+Measured = dict[tuple[str, float, float, bool], dict[str, float]]
+"""By disturbance, its strength, threshold, and whether matches are verified."""
+
 
 class Place(NamedTuple):
     """A room with its goals and starts, and what a walker sees there."""
@@ -204,27 +207,32 @@ def measure(options: argparse.Namespace) -> str:
         goals[scene.name] = tuple(np.random.default_rng(index).permutation(states)[: options.goals].tolist())
     world = make_world(scenes, goals)
     encoder = load_encoder(options.encoder, precision="bfloat16")
-    found: dict[tuple[str, float, float, bool], dict[str, float]] = {}
+    found: Measured = {}
     for kind, strength, places in conditions(world, encoder, options.kinds):
         for threshold, verify in VARIANTS:
             rooms = [measured(place, threshold, verify=verify) for place in places]
             means = {name: float(np.mean([room[name] for room in rooms])) for name in MEASURES}
             found[kind, strength, threshold, verify] = means
             print(kind, strength, threshold, verify, *(f"{value:.3f}" for value in means.values()), flush=True)
-    options.out.mkdir(parents=True, exist_ok=True)
-    _draw(found, options.out)
+    return report(found, world, options.out)
+
+
+def report(found: Measured, world: World, out: Path) -> str:
+    """Write tables and figure; the text of the README."""
+    out.mkdir(parents=True, exist_ok=True)
+    _draw(found, out)
     text = (
-        f"{len(scenes)} rooms of the validation split, {len(world)} states. Each is walked through once, {WALK} steps "
-        f"for each state at most; then {sum(map(len, goals.values()))} goals, {STARTS} episodes of each room and "
-        f"distance, at most {MAX_STEPS} steps. The strengths are the largest of each view. Mean over rooms. *Located*: "
+        f"{len(world.scenes)} rooms of the validation split, {len(world)} states. Each is walked through once, {WALK} "
+        f"steps for each state at most; then {len(world.goals)} goals, {STARTS} episodes of each room and distance, at "
+        f"most {MAX_STEPS} steps. The strengths are the largest of each view. Mean over rooms. *Located*: "
         "share of steps in which the agent is where the map says. *Wrong links*: share of the map's moves that lead "
         f"elsewhere than in the room. First table: threshold {SHOWN:g}. Second: SR and SPL by threshold. +: a match "
         "needs a neighbour that matches too; -: without."
     )
-    return write_tables(options.out, "What wrong merges cost", text, _tables(found), ["wrong_merges"])
+    return write_tables(out, "What wrong merges cost", text, _tables(found), ["wrong_merges"])
 
 
-def _tables(found: dict[tuple[str, float, float, bool], dict[str, float]]) -> dict[str, Table]:
+def _tables(found: Measured) -> dict[str, Table]:
     """All measures at one threshold, and SR and SPL at each."""
     heads = (Column("disturbance"), Column("strength", "g"))
     signs = (False, True)
@@ -239,7 +247,7 @@ def _tables(found: dict[tuple[str, float, float, bool], dict[str, float]]) -> di
     return {"wrong_merges": table, "wrong_merges_by_threshold": by_threshold}
 
 
-def _draw(found: dict[tuple[str, float, float, bool], dict[str, float]], out: Path) -> None:
+def _draw(found: Measured, out: Path) -> None:
     """SR over the strength of each disturbance, a line for each variant."""
     kinds = [kind for kind in dict.fromkeys(key[0] for key in found) if kind != "none"]
     figure = Figure(figsize=(11, 3), layout="constrained")
