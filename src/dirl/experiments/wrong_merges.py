@@ -222,7 +222,7 @@ def report(found: Measured, world: World, out: Path) -> str:
     out.mkdir(parents=True, exist_ok=True)
     _draw(found, out)
     text = (
-        f"{len(world.scenes)} rooms of the validation split, {len(world)} states. Each is walked through once, {WALK} "
+        f"Rooms of the validation split: {len(world.scenes)}, with {len(world)} states. Each is walked through once, {WALK} "
         f"steps for each state at most; then {len(world.goals)} goals, {STARTS} episodes of each room and distance, at "
         f"most {MAX_STEPS} steps. The strengths are the largest of each view. Mean over rooms. *Located*: "
         "share of steps in which the agent is where the map says. *Wrong links*: share of the map's moves that lead "
