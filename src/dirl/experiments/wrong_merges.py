@@ -223,8 +223,8 @@ def report(found: Measured, world: World, out: Path) -> str:
     _draw(found, out)
     text = (
         f"Rooms of the validation split: {len(world.scenes)}, with {len(world)} states. Each is walked through once, "
-        f"{WALK} steps for each state at most; then {len(world.goals)} goals, {STARTS} episodes of each room and distance, "
-        f"at most {MAX_STEPS} steps. The strengths are the largest of each view. Mean over rooms. *Located*: "
+        f"{WALK} steps for each state at most; then {len(world.goals)} goals, {STARTS} episodes of each room and "
+        f"distance, at most {MAX_STEPS} steps. The strengths are the largest of each view. Mean over rooms. *Located*: "
         "share of steps in which the agent is where the map says. *Wrong links*: share of the map's moves that lead "
         f"elsewhere than in the room. First table: threshold {SHOWN:g}. Second: SR and SPL by threshold. +: a match "
         "needs a neighbour that matches too; -: without."
