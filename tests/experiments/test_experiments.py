@@ -394,8 +394,8 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["nowhere"], "error: nowhere: is no collection; it holds no collection.jsonl"),
-        (["rooms", "no_run"], "error: no_run: holds no checkpoint"),
+        (["--collection", "nowhere"], "error: nowhere: is no collection; it holds no collection.jsonl"),
+        (["no_run", "--collection", "rooms"], "error: no_run: holds no checkpoint"),
     ],
 )
 def test_what_an_image_graph_cannot_be_measured_of_is_told_in_one_line(tmp_path, monkeypatch, arguments, told):

@@ -13,10 +13,12 @@ import numpy as np
 
 from dirl.backbones import ViewEncoder, encode_all, load_encoder
 from dirl.backbones.patches import patch_attributes
+from dirl.config.command_line import one_line_errors
 from dirl.experiments.image_graph import drawn_goals, measure, program
 from dirl.rooms.building import sample_building
 from dirl.rooms.building_tour import write_building_tour
 from dirl.rooms.description import Camera
+from dirl.runs.exits import one_line_exits
 from dirl.scenes import load_scenes
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.sources.tours import read_tour
@@ -60,12 +62,13 @@ def main() -> None:
     parser = program(__doc__)
     parser.add_argument("--tours", type=Path, required=True, help="a folder for the tours and their dumps")
     options = parser.parse_args()
-    encoder = load_encoder("resnet50_small", precision="bfloat16", patches=True)
-    options.tours.mkdir(parents=True, exist_ok=True)
-    dumps = [make_building(seed, options.tours, encoder) for seed in BUILDINGS]
-    world = drawn_goals(load_scenes(dumps), options.goals)
-    about = f"{len(dumps)} synthetic buildings of two to four rooms, panoramas 2 m apart, 8 headings"
-    print(measure(world, {"scene": dumps}, about, options))
+    with one_line_exits(), one_line_errors():
+        encoder = load_encoder("resnet50_small", precision="bfloat16", patches=True)
+        options.tours.mkdir(parents=True, exist_ok=True)
+        dumps = [make_building(seed, options.tours, encoder) for seed in BUILDINGS]
+        world = drawn_goals(load_scenes(dumps), options.goals)
+        about = f"{len(dumps)} synthetic buildings of two to four rooms, panoramas 2 m apart, 8 headings"
+        print(measure(world, {"scene": dumps}, about, options))
 
 
 if __name__ == "__main__":

@@ -29,6 +29,8 @@ from dirl.mapping import GraphMemory, GuidedPolicy
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, PURPLE, plain
 from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.checks import RunError
+from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene, World, make_world
 from dirl.scenes.collection import read_collection
 from dirl.scenes.goals import well_reached
@@ -65,14 +67,12 @@ def by_graph(steps: float) -> str:
     return f"graph, walk of {steps:g} N steps"
 
 
-def walked(protocol: EvaluationProtocol, run: Path | None, where: Mapping[str, Any]) -> Iterator[tuple[str, Episodes]]:
-    """Episodes from the same starts by what leads the agent.
+Trained = Mapping[str, tuple[nn.Module, Any]]
+"""A policy and its episodic memory, by how goals are shown; empty if only maps are measured."""
 
-    Args:
-        protocol: of the world.
-        run: of ``system=any_goal``; only maps are measured if None.
-        where: the options of that world, by name.
-    """
+
+def walked(protocol: EvaluationProtocol, trained: Trained) -> Iterator[tuple[str, Episodes]]:
+    """Episodes from the same starts by what leads the agent."""
     world = protocol.world
     ahead = TemplateStop(FRONT_THRESHOLD, "front")(world)
     photo = replace(protocol, observation=SurroundingViews(world, "front"), stop=ahead)
@@ -83,10 +83,8 @@ def walked(protocol: EvaluationProtocol, run: Path | None, where: Mapping[str, A
         yield by_graph(steps), protocol.run(memory)
     yield by_graph(steps) + PHOTO, photo.run(memory)
     yield "graph, shown another goal", replace(protocol, shown=wrong_goals(world)).run(memory)
-    if run is None:
-        return
-    for view, conditions, name in (("surrounding", protocol, ""), ("front", photo, PHOTO)):
-        policy, recall = _policy(run, world, where, view)
+    for view, (policy, recall) in trained.items():
+        conditions, name = (photo, PHOTO) if view == "front" else (protocol, "")
         recalling = replace(conditions, memory=recall)
         yield ALONE + name, conditions.run(policy)
         yield RECALLING + name, recalling.run(policy)
@@ -99,7 +97,7 @@ def _policy(run: Path, world: World, where: Mapping[str, Any], view: str) -> tup
     names = {name: tuple(world.local_goals(index).tolist()) for index, name in enumerate(world.names)}
     trained = load_trained(load_checkpoint(run), str(run), {**where, "goals": names, **goal_view_options(view)})
     if trained.protocol.world.names != world.names:
-        raise SystemExit(f"error: {run}: its world is not that of {where['scene']}")
+        raise RunError(f"{run}: its world is not that of {where['scene']}")
     return trained.policy, trained.protocol.memory
 
 
@@ -115,10 +113,12 @@ def measure(world: World, where: Mapping[str, Any], about: str, options: argpars
 
     Args:
         world: where.
-        where: see `walked`.
+        where: the options of that world, by name.
         about: what the world is.
         options: ``run``, ``starts`` of each scene and distance, ``out``.
     """
+    views = () if options.run is None else ("surrounding", "front")
+    trained = {view: _policy(options.run, world, where, view) for view in views}
     protocol = EvaluationProtocol(
         world,
         SurroundingViews(world),
@@ -130,7 +130,7 @@ def measure(world: World, where: Mapping[str, Any], about: str, options: argpars
     table = Table(Column("led by"), Column("scenes", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
     far = Table(Column("SR, led by"), *(Column(name, ".3f") for name in FAR_NAMES))
     rates: dict[str, list[float]] = {}
-    for way, episodes in walked(protocol, options.run, where):
+    for way, episodes in walked(protocol, trained):
         values = [by_room(world, episodes, key) for key in MEASURES]
         print(way, *(f"{key} {sum(of) / len(of):.4f}" for key, of in zip(MEASURES, values, strict=True)), flush=True)
         table.add(way, len(world.scenes), *values)
@@ -164,13 +164,20 @@ def _draw(rates: Mapping[str, list[float]], out: Path) -> None:
     save_figure(figure, out, "image_graph")
 
 
+def positive(text: str) -> int:
+    """A whole number above 0, of the command line."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: must be a whole number above 0")
+    return int(text)
+
+
 def program(description: str | None) -> argparse.ArgumentParser:
     """The options of a measurement."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, nargs="?", help="a run of system=any_goal, or the name of a shipped agent")
     parser.add_argument("--out", type=Path, default=Path("reports/image_graph"))
-    parser.add_argument("--goals", type=int, default=20, help="of each scene")
-    parser.add_argument("--starts", type=int, default=20, help="episodes of each scene and distance")
+    parser.add_argument("--goals", type=positive, default=20, help="of each scene")
+    parser.add_argument("--starts", type=positive, default=20, help="episodes of each scene and distance")
     return parser
 
 
@@ -178,10 +185,11 @@ def main() -> None:
     """The program."""
     parser = program(__doc__)
     parser.add_argument("--collection", type=Path, required=True, help="a folder made by scenes.py sample")
-    parser.add_argument("--rooms", type=int, help="the first so many of the test split; all if left out")
+    parser.add_argument("--rooms", type=positive, help="the first so many of the test split; all if left out")
     options = parser.parse_args()
-    world, where = of_collection(options)
-    print(measure(world, where, f"{len(world.scenes)} rooms of the test split", options))
+    with one_line_exits(), one_line_errors():
+        world, where = of_collection(options)
+        print(measure(world, where, f"{len(world.scenes)} rooms of the test split", options))
 
 
 if __name__ == "__main__":

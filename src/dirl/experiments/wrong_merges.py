@@ -19,7 +19,9 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from dirl.backbones import ViewEncoder, encode_views, load_encoder
+from dirl.config.command_line import one_line_errors
 from dirl.deploy.exploring import Guide
+from dirl.experiments.image_graph import positive
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.stopping import DISTURBANCES, disturb
 from dirl.experiments.unseen_rooms import MAX_STEPS, drawn_starts
@@ -27,6 +29,7 @@ from dirl.mapping import ImageGraph
 from dirl.mapping.looks import UNKNOWN, VIEWS
 from dirl.mapping.walks import looks, step
 from dirl.reporting.style import COLORS, plain
+from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene, World, make_world
 from dirl.scenes.collection import read_collection
 from dirl.scenes.goals import well_reached
@@ -271,11 +274,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("collection", type=Path, help="a folder made by scenes.py sample")
     parser.add_argument("--out", type=Path, default=Path("reports/wrong_merges"))
-    parser.add_argument("--rooms", type=int, help="the first so many of the validation split; all if left out")
+    parser.add_argument("--rooms", type=positive, help="the first so many of the validation split; all if left out")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="what is done to the views")
-    parser.add_argument("--goals", type=int, default=10, help="of each room")
+    parser.add_argument("--goals", type=positive, default=10, help="of each room")
     parser.add_argument("--encoder", default="resnet50_small", help="of the collection's features")
-    print(measure(parser.parse_args()))
+    with one_line_exits(), one_line_errors():
+        print(measure(parser.parse_args()))
 
 
 if __name__ == "__main__":
