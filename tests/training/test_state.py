@@ -12,7 +12,7 @@ from train import learn
 
 from dirl.config.schemas import Schedule
 from dirl.training.losses import Losses, ScheduledLoss
-from dirl.training.state import random_state, restore_random_state
+from dirl.training.state import restore_random_state
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "reinforcement.max_steps=9"]
 KINDS = {
@@ -111,7 +111,8 @@ def test_the_losses_own_parameters_are_trained_saved_and_restored(tmp_path):
     other.load_state_dict(saved)
     assert torch.equal(layer.weight, fresh.weight)
     for one, made in ((state, parts), (other, others)):
-        restore_random_state(one.env, saved["random"])
+        one.env.base_env.generator.set_state(saved["random"]["env"])
+        restore_random_state(saved["random"])
         walk(made, one, 120)
     assert torch.equal(layer.weight, fresh.weight)
     assert torch.equal(state.policy.encoder.fusion.weight, other.policy.encoder.fusion.weight)
@@ -119,9 +120,10 @@ def test_the_losses_own_parameters_are_trained_saved_and_restored(tmp_path):
 
 def test_the_random_state_is_of_actions_goals_and_starts(tmp_path):
     state = train_state(make_parts(f"scene={room_file(tmp_path)}", *SMALL))
-    saved = random_state(state.env)
+    saved = state.state_dict()["random"]
     drawn = [(state.env.reset()["state"], torch.rand(3)) for _ in range(2)]
-    restore_random_state(state.env, saved)
+    state.env.base_env.generator.set_state(saved["env"])
+    restore_random_state(saved)
     again = [(state.env.reset()["state"], torch.rand(3)) for _ in range(2)]
     for (states, numbers), (same_states, same_numbers) in zip(drawn, again, strict=True):
         assert torch.equal(states, same_states)

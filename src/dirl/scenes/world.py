@@ -161,7 +161,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         offsets=offsets,
         graph=torch.from_numpy(np.concatenate(graphs)),
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
-        features=torch.from_numpy(np.concatenate([s.features for s in scenes]).astype(np.float32)),
+        features=torch.from_numpy(np.concatenate([np.asarray(s.features) for s in scenes], dtype=np.float32)),
         patches=_patches(scenes),
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         **_goal_tables(scenes, offsets, chosen),
