@@ -138,7 +138,7 @@ def test_memory_grows_by_the_same_with_every_scene():
 def test_local_is_the_way_back_to_scenes(world, scenes):
     for state, index, number in [(0, 0, 0), (23, 0, 23), (24, 1, 0), (55, 1, 31), (56, 2, 0), (79, 2, 23)]:
         scene, local = world.local(state)
-        assert scene is scenes[index]
+        assert scene is world.scenes[index]
         assert local == number
 
 
