@@ -55,6 +55,15 @@ def test_features_are_those_of_the_scenes_as_float32(world, scenes):
     assert (world.features.numpy() == np.concatenate([scene.features for scene in scenes])).all()
 
 
+def test_the_scenes_of_a_world_share_its_features(scenes):
+    world = make_world(scenes)
+    for scene, given in zip(world.scenes, scenes, strict=True):
+        assert np.shares_memory(scene.features, world.features.numpy())
+        assert (scene.features == given.features).all()
+        assert not scene.features.flags.writeable
+    assert not np.shares_memory(scenes[0].features, world.features.numpy())
+
+
 def test_features_stored_as_float16_become_float32(scene):
     halves = replace(scene, features=scene.features.astype(np.float16))
     world = make_world([halves])
