@@ -124,9 +124,9 @@ def test_a_lost_rank_ends_the_run_which_goes_on_with_as_many(tmp_path):
     left, killed = running.wait()
     assert (left.status, killed.status) == (75, -signal.SIGKILL)
     (line,) = left.told
-    assert line.startswith("error: another process of this run was lost (")
-    assert line.endswith(
-        "its last checkpoint is safe; resume with: torchrun --nproc-per-node=2 recipes/train.py resume=killed"
+    assert line == (
+        "error: another process of this run was lost; its last checkpoint is safe; resume with: torchrun "
+        "--nproc-per-node=2 recipes/train.py resume=killed"
     )
     ended = start_recipe(tmp_path, "train", "resume=killed").wait()
     assert (ended.status, ended.told) == (1, ["error: killed: was trained by 2 ranks, not 1; resume it with as many"])

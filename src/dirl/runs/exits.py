@@ -75,8 +75,8 @@ def one_line_exits(advice: Callable[[], str] = lambda: "") -> Iterator[None]:
         leave("nobody reads any more what this program prints", PIPE, advice)
     except OSError as error:
         leave(f"error: {_told(error)}", FILES, advice)
-    except LostRankError as error:
-        leave(f"error: another process of this run was lost ({error})", LOST, advice)
+    except LostRankError:
+        leave("error: another process of this run was lost", LOST, advice)
     except Exception as error:
         if not _is_memory(error):
             raise

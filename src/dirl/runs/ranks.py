@@ -221,4 +221,4 @@ def _noticing_losses() -> Any:
     except RuntimeError as error:
         if not any(word in str(error) for word in ("onnection", "imed out", "NCCL")):
             raise
-        raise exits.LostRankError(str(error).splitlines()[0]) from None
+        raise exits.LostRankError from None  # torchrun reports which, and by what signal
