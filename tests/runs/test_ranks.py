@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import time
 
 import pytest
@@ -10,6 +9,7 @@ import torch
 import train
 from commands import TINY, room_file, start_recipe, train_config
 from parts import make_parts, train_in
+from torch.distributed import TCPStore
 
 from dirl.config.schemas import ConfigError
 from dirl.models import plain_weights
@@ -25,16 +25,15 @@ SHORT += ["imitation.batch_size=32", "imitation.fraction=1", "imitation.bc_coef=
 
 
 class Ranks:
-    """A recipe in two processes; as ``torchrun`` does, the end of one ends the other."""
+    """A recipe in two processes; as under ``torchrun`` the store is here, and the end of one ends the other."""
 
     def __init__(self, folder, *arguments):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
+        self.store = TCPStore("127.0.0.1", 0, is_master=True, wait_for_workers=False)
         self.ranks = []
         for rank in range(RANKS):
             told = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": RANKS, "LOCAL_WORLD_SIZE": RANKS}
-            told |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+            told |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": self.store.port}
+            told |= {"TORCHELASTIC_USE_AGENT_STORE": True, "TORCHELASTIC_RESTART_COUNT": 0}
             with pytest.MonkeyPatch.context() as patch:
                 for name, value in told.items():
                     patch.setenv(name, str(value))
