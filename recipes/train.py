@@ -34,13 +34,13 @@ from dirl.config.components import check_components
 from dirl.config.places import CONF
 from dirl.config.schemas import Precision, TrainConfig, typed
 from dirl.episodes import bar_interval
-from dirl.evaluation import EvaluationProtocol, assess, mean_shortest, metrics
+from dirl.evaluation import EvaluationProtocol, mean_shortest, metrics
 from dirl.experts import label
-from dirl.models import caching, count_parameters, noisy, plain_weights, recurrent_keys
-from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
+from dirl.models import caching, count_parameters, noisy, recurrent_keys
+from dirl.reporting import run_title
+from dirl.runs import ranks
 from dirl.runs.exits import interruptible, leave, one_line_exits
 from dirl.runs.folder import Run, open_run
-from dirl.runs.memory import peak_memory_mb
 from dirl.runs.states import check_training
 from dirl.training import hogwild
 from dirl.training.build import (
@@ -55,9 +55,9 @@ from dirl.training.build import (
     build_protocol,
     build_world,
     describe,
-    matching,
     trained_parameters,
 )
+from dirl.training.conclusion import conclude, conclude_untrained
 from dirl.training.initial import initial_weights, with_architecture
 from dirl.training.load import learning_policy
 from dirl.training.losses import (
@@ -71,14 +71,11 @@ from dirl.training.losses import (
 )
 from dirl.training.pairs import Demonstrations, with_labels
 from dirl.training.progress import EpisodeMeter, due, is_done
-from dirl.training.rollout import Update, collect, summarise
-from dirl.training.state import Record, TrainState
+from dirl.training.rollout import Update, collect, summarise, together
+from dirl.training.state import Record, TrainState, begin_imitation, in_imitation
 
 NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
 """What a summary says of a run without reinforcement."""
-
-DRAWN_SCENES = 8
-"""Of how many scenes there are pictures at most; those of one take seconds."""
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -105,14 +102,16 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
         overrides = HydraConfig.get().overrides.task
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
+        ranks.join(config, alone=alone)
         run = open_run(config, folder, overrides)
-        if run.finished:
+        if ranks.from_first(lambda: run.finished):
             print(f"finished before: {run.folder}")
-            return json.loads((run.folder / "summary.json").read_text())
+            return ranks.from_first(lambda: json.loads((run.folder / "summary.json").read_text()))
         world = build_world(run.config)
         observation = build_observation(run.config, world)
         weights = initial_weights(run.config, world, run.saved or initial)
         policy = learning_policy(run.config, world, observation, weights)
+        ranks.agree(policy)
         demos = build_demonstrations(run.config, world, observation)
         losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
         goals = build_goals(run.config, world.scenes)
@@ -128,10 +127,12 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
 def begin(run: Run, policy: nn.Module, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
     """The state of the training before its first update, or from the checkpoint that the run continues."""
     optimiser = build_optimiser(run.config, policy, losses)
-    env = build_env(run.config, protocol.world, protocol.observation, policy)
+    agents = ranks.share_of_agents(run.config, len(protocol.world.scenes))
+    seed = ranks.own_seed(run.config.seed)
+    env = build_env(run.config, protocol.world, protocol.observation, policy, agents=agents, seed=seed)
     meter = EpisodeMeter(mean_shortest(protocol.world))
     state = TrainState(policy, losses, optimiser, env, env.reset(), meter)
-    if run.saved is not None:
+    if run.saved is not None and not in_imitation(run):
         check_training(run.saved, state.state_dict(), env, optimiser, str(run.folder))
         state.load_state_dict(run.saved)
     return state
@@ -142,30 +143,27 @@ def run_stages(
 ) -> dict[str, Any]:
     """Imitation, reinforcement unless ``state`` is None, evaluation; a policy that learns nothing is evaluated only."""
     if run.saved is None:
-        torch.manual_seed(run.config.seed)
+        torch.manual_seed(ranks.own_seed(run.config.seed))
     facts = describe(run.config, protocol.world) | {"demonstrations": len(demos)}
     print(f"{run_title(facts)}: {run.folder}")
     if not count_parameters(policy):
-        summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
-        run.write_summary(summary)
-        print(summary_table(summary))
-        run.clean_up(summary)
-        return summary
+        return ranks.from_first(lambda: conclude_untrained(run, policy, protocol, facts))
     walked = {}
-    if run.saved is None and len(demos):
+    begins = run.saved is None or in_imitation(run)
+    if begins and len(demos):
         step = imitate(run, policy, demos)
         walked = aggregate(run, policy, protocol, demos, step)
-    if run.saved is None and run.config.evaluation.times:
+    if begins and run.config.evaluation.times:
         evaluate(run, policy, protocol, 0)
     trained = NOT_REINFORCED if state is None else reinforce(run, state, protocol)
-    return conclude(run, policy, protocol, facts | trained | walked)
+    return ranks.from_first(lambda: conclude(run, policy, protocol, facts | trained | walked))
 
 
 def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
     """Clone the expert, on all demonstrations or minibatches, until its actions are learnt (paper section 3.3).
 
     Args:
-        run: gets a row of ``imitation.csv`` a step.
+        run: gets a row of ``imitation.csv`` a step, and unless this is a round of DAgger its checkpoints.
         policy: whose encoder and policy head are trained.
         demos: what the expert did.
         done: steps so far.
@@ -173,25 +171,34 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
     Returns:
         Steps so far.
     """
-    options = run.config.imitation
+    options, last = run.config.imitation, done + run.config.imitation.max_steps
     draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()
-    loss = build_imitation_loss(run.config, policy)
-    optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)  # the value head gets no gradient
-    steps = range(done + 1, done + options.max_steps + 1)
-    for step in tqdm(steps, unit=" steps", mininterval=bar_interval(), disable=not options.drawn):
-        if options.lr_decay:
-            set_learning_rate(optimiser, options.lr * (1 - (step - done - 1) / options.max_steps))
-        with noisy(policy, options.noise):
-            result = loss(trunk(draw().copy()))
-        optimiser.zero_grad()
-        result["loss_imitation"].backward()
-        optimiser.step()
-        row = {"step": step, "loss": result["loss_imitation"].item(), "accuracy": result["accuracy"].item()}
-        run.write("imitation", step, row)
-        if row["loss"] < options.loss_threshold:
-            break
-    print(f"{len(demos)} demonstrations, {step} steps of imitation: {row['accuracy']:.1%} of the actions learnt")
-    return step
+    loss, state = build_imitation_loss(run.config, policy), begin_imitation(run, policy, done)
+    hidden = not options.drawn or ranks.rank() > 0
+    stop: list[int] = []
+    bar = tqdm(total=last - done, initial=state.step - done, unit=" steps", mininterval=bar_interval(), disable=hidden)
+    with interruptible() as asked, bar:
+        while state.step < last and not state.loss < options.loss_threshold and not stop:
+            if options.lr_decay:
+                set_learning_rate(state.optimiser, options.lr * (1 - (state.step - done) / options.max_steps))
+            rows = draw()
+            with noisy(policy, options.noise):
+                result = loss(trunk(rows.copy()))
+            state.optimiser.zero_grad()
+            result["loss_imitation"].backward()
+            ranks.average_gradients(policy.parameters(), len(rows))
+            state.optimiser.step()
+            own = (result["loss_imitation"].item(), result["accuracy"].item(), len(rows))
+            parts, stop, save = ranks.tell(own, asked, run.save_due())
+            state.count(parts)
+            run.write("imitation", state.step, {"step": state.step, "loss": state.loss, "accuracy": state.accuracy})
+            bar.update()
+            if (save or stop) and not done:
+                run.save(state.state_dict())
+    if stop:
+        leave("interrupted", 128 + stop[0], run.how_to_go_on)
+    print(f"{len(demos)} demonstrations, {state.step} steps of imitation: {state.accuracy:.1%} of the actions learnt")
+    return state.step
 
 
 def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: Demonstrations, done: int) -> dict[str, Any]:
@@ -221,12 +228,18 @@ def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
     config = run.config
     total = config.reinforcement.frames_per_scene * len(protocol.world.scenes)
-    bar = tqdm(total=total, initial=state.frames, unit=" frames", unit_scale=True, mininterval=bar_interval())
-
-    with interruptible() as stop, bar:
+    hidden = ranks.rank() > 0
+    bar = tqdm(
+        total=total, initial=state.frames, unit=" frames", unit_scale=True, mininterval=bar_interval(), disable=hidden
+    )
+    stop: list[int] = []
+    with interruptible() as asked, bar:
 
         def record(update: Update, paused: AbstractContextManager[None]) -> None:
-            after_update(run, state, update, protocol, total, paused)
+            updates, signals, save = ranks.tell(update, asked, run.save_due())
+            stop.extend(signals)
+            update = together(updates)
+            after_update(run, state, update, protocol, total, paused, save=save)
             bar.update(update.frames)
             bar.set_postfix_str(f"ATL {state.meter.atl:.1f}", refresh=False)
             if is_done(config, state.meter, state.frames, total):
@@ -261,6 +274,7 @@ def learn(config: TrainConfig, state: TrainState, total: int, record: Record, st
                 losses = state.losses(part, left)
                 optimiser.zero_grad()
                 total_loss(losses).backward()
+                ranks.average_gradients(parameters, len(part))
                 clip_gradients(parameters, options.max_grad_norm, per_variable=options.clip_per_variable)
                 optimiser.step()
         record(summarise(state.env, batch, losses), nullcontext())
@@ -273,6 +287,8 @@ def after_update(
     protocol: EvaluationProtocol,
     total: int,
     paused: AbstractContextManager[None],
+    *,
+    save: bool,
 ) -> None:
     """Count an update; write, evaluate and save when they are due, the latter two within ``paused``."""
     before = state.frames
@@ -283,7 +299,7 @@ def after_update(
         row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
         run.write("reinforcement", frames, row | update.values)
     evaluates = due(before, frames, total, run.config.evaluation.times)
-    saves = run.save_due() or is_done(run.config, meter, frames, total)
+    saves = save or is_done(run.config, meter, frames, total)
     if evaluates or saves:
         with paused:
             if evaluates:
@@ -294,28 +310,16 @@ def after_update(
 
 
 def evaluate(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:
-    """Evaluate the policy as it is, greedily."""
-    row = {"frames": frames, **metrics(protocol.run(policy))}
-    if protocol.held_out is not None:
-        apart = metrics(protocol.held_out.run(policy))
-        row |= {f"held_out_{key}": apart[key] for key in ("sr", "spl")}
-    run.write("evaluation", frames, row)
+    """Evaluate the policy as it is, greedily; in rank 0."""
 
+    def row() -> dict[str, float | int]:
+        found = {"frames": frames, **metrics(protocol.run(policy))}
+        if protocol.held_out is not None:
+            apart = metrics(protocol.held_out.run(policy))
+            found |= {f"held_out_{key}": apart[key] for key in ("sr", "spl")}
+        return found
 
-def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> dict[str, Any]:
-    """Evaluate, write the summary, show it as a table and in pictures."""
-    if hasattr(policy, "restore"):
-        policy.restore()
-    measures = assess(policy, protocol)
-    summary = summary | {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()} | measures
-    run.finish({"frames": summary["frames"], "network": plain_weights(policy)}, summary)
-    print(summary_table(summary))
-    draw_learning_curve(run.folder, run.folder / "learning_curve.png")
-    for index in range(min(DRAWN_SCENES, len(protocol.world.scenes))):
-        draw_scene(policy, protocol, index, run.folder, matching=matching(run.config), facts=summary)
-    run.clean_up(summary)
-    print(f"pictures, metrics and weights: {run.folder}")
-    return summary
+    run.write("evaluation", frames, ranks.from_first(row))
 
 
 if __name__ == "__main__":

@@ -49,13 +49,14 @@ SHORTER = {
 
 NOT_RUN = {
     "any_goal.md": ["takes hours"],
-    "any_room.md": ["takes minutes", "needs the room that was encoded above", "takes an hour"],
+    "any_room.md": ["takes minutes", "needs the room that was encoded above", "takes an hour", "takes an hour"],
     "gpu.md": ["needs CUDA"],
     "gymnasium.md": ["needs MoviePy, which holds Pillow below 12"],
     "install.md": ["makes an environment of its own"],
     "loggers.md": ["tensorboard is a server that does not end"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
     "paper.md": ["takes an hour and a half"],
+    "ranks.md": ["needs torchrun", "takes minutes"],
     "robot.md": ["needs ROS 2"],
     "share.md": ["needs an account"],
     "rooms.md": ["takes minutes", "takes minutes", "takes an hour", "takes minutes", "takes minutes"],

@@ -45,7 +45,7 @@ class Ended:
     def told(self):
         """The lines on the standard error, without the progress bar's."""
         lines = [line.rpartition("\r")[2].strip() for line in self.errors.splitlines()]
-        return [line for line in lines if line and "frames/s" not in line]
+        return [line for line in lines if line and "%|" not in line and "frames/s" not in line]
 
 
 class Child:

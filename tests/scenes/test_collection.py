@@ -3,12 +3,14 @@
 import json
 from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 from rooms import grid_scene
 
 from dirl.scenes import SceneError, write_dump
 from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
 from dirl.scenes.io.digest import file_digest
+from dirl.scenes.io.read import read_dump
 
 
 def add(folder, kind, seed, split, **options):
@@ -46,6 +48,15 @@ def test_scenes_are_read_one_at_a_time_by_seed_and_kind(folder):
     assert collection[0].name == "bedroom_10000"  # no other dump is touched
     with pytest.raises(SceneError, match=r"bedroom_30001\.h5: there is no such file"):
         collection[3]
+
+
+def test_features_of_a_room_are_read_when_they_are_used(folder):
+    """They are memory-mapped, so that many rooms need memory for them only once, in their world."""
+    scene = read_collection(folder)[0]
+    base = scene.features
+    while not isinstance(base, np.memmap):
+        base = base.base
+    assert (scene.features == read_dump(folder / "bedroom_10000.h5").features).all()
 
 
 def test_splits_and_kinds_are_selected(folder):

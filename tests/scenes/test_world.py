@@ -55,6 +55,15 @@ def test_features_are_those_of_the_scenes_as_float32(world, scenes):
     assert (world.features.numpy() == np.concatenate([scene.features for scene in scenes])).all()
 
 
+def test_the_scenes_of_a_world_share_its_features(scenes):
+    world = make_world(scenes)
+    for scene, given in zip(world.scenes, scenes, strict=True):
+        assert np.shares_memory(scene.features, world.features.numpy())
+        assert (scene.features == given.features).all()
+        assert not scene.features.flags.writeable
+    assert not np.shares_memory(scenes[0].features, world.features.numpy())
+
+
 def test_features_stored_as_float16_become_float32(scene):
     halves = replace(scene, features=scene.features.astype(np.float16))
     world = make_world([halves])
@@ -138,7 +147,7 @@ def test_memory_grows_by_the_same_with_every_scene():
 def test_local_is_the_way_back_to_scenes(world, scenes):
     for state, index, number in [(0, 0, 0), (23, 0, 23), (24, 1, 0), (55, 1, 31), (56, 2, 0), (79, 2, 23)]:
         scene, local = world.local(state)
-        assert scene is scenes[index]
+        assert scene is world.scenes[index]
         assert local == number
 
 

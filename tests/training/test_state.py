@@ -8,11 +8,13 @@ from commands import room_file
 from parts import make_parts, train_state
 from tensordict import TensorDict
 from torch import nn
-from train import learn
+from train import imitate, learn
 
 from dirl.config.schemas import Schedule
+from dirl.runs.checks import RunError
+from dirl.runs.folder import Run
 from dirl.training.losses import Losses, ScheduledLoss
-from dirl.training.state import random_state, restore_random_state
+from dirl.training.state import restore_random_state
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "reinforcement.max_steps=9"]
 KINDS = {
@@ -69,6 +71,54 @@ def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
     assert not torch.equal(initial["encoder.embedding.weight"], state.policy.state_dict()["encoder.embedding.weight"])
 
 
+@pytest.fixture
+def imitated(tmp_path, monkeypatch):
+    """Imitate from a checkpoint, or from the beginning; gives the parts, and a checkpoint of each step."""
+    options = [f"scene={room_file(tmp_path)}", *SMALL, "system=any_goal", "encoder=siamese", "episodic_memory=none"]
+    options += ["network.components=8", "imitation.max_steps=6", "imitation.batch_size=16", "evaluation.times=0"]
+    saved = []
+    monkeypatch.setattr(Run, "save", lambda _, state: saved.append(through_a_file(state)))
+
+    def imitate_from(checkpoint=None):
+        parts = make_parts(*options, "checkpoint.every_seconds=0")
+        saved.clear()
+        steps = imitate(
+            Run(tmp_path, parts.config, checkpoint and {**checkpoint, "seconds": 0.0}), parts.policy, parts.demos
+        )
+        return parts, steps, list(saved)
+
+    return imitate_from
+
+
+def test_an_imitation_goes_on_from_its_state_to_the_same_end(imitated):
+    """Pairs, noise and the falling learning rate included; nothing is done twice."""
+    whole, steps, saved = imitated()
+    assert (steps, [state["imitation"]["step"] for state in saved]) == (6, [1, 2, 3, 4, 5, 6])
+    for begins in (saved[1], saved[5]):
+        torch.manual_seed(99)
+        resumed, steps, after = imitated(begins)
+        assert (steps, len(after)) == (6, 6 - begins["imitation"]["step"])
+        for name, value in whole.policy.state_dict().items():
+            assert torch.equal(value, resumed.policy.state_dict()[name]), name
+    weights = [state["learning"]["encoder.embedding.weight"] for state in saved]
+    assert not torch.equal(weights[1], weights[5])
+
+
+def test_a_checkpoint_that_is_not_of_this_imitation_is_refused(imitated):
+    _, _, (saved, *_) = imitated()
+    late = {"imitation": {**saved["imitation"], "step": 7}}
+    fresh = {"optimiser": {**saved["optimiser"], "state": {}}}
+    for change, told in (
+        (late, "imitation.step: "),
+        (fresh, "optimiser.state: is empty"),
+        ({"random": {}}, "random: "),
+    ):
+        with pytest.raises(RunError, match=told):
+            imitated(saved | change)
+    with pytest.raises(RunError, match="it lacks optimiser"):
+        imitated({name: value for name, value in saved.items() if name != "optimiser"})
+
+
 def test_a_state_says_the_weights_for_everyone_else(tmp_path):
     room = f"scene={room_file(tmp_path)}"
     parts, plain = make_parts(room, *SMALL), make_parts(room, *SMALL, "network.cache=off")
@@ -111,7 +161,8 @@ def test_the_losses_own_parameters_are_trained_saved_and_restored(tmp_path):
     other.load_state_dict(saved)
     assert torch.equal(layer.weight, fresh.weight)
     for one, made in ((state, parts), (other, others)):
-        restore_random_state(one.env, saved["random"])
+        one.env.base_env.generator.set_state(saved["random"]["env"])
+        restore_random_state(saved["random"])
         walk(made, one, 120)
     assert torch.equal(layer.weight, fresh.weight)
     assert torch.equal(state.policy.encoder.fusion.weight, other.policy.encoder.fusion.weight)
@@ -119,9 +170,10 @@ def test_the_losses_own_parameters_are_trained_saved_and_restored(tmp_path):
 
 def test_the_random_state_is_of_actions_goals_and_starts(tmp_path):
     state = train_state(make_parts(f"scene={room_file(tmp_path)}", *SMALL))
-    saved = random_state(state.env)
+    saved = state.state_dict()["random"]
     drawn = [(state.env.reset()["state"], torch.rand(3)) for _ in range(2)]
-    restore_random_state(state.env, saved)
+    state.env.base_env.generator.set_state(saved["env"])
+    restore_random_state(saved)
     again = [(state.env.reset()["state"], torch.rand(3)) for _ in range(2)]
     for (states, numbers), (same_states, same_numbers) in zip(drawn, again, strict=True):
         assert torch.equal(states, same_states)

@@ -32,6 +32,7 @@ from dirl.config.scene_schemas import (
     TourConfig,
 )
 from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, ReportConfig, Schedule, TrainConfig
+from dirl.runs.exits import speaks
 
 SCHEMAS = {
     "train": TrainConfig,
@@ -282,4 +283,4 @@ def one_line_errors(folder: Path | None = None) -> Iterator[None]:
         if folder is not None:
             with suppress(OSError):
                 os.removedirs(folder)
-        raise SystemExit(f"error: {one_line(str(error), 2000)}") from None
+        raise SystemExit(f"error: {one_line(str(error), 2000)}" if speaks() else 1) from None

@@ -33,11 +33,11 @@ def command(name: str, *, running: bool = False) -> str:
         running: whether it is the program that runs now, which may be a copy under another name.
 
     Returns:
-        ``dirl train``, ``python recipes/train.py`` or ``python my_train.py``.
+        ``dirl train``, ``python recipes/train.py`` or ``python my_train.py``; behind ``torchrun`` if that runs it.
     """
+    ranks = os.environ.get("LOCAL_WORLD_SIZE", "1") if running else "1"
+    torchrun = f"torchrun --nproc-per-node={ranks} "
     if VARIABLE in os.environ:
-        return f"dirl {name}"
-    script = sys.argv[0]
-    if running and script.endswith(".py") and not os.path.isabs(script):
-        return f"python {script}"
-    return f"python {RECIPES[name][0]}"
+        return f"dirl {name}" if ranks == "1" else f"{torchrun}--no-python dirl {name}"
+    script = sys.argv[0] if running and sys.argv[0].endswith(".py") and not os.path.isabs(sys.argv[0]) else None
+    return f"{'python ' if ranks == '1' else torchrun}{script or RECIPES[name][0]}"

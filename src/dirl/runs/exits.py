@@ -6,6 +6,7 @@
 | 1 | the input is wrong, or a checkpoint is damaged |
 | 71 | out of memory |
 | 74 | a file could not be read or written: disk full, read-only, deleted, not permitted |
+| 75 | another rank of the run has ended |
 | 130 | interrupted by Ctrl-C (SIGINT) |
 | 141 | the reader of the output closed the pipe (SIGPIPE), as ``| head`` does |
 | 143 | SIGTERM, as from ``kill``, a batch system or a machine that shuts down |
@@ -20,12 +21,16 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-MEMORY, FILES, PIPE = 71, 74, 128 + 13
-"""Exit statuses; the first two as in ``sysexits.h``."""
+MEMORY, FILES, LOST, PIPE = 71, 74, 75, 128 + 13
+"""Exit statuses; the first three as in ``sysexits.h``."""
+
+PATIENCE = 3.0
+"""Seconds that other ranks wait for rank 0 to say what is wrong; then ``torchrun`` has ended them."""
 
 HINTS = {
     errno.ENOSPC: "make room on the disk",
@@ -42,6 +47,10 @@ HINTS = {
 
 class Terminated(BaseException):
     """SIGTERM as an exception, as ``KeyboardInterrupt`` is for SIGINT."""
+
+
+class LostRankError(Exception):
+    """Another rank of the run has ended, see `dirl.runs.ranks`."""
 
 
 @contextlib.contextmanager
@@ -66,6 +75,8 @@ def one_line_exits(advice: Callable[[], str] = lambda: "") -> Iterator[None]:
         leave("nobody reads any more what this program prints", PIPE, advice)
     except OSError as error:
         leave(f"error: {_told(error)}", FILES, advice)
+    except LostRankError:
+        leave("error: another process of this run was lost", LOST, advice)
     except Exception as error:
         if not _is_memory(error):
             raise
@@ -81,10 +92,35 @@ def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> 
         advice: what is safe, and how to go on.
     """
     try:
-        print("; ".join(filter(None, [message, advice()])), file=sys.stderr, flush=True)
+        if speaks():
+            print("; ".join(filter(None, [message, advice()])), file=sys.stderr, flush=True)
     except BrokenPipeError:
         _silence(sys.stderr)
     raise SystemExit(status) from None
+
+
+def _rank_0_first() -> bool:
+    """Before ranks have met, whatever one has to say all have: the others let rank 0 speak, whose exit ends them."""
+    if os.environ.get("RANK", "0") != "0":
+        with _signals({signal.SIGTERM: signal.SIG_DFL}):
+            time.sleep(PATIENCE)
+    return True
+
+
+_asked: list[Callable[[], bool]] = [_rank_0_first]
+
+
+def speak_once(is_first: Callable[[], bool]) -> None:
+    """From now on ask this function whether a process may say why it ends: ranks end together, for one reason."""
+    _asked.append(is_first)
+
+
+def speaks() -> bool:
+    """Whether this process is to say why the run ends."""
+    try:
+        return _asked[-1]()
+    except Exception:  # nobody is left to ask
+        return True
 
 
 def _terminate(*_: Any) -> NoReturn:

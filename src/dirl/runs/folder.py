@@ -18,6 +18,7 @@ from dirl.config.components import named_packages
 from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig, leaves
+from dirl.runs import ranks
 from dirl.runs.checkpoints import (
     SUFFIX,
     latest_checkpoint,
@@ -32,7 +33,7 @@ from dirl.texts import read_text
 
 
 class Run:
-    """A run: its folder, its configuration, and the checkpoint that it continues from.
+    """A run: its folder, its configuration, and the checkpoint that it continues from. Only rank 0 writes there.
 
     Its metrics are CSV files, one for each stage, with one row for each record. (TorchRL's ``CSVLogger`` writes one
     file for each metric, and cannot remove what a killed run wrote after its last checkpoint.)
@@ -75,6 +76,9 @@ class Run:
             ConfigError: the logger's package is not installed.
             OSError: the folder cannot be written to.
         """
+        self.folder = ranks.from_first(lambda: self._begin(world, view_order))
+
+    def _begin(self, world: World, view_order: Sequence[str]) -> Path:
         asked = self.folder
         if self._lock is None and self.saved is None:
             self.folder, self._lock = claim(asked)
@@ -94,6 +98,7 @@ class Run:
                 with suppress(OSError):
                     self.folder.rmdir()
             raise
+        return self.folder
 
     def _tidy_up(self) -> None:
         """Remove the files of a killed process that this run does not continue from."""
@@ -132,6 +137,8 @@ class Run:
 
     def write(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
         """Append a row to ``<stage>.csv``; NaN becomes an empty cell. The columns are those of the first row."""
+        if ranks.rank():
+            return
         file = self.folder / f"{stage}.csv"
         begins = not file.exists() or file.stat().st_size == 0
         cells = [
@@ -155,6 +162,8 @@ class Run:
         Args:
             state: at least ``network`` and ``frames``; ``torch.load`` must be able to read it with ``weights_only``.
         """
+        if ranks.rank():
+            return
         tables = {}
         for file in sorted(self.folder.glob("*.csv")):
             with file.open("rb") as stream:
@@ -187,7 +196,8 @@ class Run:
 def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
     """Begin a run in a new folder, or continue the existing one, or that which ``config.resume`` names.
 
-    A run that is continued locks its folder here; a new one does so in `Run.begin`.
+    A run that is continued locks its folder here; a new one does so in `Run.begin`. Only rank 0 opens anything; the
+    others get from it what they go on from.
 
     Args:
         config: as composed; of a resumed run only ``resume`` is used.
@@ -199,6 +209,20 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
             it; its checkpoints are damaged; or options were given together with ``resume``.
         ConfigError: the saved configuration cannot be used.
     """
+    opened: list[Run] = []
+
+    def contents() -> tuple[Path, TrainConfig, dict[str, Any] | None]:
+        opened.append(_open(config, folder, overrides))
+        return opened[0].folder, opened[0].config, opened[0].saved
+
+    shared = ranks.from_first(contents)
+    run = opened[0] if opened else Run(*shared)
+    if run.saved is not None:
+        run.saved = ranks.own_part(run.saved, str(run.folder))
+    return run
+
+
+def _open(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
     if config.resume is None:
         if not config_file(folder).exists():
             return Run(folder, config)

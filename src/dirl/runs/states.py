@@ -137,7 +137,34 @@ def check_training(
     check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser")
     if saved["frames"] and not saved["optimiser"]["state"]:
         raise RunError(f"{where}: optimiser.state: is empty, though {saved['frames']} frames were trained")
-    check_fits(saved["random"], fresh["random"], f"{where}: random")
-    for name, state in saved["random"].items():
+    _check_random(saved["random"], fresh["random"], where)
+
+
+def check_imitation(
+    saved: Mapping[str, Any], fresh: Mapping[str, Any], optimiser: Optimizer, steps: int, where: str
+) -> None:
+    """Raise `RunError` unless an imitation can be resumed from a checkpoint; call it before restoring anything.
+
+    Args:
+        saved: of `dirl.runs.checkpoints.load_checkpoint`.
+        fresh: what the recipe would save now, before any step.
+        optimiser: of the imitation.
+        steps: that it takes at most.
+        where: the checkpoint, for the error.
+    """
+    missing = fresh.keys() - saved.keys()
+    if missing:
+        raise RunError(f"{where}: is no checkpoint of an imitation; it lacks {', '.join(sorted(missing))}")
+    check_fits(saved["imitation"], fresh["imitation"], f"{where}: imitation", steps)
+    check_fits(saved["learning"], fresh["learning"], f"{where}: learning")
+    check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser")
+    if not saved["optimiser"]["state"]:
+        raise RunError(f"{where}: optimiser.state: is empty, though an imitation was saved after its first step")
+    _check_random(saved["random"], fresh["random"], where)
+
+
+def _check_random(saved: Any, fresh: Mapping[str, Any], where: str) -> None:
+    check_fits(saved, fresh, f"{where}: random")
+    for name, state in saved.items():
         if name != "cuda":
             check_random_state(state, f"{where}: random.{name}")

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dirl.scenes.graph import IntArray, places
+from dirl.scenes.graph import IntArray, is_connected, places
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.world import Goals
 
@@ -65,6 +65,8 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
 
 def well_reached(scene: Scene) -> np.ndarray:
     """Whether a state is reached by as many states as any other, bool ``[N]``: true for all in a connected scene."""
+    if is_connected(scene.graph):  # which is known long before all distances are
+        return np.ones(len(scene), bool)
     reached_from = (scene.distances >= 0).sum(0)
     return reached_from == reached_from.max()
 

@@ -69,7 +69,8 @@ class Scene:
             features = np.asarray(self.features)
             if np.issubdtype(features.dtype, np.floating):
                 with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
-                    features = features.astype(np.float16 if features.dtype == np.float16 else np.float32)
+                    kind = np.float16 if features.dtype == np.float16 else np.float32
+                    features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
             arrays["features"] = self._array("resnet_feature", features, np.floating, (states, None))
         for name, values, unit in (("location", positions, "metres"), ("rotation", headings, "degrees")):
             far = np.flatnonzero((np.abs(values.reshape(states, -1)) > LARGEST).any(1))

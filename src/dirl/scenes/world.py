@@ -1,11 +1,13 @@
 """A world: several scenes as one state space, in tensors, with the goals to be reached in it."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.scenes.graph import shortest_distances
@@ -28,7 +30,7 @@ class World:
     surrounding: Tensor
     """The states ahead, right, back and left of each state, int64 ``[N, 4]``."""
     features: Tensor
-    """The frozen backbone's output, float32 ``[N, D]``."""
+    """The frozen backbone's output, float32 ``[N, D]``; those of ``scenes`` are parts of it."""
     patches: Tensor | None
     """What each part of each view shows, float16 ``[N, cells, channels]``; None if a scene has none."""
     scene_of: Tensor
@@ -156,16 +158,25 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
     offsets = tuple(int(offset) for offset in np.cumsum([0, *sizes[:-1]]))
     parts = list(zip(scenes, offsets, strict=True))
     graphs = [np.where(s.graph < 0, np.arange(len(s))[:, None], s.graph) + offset for s, offset in parts]
+    features = np.concatenate([np.asarray(s.features) for s in scenes], dtype=np.float32)
     return World(
-        scenes=tuple(scenes),
+        scenes=tuple(_sharing(scene, features[offset : offset + len(scene)]) for scene, offset in parts),
         offsets=offsets,
         graph=torch.from_numpy(np.concatenate(graphs)),
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
-        features=torch.from_numpy(np.concatenate([s.features for s in scenes]).astype(np.float32)),
+        features=torch.from_numpy(features),
         patches=_patches(scenes),
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         **_goal_tables(scenes, offsets, chosen),
     )
+
+
+def _sharing(scene: Scene, features: NDArray[np.float32]) -> Scene:
+    """The scene with a part of the world's features in place of its own: those of 1,000 rooms take a gigabyte."""
+    shared, part = copy.copy(scene), features.view()
+    part.setflags(write=False)
+    object.__setattr__(shared, "features", part)  # of the same values, so that nothing is to be checked again
+    return shared
 
 
 def _patches(scenes: Sequence[Scene]) -> Tensor | None:

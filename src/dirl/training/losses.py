@@ -15,6 +15,7 @@ from dirl.config.schemas import ConfigError, Schedule
 from dirl.models import initial_state, recurrent_keys
 from dirl.objectives import bootstrap, clip_each
 from dirl.objectives.reinforcement import make_advantages
+from dirl.runs import ranks
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 EXPERT = {"expert_action", "optimal_actions"}
@@ -130,17 +131,18 @@ def demonstration_batches(
         policy: that learns from them.
         demonstrations: ``[M]``; or pairs, of which a batch is drawn for each update.
         batch_size: rows drawn anew for each update, uniformly with replacement; all of them if it is not less than M.
-            None: all, or `MINIBATCH` of more than `FULL_BATCH`; of pairs always `MINIBATCH`.
+            None: all, or `MINIBATCH` of more than `FULL_BATCH`; of pairs always `MINIBATCH`. Each rank draws its share.
     """
     if isinstance(demonstrations, DrawnPairs):
-        return lambda: as_first_steps(policy, demonstrations.draw(batch_size or MINIBATCH))
+        own = ranks.share(batch_size or MINIBATCH)
+        return lambda: as_first_steps(policy, demonstrations.draw(own))
     count = len(demonstrations)
     wanted = batch_size or (count if count <= FULL_BATCH else MINIBATCH)
     if wanted >= count:
         rows = as_first_steps(policy, demonstrations)
         return lambda: rows
-    device = demonstrations["state"].device
-    return lambda: as_first_steps(policy, demonstrations[torch.randint(count, (wanted,), device=device)])
+    device, own = demonstrations["state"].device, ranks.share(wanted)
+    return lambda: as_first_steps(policy, demonstrations[torch.randint(count, (own,), device=device)])
 
 
 def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorDictBase:

@@ -1,7 +1,8 @@
 """The state of a training: what a checkpoint holds, so that a killed run resumes to the same result."""
 
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +14,9 @@ from torch.optim import Optimizer
 from torchrl.envs import EnvBase
 
 from dirl.models import plain_weights
+from dirl.runs import ranks
+from dirl.runs.folder import Run
+from dirl.runs.states import check_imitation
 from dirl.training.losses import Losses
 from dirl.training.progress import EpisodeMeter
 from dirl.training.rollout import Update
@@ -50,18 +54,19 @@ class TrainState:
         self.meter.add(update.goal_index, update.steps, self.frames)
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes, and under ``network`` the weights for everyone else."""
-        return {
+        """What `load_state_dict` takes, and under ``network`` the weights for everyone else; called by all ranks."""
+        state = {
             "frames": self.frames,
             "training_seconds": self.seconds,
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
             "losses": self._own_of_losses(),
             "optimiser": self.optimiser.state_dict(),
-            "agents": self.agents.to_dict(),
+            "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
-            "random": random_state(self.env),
+            "random": {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)},
         }
+        return ranks.with_others(state, ("agents", "random"))
 
     def _own_of_losses(self) -> dict[str, Any]:
         """The part of the losses' state_dict that is not the policy's: weights, buffers, extra state."""
@@ -76,7 +81,68 @@ class TrainState:
         self.optimiser.load_state_dict(state["optimiser"])
         self.agents = TensorDict(state["agents"], batch_size=self.env.batch_size, device=self.env.device)
         self.meter.load_state_dict(state["meter"])
-        restore_random_state(self.env, state["random"])
+        self.env.base_env.generator.set_state(state["random"]["env"])
+        restore_random_state(state["random"])
+
+
+@dataclass
+class ImitationState:
+    """Everything that changes from step to step of the imitation before reinforcement."""
+
+    policy: Any
+    """See `dirl.models.ActorCritic`."""
+    optimiser: Optimizer
+    step: int = 0
+    loss: float = math.inf
+    """Of the latest step, as is the accuracy: the share of its rows in which the most probable action is right."""
+    accuracy: float = 0.0
+
+    def state_dict(self) -> dict[str, Any]:
+        """What `load_state_dict` takes, and under ``network`` the weights for everyone else; called by all ranks."""
+        state = {
+            "frames": 0,
+            "imitation": {"step": self.step, "loss": self.loss, "accuracy": self.accuracy},
+            "network": plain_weights(self.policy),
+            "learning": self.policy.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "random": random_state(next(self.policy.parameters()).device),
+        }
+        return ranks.with_others(state, ("random",))
+
+    def count(self, parts: Sequence[tuple[float, float, int]]) -> None:
+        """Count a finished step; of each rank its loss, its accuracy, and of how many rows these are means."""
+        rows = sum(count for *_, count in parts)
+        self.loss, self.accuracy = (sum(part[i] * (part[2] / rows) for part in parts) for i in (0, 1))
+        self.step += 1
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from a saved state."""
+        self.step, self.loss, self.accuracy = (state["imitation"][name] for name in ("step", "loss", "accuracy"))
+        self.policy.load_state_dict(state["learning"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        restore_random_state(state["random"])
+
+
+def in_imitation(run: Run) -> bool:
+    """Whether a run goes on from a checkpoint of its imitation."""
+    return run.saved is not None and "imitation" in run.saved
+
+
+def begin_imitation(run: Run, policy: Any, done: int) -> ImitationState:
+    """The state of an imitation before its first step, or from the checkpoint that the run continues.
+
+    Args:
+        run: of whose configuration it is.
+        policy: whose encoder and policy head are trained; the value head gets no gradient.
+        done: steps before it; those after some are rounds of DAgger, which have no checkpoint.
+    """
+    optimiser = torch.optim.Adam(policy.parameters(), lr=run.config.imitation.lr)
+    state = ImitationState(policy, optimiser, done)
+    if run.saved is not None and in_imitation(run) and not done:
+        most = run.config.imitation.max_steps
+        check_imitation(run.saved, state.state_dict(), optimiser, most, str(run.folder))
+        state.load_state_dict(run.saved)
+    return state
 
 
 def _place(value: Any) -> Any:
@@ -84,15 +150,13 @@ def _place(value: Any) -> Any:
     return value.data_ptr() if isinstance(value, Tensor) and value.numel() else id(value)
 
 
-def random_state(env: EnvBase) -> dict[str, Tensor]:
-    """The states of all random number generators of the training."""
-    state = {"env": env.base_env.generator.get_state(), "cpu": torch.get_rng_state()}
-    return state | ({"cuda": torch.cuda.get_rng_state()} if env.device.type == "cuda" else {})
+def random_state(device: torch.device) -> dict[str, Tensor]:
+    """The state of torch's own generators, from which actions and pairs are drawn."""
+    return {"cpu": torch.get_rng_state()} | ({"cuda": torch.cuda.get_rng_state()} if device.type == "cuda" else {})
 
 
-def restore_random_state(env: EnvBase, state: Mapping[str, Tensor]) -> None:
+def restore_random_state(state: Mapping[str, Tensor]) -> None:
     """Restore the generators' states that `random_state` returned."""
-    env.base_env.generator.set_state(state["env"])
     torch.set_rng_state(state["cpu"])
     if "cuda" in state:
         torch.cuda.set_rng_state(state["cuda"])

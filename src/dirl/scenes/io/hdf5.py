@@ -130,7 +130,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         graph=_in_our_order(graph[:], read_attribute(file, "actions")),
         positions=location[:],
         headings=rotation[:],
-        features=None if features is None else _read_features(features),
+        features=None if features is None else _read_features(features, path, mapped=intact),
         extractor=_extractor(features),
         name=_text_attribute(file, "name"),
         source=_text_attribute(file, "source"),
@@ -160,8 +160,15 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
     return dataset
 
 
-def _read_features(dataset: h5py.Dataset) -> NDArray[np.floating]:
-    """The features ``[N, D]`` of the first crop, a block at a time: float64 would take three times the memory."""
+def _read_features(dataset: h5py.Dataset, path: Path, *, mapped: bool) -> NDArray[np.floating]:
+    """The features ``[N, D]`` of the first crop, a block at a time: float64 would take three times the memory.
+
+    Those of a file as we write it are memory-mapped on request: a world copies them, and then they need no memory.
+    """
+    offset = dataset.id.get_offset()
+    if mapped and offset is not None and dataset.dtype in (np.float16, np.float32):
+        stored = np.memmap(path, dataset.dtype, "r", offset, dataset.shape)
+        return stored[:, 0] if dataset.ndim == 3 else stored
     kind = np.float16 if dataset.dtype.itemsize == 2 else np.float32
     values = np.empty((dataset.shape[0], dataset.shape[-1]), kind)
     for rows in blocks(dataset):
