@@ -19,15 +19,16 @@ def optimiser():
 
 def test_a_saved_optimiser_fits_a_fresh_one(optimiser):
     used, fresh = optimiser
-    check_optimiser(used.state_dict(), fresh, "a")
-    check_optimiser(fresh.state_dict(), fresh, "a")
+    check_optimiser(used.state_dict(), fresh, "a", 2)
+    check_optimiser(fresh.state_dict(), fresh, "a", 0)
     fresh.load_state_dict(used.state_dict())
 
 
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda state: state["state"].update({2: {}}), "state: expected at most 2 parameters, found 3"),
+        (lambda state: state["state"].update({2: {}}), "state: expected 2 of 2 parameters, found 3"),
+        (lambda state: state["state"].pop(1), "state: expected 2 of 2 parameters, found 1"),
         (lambda state: state["state"].update({1: 3}), r"state\.1: expected float32"),
         (lambda state: state["state"][0].update(step=torch.zeros(4)), r"state\.0: expected float32 \[2, 3\]"),
         (
@@ -48,7 +49,7 @@ def test_an_optimiser_that_does_not_fit_is_told(optimiser, spoil, told):
     state = used.state_dict()
     spoil(state)
     with pytest.raises(RunError, match=told):
-        check_optimiser(state, fresh, "a")
+        check_optimiser(state, fresh, "a", 2)
 
 
 @pytest.mark.parametrize(
@@ -99,12 +100,18 @@ def test_a_training_that_has_begun_has_a_used_optimiser(scene, optimiser):
     used, fresh = optimiser
     env = NavigationEnv(make_world([scene]), 3)
     random = {"env": env.generator.get_state(), "cpu": torch.get_rng_state()}
-    state = {"frames": 9, "agents": env.reset().to_dict(), "random": random, "optimiser": used.state_dict()}
-    check_training(state, {**state, "frames": 0}, env, fresh, "a")
+    state = {
+        "frames": 9,
+        "agents": env.reset().to_dict(),
+        "random": random,
+        "optimiser": used.state_dict(),
+        "trained": 2,
+    }
+    check_training(state, {**state, "frames": 0, "trained": 0}, env, fresh, "a")
     for change in ({"optimiser": fresh.state_dict()}, {"random": {}}, {"agents": {}}, {"frames": -1}):
         with pytest.raises(RunError, match=r"^a: "):
             check_training(state | change, state, env, fresh, "a")
-    with pytest.raises(RunError, match="it lacks agents, random"):
+    with pytest.raises(RunError, match="it lacks agents, random, trained"):
         check_training({"frames": 9, "optimiser": {}}, state, env, fresh, "a")
 
 

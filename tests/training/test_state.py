@@ -107,7 +107,7 @@ def test_an_imitation_goes_on_from_its_state_to_the_same_end(imitated):
 def test_a_checkpoint_that_is_not_of_this_imitation_is_refused(imitated):
     _, _, (saved, *_) = imitated()
     late = {"imitation": {**saved["imitation"], "step": 7}}
-    fresh = {"optimiser": {**saved["optimiser"], "state": {}}}
+    fresh = {"optimiser": {**saved["optimiser"], "state": {}}, "trained": 0}
     for change, told in (
         (late, "imitation.step: "),
         (fresh, "optimiser.state: is empty"),

@@ -66,13 +66,14 @@ def _told(value: Any) -> str:
     return "a count or nothing" if value is None else f"{type(value).__name__} {value!r}"[:80]
 
 
-def check_optimiser(saved: Any, optimiser: Optimizer, where: str) -> None:
+def check_optimiser(saved: Any, optimiser: Optimizer, where: str, trained: Any) -> None:
     """Raise `RunError` unless a saved state is one that an optimiser can take: `check_fits`, and of each parameter.
 
     Args:
         saved: its ``state_dict()`` in a checkpoint.
         optimiser: a fresh one of the same parameters.
         where: the file and what it is of, for the error.
+        trained: how many parameters have a state; those without gradients so far have none.
     """
     fresh = optimiser.state_dict()
     check_fits(saved, {**fresh, "state": {}}, where)
@@ -81,8 +82,10 @@ def check_optimiser(saved: Any, optimiser: Optimizer, where: str) -> None:
         changed = [name for name in wanted if name != "lr" and group[name] != wanted[name]]
         if changed or group["lr"] < 0:
             raise RunError(f"{where}.param_groups: {', '.join(changed or ['lr'])} cannot have been so in this run")
-    if not saved["state"].keys() <= set(range(len(parameters))):  # a parameter without gradients so far has no state
-        raise RunError(f"{where}.state: expected at most {len(parameters)} parameters, found {_told(saved['state'])}")
+    if not saved["state"].keys() <= set(range(len(parameters))) or len(saved["state"]) != trained:
+        raise RunError(
+            f"{where}.state: expected {trained!r:.80} of {len(parameters)} parameters, found {_told(saved['state'])}"
+        )
     first: Any = next(iter(saved["state"].values()), None)
     for index, values in saved["state"].items():
         kinds = [(parameters[index].shape, parameters[index].dtype), (torch.Size(), torch.float32)]
@@ -131,10 +134,10 @@ def check_training(
     missing = fresh.keys() - saved.keys()
     if missing:
         raise RunError(f"{where}: is no checkpoint of a training; it lacks {', '.join(sorted(missing))}")
-    for name in fresh.keys() - {"optimiser", "random"}:
+    for name in fresh.keys() - {"optimiser", "random", "trained"}:
         check_fits(saved[name], fresh[name], f"{where}: {name}", saved["frames"])
     check_agents(saved["agents"], env, f"{where}: agents")
-    check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser")
+    check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser", saved["trained"])
     if saved["frames"] and not saved["optimiser"]["state"]:
         raise RunError(f"{where}: optimiser.state: is empty, though {saved['frames']} frames were trained")
     _check_random(saved["random"], fresh["random"], where)
@@ -157,7 +160,7 @@ def check_imitation(
         raise RunError(f"{where}: is no checkpoint of an imitation; it lacks {', '.join(sorted(missing))}")
     check_fits(saved["imitation"], fresh["imitation"], f"{where}: imitation", steps)
     check_fits(saved["learning"], fresh["learning"], f"{where}: learning")
-    check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser")
+    check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser", saved["trained"])
     if not saved["optimiser"]["state"]:
         raise RunError(f"{where}: optimiser.state: is empty, though an imitation was saved after its first step")
     _check_random(saved["random"], fresh["random"], where)

@@ -62,6 +62,7 @@ class TrainState:
             "learning": self.policy.state_dict(),
             "losses": self._own_of_losses(),
             "optimiser": self.optimiser.state_dict(),
+            "trained": len(self.optimiser.state),
             "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
             "random": {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)},
@@ -105,6 +106,7 @@ class ImitationState:
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
             "optimiser": self.optimiser.state_dict(),
+            "trained": len(self.optimiser.state),
             "random": random_state(next(self.policy.parameters()).device),
         }
         return ranks.with_others(state, ("random",))
