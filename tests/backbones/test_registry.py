@@ -170,7 +170,8 @@ def test_a_model_whose_weights_are_incomplete_is_refused(tmp_path):
     ],
 )
 def test_an_encoder_that_cannot_be_had_is_told_in_one_line(monkeypatch, name, missing, says):
-    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    # The variable of this name is read at the import, which may have been in another test.
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
     if missing is not None:
         monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(ValueError, match=says) as caught:
