@@ -18,7 +18,7 @@ from urllib.parse import unquote
 import pytest
 import torch
 from commands import ROOT, TINY
-from forks import empty_file, leave_empty
+from forks import empty_file, leave_empty, quick_hydra
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dirl.reporting import pictures
@@ -124,6 +124,7 @@ def run_command(words, monkeypatch):
 @pytest.fixture(scope="module")
 def example_run(tmp_path_factory):
     """A folder of a finished run in the bathroom."""
+    quick_hydra()
     folder = tmp_path_factory.mktemp("example") / "run"
     with pytest.MonkeyPatch.context() as patch:
         run_command(["python", "recipes/train.py", "scene=bathroom_02", f"hydra.run.dir={folder}"], patch)

@@ -96,8 +96,18 @@ def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0, patience=
     return Child(folder, name, *arguments, prepare=prepare).wait(timeout, patience)
 
 
+def quick_hydra():
+    """Let Hydra read YAML by libyaml, and not compose each configuration once more to look for ``hydra.mode``."""
+    import yaml
+    from hydra._internal.hydra import Hydra
+
+    yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    Hydra.get_mode = lambda *arguments, **named: None
+
+
 def warm_up(*names):
     """Import what recipes import, before any fork."""
+    quick_hydra()
     for name in names:
         sys.path.insert(0, str(recipe_file(name).parent))
         importlib.import_module(name)

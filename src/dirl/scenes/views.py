@@ -81,8 +81,8 @@ def encode(view: NDArray[np.uint8], quality: int | None = 85) -> bytes:
     """A view as WebP bytes; ``quality`` is WebP's, 0 to 100, or None for lossless."""
     buffer = io.BytesIO()
     if quality is None:
-        # Four times as fast as Pillow's defaults, and 3 % larger.
-        Image.fromarray(view).save(buffer, "WEBP", lossless=True, method=1, quality=50)
+        # Thirteen times as fast as Pillow's defaults, and 11 % larger.
+        Image.fromarray(view).save(buffer, "WEBP", lossless=True, method=0, quality=50)
     else:
         Image.fromarray(view).save(buffer, "WEBP", quality=quality, method=6)
     return buffer.getvalue()
