@@ -45,7 +45,9 @@ def test_a_resumed_run_forgets_rows_younger_than_its_checkpoint(tmp_path):
     run.write("evaluation", 5, {"frames": 5})
     run.write("reinforcement", 5, {"frames": 5})
     run.close()
+    (tmp_path / "notes.csv").write_text("mine\n")
     begun(tmp_path, load_checkpoint(tmp_path))
+    assert (tmp_path / "notes.csv").read_text() == "mine\n"
     with (tmp_path / "evaluation.csv").open() as stream:
         assert list(csv.DictReader(stream)) == [{"frames": "0"}]
     assert (tmp_path / "reinforcement.csv").read_text() == ""

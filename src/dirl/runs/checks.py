@@ -15,6 +15,10 @@ SCHEMA = 2
 """Of configurations and checkpoints; 1 was dirl 0.1."""
 
 
+TABLES = ("dagger.csv", "evaluation.csv", "imitation.csv", "reinforcement.csv")
+"""What a training writes rows to; other files of its folder are left alone."""
+
+
 class RunError(ValueError):
     """A run folder or checkpoint that cannot be used."""
 
@@ -138,8 +142,8 @@ def check_progress(file: Path, state: Mapping[str, Any], config: TrainConfig) ->
     most = scenes * (options.frames_per_scene + options.agents_per_scene * options.n_steps)  # the last rollout is whole
     if state["frames"] != int(file.stem) or state["frames"] > most:
         raise RunError(f"{file}: counts {state['frames']} frames, where its name and options have others")
-    for table in sorted(file.parent.parent.glob("*.csv")):
-        if table.name not in state["tables"] and _begins_before(table, state["frames"]):
+    for table in (file.parent.parent / name for name in TABLES if name not in state["tables"]):
+        if table.is_file() and _begins_before(table, state["frames"]):
             raise RunError(f"{file}: knows nothing of {table}, whose rows would be lost")
     for name, size in state["tables"].items():
         table = file.parent.parent / name

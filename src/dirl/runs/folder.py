@@ -25,7 +25,7 @@ from dirl.runs.checkpoints import (
     save_checkpoint,
     training_checkpoints,
 )
-from dirl.runs.checks import SCHEMA, RunError, check_progress
+from dirl.runs.checks import SCHEMA, TABLES, RunError, check_progress
 from dirl.runs.locks import FolderLock, claim, config_file, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.scenes import World
@@ -107,8 +107,9 @@ class Run:
         remove_unfinished(self.folder)
         remove_unfinished(self.folder / "checkpoints")
         sizes = self.saved["tables"] if self.saved else {}
-        for file in self.folder.glob("*.csv"):
-            os.truncate(file, sizes.get(file.name, 0))
+        for file in (self.folder / name for name in TABLES):
+            if file.exists():
+                os.truncate(file, sizes.get(file.name, 0))
 
     def close(self) -> None:
         """Release the folder; the end of the process does so at the latest."""
@@ -165,8 +166,8 @@ class Run:
         if ranks.rank():
             return
         tables = {}
-        for file in sorted(self.folder.glob("*.csv")):
-            with file.open("rb") as stream:
+        for file in (self.folder / name for name in TABLES):
+            with suppress(FileNotFoundError), file.open("rb") as stream:
                 os.fsync(stream.fileno())  # a checkpoint must not reach the disk before the rows that it counts
                 tables[file.name] = os.fstat(stream.fileno()).st_size
         state = {**state, **self._facts, "tables": tables, "seconds": self.seconds}
