@@ -2,12 +2,11 @@
 
 import os
 import signal
-import time
 
 import pytest
 import torch
 import train
-from commands import TINY, room_file, start_recipe, train_config
+from commands import TINY, room_file, start_recipe, train_config, wait_until
 from parts import make_parts, train_in
 from torch.distributed import TCPStore
 
@@ -107,18 +106,11 @@ def test_two_ranks_give_the_updates_of_one(tmp_path, monkeypatch):
     assert len(tables[0]) == len(tables[1]) == 1 + 5
 
 
-def wait_for_a_checkpoint(folder, seconds=600):
-    began = time.monotonic()
-    while not list(folder.glob("checkpoints/*[1-9]*.pt")):
-        assert time.monotonic() - began < seconds
-        time.sleep(0.01)
-
-
 def test_a_lost_rank_ends_the_run_which_goes_on_with_as_many(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *SHORT, "reinforcement.frames_per_scene=900", "evaluation.times=0"]
     run_ranks(tmp_path, *options, "hydra.run.dir=whole")
     running = Ranks(tmp_path, *options, "hydra.run.dir=killed")
-    wait_for_a_checkpoint(tmp_path / "killed")
+    wait_until(lambda: list((tmp_path / "killed").glob("checkpoints/*[1-9]*.pt")))
     running.ranks[1].send_signal(signal.SIGKILL)
     left, killed = running.wait()
     assert (left.status, killed.status) == (75, -signal.SIGKILL)

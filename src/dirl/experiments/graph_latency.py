@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from dirl.config.command_line import one_line_errors
 from dirl.deploy.navigator import Navigator
 from dirl.experiments.results import Column, Table
 from dirl.mapping import ImageGraph
 from dirl.mapping.walks import explore
+from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene
 from dirl.scenes.collection import read_collection
 
@@ -57,13 +59,10 @@ def latencies(scene: Scene) -> tuple[int, list[float]]:
     return len(graph), [encode, localise, plan, policy, whole]
 
 
-def main() -> None:
-    """The program."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("collection", type=Path, help="a folder made by scenes.py sample")
-    options = parser.parse_args()
+def measure(collection: Path) -> str:
+    """The table of the smallest and the largest room."""
     torch.set_num_threads(1)
-    rooms = read_collection(options.collection).select(split="validation")
+    rooms = read_collection(collection).select(split="validation")
     sizes = [entry.states for entry in rooms.entries]
     table = Table(
         Column("nodes", "d"),
@@ -72,7 +71,15 @@ def main() -> None:
     for index in (int(np.argmin(sizes)), int(np.argmax(sizes))):
         nodes, found = latencies(rooms[index])
         table.add(nodes, *found)
-    print(table.markdown())
+    return table.markdown()
+
+
+def main() -> None:
+    """The program."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("collection", type=Path, help="a folder made by scenes.py sample")
+    with one_line_exits(), one_line_errors():
+        print(measure(parser.parse_args().collection))
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
 from dirl.runs.checks import RunError
 from dirl.scenes import World
+from dirl.scenes.goals import well_reached
 from dirl.training.build import build_goals
 
 DISTANCES = (1, 2, 4, 8)
@@ -63,8 +64,7 @@ def new_goals(
         trained = world.local_goals(index).tolist()
         to_trained = scene.distances[:, trained]
         nearest = np.where(to_trained < 0, np.iinfo(np.int64).max, to_trained).min(1)
-        reached = (scene.distances >= 0).sum(0) == (scene.distances >= 0).sum(0).max()
-        fitting = np.flatnonzero((nearest == distance) & reached)
+        fitting = np.flatnonzero((nearest == distance) & well_reached(scene))
         if among is not None:
             fitting = fitting[np.isin(fitting, among[scene.name])]
         picked = generator.choice(fitting, min(PER_SCENE, len(fitting)), replace=False)

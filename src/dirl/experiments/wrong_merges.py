@@ -21,7 +21,7 @@ from torch import Tensor
 from dirl.backbones import ViewEncoder, encode_views, load_encoder
 from dirl.config.command_line import one_line_errors
 from dirl.deploy.exploring import Guide
-from dirl.experiments.image_graph import positive
+from dirl.experiments.image_graph import drawn_goals, positive
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.stopping import DISTURBANCES, disturb
 from dirl.experiments.unseen_rooms import MAX_STEPS, drawn_starts
@@ -30,9 +30,8 @@ from dirl.mapping.looks import UNKNOWN, VIEWS
 from dirl.mapping.walks import looks, step
 from dirl.reporting.style import COLORS, plain
 from dirl.runs.exits import one_line_exits
-from dirl.scenes import Scene, World, make_world
+from dirl.scenes import Scene, World
 from dirl.scenes.collection import read_collection
-from dirl.scenes.goals import well_reached
 
 VARIANTS = ((0.9, False), (0.8, True), (0.9, True), (0.95, True))
 """Thresholds, and whether a match is verified."""
@@ -204,11 +203,7 @@ def measured(place: Place, threshold: float, *, verify: bool) -> dict[str, float
 def measure(options: argparse.Namespace) -> str:
     """Measure, and write a report; the text of its README."""
     scenes = list(read_collection(options.collection).select(split="validation")[: options.rooms])
-    goals = {}
-    for index, scene in enumerate(scenes):
-        states = np.flatnonzero(well_reached(scene))
-        goals[scene.name] = tuple(np.random.default_rng(index).permutation(states)[: options.goals].tolist())
-    world = make_world(scenes, goals)
+    world = drawn_goals(scenes, options.goals)
     encoder = load_encoder(options.encoder, precision="bfloat16")
     found: Measured = {}
     for kind, strength, places in conditions(world, encoder, options.kinds):

@@ -21,7 +21,8 @@ class Part:
         uv: where in the texture each corner is, float64 ``[n, 3, 2]``; None until it is known how large a repeat is.
         material: its name.
         smooth: degrees up to which triangles that share a corner look rounded.
-        unturned: ``corners`` before the part was turned, if it was.
+        unturned: ``corners`` before the part was turned, if it was. Normals are computed from these and turned with
+            the part, so that the same piece is shaded alike, to the last bit, however it stands.
         turn: how it was turned, a rotation matrix ``[3, 3]``.
     """
 

@@ -58,26 +58,17 @@ def find_rooms(scene: str | Sequence[str], split: str | None, rooms: int | None)
     Raises:
         SceneError: no such collection, or none of its rooms.
     """
-    if names_collection(scene):
-        name = scene if isinstance(scene, str) else scene[0]
-        return read_collection(name.removeprefix(COLLECTION)).select(split=split)[:rooms]
+    if (folder := collection_folder(scene)) is not None:
+        return read_collection(folder).select(split=split)[:rooms]
     if split is not None or rooms is not None:
         raise SceneError("split and rooms choose among the rooms of a collection: scene=collection:<folder>")
     return None
 
 
-def names_collection(scene: str | Sequence[str]) -> bool:
-    """Whether a user asks for the rooms of a collection, see `load_scenes`."""
+def collection_folder(scene: str | Sequence[str]) -> Path | None:
+    """The folder of the collection whose rooms a user asks for, see `load_scenes`; None if single scenes are named."""
     name = scene if isinstance(scene, str) else scene[0] if len(scene) == 1 else ""
-    return name.startswith(COLLECTION)
-
-
-def missing_collection(scene: str | Sequence[str]) -> Path | None:
-    """The folder of the collection whose rooms a user asks for, if there is no such folder."""
-    if not names_collection(scene):
-        return None
-    folder = Path((scene if isinstance(scene, str) else scene[0]).removeprefix(COLLECTION))
-    return None if folder.is_dir() else folder
+    return Path(name.removeprefix(COLLECTION)) if name.startswith(COLLECTION) else None
 
 
 def find_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Dump]:

@@ -11,7 +11,7 @@ from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation import EvaluationProtocol
 from dirl.scenes import World
-from dirl.scenes.catalogue import missing_collection, names_collection
+from dirl.scenes.catalogue import collection_folder
 from dirl.training.build import (
     build_goals,
     build_observation,
@@ -52,13 +52,14 @@ def load_trained(
     given = dict(changes or {})
     if "goals" in given:
         given.setdefault("hold_out", 0.0)
-    if "scene" in given and not names_collection(given["scene"]):  # else the rooms of the training's split
+    if "scene" in given and collection_folder(given["scene"]) is None:  # else the rooms of the training's split
         given = {"split": None, "rooms": None, **given}
     # Goals that are drawn are drawn by the seed of the training: by another, trained ones would count as held out.
     seed = given.pop("seed", None)
     config = read_config(saved["config"], origin, given, trust)
-    if "scene" not in given and (missing := missing_collection(config.scene or [])) is not None:
-        raise ConfigError(f"{origin}: its training rooms, {missing}, are not here; say where to evaluate it: scene=...")
+    rooms = None if "scene" in given else collection_folder(config.scene or [])
+    if rooms is not None and not rooms.is_dir():
+        raise ConfigError(f"{origin}: its training rooms, {rooms}, are not here; say where to evaluate it: scene=...")
     world = build_world(config)
     held_out = build_goals(config, world.scenes).held_out
     if seed is not None:
