@@ -26,7 +26,7 @@ from dirl.reporting import pictures
 DOCS = ROOT / "docs"
 PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "howto").glob("*.md"))]
 
-QUICK = [option for option in TINY if not option.startswith(("evaluation.max_steps", "checkpoint"))]
+QUICK = [option for option in TINY if not option.startswith("evaluation.max_steps")]
 QUICK = [option for option in QUICK if not option.startswith(("imitation.max_steps", "reinforcement.frames"))]
 QUICK += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.frames_per_scene=240"]
 """Behind every training of a page, but for the options that it gives itself."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from commands import TINY, room_file, run_recipe, start_recipe, train_config, wait_until
+from commands import SAVED, TINY, room_file, run_recipe, start_recipe, train_config, wait_until
 from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
@@ -138,7 +138,8 @@ def test_a_failed_job_is_told_and_the_others_are_not_lost_and_are_not_made_again
 
 
 def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_again(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *SMALL, "reinforcement.frames_per_scene=1500", "experiment=fig4"]
+    options = [f"scene={room_file(tmp_path)}", *SMALL, SAVED, "reinforcement.frames_per_scene=1500"]
+    options += ["experiment=fig4"]
     command = ["-m", *options, "system=dirl", "seed=0,1"]
     process = start_recipe(tmp_path, "train", *command)
     first, second = (tmp_path / f"runs/experiments/fast/dirl_random_0.05_{seed}" for seed in (0, 1))

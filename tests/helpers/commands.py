@@ -23,10 +23,12 @@ TINY = [
     "reinforcement.agents_per_scene=6",
     "evaluation.times=2",
     "evaluation.max_steps=50",
-    "checkpoint.every_seconds=0",
 ]
 
-SHORT = [*TINY, "imitation.max_steps=10"]
+SAVED = "checkpoint.every_seconds=0"
+"""A checkpoint after every update, which takes a quarter of such a run: for those that are killed."""
+
+SHORT = [*TINY, "imitation.max_steps=10", SAVED]
 """A run that is made hundreds of times, to be killed and spoilt."""
 
 

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 import torch
-from commands import TINY, room_file, run_recipe, start_recipe, train_config, wait_until
+from commands import SAVED, TINY, room_file, run_recipe, start_recipe, train_config, wait_until
 from rooms import grid_scene
 
 from dirl.runs.checkpoints import load_checkpoint
@@ -52,7 +52,7 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
     whole, killed = pretrained / "whole", pretrained / "killed"
     status, _, errors = run_recipe(pretrained, "train", *options, "hydra.run.dir=whole")
     assert status == 0, errors
-    process = start_recipe(pretrained, "train", *options, "hydra.run.dir=killed")
+    process = start_recipe(pretrained, "train", *options, "hydra.run.dir=killed", SAVED)
     wait_until(lambda: list(killed.glob("checkpoints/*[1-9]??.pt")))
     process.send_signal(signal.SIGKILL)
     process.wait()

@@ -7,7 +7,7 @@ import time
 import pytest
 import torch
 import yaml
-from commands import TINY, room_file, run_program, run_recipe, start_recipe, wait_until
+from commands import SAVED, TINY, room_file, run_program, run_recipe, start_recipe, wait_until
 from PIL import Image
 
 STAGES = ("imitation", "reinforcement", "evaluation")
@@ -137,7 +137,7 @@ def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path, memory):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={whole}")
     assert status == 0, errors
-    process = start_recipe(tmp_path, "train", *options, f"hydra.run.dir={killed}")
+    process = start_recipe(tmp_path, "train", *options, f"hydra.run.dir={killed}", SAVED)
     wait_until(lambda: list(killed.glob("checkpoints/*[1-9]???.pt")))
     process.send_signal(signal.SIGKILL)
     assert process.wait().status == -signal.SIGKILL

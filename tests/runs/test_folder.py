@@ -194,6 +194,32 @@ def test_a_checkpoint_whose_tables_or_counts_cannot_be_is_not_gone_on_from(tmp_p
         assert (f"knows nothing of {table}" in capsys.readouterr().err) == (kept == 10)
 
 
+@pytest.mark.parametrize(
+    ("deleted", "step"),
+    [
+        ("config.yaml", "save"),
+        ("config.yaml", "finish"),
+        ("evaluation.csv", "write"),
+        ("evaluation.csv", "save"),
+        ("evaluation.csv", "finish"),
+    ],
+)
+def test_what_somebody_deletes_of_a_running_run_ends_it(tmp_path, deleted, step):
+    run = begun(tmp_path)
+    run.write("evaluation", 10, {"frames": 10, "atl": 3.0})
+    (tmp_path / deleted).unlink()
+    steps = {
+        "write": lambda: run.write("evaluation", 20, {"frames": 20, "atl": 2.0}),
+        "save": lambda: run.save({"frames": 20, "network": {}}),
+        "finish": lambda: run.finish({"frames": 20, "network": {}}, {}),
+    }
+    with pytest.raises(FileNotFoundError, match=deleted):
+        steps[step]()
+    assert not (tmp_path / deleted).exists()
+    assert not training_checkpoints(tmp_path)
+    assert not (tmp_path / "summary.json").exists()
+
+
 def test_what_killed_processes_left_is_removed(tmp_path):
     saved_run(tmp_path, 10)
     for folder in (tmp_path, tmp_path / "checkpoints"):

@@ -6,7 +6,7 @@ import signal
 import pytest
 import torch
 import train
-from commands import TINY, room_file, start_recipe, train_config, wait_until
+from commands import SAVED, TINY, room_file, start_recipe, train_config, wait_until
 from parts import make_parts, train_in
 from torch.distributed import TCPStore
 
@@ -88,7 +88,7 @@ def as_one_rank(monkeypatch, config):
 
 
 def test_two_ranks_give_the_updates_of_one(tmp_path, monkeypatch):
-    options = [f"scene={room_file(tmp_path)}", *SHORT, "evaluation.times=0", "checkpoint.every_seconds=1e9"]
+    options = [f"scene={room_file(tmp_path)}", *SHORT, "evaluation.times=0"]
     options += ["reinforcement.frames_per_scene=300"]
     first, second = run_ranks(tmp_path, *options, "hydra.run.dir=two")
     assert "300 frames" in first.printed
@@ -109,7 +109,7 @@ def test_two_ranks_give_the_updates_of_one(tmp_path, monkeypatch):
 def test_a_lost_rank_ends_the_run_which_goes_on_with_as_many(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *SHORT, "reinforcement.frames_per_scene=900", "evaluation.times=0"]
     run_ranks(tmp_path, *options, "hydra.run.dir=whole")
-    running = Ranks(tmp_path, *options, "hydra.run.dir=killed")
+    running = Ranks(tmp_path, *options, "hydra.run.dir=killed", SAVED)
     wait_until(lambda: list((tmp_path / "killed").glob("checkpoints/*[1-9]*.pt")))
     running.ranks[1].send_signal(signal.SIGKILL)
     left, killed = running.wait()

@@ -106,12 +106,16 @@ def test_a_training_that_has_begun_has_a_used_optimiser(scene, optimiser):
         "random": random,
         "optimiser": used.state_dict(),
         "trained": 2,
+        "meter": {"steps": [[3, 4], []], "totals": [7, 0]},
     }
     check_training(state, {**state, "frames": 0, "trained": 0}, env, fresh, "a")
     for change in ({"optimiser": fresh.state_dict()}, {"random": {}}, {"agents": {}}, {"frames": -1}):
         with pytest.raises(RunError, match=r"^a: "):
             check_training(state | change, state, env, fresh, "a")
-    with pytest.raises(RunError, match="it lacks agents, random, trained"):
+    for steps in ([[], []], [[3, 5], []], [[], [3, 4]]):
+        with pytest.raises(RunError, match=r"^a: meter: the lengths of the latest episodes do not add up"):
+            check_training(state | {"meter": state["meter"] | {"steps": steps}}, state | {"meter": {}}, env, fresh, "a")
+    with pytest.raises(RunError, match="it lacks agents, meter, random, trained"):
         check_training({"frames": 9, "optimiser": {}}, state, env, fresh, "a")
 
 

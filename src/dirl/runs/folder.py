@@ -64,6 +64,7 @@ class Run:
         self._began = time.perf_counter() - (saved["seconds"] if saved else 0.0)
         self._last_save = time.perf_counter()
         self._facts: dict[str, Any] = {}
+        self._tables: set[Path] = set()
 
     def begin(self, world: World, view_order: Sequence[str]) -> None:
         """Lock the folder, write the configuration, and remove what is newer than the checkpoint.
@@ -107,9 +108,9 @@ class Run:
         remove_unfinished(self.folder)
         remove_unfinished(self.folder / "checkpoints")
         sizes = self.saved["tables"] if self.saved else {}
-        for file in (self.folder / name for name in TABLES):
-            if file.exists():
-                os.truncate(file, sizes.get(file.name, 0))
+        self._tables = {file for name in TABLES if (file := self.folder / name).exists()}
+        for file in self._tables:
+            os.truncate(file, sizes.get(file.name, 0))
 
     def close(self) -> None:
         """Release the folder; the end of the process does so at the latest."""
@@ -141,7 +142,8 @@ class Run:
         if ranks.rank():
             return
         file = self.folder / f"{stage}.csv"
-        begins = not file.exists() or file.stat().st_size == 0
+        begins = file not in self._tables or file.stat().st_size == 0
+        self._tables.add(file)
         cells = [
             "" if math.isnan(value) else f"{value:.6g}" if isinstance(value, float) else value for value in row.values()
         ]
@@ -165,9 +167,10 @@ class Run:
         """
         if ranks.rank():
             return
+        config_file(self.folder).stat()  # of a folder that is being deleted while it is written to, a part may stay
         tables = {}
-        for file in (self.folder / name for name in TABLES):
-            with suppress(FileNotFoundError), file.open("rb") as stream:
+        for file in self._tables:
+            with file.open("rb") as stream:
                 os.fsync(stream.fileno())  # a checkpoint must not reach the disk before the rows that it counts
                 tables[file.name] = os.fstat(stream.fileno()).st_size
         state = {**state, **self._facts, "tables": tables, "seconds": self.seconds}
@@ -177,7 +180,13 @@ class Run:
         self._last_save = time.perf_counter()
 
     def finish(self, state: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
-        """Write ``network.pt`` and ``summary.json``."""
+        """Write ``network.pt`` and ``summary.json``.
+
+        Raises:
+            FileNotFoundError: what the run has written before was deleted meanwhile.
+        """
+        for file in (config_file(self.folder), *self._tables):
+            file.stat()
         save_checkpoint(self.folder / "network.pt", {**state, **self._facts})
         self.write_summary(summary)
 

@@ -136,6 +136,8 @@ def check_training(
         raise RunError(f"{where}: is no checkpoint of a training; it lacks {', '.join(sorted(missing))}")
     for name in fresh.keys() - {"optimiser", "random", "trained"}:
         check_fits(saved[name], fresh[name], f"{where}: {name}", saved["frames"])
+    if [sum(lengths) for lengths in saved["meter"]["steps"]] != list(saved["meter"]["totals"]):
+        raise RunError(f"{where}: meter: the lengths of the latest episodes do not add up to their totals")
     check_agents(saved["agents"], env, f"{where}: agents")
     check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser", saved["trained"])
     if saved["frames"] and not saved["optimiser"]["state"]:

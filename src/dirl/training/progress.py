@@ -76,6 +76,7 @@ class EpisodeMeter:
         """What `load_state_dict` takes."""
         return {
             "steps": [list(last) for last in self.steps],
+            "totals": list(self.totals),
             "episodes": self.episodes,
             "stable_at": self.stable_at,
             "near_at": self.near_at,
@@ -84,7 +85,7 @@ class EpisodeMeter:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore a saved state."""
         self.steps = [deque(last, maxlen=WINDOW) for last in state["steps"]]
-        self.totals = [sum(last) for last in self.steps]
+        self.totals = list(state["totals"])
         self.episodes, self.stable_at, self.near_at = state["episodes"], state["stable_at"], state["near_at"]
 
 
