@@ -48,7 +48,7 @@ def summaries(folder):
 def grid(tmp_path_factory):
     """A folder with the runs of a small grid: every kind of system, and the expert's share."""
     folder = tmp_path_factory.mktemp("grid")
-    options = [f"scene={room_file(folder)}", *SMALL, "evaluation.times=4", "reinforcement.frames_per_scene=1200"]
+    options = [f"scene={room_file(folder)}", *SMALL]
     for given in (["table2", "system=random,il,td_drl,dirl"], ["fig8", "imitation={fraction:0.0},{fraction:0.5}"]):
         status, _, errors = run_recipe(folder, "train", "-m", f"experiment={given[0]}", *options, given[1], "seed=0,1")
         assert status == 0, errors
@@ -98,7 +98,7 @@ def test_table_1_is_half_of_the_way(grid):
     run_recipe(grid, "report", "experiment=table1", "out=half")
     (row, *_) = [row for row in rows_of(grid / "half" / "table1_greedy.csv") if row["system"] == "DIRL"]
     tests = rows_of(grid / "runs/experiments/fast/dirl_random_0.05_0/evaluation.csv")
-    (half,) = [test for test in tests if test["frames"] == "600"]
+    (half,) = [test for test in tests if test["frames"] == "300"]
     assert float(row["ATL, ours"]) == pytest.approx(float(half["atl"]))
 
 

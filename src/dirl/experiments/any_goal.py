@@ -123,7 +123,9 @@ def variant(config: TrainConfig) -> str:
     """What a run has of the system's parts."""
     encoder = "compared" if config.encoder[TARGET].endswith("ComparingEncoder") else "embedded side by side"
     noise = f"noise {config.imitation.noise:g}" if config.imitation.noise else "no noise"
-    return f"goal {encoder}, {noise}, {config.imitation.front_only:.0%} photos"
+    dagger = f", DAgger of {config.imitation.rounds} rounds" if config.imitation.rounds else ""
+    reinforced = "".join(f", then {name}" for name in config.losses if name in ("a2c", "ppo"))
+    return f"goal {encoder}, {noise}, {config.imitation.front_only:.0%} photos{dagger}{reinforced}"
 
 
 def main_variant(variants: Mapping[str, Sequence[Result]]) -> str:
@@ -216,25 +218,28 @@ def nearest_trained(config: TrainConfig, world: World) -> Tensor:
 
 
 def _parts(variants: Mapping[str, Sequence[Result]]) -> Table:
-    """Held-out goals found by runs that lack a part, with and without the memory."""
-    columns = [Column("part of the system"), Column("runs", "d")]
-    table = Table(
-        *columns, *(Column(f"{name}, {how}", ".3f") for how in ("memory", "no memory") for name in ("SR", "SPL"))
-    )
+    """Held-out goals found by runs that lack a part, by goal view, with and without the memory."""
+    ways = [(changes, memory) for changes in (ALL, ALL | goal_view_options("front")) for memory in (True, False)]
+    columns = [
+        Column(f"{name}{view}{how}", ".3f")
+        for view in ("", ", one photo")
+        for how in ("", ", no memory")
+        for name in ("SR", "SPL")
+    ]
+    table = Table(Column("part of the system"), Column("runs", "d"), *columns)
     for name, runs in variants.items():
-        cells: list[list[float]] = []
-        for memory in (True, False):
-            measured = []
-            for run in runs:
-                _, policy, protocol = run.load(ALL)
-                assert protocol.held_out is not None
-                held_out = protocol.held_out
-                starts = sampled_starts(held_out.world, STARTS, run.config.seed)
-                chosen = replace(held_out, starts=starts, memory=held_out.memory if memory else None)
-                measured.append(metrics(chosen.run(policy)))
-            cells += [[one[key] for one in measured] for key in ("sr", "spl")]
-        table.add(name, len(runs), *cells)
+        measured = [[_measured(run, changes, memory=memory) for run in runs] for changes, memory in ways]
+        table.add(name, len(runs), *([one[key] for one in those] for those in measured for key in ("sr", "spl")))
     return table
+
+
+def _measured(run: Result, changes: Mapping[str, Any], *, memory: bool) -> dict[str, float]:
+    """The measures of a run at held-out goals, from some starts of each."""
+    _, policy, protocol = run.load(changes)
+    assert protocol.held_out is not None
+    starts = sampled_starts(protocol.held_out.world, STARTS, run.config.seed)
+    kept = protocol.held_out.memory if memory else None
+    return metrics(replace(protocol.held_out, starts=starts, memory=kept).run(policy))
 
 
 def _draw(found: Sequence[tuple[World, Mapping[str, Episodes]]], out: Path) -> None:
