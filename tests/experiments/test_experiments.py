@@ -316,6 +316,7 @@ def test_goals_that_were_held_out_are_reported_beside_controls(any_goal):
     assert 0 < float(rows["random walk"]["SPL"]) < 0.6
     parts = rows_of(any_goal / "report" / "any_goal_parts.csv")
     assert [row["part of the system"].split(",")[0] for row in parts] == ["goal compared", "goal embedded side by side"]
+    assert all(0 < float(row["SPL, one photo"]) < 1 for row in parts)
     assert (any_goal / "report" / "any_goal.svg").stat().st_size > 1000
 
 

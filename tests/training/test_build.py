@@ -13,8 +13,8 @@ from torch import nn
 from dirl.config.schemas import ConfigError
 from dirl.models import FeatureTable, plain_weights, recurrent_keys
 from dirl.models.fast.siamese import CachedSiamese
-from dirl.scenes import write_dump
-from dirl.training.build import build_env, build_policy, build_world
+from dirl.scenes import SceneError, write_dump
+from dirl.training.build import build_env, build_goals, build_policy, build_world
 from dirl.training.load import load_weights, trained_policy
 
 SMALL = ["encoder.width=8", "heads.width=8"]
@@ -133,3 +133,18 @@ def test_a_machine_without_a_gpu_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ConfigError, match=r"^device=cuda: torch sees no CUDA device here; use device=cpu$"):
         build_world(train_config(f"scene={room_file(tmp_path)}", "device=cuda"))
+
+
+def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *SMALL, "hold_out=0.3", "imitation.fraction=1"]
+    parts = make_parts(*options, "imitation.drawn=true", "imitation.goals=all")
+    torch.manual_seed(0)
+    shown = set(parts.demos.draw(2000)["goal"].tolist())
+    held_out = set(build_goals(parts.config, parts.world.scenes).held_out["grid"])
+    assert held_out
+    assert shown == set(range(24)) - held_out
+    assert parts.world.goals.tolist() == [0, 13]  # where reinforcement is
+    with pytest.raises(ConfigError, match=r"imitation\.goals: is of drawn pairs"):
+        make_parts(*options, "imitation.goals=all")
+    with pytest.raises(SceneError, match="goals=some: must be states, or one of all"):
+        make_parts(*options, "imitation.drawn=true", "imitation.goals=some")

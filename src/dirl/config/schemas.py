@@ -77,6 +77,7 @@ class ImitationConfig:
     bc_coef: Schedule = field(default_factory=Schedule)
     batch_size: int | None = None
     drawn: bool = False
+    goals: str | None = None
     scenes_at_once: int | None = None
     front_only: float = 0.0
     noise: float = 0.0

@@ -187,15 +187,28 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
     """What the expert shows: rows ``[M]``, see `dirl.experts.demonstrations`; or pairs that are drawn.
 
     Raises:
-        ConfigError: goals given by a photo where there is a table of demonstrations.
+        ConfigError: goals of their own, or given by a photo, where there is a table of demonstrations.
+        SceneError: a rule for their goals that does not exist, or that leaves a scene without a goal.
     """
-    options, expert = config.imitation, build_expert(config, world)
+    options = config.imitation
     if not options.drawn:
-        if options.front_only:
-            raise ConfigError("imitation.front_only: is a share of drawn pairs; add imitation.drawn=true")
+        for name in ("front_only", "goals"):
+            if getattr(options, name):
+                raise ConfigError(f"imitation.{name}: is of drawn pairs; add imitation.drawn=true")
+    if options.goals is not None:
+        world = _towards(config, world, options.goals)
+    expert = build_expert(config, world)
+    if not options.drawn:
         return demonstrations(world, expert, observation, options.fraction, options.rule, config.seed)
     shown = shown_states(world, options.fraction, options.rule, config.seed)
     return DrawnPairs(world, expert, observation, shown, options.front_only, options.scenes_at_once)
+
+
+def _towards(config: TrainConfig, world: World, rule: str) -> World:
+    """The world with the goals that the expert walks to: those of a rule without those held out."""
+    chosen: Any = choose_goals(world.scenes, rule, seed=config.seed).trained
+    held_out = build_goals(config, world.scenes).held_out
+    return world.with_goals({name: sorted(set(chosen[name]) - set(held_out.get(name, ()))) for name in world.names})
 
 
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
