@@ -33,6 +33,7 @@ QUICK += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.fra
 
 SHORTER = {
     "any_goal.md": {"imitation.max_steps=100": "imitation.max_steps=5", "evaluation.goals=20": "evaluation.goals=2"},
+    "extend.md": {'("gru", "lstm")': '("lstm",)'},  # tests/deploy exports one with gru
     "many_goals.md": {
         "train.py scene=kitchen_02": "train.py evaluation.goals=2 evaluation.starts=sampled scene=kitchen_02"
     },
