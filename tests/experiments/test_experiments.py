@@ -143,7 +143,7 @@ def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_agai
     command = ["-m", *options, "system=dirl", "seed=0,1"]
     process = start_recipe(tmp_path, "train", *command)
     first, second = (tmp_path / f"runs/experiments/fast/dirl_random_0.05_{seed}" for seed in (0, 1))
-    wait_until(lambda: list(second.glob("checkpoints/*[1-9]???.pt")))
+    wait_until(lambda: list(second.glob("checkpoints/0*[1-9]???.pt")))
     process.send_signal(signal.SIGKILL)
     assert process.wait().status == -signal.SIGKILL
     assert (first / "summary.json").exists()

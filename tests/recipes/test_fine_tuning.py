@@ -53,7 +53,7 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
     status, _, errors = run_recipe(pretrained, "train", *options, "hydra.run.dir=whole")
     assert status == 0, errors
     process = start_recipe(pretrained, "train", *options, "hydra.run.dir=killed", SAVED)
-    wait_until(lambda: list(killed.glob("checkpoints/*[1-9]??.pt")))
+    wait_until(lambda: list(killed.glob("checkpoints/0*[1-9]??.pt")))
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (killed / "summary.json").exists(), "it was not killed in time"

@@ -138,7 +138,7 @@ def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path, memory):
     status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={whole}")
     assert status == 0, errors
     process = start_recipe(tmp_path, "train", *options, f"hydra.run.dir={killed}", SAVED)
-    wait_until(lambda: list(killed.glob("checkpoints/*[1-9]???.pt")))
+    wait_until(lambda: list(killed.glob("checkpoints/0*[1-9]???.pt")))
     process.send_signal(signal.SIGKILL)
     assert process.wait().status == -signal.SIGKILL
     assert not (killed / "summary.json").exists(), "it was not killed in time"

@@ -110,7 +110,7 @@ def test_a_lost_rank_ends_the_run_which_goes_on_with_as_many(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *SHORT, "reinforcement.frames_per_scene=900", "evaluation.times=0"]
     run_ranks(tmp_path, *options, "hydra.run.dir=whole")
     running = Ranks(tmp_path, *options, "hydra.run.dir=killed", SAVED)
-    wait_until(lambda: list((tmp_path / "killed").glob("checkpoints/*[1-9]*.pt")))
+    wait_until(lambda: list((tmp_path / "killed").glob("checkpoints/0*[1-9]*.pt")))
     running.ranks[1].send_signal(signal.SIGKILL)
     left, killed = running.wait()
     assert (left.status, killed.status) == (75, -signal.SIGKILL)
