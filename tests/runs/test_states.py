@@ -40,6 +40,7 @@ def test_a_saved_optimiser_fits_a_fresh_one(optimiser):
         (lambda state: state["param_groups"][0].update(params=[0, 0]), "params cannot have been so"),
         (lambda state: state["param_groups"][0].update(eps=1.0), "eps cannot have been so"),
         (lambda state: state["param_groups"][0].update(lr=-1.0), "lr cannot have been so"),
+        (lambda state: state["param_groups"][0].update(lr=2**70), "lr cannot have been so"),
         (lambda state: state["param_groups"][0].update(lr="fast"), "lr: expected float 0.1, found str 'fast'"),
         (lambda state: state.pop("param_groups"), "expected 2 entries"),
     ],

@@ -80,7 +80,7 @@ def check_optimiser(saved: Any, optimiser: Optimizer, where: str, trained: Any) 
     parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
     for group, wanted in zip(saved["param_groups"], fresh["param_groups"], strict=True):
         changed = [name for name in wanted if name != "lr" and group[name] != wanted[name]]
-        if changed or group["lr"] < 0:
+        if changed or not 0 <= group["lr"] <= optimiser.defaults["lr"]:  # schedules only lower it
             raise RunError(f"{where}.param_groups: {', '.join(changed or ['lr'])} cannot have been so in this run")
     if not saved["state"].keys() <= set(range(len(parameters))) or len(saved["state"]) != trained:
         raise RunError(
