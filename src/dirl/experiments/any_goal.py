@@ -123,9 +123,7 @@ def variant(config: TrainConfig) -> str:
     """What a run has of the system's parts."""
     encoder = "compared" if config.encoder[TARGET].endswith("ComparingEncoder") else "embedded side by side"
     noise = f"noise {config.imitation.noise:g}" if config.imitation.noise else "no noise"
-    dagger = f", DAgger of {config.imitation.rounds} rounds" if config.imitation.rounds else ""
-    reinforced = "".join(f", then {name}" for name in config.losses if name in ("a2c", "ppo"))
-    return f"goal {encoder}, {noise}, {config.imitation.front_only:.0%} photos{dagger}{reinforced}"
+    return f"goal {encoder}, {noise}, {config.imitation.front_only:.0%} photos"
 
 
 def main_variant(variants: Mapping[str, Sequence[Result]]) -> str:
@@ -219,27 +217,23 @@ def nearest_trained(config: TrainConfig, world: World) -> Tensor:
 
 def _parts(variants: Mapping[str, Sequence[Result]]) -> Table:
     """Held-out goals found by runs that lack a part, by goal view, with and without the memory."""
-    ways = [(changes, memory) for changes in (ALL, ALL | goal_view_options("front")) for memory in (True, False)]
-    columns = [
-        Column(f"{name}{view}{how}", ".3f")
-        for view in ("", ", one photo")
-        for how in ("", ", no memory")
-        for name in ("SR", "SPL")
-    ]
+    ways = ("", ", no memory", ", one photo", ", one photo, no memory")
+    columns = [Column(f"{measure}{way}", ".3f") for way in ways for measure in ("SR", "SPL")]
     table = Table(Column("part of the system"), Column("runs", "d"), *columns)
+    photo = ALL | goal_view_options("front")
     for name, runs in variants.items():
-        measured = [[_measured(run, changes, memory=memory) for run in runs] for changes, memory in ways]
-        table.add(name, len(runs), *([one[key] for one in those] for those in measured for key in ("sr", "spl")))
+        measured = [[*_with_and_without_memory(run, ALL), *_with_and_without_memory(run, photo)] for run in runs]
+        by_way = zip(*measured, strict=True)
+        table.add(name, len(runs), *([one[key] for one in way] for way in by_way for key in ("sr", "spl")))
     return table
 
 
-def _measured(run: Result, changes: Mapping[str, Any], *, memory: bool) -> dict[str, float]:
-    """The measures of a run at held-out goals, from some starts of each."""
+def _with_and_without_memory(run: Result, changes: Mapping[str, Any]) -> list[dict[str, float]]:
+    """The measures of a run at held-out goals, from some starts of each, with its memory and without."""
     _, policy, protocol = run.load(changes)
     assert protocol.held_out is not None
-    starts = sampled_starts(protocol.held_out.world, STARTS, run.config.seed)
-    kept = protocol.held_out.memory if memory else None
-    return metrics(replace(protocol.held_out, starts=starts, memory=kept).run(policy))
+    few = replace(protocol.held_out, starts=sampled_starts(protocol.held_out.world, STARTS, run.config.seed))
+    return [metrics(one.run(policy)) for one in (few, replace(few, memory=None))]
 
 
 def _draw(found: Sequence[tuple[World, Mapping[str, Episodes]]], out: Path) -> None:

@@ -19,12 +19,7 @@ from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig, leaves
 from dirl.runs import ranks
-from dirl.runs.checkpoints import (
-    SUFFIX,
-    latest_checkpoint,
-    save_checkpoint,
-    training_checkpoints,
-)
+from dirl.runs.checkpoints import SUFFIX, latest_checkpoint, save_checkpoint, training_checkpoints
 from dirl.runs.checks import SCHEMA, TABLES, RunError, check_progress
 from dirl.runs.locks import FolderLock, claim, config_file, is_numbered
 from dirl.runs.loggers import Logger, make_logger
@@ -167,9 +162,9 @@ class Run:
         """
         if ranks.rank():
             return
-        config_file(self.folder).stat()  # of a folder that is being deleted while it is written to, a part may stay
+        self._check_written()
         tables = {}
-        for file in self._tables:
+        for file in sorted(self._tables):
             with file.open("rb") as stream:
                 os.fsync(stream.fileno())  # a checkpoint must not reach the disk before the rows that it counts
                 tables[file.name] = os.fstat(stream.fileno()).st_size
@@ -180,15 +175,15 @@ class Run:
         self._last_save = time.perf_counter()
 
     def finish(self, state: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
-        """Write ``network.pt`` and ``summary.json``.
-
-        Raises:
-            FileNotFoundError: what the run has written before was deleted meanwhile.
-        """
-        for file in (config_file(self.folder), *self._tables):
-            file.stat()
+        """Write ``network.pt`` and ``summary.json``."""
+        self._check_written()
         save_checkpoint(self.folder / "network.pt", {**state, **self._facts})
         self.write_summary(summary)
+
+    def _check_written(self) -> None:
+        """Raise ``FileNotFoundError`` if a file was deleted: of a folder deleted during a write, a part may stay."""
+        for file in (config_file(self.folder), *self._tables):
+            file.stat()
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write ``summary.json``."""

@@ -22,7 +22,7 @@ from dirl.evaluation import EvaluationProtocol
 from dirl.experts import demonstrations, shown_states
 from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
 from dirl.objectives import ImitationLoss
-from dirl.scenes import ACTIONS, Scene, World, load_scenes, make_world
+from dirl.scenes import ACTIONS, Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.matching import TemplateStop
 from dirl.scenes.world import Goals
@@ -194,7 +194,7 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
     if not options.drawn:
         for name in ("front_only", "goals"):
             if getattr(options, name):
-                raise ConfigError(f"imitation.{name}: is of drawn pairs; add imitation.drawn=true")
+                raise ConfigError(f"imitation.{name}: applies to drawn pairs only; add imitation.drawn=true")
     if options.goals is not None:
         world = _towards(config, world, options.goals)
     expert = build_expert(config, world)
@@ -206,7 +206,11 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
 
 def _towards(config: TrainConfig, world: World, rule: str) -> World:
     """The world with the goals that the expert walks to: those of a rule without those held out."""
-    chosen: Any = choose_goals(world.scenes, rule, seed=config.seed).trained
+    try:
+        chosen: Any = choose_goals(world.scenes, rule, seed=config.seed).trained
+    except SceneError as error:
+        raise SceneError(f"imitation.goals: {error}") from None
+    # Which places are held out depends on the run's goals where these are given by number.
     held_out = build_goals(config, world.scenes).held_out
     return world.with_goals({name: sorted(set(chosen[name]) - set(held_out.get(name, ()))) for name in world.names})
 

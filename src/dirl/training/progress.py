@@ -73,7 +73,7 @@ class EpisodeMeter:
         return [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes."""
+        """What `load_state_dict` takes; the totals only tell whether the steps were changed."""
         return {
             "steps": [list(last) for last in self.steps],
             "totals": list(self.totals),
