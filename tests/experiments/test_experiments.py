@@ -317,6 +317,8 @@ def test_goals_that_were_held_out_are_reported_beside_controls(any_goal):
     parts = rows_of(any_goal / "report" / "any_goal_parts.csv")
     assert [row["part of the system"].split(",")[0] for row in parts] == ["goal compared", "goal embedded side by side"]
     assert all(0 < float(row["SPL, one photo"]) < 1 for row in parts)
+    for view, way in (("SPL", "four views of the goal"), ("SPL, one photo", "one photo of the goal")):
+        assert float(parts[0][f"{view}, no memory"]) == pytest.approx(float(rows[f"{way}, without memory"]["SPL"]))
     assert (any_goal / "report" / "any_goal.svg").stat().st_size > 1000
 
 
