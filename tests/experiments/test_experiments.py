@@ -15,7 +15,7 @@ from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
 from dirl.experiments import image_graph
-from dirl.experiments.any_goal import ambiguous, nearest_trained, wrong_goals
+from dirl.experiments.any_goal import ambiguous, main_variant, nearest_trained, variant, wrong_goals
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.results import published
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
@@ -320,6 +320,18 @@ def test_goals_that_were_held_out_are_reported_beside_controls(any_goal):
     for view, way in (("SPL", "four views of the goal"), ("SPL, one photo", "one photo of the goal")):
         assert float(parts[0][f"{view}, no memory"]) == pytest.approx(float(rows[f"{way}, without memory"]["SPL"]))
     assert (any_goal / "report" / "any_goal.svg").stat().st_size > 1000
+
+
+def test_what_was_added_to_the_system_has_a_row_of_its_own():
+    options = {
+        "goal compared, noise 0.5, 50% photos": [],
+        "goal embedded side by side, no noise, 50% photos": ["encoder=siamese", "imitation.noise=0"],
+        "goal compared, noise 0.5, 50% photos, 2 rounds of DAgger": ["imitation.rounds=2"],
+        "goal compared, noise 0.5, 50% photos, GRUModule, then A2C": ["memory=gru", "objective=a2c"],
+    }
+    names = [variant(train_config("system=any_goal", *chosen)) for chosen in options.values()]
+    assert names == list(options)
+    assert main_variant({name: [None] for name in names[::-1]}) == names[0]
 
 
 def test_figure_5_shows_the_policy_for_any_goal_at_goals_that_it_was_not_trained_for(any_goal):

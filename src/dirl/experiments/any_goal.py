@@ -120,15 +120,20 @@ def walked_by(
 
 
 def variant(config: TrainConfig) -> str:
-    """What a run has of the system's parts."""
+    """What a run has of the system's parts, and what was added to them."""
     encoder = "compared" if config.encoder[TARGET].endswith("ComparingEncoder") else "embedded side by side"
     noise = f"noise {config.imitation.noise:g}" if config.imitation.noise else "no noise"
-    return f"goal {encoder}, {noise}, {config.imitation.front_only:.0%} photos"
+    added = [f"{config.imitation.rounds} rounds of DAgger"] if config.imitation.rounds else []
+    added += [config.memory[TARGET].rpartition(".")[2]] if config.memory[TARGET] else []
+    added += [f"then {name.upper()}" for name in ("a2c", "ppo") if name in config.losses]
+    return ", ".join([f"goal {encoder}", noise, f"{config.imitation.front_only:.0%} photos", *added])
 
 
 def main_variant(variants: Mapping[str, Sequence[Result]]) -> str:
-    """Which of the groups by `variant` has most of the system's parts, and of these most runs."""
-    return max(variants, key=lambda name: ("compared" in name, "no noise" not in name, len(variants[name])))
+    """Which of the groups by `variant` has the system's parts and nothing else; of several the one with most runs."""
+    return max(
+        variants, key=lambda name: ("compared" in name, "no noise" not in name, -name.count(","), len(variants[name]))
+    )
 
 
 def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
