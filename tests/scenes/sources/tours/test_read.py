@@ -21,7 +21,7 @@ from tours import (
 
 from dirl.scenes import SceneError
 from dirl.scenes.sources.tours import read_tour
-from dirl.scenes.sources.tours.images import cut_views
+from dirl.scenes.sources.tours.images import cut_views, read_panorama
 
 GREY = Camera360()
 SIDE = 8
@@ -65,6 +65,13 @@ SPOILT = {
         "two panoramas have",
     ),
     "on the web": ("krpano", "tour.xml", 'cube url="', 'cube url="https://x.org/', "place_0': '.*' is on the web"),
+    "turned": (
+        "krpano",
+        "tour.xml",
+        "<image>",
+        '<image prealign="0|-12.5|0">',
+        r"'place_0': prealign=0\|-12.5\|0: turns the panorama",
+    ),
     "no angle": ("krpano", "tour.xml", "ath=", "at=", "'place_0': ath: expected a number"),
     "no image": ("krpano", "tour.xml", "<image>.*?</image>", "", "scene 'place_0': has no image"),
     "a partial one": (
@@ -229,6 +236,15 @@ def test_a_panorama_of_another_shape_is_refused(tmp_path):
     Image.new("RGB", (40, 30)).save(tmp_path / "place_1.jpg")
     with pytest.raises(SceneError, match=r"place_1\.jpg: 40x30 pixels; an equirectangular image is twice as wide"):
         cut_all(tour)
+
+
+def test_pannellum_rounds_the_sizes_of_its_tiles_down(tmp_path):
+    tour = read_tour(write_pannellum(tmp_path, grid_truth(2, 2), GREY, SIDE, image="multires"))
+    faces = [read_panorama(tour.panoramas[0].image, density) for density in (1, 2.5, 5)]
+    assert [face.shape for face, *_ in faces] == [(2, 2, 3), (5, 5, 3), (10, 10, 3)]
+    change(tmp_path / "tour.json", '"type": "multires"', '"haov": 120, "type": "multires"')
+    with pytest.raises(SceneError, match="haov=120: only whole panoramas"):
+        read_tour(tmp_path)
 
 
 def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path):
