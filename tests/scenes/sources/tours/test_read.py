@@ -4,6 +4,7 @@ import json
 import re
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from tours import (
 from dirl.scenes import SceneError
 from dirl.scenes.sources.tours import read_tour
 from dirl.scenes.sources.tours.images import cut_views, read_panorama
+from dirl.scenes.sources.tours.moves import tour_scene
 
 GREY = Camera360()
 SIDE = 8
@@ -208,6 +210,28 @@ def test_walls_part_what_doors_join(tmp_path):
     data["scale_meters_per_coordinate"] = {"floor_01": None}
     file.write_text(json.dumps(data))
     assert read_tour(tmp_path).notes[0].startswith("floor 'floor_01' has no scale")
+
+
+def test_floors_are_drawn_side_by_side(tmp_path):
+    truth = grid_truth(2, 2, middles=[10.0, 20.0, 30.0, 40.0])
+    truth = replace(truth, places=truth.places + 0.5)
+    write_zind(tmp_path, truth, GREY, SIDE, size=(3, 3))
+    file = tmp_path / "zind_data.json"
+    data = json.loads(file.read_text())
+    data["merger"]["floor_02"] = data["merger"]["floor_01"]
+    data["scale_meters_per_coordinate"]["floor_02"] = data["scale_meters_per_coordinate"]["floor_01"]
+    file.write_text(json.dumps(data))
+    tour = read_tour(tmp_path, reach=2.5)
+    assert tour.notes == ("floor 'floor_02' is drawn beside the one before, 5.0 m to the right of its place",)
+    found = np.array([panorama.position for panorama in tour.panoramas])
+    assert np.allclose(found, np.concatenate([truth.places, truth.places + np.array([5, 0])]))
+    made = tour_scene(tour)
+    off = np.tile(truth.middles, 2)[:, None] + made.yaws - made.scene.headings.reshape(8, -1)
+    assert np.allclose((off + 180) % 360 - 180, 0, atol=1e-3)
+    (note,) = [note for note in made.notes if "parts" in note]
+    assert note.startswith(
+        "1 parts without any link to or from the others, of 4 panoramas; their stated headings are used"
+    )
 
 
 def cut_all(tour):
