@@ -25,6 +25,7 @@ from dirl.deploy.loading import (
 from dirl.deploy.recall import Recall
 from dirl.envs.transforms import VIEWS
 from dirl.mapping import ImageGraph
+from dirl.mapping.policy import LAST_STEPS
 from dirl.models import FeatureTable, initial_state
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.matching import FRONT_THRESHOLD
@@ -173,7 +174,9 @@ class Navigator:
         return self._table.inputs
 
     @torch.no_grad()
-    def reset(self, goal_images: Images, *, graph: ImageGraph | str | Path | None = None, last_steps: int = 3) -> None:
+    def reset(
+        self, goal_images: Images, *, graph: ImageGraph | str | Path | None = None, last_steps: int = LAST_STEPS
+    ) -> None:
         """Begin an episode, or one for each row of a batch.
 
         Args:
