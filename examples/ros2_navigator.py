@@ -1,14 +1,16 @@
 """A ROS 2 node that drives a robot to the place of one photo, with `dirl.Navigator`.
 
+    python ros2_navigator.py --ros-args -p run:=runs/any_goal -p explore:=my_map -p panorama:=/camera
     python ros2_navigator.py --ros-args -p run:=runs/any_goal -p goal:=photo.jpg -p graph:=my_map -p panorama:=/camera
 
+The first walks through the place once and makes a map, the second goes to the photo with it.
 It subscribes to one panoramic camera (parameter ``panorama``), or to four cameras (``ahead``, ``right``, ``back``,
 ``left``), and publishes ``cmd_vel``. Moves are timed: a robot with odometry should drive by that instead. ROS 2 is only
 imported by `main`; what decides is `Pilot`, which is tested without it (tests/test_examples.py).
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +26,7 @@ class Pilot:
     """Looks, decides, drives, waits until the robot stands, and looks again.
 
     Args:
-        navigator: after ``reset`` with the goal.
+        navigator: after ``reset`` with the goal; or a `Walk`.
         drive: sets the linear velocity, m/s, and the angular one, rad/s.
         step: metres of a move, as in the training.
         turn: degrees of a turn, likewise.
@@ -80,6 +82,33 @@ class Pilot:
         self.drive(linear * self.speed, angular * self.rate)
 
 
+class Step(NamedTuple):
+    """What `Pilot` reads of a decision."""
+
+    action: int
+    stop: bool
+
+
+class Walk:
+    """A walk that makes a map, in the place of the navigator in a `Pilot`; it stops where nothing is left to be learnt.
+
+    Args:
+        explorer: see `dirl.Navigator.explore`.
+        folder: where the map is written, anew after each look, so that a walk may be ended at any time.
+    """
+
+    def __init__(self, explorer: Any, folder: str) -> None:
+        self.explorer, self.folder = explorer, folder
+        self.action: int | None = None
+
+    def act(self, images: np.ndarray) -> Step:
+        """Add what is seen to the map, and choose where to go on."""
+        self.explorer.see(images, self.action)
+        self.explorer.save(self.folder)
+        self.action = self.explorer.next_action()
+        return Step(self.action or 0, self.action is None)
+
+
 def pixels(message: Any) -> np.ndarray:
     """The pixels of a ``sensor_msgs/Image``, uint8 RGB ``[H, W, 3]``.
 
@@ -105,11 +134,17 @@ def main() -> None:
 
     rclpy.init()
     node = Node("dirl_navigator")
-    defaults = {"run": "", "goal": "", "graph": "", "encoder": "resnet50_small", "panorama": "", "fov": 90.0}
+    defaults = {"run": "", "encoder": "resnet50_small", "explore": "", "goal": "", "graph": "", "last_steps": 3}
+    defaults |= {"step": 0.5, "turn": 90.0, "panorama": "", "fov": 90.0}
     given = {name: node.declare_parameter(name, value).value for name, value in defaults.items()}
     topics = {side: node.declare_parameter(side, f"/camera_{side}/image").value for side in SIDES}
     navigator = Navigator.load(given["run"], given["encoder"])
-    navigator.reset(np.asarray(Picture.open(given["goal"]).convert("RGB")), graph=given["graph"] or None)
+    if given["explore"]:
+        leader = Walk(navigator.explore(turns=round(360 / given["turn"])), given["explore"])
+    else:
+        photo = np.asarray(Picture.open(given["goal"]).convert("RGB"))
+        navigator.reset(photo, graph=given["graph"] or None, last_steps=given["last_steps"])
+        leader = navigator
     wheels = node.create_publisher(Twist, "cmd_vel", 1)
 
     def drive(linear: float, angular: float) -> None:
@@ -117,7 +152,7 @@ def main() -> None:
         twist.linear.x, twist.angular.z = float(linear), float(angular)
         wheels.publish(twist)
 
-    pilot = Pilot(navigator, drive)
+    pilot = Pilot(leader, drive, step=given["step"], turn=given["turn"])
 
     def stamp(message: Any) -> float:
         return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)

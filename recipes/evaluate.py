@@ -27,6 +27,7 @@ from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation import assess
 from dirl.mapping import GraphMemory, GuidedPolicy
+from dirl.mapping.policy import LAST_STEPS
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
@@ -41,6 +42,8 @@ def main(composed: DictConfig) -> None:
         options: EvaluateConfig = typed(composed)
         if options.checkpoint is None:
             raise RunError("name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>")
+        if options.last_steps is not None and options.image_graph is None:
+            raise RunError(f"last_steps={options.last_steps}: only where a map leads; give image_graph=2 too")
         if options.out is not None and Path(options.out).exists():
             raise RunError(f"out={options.out}: this file exists already; it is not overwritten")
         saved = load_checkpoint(options.checkpoint)
@@ -64,7 +67,8 @@ def main(composed: DictConfig) -> None:
         changes = {**goal_view_options(options.goal_view), **given}
         trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
         if options.image_graph is not None:
-            trained = trained._replace(policy=led_by_map(trained, options.image_graph))
+            last_steps = LAST_STEPS if options.last_steps is None else options.last_steps
+            trained = trained._replace(policy=led_by_map(trained, options.image_graph, last_steps))
         facts = describe(trained.config, trained.protocol.world)
         pages = viewer(trained, facts) if options.viewer else {}
         result = {
@@ -83,16 +87,17 @@ def main(composed: DictConfig) -> None:
             print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 
-def led_by_map(trained: Trained, steps_per_state: float) -> GuidedPolicy:
-    """The policy, led to near its goals by the maps of one walk through each scene."""
+def led_by_map(trained: Trained, steps_per_state: float, last_steps: int) -> GuidedPolicy:
+    """The policy, led to so many steps before its goals by the maps of one walk through each scene."""
     if trained.protocol.observation.history:
         raise RunError("image_graph: needs a policy that sees four views around it; this one sees its last four")
-    return GuidedPolicy(trained.policy, GraphMemory(trained.protocol.world, steps_per_state))
+    return GuidedPolicy(trained.policy, GraphMemory(trained.protocol.world, steps_per_state), last_steps)
 
 
 def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
     """The pages of the policy's greedy episodes, by file name, under the conditions of the evaluation."""
     config, policy, protocol = trained
+    led = policy if isinstance(policy, GuidedPolicy) else None
     return viewer_pages(
         policy,
         protocol.world,
@@ -102,7 +107,8 @@ def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
         max_steps=protocol.max_steps,
         title=run_title(facts),
         memory=protocol.memory,
-        graphs=policy.memory.graphs if isinstance(policy, GuidedPolicy) else None,
+        graphs=None if led is None else led.memory.graphs,
+        last_steps=0 if led is None else led.last_steps,
     )
 
 

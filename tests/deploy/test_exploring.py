@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from rooms import grid_scene
 from shown_goals import images_of, look_up, rooms, trained
 
 from dirl import Navigator
 from dirl.deploy.navigator import NavigatorError
 from dirl.mapping import ImageGraph
+from dirl.scenes import make_world
 
 
 @pytest.fixture(scope="module")
@@ -23,18 +25,24 @@ def navigator(world, tmp_path_factory):
     return Navigator.load(folder, look_up(world), extractor="random")
 
 
-@pytest.fixture
-def explorer(navigator, world):
-    """After a walk in which the navigator chose where to go."""
-    walk = navigator.explore()
-    assert walk.next_action() is None
+def walk_through(walk, world):
+    """Go where the explorer wants to, as long as it wants to."""
     state, action = 3, None
     for _ in range(2 * len(world)):
         walk.see(images_of(world.surrounding[state]), action)
         action = walk.next_action()
         if action is None:
             break
-        state = int(world.graph[state, action])
+        after = int(world.graph[state, action])
+        state = state if after < 0 else after
+
+
+@pytest.fixture
+def explorer(navigator, world):
+    """After a walk in which the navigator chose where to go."""
+    walk = navigator.explore(turns=4)
+    assert walk.next_action() is None
+    walk_through(walk, world)
     assert len(walk.graph) == len(world)
     return walk
 
@@ -89,6 +97,34 @@ def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_p
     (folder / "map.json").write_text((folder / "map.json").read_text().replace('"random"', '"other"'))
     with pytest.raises(NavigatorError, match="was made with another extractor: 'other', not 'random'"):
         navigator.reset(images_of(world.surrounding[5]), graph=folder)
+
+
+@pytest.mark.parametrize(("truly", "given"), [(4, 8), (8, 4), (12, 4), (8, 12), (12, 8)])
+def test_turns_of_another_angle_than_the_maps_are_noticed(truly, given, tmp_path):
+    place = make_world([grid_scene(goals=(0,), feature_width=48, headings=truly)])
+    trained(tmp_path / "run", place)
+    navigator = Navigator.load(tmp_path / "run", look_up(place), extractor="random")
+    with pytest.raises(NavigatorError, match=f"^turns={given}: after . of . quarter turns the views are not those"):
+        walk_through(navigator.explore(turns=given), place)
+
+
+@pytest.mark.parametrize("headings", [8, 12])
+def test_turns_of_the_maps_angle_are_believed(headings, tmp_path):
+    place = make_world([grid_scene(goals=(0,), feature_width=48, headings=headings)])
+    trained(tmp_path / "run", place)
+    walk = Navigator.load(tmp_path / "run", look_up(place), extractor="random").explore(turns=headings)
+    walk_through(walk, place)
+    assert len(walk.graph) == len(place)
+
+
+def test_turns_are_given_by_the_caller_or_the_map(navigator):
+    with pytest.raises(NavigatorError, match="say how many right turns make a full circle"):
+        navigator.explore()
+    known = ImageGraph(turns=8)
+    assert navigator.explore(known).graph is known
+    assert navigator.explore(known, turns=8).graph is known
+    with pytest.raises(NavigatorError, match="turns=4: this map was made with turns=8"):
+        navigator.explore(known, turns=4)
 
 
 def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):

@@ -118,21 +118,23 @@ def write_marzipano(folder, truth, camera, side=48):
     return folder
 
 
-def write_krpano(folder, truth, camera, side=48, *, multires=False):
-    """``tour.xml`` with six images a panorama, or with tiles."""
+def write_krpano(folder, truth, camera, side=48, *, image="cube"):
+    """``tour.xml`` with six images a panorama (cube), tiles at two sizes (multires, level), or a sphere."""
     lines = ['<krpano version="1.20" title="closet">', '<include url="skin/vtourskin.xml" />']
     for index, name in enumerate(truth.names):
-        for face in CUBE:
+        if image == "sphere":
+            save(camera.panorama(truth, index, 4 * side), folder / "panos" / f"{name}.jpg")
+        for face in CUBE if image != "sphere" else ():
             pixels = camera.face(truth, index, face, side)
-            if multires:
-                pattern = f"panos/{name}.tiles/{face}/l1/{{y1:02d}}/l1_{face}_{{y1:02d}}_{{x1:02d}}.jpg"
-                save_tiles(pixels, side // 2, folder, pattern)
-            else:
+            if image == "cube":
                 save(pixels, folder / "panos" / f"{name}_{face}.jpg")
-        url = f"panos/{name}.tiles/%s/l%l/%0v/l%l_%s_%0v_%0h.jpg" if multires else f"panos/{name}_%s.jpg"
-        sizes = f' multires="{side // 2},{side}"' if multires else ""
+                continue
+            for level, size in enumerate((side // 2, side), 1):
+                scaled = np.asarray(Image.fromarray(pixels).resize((size, size), Image.Resampling.BOX))
+                pattern = f"panos/{name}.tiles/{face}/l{level}/{{y1:02d}}/l{level}_{face}_{{y1:02d}}_{{x1:02d}}.jpg"
+                save_tiles(scaled, side // 2, folder, pattern)
         lines += [f'<scene name="{name}" title="{name}" heading="">', '<view hlookat="0.0" fov="120" />']
-        lines += [f'<image><cube url="{url}"{sizes} /></image>']
+        lines += [_krpano_image(name, side, image)]
         for number, link in enumerate(link for link in truth.links if link[0] == index):
             target, yaw = truth.names[link[1]], truth.yaw(link)
             lines.append(f'<hotspot name="spot{number}" ath="{yaw:.4f}" atv="5" linkedscene="{target}" />')
@@ -141,27 +143,58 @@ def write_krpano(folder, truth, camera, side=48, *, multires=False):
     return folder
 
 
-def write_pannellum(folder, truth, camera, side=48, *, cube=False):
-    """``tour.json`` with equirectangular images or with cubes."""
+def _krpano_image(name, side, image):
+    """The ``<image>`` of a scene as krpano's tools of several ages write it."""
+    if image == "sphere":
+        return f'<image><sphere url="panos/{name}.jpg" /></image>'
+    if image == "cube":
+        return f'<image><cube url="panos/{name}_%s.jpg" /></image>'
+    if image == "multires":
+        url = f"panos/{name}.tiles/%s/l%l/%0v/l%l_%s_%0v_%0h.jpg"
+        return f'<image><cube url="{url}" multires="{side // 2},{side // 2},{side}" /></image>'
+    levels = "".join(
+        f'<level tiledimagewidth="{size}" tiledimageheight="{size}">'
+        f'<cube url="panos/{name}.tiles/%s/l{level}/%0v/l{level}_%s_%0v_%0h.jpg" /></level>'
+        for level, size in ((2, side), (1, side // 2))
+    )
+    return f'<image type="CUBE" multires="true" tilesize="{side // 2}" prealign="0|0.0|0">{levels}</image>'
+
+
+def write_pannellum(folder, truth, camera, side=48, *, image="equirectangular"):
+    """``tour.json`` with equirectangular images, with cubes, or with the tiles of Pannellum's generate.py."""
     scenes = {}
     for index, name in enumerate(truth.names):
-        if cube:
+        if image == "equirectangular":
+            save(camera.panorama(truth, index, 4 * side), folder / f"{name}.jpg")
+            about = {"type": image, "panorama": f"{name}.jpg"}
+        elif image == "cubemap":
             names = [f"{name}_{face}.png" for face in CUBE]
             for face, file in zip(CUBE, names, strict=True):
                 save(camera.face(truth, index, face, side), folder / file)
-            image = {"type": "cubemap", "cubeMap": names}
+            about = {"type": image, "cubeMap": names}
         else:
-            save(camera.panorama(truth, index, 4 * side), folder / f"{name}.jpg")
-            image = {"type": "equirectangular", "panorama": f"{name}.jpg"}
+            about = {"type": image, "basePath": name, "multiRes": _tiled(folder / name, truth, camera, index, side)}
         spots = [{"type": "info", "yaw": 3, "pitch": 0, "text": "a stool"}]
         spots += [
             {"type": "scene", "yaw": truth.yaw(link), "pitch": 0, "sceneId": truth.names[link[1]]}
             for link in truth.links
             if link[0] == index
         ]
-        scenes[name] = {"title": name, **image, "hotSpots": spots}
+        scenes[name] = {"title": name, **about, "hotSpots": spots}
     (folder / "tour.json").write_text(json.dumps({"default": {"firstScene": truth.names[0]}, "scenes": scenes}))
     return folder
+
+
+def _tiled(folder, truth, camera, index, side):
+    """Tiles at three sizes, an odd one among them, and the ``multiRes`` that names them."""
+    full, tile = side + 2, side // 2
+    for face in CUBE:
+        pixels = camera.face(truth, index, face, full)
+        for level, size in ((3, full), (2, full // 2), (1, full // 4)):
+            scaled = np.asarray(Image.fromarray(pixels).resize((size, size), Image.Resampling.BOX))
+            save_tiles(scaled, tile, folder, f"{level}/{face}{{y}}_{{x}}.jpg")
+    sizes = {"tileResolution": tile, "maxLevel": 3, "cubeResolution": full}
+    return {"path": "/%l/%s%y_%x", "fallbackPath": "/fallback/%s", "extension": "jpg", **sizes}
 
 
 def write_table(folder, truth, camera, side=48, *, places=True):

@@ -40,6 +40,26 @@ def test_an_image_graph_is_measured_like_the_others(tmp_path):
     assert summary["greedy"]["spl"] > 0.95
 
 
+def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
+    """Of a policy that has hardly learnt: the nearer to the goal the map leads it, the more often it arrives."""
+    options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "imitation.fraction=0.1", "hydra.run.dir=run"]
+    status, _, errors = run_recipe(tmp_path, "train", *options)
+    assert status == 0, errors
+    found = {}
+    for last_steps in ([], ["last_steps=0"]):
+        out = f"{len(last_steps)}.json"
+        led = ["checkpoint=run", "image_graph=2", f"out={out}", "viewer=true", *last_steps]
+        status, _, errors = run_recipe(tmp_path, "evaluate", *led)
+        assert status == 0, errors
+        found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
+        (page,) = (tmp_path / "run").glob("viewer_*.html")
+        assert f'"last_steps":{0 if last_steps else 3},' in page.read_text()
+    assert found["1.json"] > 0.95 > found["0.json"]
+    status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", "last_steps=1")
+    assert status != 0
+    assert "last_steps=1: only where a map leads; give image_graph=2 too" in errors
+
+
 def test_a_clone_is_not_reinforced_whatever_frames_a_grid_is_given(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "reinforcement.frames_per_scene=600"]
     status, _, errors = run_recipe(tmp_path, "train", *options, "hydra.run.dir=run")

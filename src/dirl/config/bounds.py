@@ -29,6 +29,7 @@ LIMITS: Mapping[str, Bounds] = {
     "seed": Bounds(0, 2**63 - 1),
     "hold_out": Bounds(0, 0.99),
     "image_graph": Bounds(0, 100),
+    "last_steps": Bounds(0, 10**6),
     "imitation.fraction": Bounds(0, 1),
     "imitation.lr": Bounds(0),
     "imitation.max_steps": Bounds(1),

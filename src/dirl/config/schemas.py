@@ -217,6 +217,7 @@ class EvaluateConfig:
     max_steps: int | None = None
     out: str | None = None
     image_graph: float | None = None
+    last_steps: int | None = None
     viewer: bool = False
 
 

@@ -8,9 +8,15 @@ from torch import Tensor
 
 from dirl.deploy.images import Images, NavigatorError
 from dirl.mapping import ImageGraph, MapError, load_graph, save_graph
+from dirl.mapping.looks import VIEWS
+from dirl.scenes.graph import LEFT, RIGHT
+from dirl.scenes.matching import normal_vectors
 
 NO_WAY = 2**30
 """More steps than any way has."""
+
+QUARTERS = 4
+"""So many quarter turns are compared before `TurnCheck` judges."""
 
 
 class Explorer:
@@ -24,6 +30,7 @@ class Explorer:
 
     def __init__(self, encode: Callable[[Images], Tensor], graph: ImageGraph, extractor: str) -> None:
         self._encode, self.graph, self.extractor = encode, graph, extractor
+        self._turns = TurnCheck(graph)
 
     def see(self, images: Images, action: int | None = None) -> int:
         """Add what is seen now to the map: the node where the walker is.
@@ -34,19 +41,80 @@ class Explorer:
                 blocked; None if it did nothing.
 
         Raises:
-            NavigatorError: images of another shape or type, or an unknown action.
+            NavigatorError: images of another shape or type, an unknown action, or turns of another angle than
+                the map's.
         """
         if action not in (None, 0, 1, 2, 3):
             raise NavigatorError(f"action={action!r}: expected 0 ahead, 1 right, 2 left, 3 back, or None")
-        return self.graph.see(self._encode(images), action)
+        views = self._encode(images)
+        self._turns.see(views, action)
+        return self.graph.see(views, action)
 
     def next_action(self) -> int | None:
-        """The action after which most is learnt soonest; None if everything in reach is known, or nothing was seen."""
-        return None if self.graph.at is None else self.graph.frontier_action(self.graph.at)
+        """The action after which most is learnt soonest; None if everything in reach is known, or nothing was seen.
+
+        Before a walk ends in which hardly any quarter turns were compared (see `TurnCheck`), it turns around once: with
+        wrong ``turns`` little seems to be unknown.
+        """
+        if self.graph.at is None:
+            return None
+        action = self.graph.frontier_action(self.graph.at)
+        return RIGHT if action is None and self._turns.compared < QUARTERS else action
 
     def save(self, folder: str | Path) -> Path:
         """Write the map into a folder, see `dirl.mapping.save_graph`."""
         return save_graph(self.graph, folder, extractor=self.extractor)
+
+
+class TurnCheck:
+    """Whether the walker turns by the angle that a map believes.
+
+    After a quarter turn the view ahead is the one that was aside before, and so on around. With another number of turns
+    in a full circle it is not, and the map would go wrong without a sign.
+
+    Args:
+        graph: the map.
+    """
+
+    def __init__(self, graph: ImageGraph) -> None:
+        self.graph = graph
+        self.fitting = self.contrary = 0
+        self._side: int | None = None
+        self._seen: list[Tensor] = []
+
+    @property
+    def compared(self) -> int:
+        """The number of quarter turns that were compared."""
+        return self.fitting + self.contrary
+
+    def see(self, views: Tensor, action: int | None) -> None:
+        """Compare a look around, float32 ``[4, D]``, with the one a quarter turn ago, if the action ends such a turn.
+
+        Raises:
+            NavigatorError: of `QUARTERS` quarter turns or more, most showed something else.
+        """
+        views, quarter = views.detach().float().cpu(), self.graph.turns // VIEWS
+        turned = action in (RIGHT, LEFT)
+        if not turned:
+            self._seen = []
+        elif action != self._side:
+            self._seen = self._seen[-1:]
+        self._side = action
+        if turned and len(self._seen) >= quarter:
+            fits = self._fits(self._seen[-quarter], views, 1 if action == RIGHT else -1)
+            self.fitting, self.contrary = self.fitting + fits, self.contrary + (not fits)
+        self._seen = [*self._seen[-quarter:], views]
+        if self.compared >= QUARTERS and self.contrary > self.fitting:
+            raise NavigatorError(
+                f"turns={self.graph.turns}: after {self.contrary} of {self.compared} quarter turns the "
+                "views are not those that were aside before; give the number of turns that make a full circle"
+            )
+
+    def _fits(self, before: Tensor, now: Tensor, side: int) -> bool:
+        """Whether the view ahead was to the right (1) or to the left (-1) before, and so on around."""
+        each = torch.stack([now.roll(side + k, 0).flatten() for k in range(VIEWS)])
+        scores = normal_vectors(each) @ normal_vectors(before.flatten())
+        return bool(scores[0] > self.graph.keep and scores.max() < scores[0] + self.graph.margin)
 
 
 class Guide:

@@ -25,6 +25,7 @@ from dirl.deploy.loading import (
 from dirl.deploy.recall import Recall
 from dirl.envs.transforms import VIEWS
 from dirl.mapping import ImageGraph
+from dirl.mapping.policy import LAST_STEPS
 from dirl.models import FeatureTable, initial_state
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.matching import FRONT_THRESHOLD
@@ -173,7 +174,9 @@ class Navigator:
         return self._table.inputs
 
     @torch.no_grad()
-    def reset(self, goal_images: Images, *, graph: ImageGraph | str | Path | None = None, last_steps: int = 3) -> None:
+    def reset(
+        self, goal_images: Images, *, graph: ImageGraph | str | Path | None = None, last_steps: int = LAST_STEPS
+    ) -> None:
         """Begin an episode, or one for each row of a batch.
 
         Args:
@@ -242,20 +245,31 @@ class Navigator:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
 
-    def explore(self, graph: ImageGraph | None = None, *, turns: int = 4) -> Explorer:
+    def explore(self, graph: ImageGraph | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
 
         Args:
             graph: a map to walk on with; a new one if left out, in which nodes match above the navigator's threshold.
-            turns: right turns in a full circle: 4, 8 or 12.
+            turns: right turns of the robot in a full circle, as 4, 8 or 12. It must be given unless the map says it:
+                the training's may be another one, and with a wrong one the map is wrong.
 
         Raises:
-            NavigatorError: the policy sees the last four views, not those around it.
+            NavigatorError: the policy sees the last four views, not those around it; or no turns are given, or others
+                than the map's.
             MapError: turns that are no multiple of four.
         """
         self._check_alone(1)
-        new = ImageGraph(self.threshold, turns=turns) if graph is None else graph
-        return Explorer(lambda images: self._pooled(self._encode(images, "images")[0][0]), new, self.facts["extractor"])
+        if graph is None:
+            if turns is None:
+                raise NavigatorError("explore: say how many right turns make a full circle: turns=4, 8 or 12")
+            graph = ImageGraph(self.threshold, turns=turns)
+        elif turns not in (None, graph.turns):
+            raise NavigatorError(f"turns={turns}: this map was made with turns={graph.turns}")
+
+        def encode(images: Images) -> Tensor:
+            return self._pooled(self._encode(images, "images")[0][0])
+
+        return Explorer(encode, graph, self.facts["extractor"])
 
     def _check_alone(self, agents: int) -> None:
         """Raise `NavigatorError` unless a map can lead the agents."""

@@ -34,6 +34,9 @@ BUILDINGS = {
 }
 """The rooms of each building, by seed."""
 
+LAST = (3, 1, 0)
+"""Steps before the goal from which on the policy decides: as in single rooms, one, and none: the graph leads alone."""
+
 SIZE = (48, 64)
 """Height and width of a view, pixels."""
 
@@ -68,7 +71,7 @@ def main() -> None:
         dumps = [make_building(seed, options.tours, encoder) for seed in BUILDINGS]
         world = drawn_goals(load_scenes(dumps), options.goals)
         about = f"{len(dumps)} synthetic buildings of two to four rooms, panoramas 2 m apart, 8 headings"
-        print(measure(world, {"scene": dumps}, about, options))
+        print(measure(world, {"scene": dumps}, about, options, LAST))
 
 
 if __name__ == "__main__":

@@ -47,8 +47,8 @@ PHOTO = ", one photo of the goal"
 
 LIST, ALONE, RECALLING = "list, walk of 2 N steps", "policy without a map", "policy with episodic memory"
 
-LAST_STEPS = 3
-"""Near the goal the policy decides, see `GuidedPolicy`."""
+LAST_STEPS = (3,)
+"""Within so many steps of the goal the policy decides, see `GuidedPolicy`; each is measured."""
 
 
 def drawn_goals(scenes: Sequence[Scene], goals: int) -> World:
@@ -71,7 +71,16 @@ Trained = Mapping[str, tuple[nn.Module, Any]]
 """A policy and its episodic memory, by how goals are shown; empty if only maps are measured."""
 
 
-def walked(protocol: EvaluationProtocol, trained: Trained) -> Iterator[tuple[str, Episodes]]:
+def led_by_both(last_steps: int) -> str:
+    """The name of what is led by a graph, and by the policy at the end."""
+    if last_steps == 0:
+        return "graph to the goal, policy only where it knows no way"
+    return f"graph, last {last_steps} step{'s' * (last_steps > 1)} by the policy with memory"
+
+
+def walked(
+    protocol: EvaluationProtocol, trained: Trained, last_steps: Sequence[int] = LAST_STEPS
+) -> Iterator[tuple[str, Episodes]]:
     """Episodes from the same starts by what leads the agent."""
     world = protocol.world
     ahead = TemplateStop(FRONT_THRESHOLD, "front")(world)
@@ -88,8 +97,8 @@ def walked(protocol: EvaluationProtocol, trained: Trained) -> Iterator[tuple[str
         recalling = replace(conditions, memory=recall)
         yield ALONE + name, conditions.run(policy)
         yield RECALLING + name, recalling.run(policy)
-        led = recalling.run(GuidedPolicy(policy, memory, LAST_STEPS))
-        yield f"graph, last {LAST_STEPS} steps by the policy with memory{name}", led
+        for last in last_steps:
+            yield led_by_both(last) + name, recalling.run(GuidedPolicy(policy, memory, last))
 
 
 def _policy(run: Path, world: World, where: Mapping[str, Any], view: str) -> tuple[nn.Module, Any]:
@@ -108,7 +117,13 @@ def of_collection(options: argparse.Namespace) -> tuple[World, dict[str, Any]]:
     return world, where
 
 
-def measure(world: World, where: Mapping[str, Any], about: str, options: argparse.Namespace) -> str:
+def measure(
+    world: World,
+    where: Mapping[str, Any],
+    about: str,
+    options: argparse.Namespace,
+    last_steps: Sequence[int] = LAST_STEPS,
+) -> str:
     """Measure, and write a report; the text of its README.
 
     Args:
@@ -116,6 +131,7 @@ def measure(world: World, where: Mapping[str, Any], about: str, options: argpars
         where: the options of that world, by name.
         about: what the world is.
         options: ``run``, ``starts`` of each scene and distance, ``out``.
+        last_steps: see `LAST_STEPS`.
     """
     views = () if options.run is None else ("surrounding", "front")
     trained = {view: _policy(options.run, world, where, view) for view in views}
@@ -130,7 +146,7 @@ def measure(world: World, where: Mapping[str, Any], about: str, options: argpars
     table = Table(Column("led by"), Column("scenes", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
     far = Table(Column("SR, led by"), *(Column(name, ".3f") for name in FAR_NAMES))
     rates: dict[str, list[float]] = {}
-    for way, episodes in walked(protocol, trained):
+    for way, episodes in walked(protocol, trained, last_steps):
         values = [by_room(world, episodes, key) for key in MEASURES]
         print(way, *(f"{key} {sum(of) / len(of):.4f}" for key, of in zip(MEASURES, values, strict=True)), flush=True)
         table.add(way, len(world.scenes), *values)
@@ -138,8 +154,8 @@ def measure(world: World, where: Mapping[str, Any], about: str, options: argpars
         rates[way] = values[0]
     text = (
         f"{about}, {len(world)} states, {len(protocol.starts[0])} episodes, at most {MAX_STEPS} steps, stop by "
-        f"template matching above {THRESHOLD}. N is the number of states of a scene. Interquartile mean over scenes, "
-        "and its 95 % bootstrap interval."
+        f"template matching above {THRESHOLD}, above which nodes match too. N is the number of states of a scene. "
+        "Interquartile mean over scenes, and its 95 % bootstrap interval."
     )
     options.out.mkdir(parents=True, exist_ok=True)
     _draw(rates, options.out)

@@ -249,7 +249,7 @@ def _draw(found: Measured, out: Path) -> None:
     """SR over the strength of each disturbance, a line for each variant."""
     kinds = [kind for kind in dict.fromkeys(key[0] for key in found) if kind != "none"]
     figure = Figure(figsize=(11, 3), layout="constrained")
-    for axes, kind in zip(figure.subplots(1, len(kinds), sharey=True), kinds, strict=True):
+    for axes, kind in zip(figure.subplots(1, len(kinds), sharey=True, squeeze=False)[0], kinds, strict=True):
         strengths = sorted({key[1] for key in found if key[0] == kind})
         keys = [("none", 0.0), *((kind, strength) for strength in strengths)]
         for (threshold, verify), color in zip(VARIANTS, COLORS, strict=False):

@@ -20,6 +20,10 @@ CERTAIN = 30.0
 """The logit of the planned action, of others 0: drawn actions are the planned ones too."""
 
 
+LAST_STEPS = 3
+"""Within so many steps of the goal a policy that a map leads decides by itself."""
+
+
 class GraphMemory(TensorDictModuleBase):
     """Walks once through each scene of its world, and then goes to any of the world's goals by the map of that walk.
 
@@ -99,7 +103,7 @@ class GuidedPolicy(TensorDictModuleBase):
 
     out_keys: ClassVar = ["logits"]
 
-    def __init__(self, policy: Any, memory: GraphMemory, last_steps: int = 3) -> None:
+    def __init__(self, policy: Any, memory: GraphMemory, last_steps: int = LAST_STEPS) -> None:
         super().__init__()
         self.policy, self.memory, self.last_steps = policy, memory, last_steps
         self.in_keys = [*policy.in_keys]

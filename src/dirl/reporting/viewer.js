@@ -106,13 +106,20 @@ function drawLinks(map, pairs, place) {
     draw(map, "line", { class: "link", x1, y1, x2, y2 });
   }
 }
+function waysBetween(places) {  // a pair of states for each two places with a move between them, in whichever direction
+  const ways = new Map(), key = (state) => join([places[state]]);
+  D.graph.forEach((next, state) => [0, 3].filter((a) => next[a] >= 0 && next[a] !== state).forEach((a) => {
+    ways.set([key(state), key(next[a])].sort().join(" "), [state, next[a]]);
+  }));
+  return [...ways.values()];
+}
 function drawRoom() {
   const all = D.positions.map((_, state) => point(state)), xs = all.map((p) => p[0]), ys = all.map((p) => p[1]);
   const left = Math.min(...xs) - 50, top = Math.min(...ys) - 50;
   const box = [left, top, Math.max(...xs) + 50 - left, Math.max(...ys) + 50 - top];
   const map = draw(byId("map"), "svg", { viewBox: box.join(" "), role: "img", "aria-label": "map of the room" });
   // Of a tour nothing is known of what lies between its places: only the ways are drawn.
-  if (isTour) drawLinks(map, D.graph.flatMap((next, state) => [0, 3].filter((a) => next[a] > state).map((a) => [state, next[a]])), point);
+  if (isTour) drawLinks(map, waysBetween(all), point);
   byId("about-map").hidden = D.source !== "tour, laid out";
   byId("about-map").textContent = "The places of this tour are known only by their links: distances on the map mean nothing.";
   const seen = new Set();
@@ -211,7 +218,7 @@ function show() {
     rows[action].querySelector("b").hidden = !remembers;
     rows[action].children[2].textContent = percent(p);
   });
-  byId("actions-title").textContent = "What the policy would do (press one to do it yourself)"
+  byId("actions-title").textContent = `What the ${D.image_graph ? "map or the policy" : "policy"} would do (press one to do it yourself)`
     + (remembers ? "; the marks: without its memory" : "");
   const score = goal.scores[state];
   byId("score").textContent = score.toFixed(3);
@@ -235,7 +242,10 @@ function chooseGoal(index) {
 
 document.title = `dirl viewer: ${D.scene}`;
 byId("title").textContent = `Episodes in ${D.scene}`;
-byId("facts").textContent = `${D.title}. Greedy policy; ` + (D.stops_by === "match" ? "stopped by template matching."
+const leader = !D.image_graph ? "Greedy policy" : "Led by the image graph of one walk" + (D.last_steps
+  ? `; the greedy policy decides the last ${plural(D.last_steps, "step")}, and where the graph knows no way`
+  : " to the goal; the greedy policy decides only where it knows no way");
+byId("facts").textContent = `${D.title}. ${leader}; ` + (D.stops_by === "match" ? "stopped by template matching."
   : "stopped by the environment, exactly at the goal.")
   + (D.memory ? " Episodic memory: what was done in this episode where it looked as it does now is less likely." : "");
 byId("with-memory").hidden = !D.memory;

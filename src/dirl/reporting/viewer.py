@@ -33,6 +33,7 @@ def viewer_pages(
     title: str,
     memory: EpisodicMemory | None = None,
     graphs: Sequence[ImageGraph] | None = None,
+    last_steps: int = 0,
 ) -> dict[str, str]:
     """Pages to step through greedy episodes and to walk the scenes by keyboard.
 
@@ -48,7 +49,8 @@ def viewer_pages(
         max_steps: after so many steps an episode has failed.
         title: names the run; the same for all scenes.
         memory: lowers the logits of actions that were taken in the episode.
-        graphs: an image graph of each scene, to be drawn beside the map.
+        graphs: an image graph of each scene, which leads the agent; to be drawn beside the map.
+        last_steps: so near the goal the policy decides by itself.
 
     Returns:
         The HTML text of each scene's page by its file name, ``viewer_<scene>.html``. The pages link to each other, and
@@ -72,6 +74,7 @@ def viewer_pages(
         "threshold": matching.threshold,
         "match": matching.match,
         "goal_view": observation.goal_view,
+        "last_steps": last_steps,
         "scenes": [{"name": name, "file": file_name(name)} for name in world.names],
     }
     pages = {}

@@ -70,12 +70,59 @@ def test_what_cannot_be_aligned_is_named():
     ends = [link[:2] for link in truth.links]
     between = [pair for pair in ends if {pair[0] // 2, pair[1] // 2} == {3, 4}]
     made = tour_scene(tour_of(truth, dropped=between[1:]), headings=8)
-    assert told(made, "4 panoramas cannot be aligned with the others, no links go both ways: 'place_8', 'place_9'")
+    names = "'place_8', 'place_9', 'place_10', 'place_11'"
+    why = "joined with others only by links one way or by links that contradict"
+    assert told(made, f"1 parts {why}, of 4 panoramas; their headings cannot be aligned with the others': {names}")
     assert told(made, "1 links lead one way only, the first: 'place_6' to 'place_8'")
     island = tour_scene(tour_of(truth, dropped=between), headings=8)
     assert not told(island, "one way only")
+    assert told(island, "1 parts without any link to or from the others, of 4 panoramas; their headings cannot be")
     places = island.scene.positions[::8]
     assert len(np.unique(places.round(6), axis=0)) == 12  # parts do not lie upon each other
+
+
+def test_islands_whose_headings_are_stated_are_aligned_by_them():
+    truth = grid_truth(6, 2, middles=15.0 * np.arange(12))
+    between = [link[:2] for link in truth.links if {link[0] // 2, link[1] // 2} in ({1, 2}, {4, 5})]
+    tour = tour_of(truth, dropped=between)
+    stating = tuple(replace(one, heading=float(at)) for one, at in zip(tour.panoramas, truth.middles, strict=True))
+    made = tour_scene(replace(tour, panoramas=stating), headings=8)
+    looks = (truth.middles[:, None] + made.yaws) % 360
+    assert np.allclose(np.abs((looks - looks[:1] + 180) % 360 - 180), 0)
+    names = "'place_0', 'place_1', 'place_2', 'place_3', 'place_10', 'place_11'"
+    why = "without any link to or from the others"
+    assert told(made, f"2 parts {why}, of 4 and 2 panoramas; their stated headings are used: {names}")
+    assert not told(made, "cannot be aligned")
+
+
+def test_stated_headings_that_contradict_the_links_are_told():
+    truth = grid_truth(3, 3, middles=20.0 * np.arange(9))
+    stated = truth.middles.astype(float)
+    stated[0] += 70
+    stated[4] -= 3
+    tour = tour_of(truth)
+    stating = tuple(replace(one, heading=float(at)) for one, at in zip(tour.panoramas, stated, strict=True))
+    made = tour_scene(replace(tour, panoramas=stating), headings=8)
+    assert np.allclose((truth.middles + made.yaws[:, 0]) % 45 % 45, 0)  # the first one does not turn the others
+    (note,) = told(made, "stated headings")
+    words = "2 of 9 stated headings differ from those of the links, which are used, by up to 70 degrees, the worst: "
+    assert note == f"{words}'place_0'"
+
+
+def test_positions_of_some_panoramas_are_not_dropped_silently():
+    truth = grid_truth(2, 2)
+    tour = tour_of(truth)
+    known = [replace(one, position=tuple(at)) for one, at in zip(tour.panoramas, truth.places, strict=True)]
+    known[2] = replace(known[2], position=None)
+    made = tour_scene(replace(tour, panoramas=tuple(known)), headings=4)
+    assert made.layout
+    assert told(made, "positions are known of 3 of 4 panoramas only, so they are not used: the map is a layout")
+
+
+def test_a_tour_without_links_is_refused_as_such():
+    truth = grid_truth(2, 1)
+    with pytest.raises(SceneError, match="no panorama has a link to another one"):
+        tour_scene(tour_of(replace(truth, links=[])))
 
 
 def test_how_well_loops_close_is_told():

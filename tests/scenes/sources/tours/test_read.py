@@ -4,6 +4,7 @@ import json
 import re
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ from tours import (
 
 from dirl.scenes import SceneError
 from dirl.scenes.sources.tours import read_tour
-from dirl.scenes.sources.tours.images import cut_views
+from dirl.scenes.sources.tours.images import cut_views, read_panorama
+from dirl.scenes.sources.tours.moves import tour_scene
 
 GREY = Camera360()
 SIDE = 8
@@ -65,6 +67,13 @@ SPOILT = {
         "two panoramas have",
     ),
     "on the web": ("krpano", "tour.xml", 'cube url="', 'cube url="https://x.org/', "place_0': '.*' is on the web"),
+    "turned": (
+        "krpano",
+        "tour.xml",
+        "<image>",
+        '<image prealign="0|-12.5|0">',
+        r"'place_0': prealign=0\|-12.5\|0: turns the panorama",
+    ),
     "no angle": ("krpano", "tour.xml", "ath=", "at=", "'place_0': ath: expected a number"),
     "no image": ("krpano", "tour.xml", "<image>.*?</image>", "", "scene 'place_0': has no image"),
     "a partial one": (
@@ -203,6 +212,28 @@ def test_walls_part_what_doors_join(tmp_path):
     assert read_tour(tmp_path).notes[0].startswith("floor 'floor_01' has no scale")
 
 
+def test_floors_are_drawn_side_by_side(tmp_path):
+    truth = grid_truth(2, 2, middles=[10.0, 20.0, 30.0, 40.0])
+    truth = replace(truth, places=truth.places + 0.5)
+    write_zind(tmp_path, truth, GREY, SIDE, size=(3, 3))
+    file = tmp_path / "zind_data.json"
+    data = json.loads(file.read_text())
+    data["merger"]["floor_02"] = data["merger"]["floor_01"]
+    data["scale_meters_per_coordinate"]["floor_02"] = data["scale_meters_per_coordinate"]["floor_01"]
+    file.write_text(json.dumps(data))
+    tour = read_tour(tmp_path, reach=2.5)
+    assert tour.notes == ("floor 'floor_02' is drawn beside the one before, 5.0 m to the right of its place",)
+    found = np.array([panorama.position for panorama in tour.panoramas])
+    assert np.allclose(found, np.concatenate([truth.places, truth.places + np.array([5, 0])]))
+    made = tour_scene(tour)
+    off = np.tile(truth.middles, 2)[:, None] + made.yaws - made.scene.headings.reshape(8, -1)
+    assert np.allclose((off + 180) % 360 - 180, 0, atol=1e-3)
+    (note,) = [note for note in made.notes if "parts" in note]
+    assert note.startswith(
+        "1 parts without any link to or from the others, of 4 panoramas; their stated headings are used"
+    )
+
+
 def cut_all(tour):
     images = [panorama.image for panorama in tour.panoramas]
     return list(cut_views(images, np.zeros((len(images), 1)), size=(16, 16), field_of_view=90))
@@ -229,6 +260,15 @@ def test_a_panorama_of_another_shape_is_refused(tmp_path):
     Image.new("RGB", (40, 30)).save(tmp_path / "place_1.jpg")
     with pytest.raises(SceneError, match=r"place_1\.jpg: 40x30 pixels; an equirectangular image is twice as wide"):
         cut_all(tour)
+
+
+def test_pannellum_rounds_the_sizes_of_its_tiles_down(tmp_path):
+    tour = read_tour(write_pannellum(tmp_path, grid_truth(2, 2), GREY, SIDE, image="multires"))
+    faces = [read_panorama(tour.panoramas[0].image, density) for density in (1, 2.5, 5)]
+    assert [face.shape for face, *_ in faces] == [(2, 2, 3), (5, 5, 3), (10, 10, 3)]
+    change(tmp_path / "tour.json", '"type": "multires"', '"haov": 120, "type": "multires"')
+    with pytest.raises(SceneError, match="haov=120: only whole panoramas"):
+        read_tour(tmp_path)
 
 
 def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path):

@@ -1,5 +1,7 @@
 """Tours of a room that is known exactly: all five kinds are read back as the room's graph, headings and views."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from closet import closet
@@ -20,8 +22,8 @@ from dirl.scenes.views import decode
 
 KINDS = {
     **WRITERS,
-    "krpano_multires": lambda *given: write_krpano(*given, multires=True),
-    "pannellum_cube": lambda *given: write_pannellum(*given, cube=True),
+    **{f"krpano_{image}": partial(write_krpano, image=image) for image in ("multires", "level", "sphere")},
+    **{f"pannellum_{image}": partial(write_pannellum, image=image) for image in ("cubemap", "multires")},
 }
 SIZE, FOV = (24, 32), 75.0
 

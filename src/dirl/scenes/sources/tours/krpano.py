@@ -75,9 +75,7 @@ def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
     image = scene.find("image")
     if image is None:
         raise SceneError(f"{where}: has no image")
-    for partial in ("hfov", "vfov"):
-        if image.get(partial) not in (None, "", "360", "360.0", "180", "180.0"):
-            raise SceneError(f"{where}: {partial}={image.get(partial)}: only whole panoramas can be cut into views")
+    _check_whole(image, where)
     sphere = image.find("sphere")
     if sphere is not None:
         return Equirectangular(inside(file.parent, _name(sphere.get("url", ""), {}), where))
@@ -99,6 +97,16 @@ def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
     if not 0 < len(sides) <= MOST_LEVELS or sides != sorted(sides):
         raise SceneError(f"{where}: multires={sizes[:50]}: expected the size of tiles, then sizes of the cube, growing")
     return Cube(tuple(_level(url, side, tile, level, file, where) for level, side in enumerate(sides, 1)))
+
+
+def _check_whole(image: ET.Element, where: str) -> None:
+    """Raise `SceneError` for part of a panorama, or for one that krpano turns before it is shown."""
+    for partial in ("hfov", "vfov"):
+        if image.get(partial) not in (None, "", "360", "360.0", "180", "180.0"):
+            raise SceneError(f"{where}: {partial}={image.get(partial)}: only whole panoramas can be cut into views")
+    turned = image.get("prealign") or ""
+    if any(part.strip().strip("+-0.") for part in turned.split("|")):
+        raise SceneError(f"{where}: prealign={turned[:50]}: turns the panorama; export the tour without it")
 
 
 def _level(url: str, size: int, tile: int, level: int, file: Path, where: str) -> CubeLevel:

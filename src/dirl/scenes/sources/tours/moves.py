@@ -15,7 +15,10 @@ from dirl.scenes.sources.tours.tour import Tour
 Array = NDArray[np.float64]
 
 NAMED = 5
-"""Panoramas that a line names at most."""
+"""Panoramas that a line names at most, where it does not name all."""
+
+AGREE = 1.0
+"""Degrees that stated headings may differ from those of the links without a note."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,11 @@ def tour_scene(
     turn = 360 / headings
     tolerance = turn / 2 if tolerance is None else tolerance
     aligned = align(tour)
+    if not any(panorama.links for panorama in tour.panoramas):
+        raise SceneError(
+            f"{tour.origin}: no panorama has a link to another one, so no move is possible; panoramas of ZInD may need "
+            "more reach"
+        )
     middles, along = _directions(tour, aligned, turn)
     facing = np.float64(_zero(along, turn)) + turn * np.arange(headings, dtype=np.float64)
     graph, shown = _graph(tour, along, facing, tolerance)
@@ -78,7 +86,8 @@ def tour_scene(
         extractor="none",
         origin=tour.origin,
     )
-    notes = [*tour.notes, *_about(tour, aligned, shown, layout, step)]
+    contrary = _contrary(tour, middles)
+    notes = [*tour.notes, *_about(tour, aligned, shown), *contrary, *_about_positions(tour, step)]
     return Converted(scene, wrap(facing - middles[:, None]), notes, layout)
 
 
@@ -99,19 +108,39 @@ def _links(tour: Tour) -> tuple[IntArray, Array]:
 def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Array]:
     """Where the middle of each panorama and each link look on the map, degrees clockwise.
 
-    The zero of each part is the heading that a panorama of it states; where none does, the one that has most links
-    along a heading of the agent.
+    The zero of each part is the one of its stated headings that agrees best with the others; where none is stated, the
+    one that has most links along a heading of the agent.
     """
     ends, yaws = _links(tour)
     middles = aligned.headings.copy()
     for part in range(int(aligned.part.max()) + 1):
         here = np.flatnonzero(aligned.part == part)
-        known = [index for index in here if tour.panoramas[index].heading is not None]
-        if known:
-            middles[here] += float(tour.panoramas[known[0]].heading or 0.0) - middles[known[0]]
+        known, stated = _stated(tour)
+        mine = np.isin(known, here)
+        if mine.any():
+            off = stated[mine] - middles[known[mine]]
+            middles[here] += off[np.abs(wrap(off[:, None] - off)).sum(1).round(6).argmin()]
         else:
             middles[here] -= _zero((middles[ends[:, 0]] + yaws)[np.isin(ends[:, 0], here)], turn)
     return middles % 360, (middles[ends[:, 0]] + yaws) % 360
+
+
+def _stated(tour: Tour) -> tuple[IntArray, Array]:
+    """The panoramas that state headings, int64 ``[H]``, and the headings, degrees, float64 ``[H]``."""
+    found = [(index, one.heading) for index, one in enumerate(tour.panoramas) if one.heading is not None]
+    return np.array([index for index, _ in found], np.int64), np.array([heading for _, heading in found], np.float64)
+
+
+def _contrary(tour: Tour, middles: Array) -> Iterator[str]:
+    """A note where stated headings are not those that are used, which the links give."""
+    known, stated = _stated(tour)
+    off = np.abs(wrap(stated - middles[known]))
+    if (off > AGREE).any():
+        worst = tour.panoramas[known[off.argmax()]].id
+        yield (
+            f"{(off > AGREE).sum()} of {len(known)} stated headings differ from those of the links, which are used, by "
+            f"up to {off.max():.0f} degrees, the worst: '{worst}'"
+        )
 
 
 def _zero(along: Array, turn: float) -> float:
@@ -170,8 +199,8 @@ def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
     return np.asarray(places, np.float64)
 
 
-def _about(tour: Tour, aligned: Alignment, shown: NDArray[np.bool_], layout: bool, step: float) -> Iterator[str]:
-    """The notes on a conversion."""
+def _about(tour: Tour, aligned: Alignment, shown: NDArray[np.bool_]) -> Iterator[str]:
+    """The notes on links and headings."""
     ids = [panorama.id for panorama in tour.panoramas]
     ends, _ = _links(tour)
     if len(aligned.loops):
@@ -186,9 +215,7 @@ def _about(tour: Tour, aligned: Alignment, shown: NDArray[np.bool_], layout: boo
             f"{len(aligned.rejected)} links both ways contradict the others and were not used to align headings, the "
             f"worst: '{ids[i]}' and '{ids[j]}', {off:.0f} degrees off"
         )
-    apart = [ids[index] for index in np.flatnonzero(aligned.part > 0)]
-    if apart:
-        yield f"{len(apart)} panoramas cannot be aligned with the others, no links go both ways: {_named(apart)}"
+    yield from _about_parts(tour, aligned.part)
     lonely = [ids[index] for index in aligned.unchecked if aligned.part[index] == 0]
     if lonely and len(aligned.loops):
         yield f"{len(lonely)} panoramas are on no loop, nothing checks their headings: {_named(lonely)}"
@@ -199,8 +226,41 @@ def _about(tour: Tour, aligned: Alignment, shown: NDArray[np.bool_], layout: boo
     if len(hidden):
         i, j = ends[hidden[0]]
         yield f"{len(hidden)} of {len(ends)} links are shown by no heading, the first: '{ids[i]}' to '{ids[j]}'"
-    if layout:
-        yield f"positions are not known: the map is a layout in which each link is {step:g} m long"
+
+
+def _about_parts(tour: Tour, part: NDArray[np.int64]) -> Iterator[str]:
+    """The notes on parts that are not joined with the largest by links both ways; all their panoramas are named."""
+    ends, _ = _links(tour)
+    parts = part[ends]
+    touched = set(parts[parts[:, 0] != parts[:, 1]].flatten().tolist())
+    stated = set(part[_stated(tour)[0]].tolist())
+    whys = {
+        False: "without any link to or from the others",
+        True: "joined with others only by links one way or by links that contradict",
+    }
+    for linked, why in whys.items():
+        for known in (True, False):
+            chosen = [
+                index
+                for index in range(1, int(part.max()) + 1)
+                if (index in touched) == linked and ({0, index} <= stated) == known
+            ]
+            if not chosen:
+                continue
+            names = ", ".join(f"'{tour.panoramas[index].id}'" for index in np.flatnonzero(np.isin(part, chosen)))
+            sizes = " and ".join(str((part == index).sum()) for index in chosen)
+            headings = (
+                "their stated headings are used" if known else "their headings cannot be aligned with the others'"
+            )
+            yield f"{len(chosen)} parts {why}, of {sizes} panoramas; {headings}: {names}"
+
+
+def _about_positions(tour: Tour, step: float) -> Iterator[str]:
+    """The note on a map that is a layout."""
+    known, count = sum(panorama.position is not None for panorama in tour.panoramas), len(tour.panoramas)
+    if known < count:
+        about = f"known of {known} of {count} panoramas only, so they are not used" if known else "not known"
+        yield f"positions are {about}: the map is a layout in which each link is {step:g} m long"
 
 
 def _named(ids: Sequence[str]) -> str:

@@ -58,10 +58,10 @@ def _panorama(name: str, scene: Mapping[str, Any], file: Path) -> Panorama:
 def _image(scene: Mapping[str, Any], file: Path, where: str) -> Equirectangular | Cube:
     kind, base = scene.get("type", "equirectangular"), scene.get("basePath", "")
     folder = inside(file.parent, base, where) if base else file.parent
+    for key, whole in (("haov", 360), ("vaov", 180)):
+        if number(scene.get(key, whole), f"{where}: {key}") != whole:
+            raise SceneError(f"{where}: {key}={scene[key]}: only whole panoramas can be cut into views")
     if kind == "equirectangular":
-        for key, whole in (("haov", 360), ("vaov", 180)):
-            if number(scene.get(key, whole), f"{where}: {key}") != whole:
-                raise SceneError(f"{where}: {key}={scene[key]}: only whole panoramas can be cut into views")
         return Equirectangular(inside(folder, scene.get("panorama"), where))
     if kind == "cubemap":
         names = entry(scene, "cubeMap", list, where)
@@ -71,22 +71,22 @@ def _image(scene: Mapping[str, Any], file: Path, where: str) -> Equirectangular 
             (CubeLevel(None, {face: ((inside(folder, one, where),),) for face, one in zip(FACES, names, strict=True)}),)
         )
     if kind == "multires":
-        return _tiles(entry(scene, "multires", dict, where), folder, where)
+        return _tiles(entry(scene, "multiRes", dict, where), folder, where)
     raise SceneError(f"{where}: type '{str(kind)[:50]}' is none of equirectangular, cubemap and multires")
 
 
 def _tiles(given: Mapping[str, Any], folder: Path, where: str) -> Cube:
-    """Levels 1 to ``maxLevel``; each is half as large as the next."""
+    """Levels 1 to ``maxLevel``; each is half as large as the next, rounded down as Pannellum's generate.py does."""
     if given.get("basePath"):
         folder = inside(folder, given["basePath"], where)
     most, size, tile = (
         int(number(given.get(key), f"{where}: {key}", 1, high))
         for key, high in (("maxLevel", MOST_LEVELS), ("cubeResolution", 2**15), ("tileResolution", 2**15))
     )
-    pattern, ending = entry(given, "path", str, where), str(given.get("extension", "jpg"))
+    pattern, ending = entry(given, "path", str, where), str(given.get("extension") or "")
     levels = []
     for level in range(1, most + 1):
-        side = -(-size // 2 ** (most - level))
+        side = max(size // 2 ** (most - level), 1)
         tiles = tiles_along(side, tile, where)
 
         def path(face: str, row: int, column: int, level: int = level) -> Path:
@@ -94,7 +94,7 @@ def _tiles(given: Mapping[str, Any], folder: Path, where: str) -> Cube:
             name = pattern
             for sign, value in values.items():
                 name = name.replace(sign, value)
-            return inside(folder, f"{name.lstrip('/')}.{ending}", where)
+            return inside(folder, name.lstrip("/") + (f".{ending}" if ending else ""), where)
 
         paths = {face: tuple(tuple(path(face, y, x) for x in range(tiles)) for y in range(tiles)) for face in FACES}
         levels.append(CubeLevel(side, paths))

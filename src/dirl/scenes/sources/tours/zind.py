@@ -3,6 +3,8 @@
 The file has no links: it has positions, rotations and the layouts of rooms. Two panoramas of a floor are linked if they
 are near each other, and the straight line between them crosses walls only where there is a door or an opening.
 
+Floors are not linked with each other; on the map they are drawn side by side.
+
 Coordinates of the file run to the left and ahead of a panorama's middle; maps of dirl run to the right, metres.
 """
 
@@ -21,6 +23,9 @@ from dirl.scenes.sources.tours.tour import Link, Panorama, Tour, entry, inside, 
 
 REACH = 3.0
 """Metres between linked panoramas at most."""
+
+APART = 3.0
+"""Metres between two floors on the map."""
 
 Array = NDArray[np.float64]
 
@@ -47,14 +52,21 @@ def read_zind(file: Path, reach: float = REACH) -> Tour:
     data = read_json(tour_text(file), file)
     scales = data.get("scale_meters_per_coordinate")
     panoramas: list[Panorama] = []
-    notes = []
+    notes, edge = [], None
     for name, rooms in entry(data, "merger", dict, str(file)).items():
         scale = scales.get(name) if isinstance(scales, Mapping) else None
         if scale is None:
             notes.append(f"floor '{name}' has no scale: its lengths are heights of the camera, taken for 1.5 m")
         metres = 1.5 if scale is None else number(scale, f"{file}: scale of '{name}'", 1e-3, 1e3)
         floor = _read_floor(rooms, metres, name, file)
-        panoramas += _linked(floor, reach)
+        across = [at[0] for at, _, _ in floor.standing.values()]
+        if edge is not None and across:
+            shift = edge + APART - min(across)
+            notes.append(f"floor '{name}' is drawn beside the one before, {shift:.1f} m to the right of its place")
+        else:
+            shift = 0.0
+        edge = max(across) + shift if across else edge
+        panoramas += _linked(floor, reach, shift)
     return make_tour(file.resolve().parent.name, panoramas, file, notes)
 
 
@@ -101,7 +113,8 @@ def _points(values: Any, where: str) -> Array:
     return np.array([[number(one, where) for one in point] for point in values], float).reshape(-1, 2)
 
 
-def _linked(floor: _Floor, reach: float) -> Iterator[Panorama]:
+def _linked(floor: _Floor, reach: float, shift: float) -> Iterator[Panorama]:
+    """The panoramas of a floor with their links, drawn ``shift`` metres to the right."""
     links: dict[str, list[Link]] = {name: [] for name in floor.standing}
     for here, there in permutations(floor.standing, 2):
         start, heading, _ = floor.standing[here]
@@ -110,7 +123,8 @@ def _linked(floor: _Floor, reach: float) -> Iterator[Panorama]:
         if 0 < np.hypot(*way) <= reach and _is_free(start, end, floor):
             links[here].append(Link(there, float((np.degrees(np.arctan2(*way)) - heading + 180) % 360 - 180)))
     for name, (at, heading, image) in floor.standing.items():
-        yield Panorama(name, Equirectangular(image), tuple(links[name]), (float(at[0]), float(at[1])), heading % 360)
+        place = (float(at[0]) + shift, float(at[1]))
+        yield Panorama(name, Equirectangular(image), tuple(links[name]), place, heading % 360)
 
 
 def _is_free(start: Array, end: Array, floor: _Floor) -> bool:

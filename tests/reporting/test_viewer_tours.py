@@ -1,0 +1,78 @@
+"""The viewer's page of a photographic tour in headless Chromium: its ways, its image graph, one photo of the goal."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tours import grid_truth, tour_of, turned
+
+from dirl.envs import SurroundingViews
+from dirl.experts import ShortestPathPolicy
+from dirl.mapping import GraphMemory, GuidedPolicy
+from dirl.reporting import viewer_pages
+from dirl.scenes import load_scenes, make_world, write_dump
+from dirl.scenes.matching import TemplateStop
+from dirl.scenes.sources.tours.moves import tour_scene
+from dirl.scenes.views import encode
+
+HEADINGS = 8
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """A laid-out tour of three by two places; from the second one leads a way to the first, and none back."""
+    file = tmp_path_factory.mktemp("tour") / "tour.h5"
+    scene = tour_scene(tour_of(turned(grid_truth(3, 2), 0.5), dropped=[(0, 1)]), headings=HEADINGS).scene
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(len(scene), 32)).astype(np.float32)
+    views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8), quality=None) for _ in range(len(scene))]
+    write_dump(file, replace(scene, features=features, goals=(len(scene) - 1,)), views)
+    return make_world(load_scenes(str(file)))
+
+
+def opened(world, watched_tab, folder, last_steps):
+    memory = GraphMemory(world, 3.0)
+    ((name, text),) = viewer_pages(
+        GuidedPolicy(ShortestPathPolicy(world), memory, last_steps),
+        world,
+        SurroundingViews(world, "front"),
+        matching=TemplateStop(0.95, "front"),
+        stop=None,
+        max_steps=60,
+        title="a test",
+        graphs=memory.graphs,
+        last_steps=last_steps,
+    ).items()
+    (folder / name).write_text(text, encoding="utf-8")
+    return watched_tab((folder / name).as_uri())
+
+
+def test_a_tour_is_drawn_and_walked(world, watched_tab, tmp_path):
+    tab = opened(world, watched_tab, tmp_path, 3)
+    assert tab.is_visible("#about-map")
+    assert "known only by their links" in tab.inner_text("#about-map")
+    assert tab.locator("#map line.link").count() == 7  # between three by two places, also where a way leads only back
+    assert tab.locator("#map circle.cell").count() == 6
+    assert tab.locator("#goal-views figure").count() == 1
+    assert "one photo is all that the policy has" in tab.inner_text("#goal-title")
+    led = "Led by the image graph of one walk; the greedy policy decides the last 3 steps, and where the graph knows no"
+    assert led in tab.inner_text("#facts")
+    assert tab.is_visible("#image-graph")
+    assert tab.locator("#nodes circle.node").count() == 6
+    here = """[...document.querySelectorAll("#nodes circle")].findIndex((node) => node.classList.contains("here"))"""
+    moves = world.scenes[0].graph[:, 0]
+    start = int(np.flatnonzero(moves >= 0)[0])
+    tab.fill("#start", str(start))
+    tab.press("#start", "Enter")
+    before = tab.evaluate(here)
+    tab.press("body", "ArrowUp")
+    assert int(tab.evaluate("document.body.dataset.state")) == moves[start]
+    assert tab.evaluate(here) not in (before, -1)
+    assert tab.locator("#nodes .here").count() == tab.locator("#nodes .goal-node").count() == 1
+    tab.press("body", "e")
+    assert "Stopped at the goal" in tab.inner_text("#outcome")
+
+
+def test_it_is_said_that_a_map_leads_to_the_goal(world, watched_tab, tmp_path):
+    tab = opened(world, watched_tab, tmp_path, 0)
+    assert "Led by the image graph of one walk to the goal; the greedy policy" in tab.inner_text("#facts")
