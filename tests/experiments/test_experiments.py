@@ -290,6 +290,10 @@ def test_stopping_is_reported_for_disturbed_views(tmp_path):
     other = ViewEncoder(lambda batch: (batch.flatten(1).float() / 255) @ mixing.flip(0), {"extractor": "other"})
     with pytest.raises(ValueError, match="name the same"):
         report_stopping(runs, tmp_path, "note", scene.name, other)
+    # Without a name the encoder is that of the built-in rooms, which did not make these features.
+    status, _, errors = run_recipe(tmp_path, "report", "experiment=stop", f"scene={scene.name}")
+    assert status == 1
+    assert errors.startswith(f"error: encoder: gives other features than those of {scene.name}, 'mixed pixels")
 
 
 @pytest.fixture(scope="module")
