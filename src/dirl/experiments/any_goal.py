@@ -19,7 +19,7 @@ from dirl.evaluation import EvaluationProtocol, metrics
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
 from dirl.experts import RandomPolicy
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, plain
+from dirl.reporting.style import GREEN, GREY, ORANGE, SKY, VERMILION, WINE, plain
 from dirl.scenes import World
 from dirl.scenes.matching import TemplateStop
 from dirl.training.build import build_goals
@@ -34,7 +34,7 @@ FAR = ((1, 4), (5, 9), (10, UNREACHED))
 FAR_NAMES = [f"{low} to {high} steps" if high < UNREACHED else f"{low} steps and more" for low, high in FAR]
 
 DRAWN = {
-    FOUR: BLUE,
+    FOUR: WINE,  # of the system
     PHOTO: SKY,
     f"{FOUR}, without memory": GREEN,
     "another goal's views": VERMILION,
