@@ -71,7 +71,9 @@ def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
     text = (grid / experiment / "README.md").read_text()
     assert text.strip() in printed
     assert "seeds 0, 1. Of several runs" in text
-    for figure in re.findall(r"^!\[.+\]\((\w+)\.png\)$", text, re.MULTILINE):
+    title = text.splitlines()[0].removeprefix("# ")
+    for shown, figure in re.findall(r"^!\[(.+)\]\((\w+)\.png\)$", text, re.MULTILINE):
+        assert not shown.startswith(title)  # but says what is to be seen
         assert all((grid / experiment / f"{figure}.{kind}").stat().st_size > 1000 for kind in ("png", "svg"))
     tables = {file.stem: rows_of(file) for file in (grid / experiment).glob("*.csv")}
     rows = tables.get(experiment) or tables[f"{experiment}_greedy"]

@@ -174,15 +174,21 @@ class Table:
                     writer.writerow([*("" if cell is None else cell for cell in cells), run])
 
 
-def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], figures: Sequence[str] = ()) -> str:
-    """Write ``<name>.csv`` for each table, and ``README.md`` with all of them and the figures; returns its text."""
+def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], figures: Mapping[str, str]) -> str:
+    """Write ``<name>.csv`` for each table, and ``README.md`` with all of them and the figures; returns its text.
+
+    Args:
+        out: a folder.
+        title: of the text.
+        note: above the tables.
+        tables: by the name of their file.
+        figures: what each shows, for readers who do not see it, by the name of its file.
+    """
     parts = [f"# {title}", note]
     for name, table in tables.items():
         table.write_csv(out / f"{name}.csv")
         parts.append(table.markdown().rstrip())
-    for name in figures:
-        part = name.partition("_")[2]  # of fig6_td_drl: which of the figures of that title
-        parts.append(f"![{title}{', ' * bool(part)}{part}]({name}.png)")
+    parts += [f"![{shown}]({name}.png)" for name, shown in figures.items()]
     text = "\n\n".join(parts) + "\n"
     write_text(out / "README.md", text)
     return text
