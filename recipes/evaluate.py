@@ -24,6 +24,7 @@ from dirl.atomic import write_json, write_text
 from dirl.config.choices import goal_view_options, group_options
 from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF
+from dirl.config.refusals import checkpoint_file
 from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation import assess
 from dirl.mapping import GraphMemory, GuidedPolicy
@@ -40,13 +41,8 @@ def main(composed: DictConfig) -> None:
     """Read the checkpoint, run the episodes, print the tables."""
     with one_line_errors():
         options: EvaluateConfig = typed(composed)
-        if options.checkpoint is None:
-            raise RunError("name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>")
-        if options.last_steps is not None and options.image_graph is None:
-            raise RunError(f"last_steps={options.last_steps}: only where a map leads; give image_graph=2 too")
-        if options.out is not None and Path(options.out).exists():
-            raise RunError(f"out={options.out}: this file exists already; it is not overwritten")
-        saved = load_checkpoint(options.checkpoint)
+        checkpoint = checkpoint_file(options)
+        saved = load_checkpoint(checkpoint)
         changes = {
             "scene": options.scene,
             "split": options.split,
@@ -65,14 +61,14 @@ def main(composed: DictConfig) -> None:
         }
         given = {name: value for name, value in changes.items() if value is not None}
         changes = {**goal_view_options(options.goal_view), **given}
-        trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
+        trained = load_trained(saved, checkpoint, changes, options.trust or [])
         if options.image_graph is not None:
             last_steps = LAST_STEPS if options.last_steps is None else options.last_steps
             trained = trained._replace(policy=led_by_map(trained, options.image_graph, last_steps))
         facts = describe(trained.config, trained.protocol.world)
         pages = viewer(trained, facts) if options.viewer else {}
         result = {
-            "checkpoint": options.checkpoint,
+            "checkpoint": checkpoint,
             "frames": saved["frames"],
             **facts,
             **assess(trained.policy, trained.protocol),
@@ -81,7 +77,7 @@ def main(composed: DictConfig) -> None:
         if options.out is not None:
             write_json(Path(options.out), result)
         for name, page in pages.items():
-            file = run_folder(options.checkpoint) / name
+            file = run_folder(checkpoint) / name
             replaced = " (in place of the one before)" if file.exists() else ""
             write_text(file, page)
             print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")

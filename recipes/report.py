@@ -2,7 +2,7 @@
 
     python recipes/train.py -m experiment=fig8 && python recipes/report.py experiment=fig8
     python recipes/report.py experiment=table2 preset=paper out=table2_paper
-    python recipes/report.py experiment=stop encoder=resnet50      # disturbs views, and encodes them anew
+    python recipes/report.py experiment=stop                      # disturbs views, and encodes them anew
 
 A report is a folder: README.md with the tables, CSV files with the value of every run, figures as PNG and SVG.
 All options with their values: conf/report/report.yaml.
@@ -20,8 +20,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from dirl.backbones.registry import load_encoder
 from dirl.config.command_line import one_line_errors
-from dirl.config.places import CONF, command
-from dirl.config.schemas import ConfigError, ExperimentName, ReportConfig, Split, TrainConfig, typed
+from dirl.config.places import CONF
+from dirl.config.refusals import reported_runs
+from dirl.config.schemas import ExperimentName, ReportConfig, Split, TrainConfig, typed
 from dirl.experiments.any_goal import report_any_goal
 from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
@@ -39,16 +40,9 @@ def main(composed: DictConfig) -> None:
     """Read the runs, measure what they did not, write the report."""
     with one_line_errors():
         options: ReportConfig = typed(composed)
-        name = options.experiment
-        if name is None:
-            raise ConfigError(f"name what to report: experiment=<one of {', '.join(ExperimentName)}>")
-        if name == ExperimentName.stop and options.encoder is None:
-            raise ConfigError(
-                "experiment=stop encodes disturbed views: name what made the features, as encoder=resnet50"
-            )
-        hint = f"{command('train')} -m experiment={name} preset={options.preset}"
-        runs = chosen(options, finished_runs(Path(options.runs) / options.preset, hint), hint)
-        out = Path(options.out or f"reports/{options.preset}/{name}")
+        folder, hint = reported_runs(options)
+        runs = chosen(options, finished_runs(folder, hint), hint)
+        out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
         out.mkdir(parents=True, exist_ok=True)
         print(write(options, runs, out))
     print(f"report: {out}")
@@ -110,7 +104,6 @@ def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
             return report_new_goals(runs, out, note, options.starts)
         case ExperimentName.fig6:
             return report_control(runs, out, note, options.scene, options.goal)
-    assert options.encoder is not None
     return report_stopping(runs, out, note, options.scene, load_encoder(options.encoder))
 
 

@@ -31,6 +31,16 @@ from dirl.backbones import ViewEncoder, encode_scene, encode_views, load_encoder
 from dirl.backbones.patches import patch_attributes
 from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF
+from dirl.config.refusals import (
+    encoder_name,
+    new_file,
+    one_scene,
+    photo_folder,
+    room_description,
+    sampled_kinds,
+    simulated_scene,
+    tour_path,
+)
 from dirl.config.scene_schemas import (
     BuildConfig,
     EncodeConfig,
@@ -42,11 +52,10 @@ from dirl.config.scene_schemas import (
     ThorConfig,
     TourConfig,
 )
-from dirl.config.schemas import ConfigError, typed
+from dirl.config.schemas import typed
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
-from dirl.rooms import KINDS, build_room, built_in_rooms, read_description
+from dirl.rooms import build_room, read_description
 from dirl.rooms.collect import RoomSettings, make_rooms, missing_rooms
-from dirl.rooms.options import check_keys
 from dirl.rooms.sheet import draw_sheet, preview
 from dirl.scenes import Scene, load_scenes, write_dump
 from dirl.scenes.collection import Entry
@@ -71,25 +80,22 @@ SHEET = 32
 def thor(options: ThorConfig) -> None:
     """Take a scene from live AI2-THOR, by way of a folder that a stopped run can continue from."""
     out = new_file(options.out)
-    if options.scene is None:
-        raise ConfigError("name a scene of AI2-THOR: scene=FloorPlan401")
+    scene = simulated_scene(options)
     encoder = chosen_encoder(options)
     settings = {name: getattr(options, name) for name in ("scene", "step", "height", "width", "field_of_view")}
     folder = out.with_suffix(".taken")
     simulator = start_simulator(**settings, headless=options.headless)
     for problem in take_views(simulator, folder, settings=settings):
         print(f"left out: {problem}")
-    write_photos(folder, out, options.scene, "thor", (options.height, options.width), encoder)
+    write_photos(folder, out, scene, "thor", (options.height, options.width), encoder)
     print(f"{folder} is no longer needed")
 
 
 def photos(options: PhotosConfig) -> None:
     """Make a dump from photographs."""
     out = new_file(options.out)
-    if options.folder is None:
-        raise ConfigError("name the folder of the photographs: folder=<the images and states.csv>")
-    shape = (options.height, options.width)
-    write_photos(Path(options.folder), out, options.name, "photos", shape, chosen_encoder(options))
+    folder, shape = Path(photo_folder(options)), (options.height, options.width)
+    write_photos(folder, out, options.name, "photos", shape, chosen_encoder(options))
 
 
 def write_photos(
@@ -104,9 +110,7 @@ def write_photos(
 def tour(options: TourConfig) -> None:
     """Make a dump from a 360-degree tour."""
     out = new_file(options.out)
-    if options.path is None:
-        raise ConfigError("name the tour: path=<its folder, or the file that describes it>")
-    found = read_tour(options.path, reach=options.reach)
+    found = read_tour(tour_path(options), reach=options.reach)
     chosen = {name: getattr(options, name) for name in ("headings", "tolerance", "step", "name")}
     made = tour_scene(found, **chosen)
     encoder = chosen_encoder(options)
@@ -141,10 +145,8 @@ def write_encoded(
 def build(options: BuildConfig) -> None:
     """Build a synthetic room from its description."""
     out = new_file(options.out)
-    if options.description is None:
-        raise ConfigError(f"name a room: description=<{' | '.join(built_in_rooms())}, or a .toml file>")
     problems = build_room(
-        options.description,
+        room_description(options),
         out,
         size=(options.height, options.width),
         turn=options.turn,
@@ -154,22 +156,17 @@ def build(options: BuildConfig) -> None:
         encoder=chosen_encoder(options),
         provenance=options.provenance or "",
     )
-    scene = one_scene(str(out))
+    scene = read_scene(str(out))
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
     print("\n".join(["problems:", *(f"- {problem}" for problem in problems)] if problems else ["no problems found"]))
 
 
 def sample(options: SampleConfig) -> None:
     """Furnish random rooms and build them into a collection, each with its description; those that are there stay."""
-    if options.out is None:
-        raise ConfigError("say where to write: out=<a folder>")
-    if options.kind is None:
-        raise ConfigError(f"name a kind of room: kind=<{' | '.join(KINDS)} | all>")
-    check_keys({} if options.kind == "all" else {options.kind: 0}, KINDS, "kind")
-    folder, names = Path(options.out), [field.name for field in fields(RoomSettings)]
-    settings = RoomSettings(**{name: getattr(options, name) for name in names})
+    folder, kinds = sampled_kinds(options)
+    settings = RoomSettings(**{field.name: getattr(options, field.name) for field in fields(RoomSettings)})
     seeds = range(options.seed, options.seed + options.count)
-    wanted = [(kind, seed) for seed in seeds for kind in KINDS if options.kind in (kind, "all")]
+    wanted = [(kind, seed) for seed in seeds for kind in kinds]
     todo = missing_rooms(folder, wanted, settings.stored(settings.load_encoder()))
     print(f"{folder}: {len(wanted) - len(todo)} of {len(wanted)} rooms are there", flush=True)
     if todo:
@@ -206,10 +203,8 @@ def sampled(entry: Entry) -> list[str]:
 def encode(options: EncodeConfig) -> None:
     """Compute the features of a dump anew, from its stored views."""
     out = new_file(options.out)
-    scene = one_scene(options.scene)
-    if options.encoder is None:
-        raise ConfigError("name the encoder: encoder=resnet50, weights of one, torchvision, or a Hugging Face model")
-    encoder = load_encoder(options.encoder, options.device, precision=options.precision, patches=options.patches)
+    scene = read_scene(options.scene)
+    encoder = load_encoder(encoder_name(options), options.device, precision=options.precision, patches=options.patches)
     features, patches = encode_scene(scene, encoder)
     assert scene.views is not None
     about = None if patches is None else patch_attributes()
@@ -221,7 +216,7 @@ def encode(options: EncodeConfig) -> None:
 def export(options: ExportConfig) -> None:
     """Write a scene in the layout of other navigation code."""
     out = new_file(options.out)
-    scene = one_scene(options.scene)
+    scene = read_scene(options.scene)
     export_icra17(scene, out)
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
 
@@ -229,7 +224,7 @@ def export(options: ExportConfig) -> None:
 def take_over(options: ImportConfig) -> None:
     """Take over a dump in the published layout."""
     out = new_file(options.out)
-    scene = one_scene(options.scene)
+    scene = read_scene(options.scene)
     goals = scene.goals if options.goals is None else tuple(options.goals)
     scene = replace(scene, name=options.name or scene.name, source=options.source or scene.source, goals=goals)
     views = scene.views
@@ -241,7 +236,7 @@ def take_over(options: ImportConfig) -> None:
 def inspect(options: InspectConfig) -> None:
     """Look at a scene and check it."""
     folder = None if options.out is None else new_file(options.out, ending="")
-    scene = one_scene(options.scene)
+    scene = read_scene(options.scene)
     found = inspect_scene(scene, threshold=options.threshold, match=options.match)
     print(
         "\n".join([f"| {scene.name} | |", "|---|---|", *(f"| {key} | {text} |" for key, text in found.facts.items())])
@@ -282,25 +277,9 @@ def chosen_encoder(options: ThorConfig | PhotosConfig | TourConfig | BuildConfig
     return None if options.encoder is None else load_encoder(options.encoder, options.device)
 
 
-def one_scene(name: str | None) -> Scene:
+def read_scene(name: str | None) -> Scene:
     """The scene that an option ``scene`` names."""
-    if name is None:
-        raise ConfigError("name a scene: scene=<a dump (.h5) or a built-in room>")
-    if name == "all":
-        raise ConfigError("scene=all: one scene at a time")
-    return load_scenes(name)[0]
-
-
-def new_file(name: str | None, ending: str = ".h5") -> Path:
-    """Where to write. What is there already is not overwritten."""
-    if name is None:
-        raise ConfigError(f"say where to write: out=<a new file{ending and f' ({ending})'}>")
-    path = Path(name)
-    if ending and path.suffix != ending:
-        raise ConfigError(f"out={name}: the name must end in {ending}")
-    if path.exists():
-        raise ConfigError(f"out={name}: this file exists already; it is not overwritten")
-    return path
+    return load_scenes(one_scene(name))[0]
 
 
 COMMANDS: dict[str, Callable[[Any], None]] = {

@@ -7,7 +7,8 @@ import torch
 from dirl import Navigator
 from dirl.config.schemas import ConfigError
 from dirl.deploy.hub import fetch_pretrained
-from dirl.runs.checkpoints import AGENTS, load_checkpoint
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.finding import AGENTS
 from dirl.scenes import load_scenes
 from dirl.training.load import load_trained
 

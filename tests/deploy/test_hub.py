@@ -12,9 +12,10 @@ from huggingface_hub import constants
 from shown_goals import images_of, look_up, rooms, trained
 
 from dirl import Navigator
+from dirl.backbones import load_encoder
 from dirl.config.schemas import ConfigError
 from dirl.deploy import hub
-from dirl.deploy.hub import HubError, fetch_pretrained, push_to_hub, save_pretrained
+from dirl.deploy.hub import HubError, fetch_pretrained, model_card, push_to_hub, save_pretrained
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 
@@ -93,8 +94,17 @@ def test_the_card_says_what_it_is_and_how_good(run, tmp_path):
         "synthetic",
     ):
         assert words in card, words
-    assert 'from_pretrained("somebody/bathroom", encoder)' in card
+    assert 'from_pretrained("somebody/bathroom", encoder, extractor=extractor)' in card
+    assert "`encoder` a function of images to features" in card
     assert not list((tmp_path / "shared").glob("*.pt"))
+
+
+@pytest.mark.parametrize("name", ["resnet50", "resnet50_small"])
+def test_the_card_names_an_encoder_of_the_package(name):
+    summary = {**FACTS, **{mode: {**MEASURES, **SCENES} for mode in MODES}}
+    card = model_card(summary, load_encoder(name).extractor, [], "somebody/bathroom", "mit")
+    assert f'Navigator.from_pretrained("somebody/bathroom", "{name}")' in card
+    assert "pip install 'dirl[hub]'" in card
 
 
 def test_a_folder_needs_no_hub(run, world, tmp_path, monkeypatch):

@@ -71,7 +71,9 @@ def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
     text = (grid / experiment / "README.md").read_text()
     assert text.strip() in printed
     assert "seeds 0, 1. Of several runs" in text
-    for figure in re.findall(r"^!\[.+\]\((\w+)\.png\)$", text, re.MULTILINE):
+    title = text.splitlines()[0].removeprefix("# ")
+    for shown, figure in re.findall(r"^!\[(.+)\]\((\w+)\.png\)$", text, re.MULTILINE):
+        assert not shown.startswith(title)  # but says what is to be seen
         assert all((grid / experiment / f"{figure}.{kind}").stat().st_size > 1000 for kind in ("png", "svg"))
     tables = {file.stem: rows_of(file) for file in (grid / experiment).glob("*.csv")}
     rows = tables.get(experiment) or tables[f"{experiment}_greedy"]
@@ -290,6 +292,10 @@ def test_stopping_is_reported_for_disturbed_views(tmp_path):
     other = ViewEncoder(lambda batch: (batch.flatten(1).float() / 255) @ mixing.flip(0), {"extractor": "other"})
     with pytest.raises(ValueError, match="name the same"):
         report_stopping(runs, tmp_path, "note", scene.name, other)
+    # Without a name the encoder is that of the built-in rooms, which did not make these features.
+    status, _, errors = run_recipe(tmp_path, "report", "experiment=stop", f"scene={scene.name}")
+    assert status == 1
+    assert errors.startswith(f"error: encoder: gives other features than those of {scene.name}, 'mixed pixels")
 
 
 @pytest.fixture(scope="module")

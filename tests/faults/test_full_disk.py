@@ -5,7 +5,8 @@ import pytest
 import torch
 from commands import SHORT, room_file, run_recipe
 
-from dirl.runs.checkpoints import load_checkpoint, training_checkpoints
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.finding import training_checkpoints
 
 
 @pytest.fixture

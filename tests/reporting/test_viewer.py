@@ -284,6 +284,16 @@ def test_a_page_without_a_memory_offers_none(tmp_path, open_page):
     assert tab.locator("#goal-views figure").count() == 4
 
 
+def test_a_phone_shows_map_and_views_together(tmp_path, open_page):
+    tab = open_page(small_room(tmp_path))
+    tab.set_viewport_size({"width": 390, "height": 844})
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+    for name in ("map", "seen"):
+        place = tab.locator(f"#{name}").bounding_box()
+        assert place["y"] >= 0, name
+        assert place["y"] + place["height"] <= 844, name
+
+
 def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
     room = clone(small_room(tmp_path, "imitation.fraction=1"), tmp_path)
     episodes, ((*path,),) = room.protocol.trajectories(room.policy, (torch.tensor([1]), torch.tensor([8])))

@@ -10,8 +10,9 @@ from commands import train_config
 from rooms import grid_scene
 
 from dirl.config.schemas import ConfigError
-from dirl.runs.checkpoints import load_checkpoint, save_checkpoint, training_checkpoints
+from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.runs.checks import RunError
+from dirl.runs.finding import training_checkpoints
 from dirl.runs.folder import Run, open_run
 from dirl.scenes import make_world
 from dirl.training.progress import WINDOW, EpisodeMeter

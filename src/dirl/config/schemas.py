@@ -232,7 +232,7 @@ class ReportConfig:
     scene: str = MISSING
     goal: int = MISSING
     starts: int = MISSING
-    encoder: str | None = None
+    encoder: str = MISSING
 
 
 @dataclass

@@ -22,10 +22,10 @@ from dirl.config.command_line import (
     prepare,
     register,
 )
-from dirl.config.components import check_sources
 from dirl.config.places import CONF, RECIPES, command
+from dirl.config.refusals import check_values
 from dirl.config.scene_schemas import MEANINGS
-from dirl.config.schemas import TrainConfig, typed
+from dirl.config.schemas import typed
 from dirl.runs.exits import one_line_exits
 
 HELP = ("-h", "--help")
@@ -45,7 +45,8 @@ def start(recipe: str, text: str | None = None) -> str:
     """Check the command line of a recipe and write it in Hydra's form, or answer a request for help.
 
     A recipe calls it before its other imports. Options are checked against their types and bounds, those of components
-    against the source of their classes, and scenes are looked up; their contents are checked later.
+    against the source of their classes, and paths and names are looked up (`dirl.config.refusals`); what is in the
+    files is checked later.
 
     Args:
         recipe: a key of `RECIPES`.
@@ -110,13 +111,9 @@ def _check_values(config: str, options: Sequence[str]) -> None:
     composed = _compose(config, options)
     if any((found := parsed(option)) and found.is_sweep_override() for option in options):
         return
-    made = typed(composed)
-    if isinstance(made, TrainConfig) and made.resume is None:
-        from dirl.scenes.catalogue import find_rooms, find_scenes
-
-        check_sources(made)
-        if find_rooms(made.scene or [], made.split, made.rooms) is None:
-            find_scenes(made.scene or [], source=made.source.name, root=made.source.root)
+    given = [(option, parsed(option)) for option in options]
+    overrides = [text for text, found in given if found and not found.key_or_group.startswith("hydra")]
+    check_values(typed(composed), overrides)
 
 
 def _compose(config: str, options: Sequence[str], **kwargs: Any) -> DictConfig:

@@ -11,9 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from dirl.backbones.registry import SHIPPED, load_encoder
 from dirl.reporting.tables import run_title, summary_table
-from dirl.runs.checkpoints import load_checkpoint, packaged_agent
-from dirl.runs.shared import CONFIG, FACTS, WEIGHTS, write_shared
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.finding import WEIGHTS, packaged_agent
+from dirl.runs.shared import CONFIG, FACTS, write_shared
 
 FILES = [WEIGHTS, CONFIG, FACTS, "README.md", "summary.json", "*.png", "*.gif"]
 """What is fetched from a repository; other files are not."""
@@ -28,16 +30,17 @@ tags: [visual-navigation, imitation-learning, torchrl]
 # {title}
 
 Target-driven visual navigation: given the views around an agent and those of its goal, the next move. Trained by
-[dirl](https://doi.org/10.1049/cit2.12043), system `{system}`, preset `{preset}`, seed {seed}, {frames:,} frames.
+dirl, an implementation of [Fang et al. 2022](https://doi.org/10.1049/cit2.12043): system `{system}`, preset
+`{preset}`, seed {seed}, {frames:,} frames.
 
 ```python
-from dirl import Navigator
+from dirl import Navigator  # pip install 'dirl[hub]'
 
-navigator = Navigator.from_pretrained("{name}", encoder)
+navigator = Navigator.from_pretrained("{name}", {encoder})
 ```
 
-It was trained on the image features of: {extractor}. All options of the training are in `config.yaml`, all measurements
-in `summary.json`.
+It was trained on the image features of: {extractor}. {meaning}All options
+of the training are in `config.yaml`, all measurements in `summary.json`.
 
 ## Numbers
 
@@ -90,17 +93,31 @@ def save_pretrained(run: str | Path, folder: str | Path, *, name: str = "", lice
 
 def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], name: str, license: str) -> str:
     """The card of a policy, Markdown with the Hub's header: scene, system, numbers, pictures, licence."""
+    encoder, meaning = _encoder(extractor)
     shown = "".join(f"![{picture.rpartition('.')[0].replace('_', ' ')}]({picture})\n" for picture in pictures)
     facts = {key: summary[key] for key in ("system", "preset", "seed", "frames")}
     return CARD.format(
         **facts,
         title=run_title(summary),
         extractor=extractor,
+        encoder=encoder,
+        meaning=meaning,
         table=summary_table(summary),
         pictures=shown,
         name=name,
         license=license,
         note=ROOMS if summary["source"] == "rooms" else "",
+    )
+
+
+def _encoder(extractor: str) -> tuple[str, str]:
+    """The arguments by which a navigator gets the encoder of an extractor, and what they mean if it is not dirl's."""
+    for name in SHIPPED:
+        if load_encoder(name).extractor == extractor:
+            return f'"{name}"', ""
+    return (
+        "encoder, extractor=extractor",
+        "`extractor` is this text, `encoder` a function of images to features. ",
     )
 
 

@@ -92,7 +92,7 @@ class Navigator:
     def load(
         cls,
         checkpoint: str | Path,
-        encoder: Encoder | str | Path,
+        encoder: Encoder | str | Path = "resnet50",
         *,
         extractor: str | None = None,
         scene: str | None = None,
@@ -103,8 +103,8 @@ class Navigator:
 
         Args:
             checkpoint: the folder of a run, or a ``.pt`` file in one.
-            encoder: a name (``resnet50``) or a file of ResNet-50 weights for `dirl.backbones.load_encoder`; an encoder
-                that it has loaded; or a function of images (see `Encoder`).
+            encoder: a name or a file of ResNet-50 weights for `dirl.backbones.load_encoder`; an encoder that it has
+                loaded; or a function of images (see `Encoder`). If left out, that of the built-in rooms.
             extractor: the description of the encoder in the dump whose features it reproduces (``Scene.extractor``),
                 which must equal the checkpoint's. Required for a function; encoders of dirl describe themselves. A
                 dump may describe the same file of weights differently: if the texts differ, there is a warning
@@ -142,7 +142,12 @@ class Navigator:
 
     @classmethod
     def from_pretrained(
-        cls, name: str | Path, encoder: Encoder | str | Path, *, revision: str | None = None, **options: Any
+        cls,
+        name: str | Path,
+        encoder: Encoder | str | Path = "resnet50",
+        *,
+        revision: str | None = None,
+        **options: Any,
     ) -> "Navigator":
         """Load a navigator from the Hugging Face Hub, or from a folder of the same form.
 

@@ -103,7 +103,9 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
         f"{STABLE_ATL:g} for every goal; {NEAR:g} times the shortest path for every goal; {STABLE_ATL:g} in the mean "
         f"over the goals. Paper: {paper['source']}."
     )
-    return write_tables(out, f"Figure {experiment[3]}: {titles[experiment]}", text, {experiment: table}, [experiment])
+    title = f"Figure {experiment[3]}: {titles[experiment]}"
+    shown = "Training ATL over frames for each setting, with the limit under which it is stable"
+    return write_tables(out, title, text, {experiment: table}, {experiment: shown})
 
 
 def _groups(experiment: str, results: Sequence[Result], paper: Mapping[str, Any]) -> tuple[Groups, list[str]]:

@@ -19,7 +19,7 @@ from dirl.reporting.statistics import summarised
 from dirl.reporting.style import SYSTEM_COLORS, write_figure
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
-from dirl.runs.folder import is_finished
+from dirl.runs.finding import finished_folders
 from dirl.texts import read_rows, read_text
 from dirl.training.load import Trained, load_trained
 
@@ -79,10 +79,9 @@ def finished_runs(folder: Path, hint: str) -> list[Result]:
     Raises:
         RunError: there is none.
     """
-    folders = sorted(file.parent for file in folder.glob("*/config.yaml"))
-    unfinished = [one.name for one in folders if not is_finished(one)]
+    folders, unfinished = finished_folders(folder, hint)
     if unfinished:
-        print(f"not finished, left out: {', '.join(unfinished)}")
+        print(f"not finished, left out: {', '.join(one.name for one in unfinished)}")
     found = [
         Result(
             one,
@@ -90,10 +89,7 @@ def finished_runs(folder: Path, hint: str) -> list[Result]:
             json.loads(read_text(one / "summary.json")),
         )
         for one in folders
-        if one.name not in unfinished
     ]
-    if not found:
-        raise RunError(f"{folder}: holds no finished run; make some by: {hint}")
     # Of a collection, experiments compare runs that have more rooms with runs that have fewer.
     scenes = {str(one.config.scene if one.config.split else one.summary["scene"]) for one in found}
     if len(scenes) > 1:
@@ -178,15 +174,21 @@ class Table:
                     writer.writerow([*("" if cell is None else cell for cell in cells), run])
 
 
-def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], figures: Sequence[str] = ()) -> str:
-    """Write ``<name>.csv`` for each table, and ``README.md`` with all of them and the figures; returns its text."""
+def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], figures: Mapping[str, str]) -> str:
+    """Write ``<name>.csv`` for each table, and ``README.md`` with all of them and the figures; returns its text.
+
+    Args:
+        out: a folder.
+        title: of the text.
+        note: above the tables.
+        tables: by the name of their file.
+        figures: what each shows, for readers who do not see it, by the name of its file.
+    """
     parts = [f"# {title}", note]
     for name, table in tables.items():
         table.write_csv(out / f"{name}.csv")
         parts.append(table.markdown().rstrip())
-    for name in figures:
-        part = name.partition("_")[2]  # of fig6_td_drl: which of the figures of that title
-        parts.append(f"![{title}{', ' * bool(part)}{part}]({name}.png)")
+    parts += [f"![{shown}]({name}.png)" for name, shown in figures.items()]
     text = "\n\n".join(parts) + "\n"
     write_text(out / "README.md", text)
     return text

@@ -220,7 +220,11 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
         f"Paper: {paper['source']}.\n\n"
         f"**Recommended threshold: {best:g}**, the lowest with a precision of {PRECISION:g} under every disturbance."
     )
-    return write_tables(out, "Stopping under disturbed views", text, {"stop": table}, ["stop"])
+    shown = (
+        "Matching coefficients at the goal and elsewhere by strength of a disturbance, and precision and recall over "
+        "the threshold"
+    )
+    return write_tables(out, "Stopping under disturbed views", text, {"stop": table}, {"stop": shown})
 
 
 MEASURED = ("precision", "recall", "SR", "false stops")

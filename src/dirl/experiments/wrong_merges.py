@@ -227,7 +227,8 @@ def report(found: Measured, world: World, out: Path) -> str:
         f"elsewhere than in the room. First table: threshold {SHOWN:g}. Second: SR and SPL by threshold. +: a match "
         "needs a neighbour that matches too; -: without."
     )
-    return write_tables(out, "What wrong merges cost", text, _tables(found), ["wrong_merges"])
+    shown = "SR over the strength of each disturbance, by threshold, with the check of matches and without"
+    return write_tables(out, "What wrong merges cost", text, _tables(found), {"wrong_merges": shown})
 
 
 def _tables(found: Measured) -> dict[str, Table]:

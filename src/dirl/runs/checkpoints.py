@@ -18,15 +18,14 @@ from typing import Any
 import torch
 
 from dirl.atomic import atomic_path
-from dirl.runs.checks import RunError, check_header, check_plain
-from dirl.runs.shared import WEIGHTS, read_shared
+from dirl.runs.checks import RunError
+from dirl.runs.contents import check_header, check_plain
+from dirl.runs.finding import find_checkpoint, training_checkpoints
+from dirl.runs.shared import read_shared
 
 SEAL = b"dirl sha256 "
 DIGITS = 64
 """Of the digest, which ends the file."""
-
-AGENTS = Path(__file__).parents[1] / "agents"
-"""Trained agents that come with the package, each in the folder of its name."""
 
 SUFFIX = ".damaged"
 """Put behind the name of a training checkpoint that cannot be read."""
@@ -51,31 +50,15 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 
     Args:
         path: a ``.pt`` file, or the folder of a run for its final weights, or the latest that is whole if it is not
-            finished; or a folder that `dirl.runs.shared` wrote; or the name of an agent in `AGENTS`.
+            finished; or a folder that `dirl.runs.shared` wrote; or the name of an agent in `dirl.runs.finding.AGENTS`.
 
     Raises:
         RunError: there is none, or it is damaged.
     """
-    path = packaged_agent(path) or Path(path)
-    if path.is_dir() and not (path / "network.pt").is_file() and training_checkpoints(path):
-        return latest_checkpoint(path)[0]
-    if not (path / "network.pt").is_file() and (path / WEIGHTS).is_file():
-        return read_shared(path)
-    file = path / "network.pt" if path.is_dir() else path
-    if not file.is_file():
-        raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
-    return read_checkpoint(file)
-
-
-def packaged_agent(name: str | Path) -> Path | None:
-    """The folder of an agent in `AGENTS`; None if there is none, or what the name means lies in the present folder."""
-    path = Path(name)
-    return AGENTS / path if not path.exists() and path.name == str(name) and (AGENTS / path).is_dir() else None
-
-
-def training_checkpoints(folder: Path) -> list[Path]:
-    """The checkpoints from which an unfinished run can be resumed, oldest first."""
-    return sorted(file for file in (folder / "checkpoints").glob("*.pt") if file.stem.isdecimal())
+    found = find_checkpoint(path)
+    if found.is_file():
+        return read_checkpoint(found)
+    return latest_checkpoint(found)[0] if training_checkpoints(found) else read_shared(found)
 
 
 def latest_checkpoint(

@@ -19,9 +19,10 @@ from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig, leaves
 from dirl.runs import ranks
-from dirl.runs.checkpoints import SUFFIX, latest_checkpoint, save_checkpoint, training_checkpoints
+from dirl.runs.checkpoints import SUFFIX, latest_checkpoint, save_checkpoint
 from dirl.runs.checks import SCHEMA, TABLES, RunError, check_progress
-from dirl.runs.locks import FolderLock, claim, config_file, is_numbered
+from dirl.runs.finding import config_file, find_unfinished, is_finished, training_checkpoints
+from dirl.runs.locks import FolderLock, claim, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.scenes import World
 from dirl.texts import read_text
@@ -239,14 +240,7 @@ def _open(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
         if changed:
             raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
         return Run(folder, config) if is_finished(folder) else _go_on(folder, config)
-    others = [text for text in overrides if not text.startswith(("resume=", "trust="))]
-    if others:
-        raise RunError(f"resume uses the saved configuration; leave out {' '.join(others)}")
-    folder = Path(config.resume)
-    if not config_file(folder).is_file() and not training_checkpoints(folder):
-        raise RunError(f"{folder}: is not the folder of a run; it has no {config_file(folder).name}")
-    if is_finished(folder):
-        raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
+    folder = find_unfinished(config.resume, overrides)
     return _go_on(folder, _saved_config(folder, config.trust or []))
 
 
@@ -278,11 +272,6 @@ def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:
         return read_config(text, origin=str(file), trust=trust)
     print(f"{file}: is empty or missing; taken from a checkpoint", file=sys.stderr, flush=True)
     return read_config(latest_checkpoint(folder)[0]["config"], origin=str(folder / "checkpoints"), trust=trust)
-
-
-def is_finished(folder: Path) -> bool:
-    """Whether a folder holds a finished run."""
-    return (folder / "summary.json").exists() and not training_checkpoints(folder)
 
 
 def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from dirl.runs.checks import RunError
+from dirl.runs.finding import config_file
 
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 """What file systems answer that have no locks; those that do not know the call at all, ``filelock`` sees to."""
@@ -78,11 +79,6 @@ def _release(lock: FileLock, file: Path, owner: int) -> None:
         file.unlink()  # before the release: afterwards it could be another's
     with suppress(OSError):
         lock.release(force=True)
-
-
-def config_file(folder: Path) -> Path:
-    """The configuration file, by which a run folder is recognised."""
-    return folder / "config.yaml"
 
 
 def is_numbered(folder: Path) -> bool:

@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from dirl.atomic import atomic_path, write_json, write_text
-from dirl.runs.checks import RunError, check_header, check_plain
+from dirl.runs.checks import RunError
+from dirl.runs.contents import check_header, check_plain
+from dirl.runs.finding import WEIGHTS
 from dirl.texts import read_text
 
-WEIGHTS, CONFIG, FACTS = "model.safetensors", "config.yaml", "dirl.json"
-"""The files of such a folder: the weights by name, the run's configuration, and `KEYS`."""
+CONFIG, FACTS = "config.yaml", "dirl.json"
+"""The files of such a folder beside the weights by name: the run's configuration, and `KEYS`."""
 
 KEYS = ("extractor", "scenes", "views", "frames", "schema")
 """What of a checkpoint stands in `FACTS`."""

@@ -1,5 +1,6 @@
 """A scene: one room as a graph of states, each a location and a heading with one camera view."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -145,6 +146,12 @@ class Scene:
                 f"{self.origin}: location: state {state} is at {positions[state].tolist()} but the state to its right, "
                 f"{turned[state]}, is at {positions[turned[state]].tolist()}; a turn must not move the agent"
             )
+
+
+def check_goals_differ(name: str, goals: Sequence[Any]) -> None:
+    """Raise `SceneError` if a goal of a scene of that name is given twice."""
+    if len(set(goals)) < len(goals):
+        raise SceneError(f"{name}: a goal is named twice in {list(goals)}")
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

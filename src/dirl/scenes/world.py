@@ -12,7 +12,7 @@ from torch import Tensor
 
 from dirl.scenes.graph import shortest_distances
 from dirl.scenes.names import check_name
-from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.scene import Scene, SceneError, check_goals_differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +222,6 @@ def _goals(scenes: Sequence[Scene], goals: Goals) -> list[tuple[int, ...]]:
             raise SceneError(f"{scene.origin}: names no goals; choose some, e.g. goals=[0,{len(scene) // 2}]")
         for goal in states:
             scene.check_goal(goal)
-        if len(set(states)) < len(states):
-            raise SceneError(f"{scene.name}: a goal is named twice in {list(states)}")
+        check_goals_differ(scene.name, states)
         chosen.append(states)
     return chosen

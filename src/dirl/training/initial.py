@@ -6,14 +6,12 @@ from typing import Any
 
 from torch import Tensor
 
+from dirl.config.refusals import ARCHITECTURE, initial_weights_file
 from dirl.config.saved import read_config
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
 from dirl.training.load import check_extractor
-
-ARCHITECTURE = ("observation", "encoder", "memory", "heads", "policy", "network")
-"""The options that decide which weights a policy has, and what they read."""
 
 
 def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:
@@ -32,11 +30,7 @@ def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[Tr
     """
     if config.init is None:
         return config, None
-    texts = [text.lstrip("+") for text in overrides]
-    given = [text for text in texts if text.partition("=")[0].partition(".")[0] in ARCHITECTURE]
-    if given:
-        raise ConfigError(f"init={config.init}: its checkpoint decides the architecture; leave out {' '.join(given)}")
-    saved = load_checkpoint(config.init)
+    saved = load_checkpoint(initial_weights_file(config.init, overrides))
     trained = read_config(saved["config"], config.init, trust=config.trust or [])
     return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
 

@@ -1,0 +1,116 @@
+"""Valid contents of a checkpoint."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from dirl.runs.checks import SCHEMA, RunError, is_count
+
+
+def check_plain(state: Any, file: Path, limit: int) -> None:
+    """Raise `RunError` unless everything is made of dictionaries, lists, texts, numbers and ordinary, finite tensors.
+
+    An object with several references is checked once, so that the time is linear in the size of the file.
+
+    Args:
+        state: as read from the file.
+        file: for the error.
+        limit: the most bytes that all tensors may have; more than in the file, because some share their memory.
+    """
+    waiting: list[tuple[str, Any]] = [("", state)]
+    seen: set[int] = set()
+    while waiting:
+        where, value = waiting.pop()
+        if id(value) in seen:
+            continue
+        if isinstance(value, Tensor):
+            seen.add(id(value))
+            limit -= value.numel() * value.element_size()
+            if limit < 0:
+                raise RunError(f"{file}: holds tensors that are much larger than the file")
+            _check_tensor(value, f"{file}: {where}")
+        elif isinstance(value, dict):
+            seen.add(id(value))
+            if not all(type(key) in (str, int) for key in value):
+                raise RunError(f"{file}: {where or 'it'} has keys that are neither text nor whole numbers")
+            waiting += [(f"{where}.{key}".lstrip(".")[:200], inner) for key, inner in value.items()]
+        elif isinstance(value, list | tuple):
+            seen.add(id(value))
+            waiting += [(f"{where}[{index}]"[:200], inner) for index, inner in enumerate(value)]
+        elif not isinstance(value, str | bool | int | float | None):
+            raise RunError(f"{file}: {where or 'it'} is a {type(value).__name__}, which no checkpoint holds")
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise RunError(f"{file}: {where} is {value}; expected a finite number")
+
+
+def _check_tensor(value: Tensor, where: str) -> None:
+    if value.layout != torch.strided or value.device.type != "cpu" or value.is_quantized or value.is_complex():
+        raise RunError(f"{where}: expected an ordinary tensor of real numbers, found {value.dtype} {value.layout}")
+    # A stride of 0 makes a tensor of any size from one number.
+    if value.numel() * value.element_size() > value.untyped_storage().nbytes():
+        raise RunError(f"{where}: is a tensor of {list(value.shape)}, of which the file holds only a part")
+    # Faster than checking each value; NaN propagates through minimum and maximum.
+    if value.is_floating_point() and value.numel() and not torch.stack(value.aminmax()).isfinite().all():
+        raise RunError(f"{where}: holds values that are not finite")
+
+
+def _is_tensors(value: Any) -> bool:
+    return isinstance(value, dict) and all(type(k) is str and isinstance(v, Tensor) for k, v in value.items())
+
+
+def _is_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(type(text) is str for text in value)
+
+
+def _is_sizes(value: Any) -> bool:
+    return isinstance(value, dict) and all(
+        type(name) is str and name.endswith(".csv") and "/" not in name and is_count(size)
+        for name, size in value.items()
+    )
+
+
+def _is_duration(value: Any) -> bool:
+    return type(value) in (int, float) and 0 <= value < 1e10
+
+
+Rule = tuple[Callable[[Any], bool], str]
+
+REQUIRED: dict[str, Rule] = {
+    "network": (_is_tensors, "tensors by name"),
+    "config": (lambda value: type(value) is str, "a text"),
+    "extractor": (lambda value: type(value) is str, "a text"),
+    "scenes": (lambda value: _is_texts(value) and bool(value), "a list of names"),
+    "frames": (is_count, "a count"),
+}
+"""What every checkpoint holds, how it is checked, and what it is in words."""
+
+OPTIONAL: dict[str, Rule] = {
+    "schema": (is_count, "a count"),
+    "views": (_is_texts, "a list of names"),
+    "learning": (_is_tensors, "tensors by name"),
+    "tables": (_is_sizes, "sizes of CSV files by name"),
+    "seconds": (_is_duration, "a duration"),
+    "training_seconds": (_is_duration, "a duration"),
+}
+"""What some hold; `dirl.runs.states` compares the state of a training with a fresh one."""
+
+
+def check_header(state: Any, file: Path) -> dict[str, Any]:
+    """The content of a checkpoint file, or `RunError` if it lacks what all hold or has it of another kind."""
+    if not isinstance(state, dict):
+        raise RunError(f"{file}: is no checkpoint of dirl; it holds a {type(state).__name__}")
+    missing = sorted(REQUIRED.keys() - state.keys())
+    if missing:
+        raise RunError(f"{file}: is no checkpoint of dirl; it lacks {', '.join(missing)}")
+    if is_count(state.get("schema")) and state["schema"] > SCHEMA:
+        raise RunError(
+            f"{file}: was written by a newer version of dirl (schema {state['schema']}); update dirl to use it"
+        )
+    for name, (fits, wanted) in (REQUIRED | OPTIONAL).items():
+        if name in state and not fits(state[name]):
+            raise RunError(f"{file}: {name} is not what a checkpoint holds; expected {wanted}")
+    return state

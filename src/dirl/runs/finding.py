@@ -1,0 +1,89 @@
+"""Where runs and checkpoints are on disk; without torch, so that recipes refuse a wrong path at once."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from dirl.runs.checks import RunError
+
+AGENTS = Path(__file__).parents[1] / "agents"
+"""Trained agents that come with the package, each in the folder of its name."""
+
+WEIGHTS = "model.safetensors"
+"""Of a policy that was shared, see `dirl.runs.shared`."""
+
+
+def config_file(folder: Path) -> Path:
+    """The configuration file, by which a run folder is recognised."""
+    return folder / "config.yaml"
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a folder holds a finished run."""
+    return (folder / "summary.json").exists() and not training_checkpoints(folder)
+
+
+def training_checkpoints(folder: Path) -> list[Path]:
+    """The checkpoints from which an unfinished run can be resumed, oldest first."""
+    return sorted(file for file in (folder / "checkpoints").glob("*.pt") if file.stem.isdecimal())
+
+
+def packaged_agent(name: str | Path) -> Path | None:
+    """The folder of an agent in `AGENTS`; None if there is none, or what the name means lies in the present folder."""
+    path = Path(name)
+    return AGENTS / path if not path.exists() and path.name == str(name) and (AGENTS / path).is_dir() else None
+
+
+def find_checkpoint(path: str | Path) -> Path:
+    """The file of a checkpoint; or the folder of an unfinished run, or of a policy that was shared.
+
+    Args:
+        path: see `dirl.runs.checkpoints.load_checkpoint`.
+
+    Raises:
+        RunError: there is none.
+    """
+    path = packaged_agent(path) or Path(path)
+    file = path / "network.pt" if path.is_dir() else path
+    if file.is_file():
+        return file
+    if path.is_dir() and (training_checkpoints(path) or (path / WEIGHTS).is_file()):
+        return path
+    raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
+
+
+def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:
+    """The folder of the run that ``resume`` names.
+
+    Args:
+        resume: the folder.
+        overrides: of the command line.
+
+    Raises:
+        RunError: it is no run's, its run is finished, or options were given together with ``resume``.
+    """
+    others = [text for text in overrides if not text.startswith(("resume=", "trust="))]
+    if others:
+        raise RunError(f"resume uses the saved configuration; leave out {' '.join(others)}")
+    folder = Path(resume)
+    if not config_file(folder).is_file() and not training_checkpoints(folder):
+        raise RunError(f"{folder}: is not the folder of a run; it has no {config_file(folder).name}")
+    if is_finished(folder):
+        raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
+    return folder
+
+
+def finished_folders(folder: Path, hint: str) -> tuple[list[Path], list[Path]]:
+    """The finished runs right in a folder, by name, and those that are not finished.
+
+    Args:
+        folder: holds a folder for each run.
+        hint: how to make them, for the error.
+
+    Raises:
+        RunError: none is finished.
+    """
+    folders = sorted(file.parent for file in folder.glob("*/config.yaml"))
+    finished = [one for one in folders if is_finished(one)]
+    if not finished:
+        raise RunError(f"{folder}: holds no finished run; make some by: {hint}")
+    return finished, [one for one in folders if one not in finished]
