@@ -4,7 +4,7 @@ import math
 import sys
 
 import pytest
-from commands import train_config
+from commands import train_config, wait_until
 from PIL import Image
 
 from dirl.config.saved import config_text
@@ -54,6 +54,8 @@ def test_a_missing_package_is_told_with_its_extra(tmp_path, name, monkeypatch):
 def test_wandb_gets_everything_and_goes_on_as_the_same_run(folder):
     log_a_run(folder, "logger=wandb", "logger.tags=[night]", "seed=77")
     (told,) = folder.glob("wandb/offline-run-*/run-*.wandb")
+    # A process of wandb's writes the file, and on a busy machine after the run has finished here.
+    wait_until(lambda: b"network.pt" in told.read_bytes())
     record = told.read_bytes()
     known = (folder / "wandb_id.txt").read_text()
     assert told.name == f"run-{known}.wandb"
