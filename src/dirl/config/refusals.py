@@ -88,7 +88,7 @@ def initial_weights_file(init: str, overrides: Sequence[str]) -> Path:
     return find_checkpoint(init)
 
 
-def checkpoint_file(options: EvaluateConfig, _: Sequence[str] = ()) -> str:
+def checkpoint_file(options: EvaluateConfig) -> str:
     """The checkpoint to evaluate, as the user names it.
 
     Raises:
@@ -107,7 +107,7 @@ def checkpoint_file(options: EvaluateConfig, _: Sequence[str] = ()) -> str:
     return options.checkpoint
 
 
-def reported_runs(options: ReportConfig, _: Sequence[str] = ()) -> tuple[Path, str]:
+def reported_runs(options: ReportConfig) -> tuple[Path, str]:
     """The folder of the runs that a report is about, and the command that makes them.
 
     Raises:
@@ -198,7 +198,8 @@ def encoder_name(options: EncodeConfig) -> str:
     )
 
 
-def _photos(options: PhotosConfig, _: Sequence[str]) -> None:
+def photo_table(options: PhotosConfig) -> None:
+    """Refuse a folder of photographs whose table is missing or invalid."""
     from dirl.scenes.sources.photos import read_photos
 
     new_file(options.out)
@@ -207,10 +208,10 @@ def _photos(options: PhotosConfig, _: Sequence[str]) -> None:
 
 CHECKS: dict[type, Callable[[Any, Sequence[str]], object]] = {
     TrainConfig: training,
-    EvaluateConfig: checkpoint_file,
-    ReportConfig: reported_runs,
+    EvaluateConfig: lambda options, _: checkpoint_file(options),
+    ReportConfig: lambda options, _: reported_runs(options),
     ThorConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
-    PhotosConfig: _photos,
+    PhotosConfig: lambda options, _: photo_table(options),
     TourConfig: lambda options, _: (new_file(options.out), tour_path(options)),
     BuildConfig: lambda options, _: (new_file(options.out), room_description(options)),
     SampleConfig: lambda options, _: sampled_kinds(options),

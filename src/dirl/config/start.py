@@ -109,10 +109,10 @@ def _check_values(config: str, options: Sequence[str]) -> None:
     if any(option.startswith(("--config-name", "-cn", "--config-path", "-cp")) for option in options):
         return
     composed = _compose(config, options)
-    if any((found := parsed(option)) and found.is_sweep_override() for option in options):
+    given = [(option, found) for option in options if (found := parsed(option))]
+    if any(found.is_sweep_override() for _, found in given):
         return
-    given = [(option, parsed(option)) for option in options]
-    overrides = [text for text, found in given if found and not found.key_or_group.startswith("hydra")]
+    overrides = [option for option, found in given if not found.key_or_group.startswith("hydra")]
     check_values(typed(composed), overrides)
 
 

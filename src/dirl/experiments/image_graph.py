@@ -26,6 +26,7 @@ from dirl.experiments.any_goal import FAR, FAR_NAMES, MEASURES, within, wrong_go
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.unseen_rooms import MAX_STEPS, by_room, drawn_starts
 from dirl.mapping import GraphMemory, GuidedPolicy
+from dirl.mapping.policy import LAST_STEPS
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, PURPLE, plain
 from dirl.runs.checkpoints import load_checkpoint
@@ -46,9 +47,6 @@ WALKS = (0.25, 0.5, 1.0, 2.0)
 PHOTO = ", one photo of the goal"
 
 LIST, ALONE, RECALLING = "list, walk of 2 N steps", "policy without a map", "policy with episodic memory"
-
-LAST_STEPS = (3,)
-"""Within so many steps of the goal the policy decides, see `GuidedPolicy`; each is measured."""
 
 
 def drawn_goals(scenes: Sequence[Scene], goals: int) -> World:
@@ -79,7 +77,7 @@ def led_by_both(last_steps: int) -> str:
 
 
 def walked(
-    protocol: EvaluationProtocol, trained: Trained, last_steps: Sequence[int] = LAST_STEPS
+    protocol: EvaluationProtocol, trained: Trained, last_steps: Sequence[int] = (LAST_STEPS,)
 ) -> Iterator[tuple[str, Episodes]]:
     """Episodes from the same starts by what leads the agent."""
     world = protocol.world
@@ -122,7 +120,7 @@ def measure(
     where: Mapping[str, Any],
     about: str,
     options: argparse.Namespace,
-    last_steps: Sequence[int] = LAST_STEPS,
+    last_steps: Sequence[int] = (LAST_STEPS,),
 ) -> str:
     """Measure, and write a report; the text of its README.
 
@@ -131,7 +129,7 @@ def measure(
         where: the options of that world, by name.
         about: what the world is.
         options: ``run``, ``starts`` of each scene and distance, ``out``.
-        last_steps: see `LAST_STEPS`.
+        last_steps: within so many steps of the goal the policy decides, see `GuidedPolicy`; each is measured.
     """
     views = () if options.run is None else ("surrounding", "front")
     trained = {view: _policy(options.run, world, where, view) for view in views}

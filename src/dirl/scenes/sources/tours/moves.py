@@ -112,10 +112,10 @@ def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Arr
     one that has most links along a heading of the agent.
     """
     ends, yaws = _links(tour)
+    known, stated = _stated(tour)
     middles = aligned.headings.copy()
     for part in range(int(aligned.part.max()) + 1):
         here = np.flatnonzero(aligned.part == part)
-        known, stated = _stated(tour)
         mine = np.isin(known, here)
         if mine.any():
             off = stated[mine] - middles[known[mine]]
