@@ -161,4 +161,4 @@ def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
     summary = summary_of(tmp_path / "run")
     assert summary["frames"] == 24_000
     # How far they come depends on how the machine shares its time between them.
-    assert summary["sampled"]["spl"] > summary["random"]["spl"] + 0.05
+    assert summary["sampled"]["spl"] > summary["random"]["spl"] + 0.1
