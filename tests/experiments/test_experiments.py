@@ -332,6 +332,7 @@ def test_what_was_added_to_the_system_has_a_row_of_its_own():
     options = {
         "goal compared, noise 0.5, 50% photos": [],
         "goal embedded side by side, no noise, 50% photos": ["encoder=siamese", "imitation.noise=0"],
+        "goal compared, noise 0.5, 50% photos, views read at once": ["encoder.pair_width=0"],
         "goal compared, noise 0.5, 50% photos, 2 rounds of DAgger": ["imitation.rounds=2"],
         "goal compared, noise 0.5, 50% photos, GRUModule, then A2C": ["memory=gru", "objective=a2c"],
     }

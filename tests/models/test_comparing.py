@@ -2,14 +2,16 @@ import pytest
 import torch
 
 from dirl.models import ComparingEncoder
+from dirl.models.comparing import SCALE
 
 POOLED, SHAPE = 5, (2, 3)
 
 
-@pytest.fixture
-def encoder():
+@pytest.fixture(params=[0, 5], ids=["read at once", "read by pair"])
+def encoder(request):
     torch.manual_seed(0)
-    return ComparingEncoder(POOLED + 6, SHAPE, width=12, comparison=7, projection=4, view_projection=3)
+    sizes = {"width": 12, "comparison": 7, "projection": 4, "view_projection": 3, "pair_width": request.param}
+    return ComparingEncoder(POOLED + 6, SHAPE, **sizes)
 
 
 def views(count, seed=0):
@@ -53,3 +55,20 @@ def test_a_view_that_is_not_known_has_no_cosine_with_anything(encoder):
 def test_a_goal_turned_by_a_quarter_is_another_goal(encoder):
     seen, goal = views(6), views(6, seed=1)
     assert not torch.allclose(encoder(seen, goal), encoder(seen, goal.roll(1, 1)))
+
+
+@pytest.mark.parametrize("encoder", [5], indirect=True)
+def test_every_pair_of_views_is_read_by_the_same_layers(encoder):
+    """Of an observed view and one of the goal the layers read what their patches have in common, wherever they are."""
+    read = []
+    encoder.pair_cosines.register_forward_hook(lambda _, rows, __: read.append(rows[0]))
+    seen, goal = views(6), views(6, seed=1)
+    encoder(seen, goal)
+    encoder(seen.roll(1, 1), goal.roll(2, 1))
+    first, turned = (rows.unflatten(1, (4, 4)) for rows in read)
+    torch.testing.assert_close(turned, first.roll((1, 2), (1, 2)))
+    patches = [
+        torch.nn.functional.normalize(rows[3, view, POOLED:].view(2, 3) @ encoder.patch_projection.weight.T, dim=-1)
+        for rows, view in ((seen, 1), (goal, 2))
+    ]
+    torch.testing.assert_close(first[3, 1, 2], SCALE * (patches[0] @ patches[1].T).flatten())

@@ -59,6 +59,7 @@ ANY_GOAL = [
     "imitation.batch_size=64",
     "imitation.max_steps=40",
     "evaluation.max_steps=30",
+    "evaluation.goals=3",
 ]
 
 
@@ -95,6 +96,19 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
     summary = json.loads((any_goal / "run" / "summary.json").read_text())
     assert found["four"] == summary["greedy"]["atl"]
     assert len(set(found.values())) == 3
+
+
+def test_goals_that_are_named_are_all_evaluated(any_goal):
+    """Though the run evaluated three that it drew."""
+    counted = {}
+    for name, options in {"drawn": [], "named": ["goals=[0,1,5,7,13]"], "all": ["goals=all"]}.items():
+        status, _, errors = run_recipe(any_goal, "evaluate", "checkpoint=run", f"out={name}.json", *options)
+        assert status == 0, errors
+        (scene,) = json.loads((any_goal / f"{name}.json").read_text())["greedy"]["scenes"].values()
+        counted[name] = sorted(map(int, scene["goals"]))
+    assert len(counted["drawn"]) == 3
+    assert counted["named"] == [0, 1, 5, 7, 13]
+    assert len(counted["all"]) > 20
 
 
 def test_an_unknown_choice_is_one_line(any_goal):

@@ -123,7 +123,9 @@ def variant(config: TrainConfig) -> str:
     """What a run has of the system's parts, and what was added to them."""
     encoder = "compared" if config.encoder[TARGET].endswith("ComparingEncoder") else "embedded side by side"
     noise = f"noise {config.imitation.noise:g}" if config.imitation.noise else "no noise"
-    added = [f"{config.imitation.rounds} rounds of DAgger"] if config.imitation.rounds else []
+    at_once = encoder == "compared" and not config.encoder.get("pair_width", 0)
+    added = ["views read at once"] if at_once else []
+    added += [f"{config.imitation.rounds} rounds of DAgger"] if config.imitation.rounds else []
     added += [config.memory[TARGET].rpartition(".")[2]] if config.memory[TARGET] else []
     added += [f"then {name.upper()}" for name in ("a2c", "ppo") if name in config.losses]
     return ", ".join([f"goal {encoder}", noise, f"{config.imitation.front_only:.0%} photos", *added])

@@ -19,7 +19,11 @@ class ComparingEncoder(nn.Module):
     The observation is embedded, as in the paper. The goal is not: a network that reads an embedding of its goal
     memorises the trained goals and fails at others (docs/results_any_goal.md). Instead, every patch of the observed
     views is compared with every patch of the goal's, and every observed view with every view of the goal, by cosines of
-    learnt projections. A layer reads each of the two matrices.
+    learnt projections. Layers read each of the two matrices.
+
+    With ``pair_width`` the same layers read the cosines of patches of each of the 16 pairs of views, and one layer
+    reads their outputs. The match of two views tells their relative pose, whichever views they are. Shared layers learn
+    that from every pair, which helps most where the goal is a single photo.
 
     Views of the goal that are not known are zeros; their cosines are zeros, as the projections have no bias.
 
@@ -30,6 +34,8 @@ class ComparingEncoder(nn.Module):
         comparison: width of the layer that reads the cosines of patches.
         projection: width in which patches are compared.
         view_projection: width in which views are compared.
+        pair_width: width in which the patches of a pair of views are read; 0, for checkpoints that do not name it,
+            reads the cosines of all pairs at once.
     """
 
     def __init__(
@@ -40,6 +46,7 @@ class ComparingEncoder(nn.Module):
         comparison: Annotated[int, Bounds(1, 65_536)] = 256,
         projection: Annotated[int, Bounds(1, 4096)] = 32,
         view_projection: Annotated[int, Bounds(1, 4096)] = 64,
+        pair_width: Annotated[int, Bounds(0, 4096)] = 0,
     ) -> None:
         super().__init__()
         cells, channels = patch_shape
@@ -50,7 +57,11 @@ class ComparingEncoder(nn.Module):
         self.embedding = nn.Linear(VIEWS * pooled, width)
         self.observation = nn.Linear(width, width)
         self.patch_projection = nn.Linear(channels, projection, bias=False)
-        self.patch_cosines = nn.Linear((VIEWS * cells) ** 2, comparison)
+        self.pair_cosines: nn.Module | None = None
+        if pair_width:
+            layers = [nn.Linear(cells**2, 2 * pair_width), nn.ReLU(), nn.Linear(2 * pair_width, pair_width), nn.ReLU()]
+            self.pair_cosines = nn.Sequential(*layers)
+        self.patch_cosines = nn.Linear(VIEWS**2 * (pair_width or cells**2), comparison)
         self.patch_fusion = nn.Linear(comparison, width, bias=False)
         self.view_projection = nn.Linear(pooled, view_projection, bias=False)
         self.view_cosines = nn.Linear(VIEWS**2, view_projection)
@@ -73,10 +84,17 @@ class ComparingEncoder(nn.Module):
         """Embeddings of observation and goal, ``[B, width + E]`` and ``[B, E]``, to the fused vector ``[B, width]``."""
         seen, *compared = embedding.split([self.width, *self.sizes], -1)
         (patches, views), (goal_patches, goal_views) = compared, goal_embedding.split(self.sizes, -1)
-        cells = VIEWS * self.patch_shape[0]
-        by_patch = self.patch_fusion(F.relu(self.patch_cosines(_cosines(patches, goal_patches, cells))))
+        cosines = _cosines(patches, goal_patches, VIEWS * self.patch_shape[0])
+        if self.pair_cosines is not None:
+            cosines = self.pair_cosines(self._by_pair(cosines)).flatten(-2)
+        by_patch = self.patch_fusion(F.relu(self.patch_cosines(cosines)))
         by_view = self.view_fusion(F.relu(self.view_cosines(_cosines(views, goal_views, VIEWS))))
         return F.relu(seen + by_patch + by_view)
+
+    def _by_pair(self, cosines: Tensor) -> Tensor:
+        """The cosines of patches, ``[B, (4 C)^2]``, by pair of an observed and a goal view, ``[B, 16, C^2]``."""
+        cells = self.patch_shape[0]
+        return cosines.unflatten(-1, (VIEWS, cells, VIEWS, cells)).transpose(-3, -2).flatten(-2).flatten(-3, -2)
 
     def _parts(self, observation: Tensor) -> list[Tensor]:
         """Pooled features and patches of views."""

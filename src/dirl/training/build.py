@@ -140,9 +140,17 @@ def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tenso
 
 
 def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
-    """Mean, standard deviation and axes of the features that a network was trained on."""
+    """Mean, standard deviation and axes of the features that a network was trained on, float32.
+
+    The agents of the package are stored as float16, half the size.
+    """
     found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
-    return found.get("features.mean"), found.get("features.std"), found.get("features.axes")
+    mean, std, axes = (found.get(f"features.{name}") for name in ("mean", "std", "axes"))
+    return _float32(mean), _float32(std), _float32(axes)
+
+
+def _float32(values: Tensor | None) -> Tensor | None:
+    return None if values is None else values.float()
 
 
 def reads_patches(config: TrainConfig) -> bool:

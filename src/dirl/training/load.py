@@ -52,6 +52,7 @@ def load_trained(
     given = dict(changes or {})
     if "goals" in given:
         given.setdefault("hold_out", 0.0)
+        given.setdefault("evaluation.goals", None)  # all that are named, though the run drew some of its own
     if "scene" in given and collection_folder(given["scene"]) is None:  # else the rooms of the training's split
         given = {"split": None, "rooms": None, **given}
     # Goals that are drawn are drawn by the seed of the training: by another, trained ones would count as held out.

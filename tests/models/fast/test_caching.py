@@ -79,7 +79,7 @@ class Comparing(ComparingEncoder):
     """An encoder that embeds goals otherwise than observations."""
 
     def __init__(self, num_features, width):
-        super().__init__(num_features, (2, 2), width, comparison=9, projection=3, view_projection=4)
+        super().__init__(num_features, (2, 2), width, comparison=9, projection=3, view_projection=4, pair_width=5)
 
 
 class Whole(nn.Module):
