@@ -77,6 +77,8 @@ def belongs(config: TrainConfig, experiment: ExperimentName | None, usual: tuple
             return config.split == Split.train
         case ExperimentName.fig5 if config.system == "any_goal":
             return config.hold_out > 0 and config.imitation.noise > 0 and reads_patches(config)
+        case ExperimentName.fig5 if config.system == "dirl_compared":
+            return config.hold_out > 0
         case ExperimentName.fig5 | ExperimentName.fig6:
             return config.system in SYSTEMS and as_usual
         case ExperimentName.fig7:

@@ -108,7 +108,7 @@ def test_a_refusal_is_one_line_and_needs_no_torch(tmp_path, arguments, told):
         ("dirl ", "train evaluate scenes report benchmark copy version"),
         ("dirl ev", "evaluate"),
         ("dirl scenes in", "inspect"),
-        ("dirl train seed=1 system=d", "system=dagger system=dirl system=dirl_ppo"),
+        ("dirl train seed=1 system=d", "system=dagger system=dirl system=dirl_compared system=dirl_ppo"),
         ("dirl scenes inspect thre", "threshold="),
     ],
 )

@@ -300,18 +300,25 @@ def test_stopping_is_reported_for_disturbed_views(tmp_path):
 
 @pytest.fixture(scope="module")
 def any_goal(tmp_path_factory):
-    """A folder with two small runs of experiment=any_goal, of which one embeds its goal."""
+    """Two small runs of experiment=any_goal, of which one embeds its goal, and one of dirl_compared, in one folder."""
     folder = tmp_path_factory.mktemp("any_goal")
     write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
     options = ["scene=room.h5", "network.components=8", "encoder.width=32", "heads.width=32", "hold_out=0.34"]
     options += ["imitation.batch_size=64", "imitation.max_steps=20", "evaluation.max_steps=30", "imitation.noise=0.5"]
     status, _, errors = run_recipe(folder, "train", "-m", "experiment=any_goal", *options, "seed=0")
     assert status == 0, errors
+    options += ["imitation.fraction=0.5", "reinforcement.frames_per_scene=400", "reinforcement.agents_per_scene=4"]
+    line = ["experiment=table2", "system=dirl_compared", *options, "hydra.run.dir=runs/experiments/fast/compared"]
+    status, _, errors = run_recipe(folder, "train", *line)
+    assert status == 0, errors
     return folder
 
 
 def test_goals_that_were_held_out_are_reported_beside_controls(any_goal):
-    assert set(summaries(any_goal)) == {f"any_goal_0.5_0.5_{encoder}_0" for encoder in ("comparing", "siamese")}
+    assert set(summaries(any_goal)) == {
+        "compared",
+        *(f"any_goal_0.5_0.5_{encoder}_0" for encoder in ("comparing", "siamese")),
+    }
     status, printed, errors = run_recipe(any_goal, "report", "experiment=any_goal", "out=report")
     assert status == 0, errors
     assert "8 states of places that were drawn and never trained" in printed
@@ -341,11 +348,11 @@ def test_what_was_added_to_the_system_has_a_row_of_its_own():
     assert main_variant({name: [None] for name in names[::-1]}) == names[0]
 
 
-def test_figure_5_shows_the_policy_for_any_goal_at_goals_that_it_was_not_trained_for(any_goal):
+def test_figure_5_shows_policies_that_know_other_goals_at_goals_that_they_were_not_shown(any_goal):
     status, _, errors = run_recipe(any_goal, "report", "experiment=fig5", "starts=5", "out=fig5")
     assert status == 0, errors
     rows = rows_of(any_goal / "fig5" / "fig5.csv")
-    assert {row["system"] for row in rows} == {"random", "DIRL, many goals"}
+    assert {row["system"] for row in rows} == {"random", "DIRL, compared", "DIRL, many goals"}
 
 
 def test_another_goal_of_the_same_scene_is_shown_as_a_control():

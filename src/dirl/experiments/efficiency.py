@@ -113,7 +113,7 @@ def _groups(experiment: str, results: Sequence[Result], paper: Mapping[str, Any]
     found: dict[str, tuple[list[Result], Any]] = {}
     if experiment == "fig4":
         for system, runs in by_system(results).items():
-            if system in ("dirl", "td_drl", "a3c", "dirl_ppo"):
+            if system in ("dirl", "td_drl", "a3c", "dirl_ppo", "dirl_compared"):
                 found[NAMES[system]] = runs, paper.get(system)
         return found, list(found)
     if experiment == "fig7":

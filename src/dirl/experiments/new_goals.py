@@ -40,7 +40,7 @@ MAX_STEPS = 500
 """An episode that has not arrived by then has failed."""
 
 SYSTEMS = ("dirl", "td_drl", "a3c")
-"""Those that are compared; in figure 5 also ``any_goal``, at goals that it was not trained for either."""
+"""Those that are compared; in figure 5 also ``dirl_compared`` and ``any_goal``, at goals that they were not shown."""
 
 
 def new_goals(
@@ -77,7 +77,7 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     """Write figure 5: the success rate for new goals by their distance from trained ones.
 
     Args:
-        results: runs of DIRL, TD-DRL and A3C.
+        results: runs of DIRL, TD-DRL and A3C, or of systems that are shown other goals too.
         out: a folder.
         note: what a reader must know of the runs.
         starts: of each goal.

@@ -32,6 +32,7 @@ NAMES = {
     "td_drl": "TD-DRL",
     "dirl": "DIRL",
     "dirl_ppo": "DIRL with PPO",
+    "dirl_compared": "DIRL, compared",
     "any_goal": "DIRL, many goals",
 }
 """Systems by the name they have in a configuration, in the order of the tables."""

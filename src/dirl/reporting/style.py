@@ -15,7 +15,7 @@ from dirl.atomic import atomic_path
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE = COLORS
 
-GREY, WINE = "#999999", "#882255"
+GREY, WINE, OLIVE = "#999999", "#882255", "#999933"
 
 SYSTEM_COLORS = {
     "dirl": BLUE,
@@ -24,6 +24,7 @@ SYSTEM_COLORS = {
     "dirl_ppo": PURPLE,
     "il": SKY,
     "dagger": ORANGE,
+    "dirl_compared": OLIVE,
     "any_goal": WINE,
     "random": GREY,
     "shortest_path": "#000000",
