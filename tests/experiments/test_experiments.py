@@ -355,6 +355,14 @@ def test_figure_5_shows_policies_that_know_other_goals_at_goals_that_they_were_n
     assert {row["system"] for row in rows} == {"random", "DIRL, compared", "DIRL, many goals"}
 
 
+def test_dirl_with_compared_goals_is_shown_the_way_to_other_goals_than_its_own(any_goal):
+    """At 12 of 24 states, to every place that is not held out: 16 goals, of which the run has two."""
+    assert summaries(any_goal)["compared"]["demonstrations"] == 12 * 16
+    status, _, errors = run_recipe(any_goal, "report", "experiment=fig4", "out=fig4")
+    assert status == 0, errors
+    assert [row["setting"] for row in rows_of(any_goal / "fig4" / "fig4.csv")] == ["DIRL, compared"]
+
+
 def test_another_goal_of_the_same_scene_is_shown_as_a_control():
     world = make_world([grid_scene(goals=(0, 13, 5)), grid_scene(2, 2, name="small", goals=(1, 2), seed=1)])
     shown = wrong_goals(world)
