@@ -13,7 +13,7 @@ from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.episodes import every_start, run_episodes, sampled_starts, shortest_episodes
 from dirl.evaluation import action_values, metrics
 from dirl.experts import RandomPolicy
-from dirl.models import EpisodicMemory, initial_state, recurrent_keys
+from dirl.models import EpisodicMemory, PlanningMemory, initial_state, recurrent_keys
 from dirl.scenes import make_world
 
 KINDS = (SurroundingViews, SequentialViews)
@@ -243,33 +243,49 @@ def test_a_policy_without_values_answers_zero(world):
     assert not values.any()
 
 
-def test_a_memory_ends_the_circles_of_a_greedy_policy(world):
+@pytest.mark.parametrize("memory", [EpisodicMemory(), PlanningMemory()], ids=["counts", "planning"])
+def test_a_memory_ends_the_circles_of_a_greedy_policy(world, memory):
     """A policy that always turns right finds only goals in its place; with the memory it tries what it has not."""
     starts = every_start(world)
     options = {"observation": SurroundingViews(world), "max_steps": 200}
     without = run_episodes(always(RIGHT, 1.0), world, starts, **options)
-    remembered = run_episodes(always(RIGHT, 1.0), world, starts, memory=EpisodicMemory(), **options)
+    remembered = run_episodes(always(RIGHT, 1.0), world, starts, memory=memory, **options)
     assert without.success.float().mean() < 0.3
     assert remembered.success.all()
 
 
-def test_the_memory_knows_places_by_what_they_look_like(world):
+@pytest.mark.parametrize("memory", [EpisodicMemory, PlanningMemory])
+def test_the_memory_knows_places_by_what_they_look_like(world, memory):
     """Where everything looks alike, every action is soon tried everywhere: the count is of looks, not of states."""
     starts = every_start(world)
     options = {"observation": SurroundingViews(world), "max_steps": 30}
     states, looks = [
-        run_episodes(always(RIGHT, 1.0), world, starts, memory=EpisodicMemory(threshold=threshold), **options)
+        run_episodes(always(RIGHT, 1.0), world, starts, memory=memory(threshold=threshold), **options)
         for threshold in (0.9, -1.0)
     ]
     assert not torch.equal(states.steps, looks.steps)
 
 
-def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch):
-    starts, options = every_start(world), {"observation": SurroundingViews(world), "memory": EpisodicMemory()}
+@pytest.mark.parametrize("memory", [EpisodicMemory(), PlanningMemory()], ids=["counts", "planning"])
+def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch, memory):
+    starts, options = every_start(world), {"observation": SurroundingViews(world), "memory": memory}
     whole = run_episodes(always(BACK, 1.0), world, starts, **options)
     monkeypatch.setattr(episodes_module, "MANY", 7)
     parts = run_episodes(always(BACK, 1.0), world, starts, **options)
     assert all(torch.equal(a, b) for a, b in zip(vars(whole).values(), vars(parts).values(), strict=True))
+
+
+def test_a_plan_leads_straight_to_a_goal_that_was_seen(world):
+    """Whatever the policy says: facing one of the four views here, the agent would be at the goal."""
+    goal_index, start = every_start(world)
+    near = (world.surrounding[start] == world.goals[goal_index, None]).any(1)
+    starts = goal_index[near], start[near]
+    options = {"observation": SurroundingViews(world), "max_steps": 2}
+    assert near.any()
+    assert not run_episodes(always(BACK, 9.0), world, starts, **options).success.all()
+    found = run_episodes(always(BACK, 9.0), world, starts, memory=PlanningMemory(), **options)
+    assert found.success.all()
+    assert torch.equal(found.steps, found.shortest)
 
 
 def test_a_policy_may_be_shown_another_goal(world):

@@ -12,9 +12,9 @@ from tqdm import tqdm
 from dirl.decisions import Decide, deciding
 from dirl.envs import SurroundingViews
 from dirl.experts import RandomPolicy
-from dirl.models import EpisodicMemory, frozen
+from dirl.models import frozen
+from dirl.recall import Memory, recalling
 from dirl.scenes import ACTIONS, World
-from dirl.scenes.matching import look_alike
 
 MANY = 50_000
 """Agents for more than which actions are drawn by one random number each, where `torch.multinomial` draws four."""
@@ -82,7 +82,7 @@ def run_episodes(
     max_steps: int = 200,
     greedy: bool = True,
     seed: int = 0,
-    memory: EpisodicMemory | None = None,
+    memory: Memory | None = None,
     shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> Episodes:
@@ -100,25 +100,27 @@ def run_episodes(
         max_steps: after so many steps an episode has failed.
         greedy: take the most probable action (of equal ones the first), else draw one.
         seed: of the draws.
-        memory: lowers logits by what was done in the episode, see `EpisodicMemory`.
+        memory: changes logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`.
         shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
         watch: called after each step with the unfinished episodes and their states, int64 ``[W]`` each.
     """
     goal_index, start = starts
     never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
     episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
-    recall = None if memory is None else _Recall(memory, world)
     generator = torch.Generator(world.device).manual_seed(seed)
     few = len(start) <= MANY
     bar = tqdm(
         total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=bar_interval(), disable=few
     )
     with frozen(policy), bar:
-        if isinstance(policy, RandomPolicy) and not (greedy or few or recall):
+        recall = None
+        if isinstance(policy, RandomPolicy) and not (greedy or few or memory):
             act = partial(_any_action, generator)
         else:
             decide = deciding(policy, world, observation, len(start))
-            act = partial(_chosen_action, decide, recall, generator, greedy, shown)
+            if memory is not None:
+                recall = recalling(memory, world, decide, observation, stop)
+            act = partial(_chosen_action, recall or decide, generator, greedy, shown)
         # A memory of many episodes takes much space until they have ended.
         for walking in torch.arange(len(start), device=world.device).split(MANY if recall else max(1, len(start))):
             walk = _Walk(walking, start[walking], observation.begin(start[walking]))
@@ -181,7 +183,6 @@ def _any_action(generator: torch.Generator, episode: Tensor, *_: Tensor) -> Tens
 
 def _chosen_action(
     decide: Decide,
-    recall: "_Recall | None",
     generator: torch.Generator,
     greedy: bool,
     shown: Tensor | None,
@@ -192,26 +193,7 @@ def _chosen_action(
 ) -> Tensor:
     """What a policy does, with a memory if any, on the way to the goals that it is shown."""
     logits = decide(episode, state, view_ids, wanted if shown is None else shown[wanted])
-    return choose(recall(logits, state) if recall else logits, generator, greedy=greedy)
-
-
-class _Recall:
-    """An episodic memory of agents that walk in a world: states whose views match are the same place."""
-
-    def __init__(self, memory: EpisodicMemory, world: World) -> None:
-        self.memory, self.device = memory, world.device
-        self.alike, self.row = look_alike(world, memory.threshold)
-
-    def begin(self, agents: int) -> None:
-        self.trace = self.memory.begin(agents, self.device)
-
-    def __call__(self, logits: Tensor, state: Tensor) -> Tensor:
-        same = self.alike[self.row[self.trace.place] + state.unsqueeze(-1)]
-        return self.memory.adjust(logits, self.trace, same)
-
-    def record(self, before: Tensor, action: Tensor, after: Tensor, going: Tensor) -> None:
-        moved = ~self.alike[self.row[before] + after]
-        self.trace = self.memory.record(self.trace, before, action, after, moved).select(going)
+    return choose(logits, generator, greedy=greedy)
 
 
 def bar_interval() -> float:

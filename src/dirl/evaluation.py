@@ -10,7 +10,7 @@ from dirl.decisions import answers
 from dirl.envs import SurroundingViews
 from dirl.episodes import Episodes, run_episodes, shortest_episodes
 from dirl.experts import RandomPolicy
-from dirl.models import EpisodicMemory
+from dirl.recall import Memory
 from dirl.scenes import World
 
 
@@ -29,8 +29,8 @@ class EvaluationProtocol:
     """An episode that has not arrived by then has failed."""
     seed: int = 0
     """Of drawn actions."""
-    memory: EpisodicMemory | None = None
-    """Lowers the policies' logits by what was done in the episode."""
+    memory: Memory | None = None
+    """Changes the policies' logits by what was done in the episode."""
     shown: Tensor | None = None
     """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
     held_out: "EvaluationProtocol | None" = None

@@ -17,7 +17,7 @@ from dirl.deploy.navigator import NavigatorError
 from dirl.deploy.onnx import export_onnx
 from dirl.episodes import every_start
 from dirl.evaluation import EvaluationProtocol
-from dirl.models import EpisodicMemory, recurrent_keys
+from dirl.models import EpisodicMemory, PlanningMemory, recurrent_keys
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.scenes.matching import TemplateStop
 
@@ -64,13 +64,21 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observatio
 
 
 @pytest.mark.parametrize("goal_view", ["surrounding", "front"])
-def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path, goal_view):
+@pytest.mark.parametrize(
+    ("options", "memory"),
+    [
+        (["episodic_memory=counts", "episodic_memory.penalty=1"], EpisodicMemory(penalty=1.0)),
+        (["episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3)),
+    ],
+    ids=["counts", "planning"],
+)
+def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path, goal_view, options, memory):
     world = rooms()
-    options = [f"goal_view={goal_view}", "episodic_memory=counts", "episodic_memory.penalty=1"]
-    policy, seen = trained(tmp_path, world, *options)
-    memory = EpisodicMemory(penalty=1.0)
+    policy, seen = trained(tmp_path, world, f"goal_view={goal_view}", *options)
     starts = every_start(world)
-    protocol = EvaluationProtocol(world, seen, starts, max_steps=25, memory=memory)
+    match = "front" if goal_view == "front" else "views"
+    stop = TemplateStop(0.95 if match == "front" else 0.9, match)(world)
+    protocol = EvaluationProtocol(world, seen, starts, max_steps=25, memory=memory, stop=stop)
     _, paths = protocol.trajectories(policy, starts)
     _, alone = replace(protocol, memory=None).trajectories(policy, starts)
     assert paths != alone

@@ -88,6 +88,7 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
         "four": [],
         "photo": ["goal_view=front"],
         "alone": ["episodic_memory=none"],
+        "planned": ["episodic_memory=planning"],
     }.items():
         asked = [f"checkpoint={any_goal / 'run'}", f"out={any_goal / name}.json", *options]
         status, _, errors = run_recipe(any_goal, "evaluate", *asked)
@@ -95,7 +96,7 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
         found[name] = json.loads((any_goal / f"{name}.json").read_text())["greedy"]["atl"]
     summary = json.loads((any_goal / "run" / "summary.json").read_text())
     assert found["four"] == summary["greedy"]["atl"]
-    assert len(set(found.values())) == 3
+    assert len(set(found.values())) == 4
 
 
 def test_goals_that_are_named_are_all_evaluated(any_goal):
@@ -114,7 +115,7 @@ def test_goals_that_are_named_are_all_evaluated(any_goal):
 def test_an_unknown_choice_is_one_line(any_goal):
     status, _, errors = run_recipe(any_goal, "evaluate", "checkpoint=run", "episodic_memory=some")
     assert status == 1
-    assert errors.splitlines()[-1].endswith("episodic_memory=some: choose from counts, none")
+    assert errors.splitlines()[-1].endswith("episodic_memory=some: choose from counts, none, planning")
 
 
 def test_a_room_without_patches_is_told_before_anything_is_made(any_goal):

@@ -225,8 +225,9 @@ def choose(tab, goal_index, start):
         (["stop.threshold=0.02"], False, {"Stopped", "False", "Failed:"}),
         (["stop.evaluation=goal"], False, {"Stopped", "Failed:"}),
         (["goal_view=front", "episodic_memory=counts"], False, {"Stopped", "Failed:"}),
+        (["goal_view=front", "episodic_memory=planning"], False, {"Stopped"}),
     ],
-    ids=["trained", "false stops", "stopped by the environment", "one photo and a memory"],
+    ids=["trained", "false stops", "stopped by the environment", "one photo and a memory", "a plan"],
 )
 def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page, options, trained, ends):
     room = small_room(tmp_path, *options)

@@ -148,3 +148,9 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
         make_parts(*options, "imitation.goals=all")
     with pytest.raises(SceneError, match=r"^imitation\.goals: grid: goals=some: must be states, or one of all"):
         make_parts(*options, "imitation.drawn=true", "imitation.goals=some")
+
+
+@pytest.mark.parametrize("options", [["memory=gru"], ["observation=sequential"]])
+def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path, options):
+    with pytest.raises(ConfigError, match=r"^episodic_memory=planning asks .*choose episodic_memory=counts or none$"):
+        make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=planning", *options, *SMALL)

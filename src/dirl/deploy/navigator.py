@@ -1,6 +1,7 @@
 """A trained policy on a robot: from camera images to actions."""
 
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from dirl.deploy.loading import (
     matched_view,
     rebuild,
 )
-from dirl.deploy.recall import Recall
+from dirl.deploy.recall import Recall, recalling
 from dirl.envs.transforms import VIEWS
 from dirl.mapping import ImageGraph
 from dirl.mapping.policy import LAST_STEPS
@@ -137,7 +138,7 @@ class Navigator:
                 f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
             )
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
-        recall = None if memory is None else Recall(memory)
+        recall = None if memory is None else recalling(memory)
         return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, recall)
 
     @classmethod
@@ -236,7 +237,7 @@ class Navigator:
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
         self._state = tuple(after)
         if self.recall is not None:
-            logits = self.recall.adjust(self._pooled(views), logits)
+            logits = self.recall.adjust(self._pooled(views), logits, partial(self._around, views))
         probabilities = logits.softmax(-1)
         if sample:
             action = torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
@@ -249,6 +250,14 @@ class Navigator:
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
+
+    def _around(self, views: Tensor) -> tuple[Tensor, Tensor]:
+        """Of views ``[B, 4, D]`` the logits facing each of them, ``[B, 4, 4]``, and whether the goal is seen there."""
+        assert self._goal is not None
+        facing = torch.stack([views.roll(-turns, 1) for turns in range(VIEWS)], 1)
+        goal = self._goal.expand(len(views), -1, -1).repeat_interleave(VIEWS, 0)
+        logits, _, matching, *_ = self.policy(facing.flatten(0, 1), goal)
+        return logits.unflatten(0, (-1, VIEWS)), matching.unflatten(0, (-1, VIEWS)) > self._threshold_now()
 
     def explore(self, graph: ImageGraph | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.

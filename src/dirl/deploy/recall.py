@@ -1,13 +1,19 @@
 """The episodic memory of an agent that sees images: it recognises places by their views."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
-from dirl.models import EpisodicMemory
+from dirl.envs.transforms import VIEWS
+from dirl.models import EpisodicMemory, PlanningMemory
 from dirl.scenes.matching import normal_vectors
 
+Around = Callable[[], tuple[Tensor, Tensor]]
+"""Of B agents the policy's logits facing each of the four views, ``[B, 4, 4]``, and whether the goal is seen there."""
 
-class Recall:
+
+class Counting:
     """The views and actions of B agents in their episodes, for `EpisodicMemory`.
 
     Args:
@@ -25,12 +31,13 @@ class Recall:
         self.trace = self.memory.begin(0)
         self.action: Tensor | None = None
 
-    def adjust(self, features: Tensor, logits: Tensor) -> Tensor:
+    def adjust(self, features: Tensor, logits: Tensor, around: Around) -> Tensor:
         """Adjust logits ``[B, 4]`` by the actions that were taken where all views looked as they do now.
 
         Args:
             features: of the views around each agent, float32 ``[B, 4, D]``.
             logits: of the policy.
+            around: not used.
         """
         agents, device = len(logits), logits.device
         now = normal_vectors(features.flatten(1)).unsqueeze(1)
@@ -48,3 +55,45 @@ class Recall:
     def acted(self, action: Tensor) -> None:
         """Remember the actions that the agents take now, int64 ``[B]``."""
         self.action = action
+
+
+class Planning:
+    """The views and actions of B agents in their episodes, for `PlanningMemory`.
+
+    Args:
+        memory: plans.
+    """
+
+    def __init__(self, memory: PlanningMemory) -> None:
+        self.memory = memory
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin new episodes."""
+        self.looks: Tensor | None = None
+        """Normalised features of all places so far, float32 ``[B, P, F]``, facing as at the first arrival."""
+        self.walked = self.memory.begin(0)
+
+    def adjust(self, features: Tensor, logits: Tensor, around: Around) -> Tensor:
+        """The logits of the plan, ``[B, 4]``, for those of the policy; see `Counting.adjust`."""
+        facing = torch.stack([normal_vectors(features.roll(turns, 1).flatten(1)) for turns in range(VIEWS)], 1)
+        if self.looks is None:
+            self.looks, self.walked = facing[:, :0], self.memory.begin(len(logits), logits.device)
+        # Who now faces the view that was on the right looks like the place, facing right: its views rolled by one.
+        alike = (self.looks.unsqueeze(2) * facing.unsqueeze(1)).sum(-1) > self.memory.threshold
+        same = alike.flatten(1) & self.walked.used
+        self.looks = torch.cat([self.looks, facing[:, :1]], 1)
+        self.walked = self.memory.arrive(self.walked, same, *around())
+        return self.memory.plan(self.walked)
+
+    def acted(self, action: Tensor) -> None:
+        """Remember the actions that the agents take now, int64 ``[B]``."""
+        self.walked.action = action
+
+
+Recall = Counting | Planning
+
+
+def recalling(memory: EpisodicMemory | PlanningMemory) -> Recall:
+    """A memory at the start of an episode."""
+    return Planning(memory) if isinstance(memory, PlanningMemory) else Counting(memory)

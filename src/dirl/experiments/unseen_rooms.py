@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from dirl.config.choices import goal_view_options
 from dirl.episodes import Episodes
-from dirl.evaluation import EvaluationProtocol, metrics
+from dirl.evaluation import metrics
 from dirl.experiments.any_goal import (
     DRAWN,
     FAR,
@@ -27,6 +27,7 @@ from dirl.experiments.any_goal import (
     within,
 )
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
+from dirl.models import EpisodicMemory, PlanningMemory
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
 from dirl.scenes import SceneError, World
@@ -67,12 +68,12 @@ def tested(run: Result) -> tuple[World, dict[str, Episodes]]:
     config, policy, protocol = run.load(TESTED)
     _, by_photo, photo = run.load({**TESTED, **goal_view_options("front")})
     starts = drawn_starts(protocol.world)
-    four, one = (_from(starts, conditions) for conditions in (protocol, photo))
-    return protocol.world, walked_by(policy, four, by_photo, one, config.stop.threshold, starts)
-
-
-def _from(starts: tuple[Tensor, Tensor], protocol: EvaluationProtocol) -> EvaluationProtocol:
-    return replace(protocol, starts=starts)
+    four, one = (replace(conditions, starts=starts) for conditions in (protocol, photo))
+    found = walked_by(policy, four, by_photo, one, config.stop.threshold, starts)
+    if isinstance(protocol.memory, PlanningMemory):
+        for name, conditions, walker in ((FOUR, four, policy), (PHOTO, one, by_photo)):
+            found[f"{name}, memory of counts"] = replace(conditions, memory=EpisodicMemory()).run(walker)
+    return protocol.world, found
 
 
 def by_room(world: World, episodes: Episodes, key: str) -> list[float]:

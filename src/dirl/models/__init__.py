@@ -15,6 +15,7 @@ from dirl.models.comparing import ComparingEncoder
 from dirl.models.episodic import EpisodicMemory, Trace
 from dirl.models.features import FeatureTable, feature_statistics, whitening
 from dirl.models.heads import ActorCriticHeads
+from dirl.models.planning import PlanningMemory, Walked
 from dirl.models.siamese import SiameseEncoder
 
 __all__ = [
@@ -24,8 +25,10 @@ __all__ = [
     "EpisodicMemory",
     "FeatureTable",
     "KeyedModule",
+    "PlanningMemory",
     "SiameseEncoder",
     "Trace",
+    "Walked",
     "caching",
     "count_parameters",
     "feature_statistics",

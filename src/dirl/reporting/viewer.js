@@ -10,18 +10,60 @@ const goals = D.goals.map((g) => ({ ...g, logits: floats(g.logits), values: floa
 // An episode: its states, the actions between, who took each ("policy" or "hand"), and the step that is shown.
 let goal = goals[0], path = [], taken = [], by = [], blocked = [], at = 0, timer = null;
 
-// The same as dirl.models.EpisodicMemory: what was done here in this episode is less likely to be done again.
-const OPPOSITE = [3, 2, 1, 0];
+const OPPOSITE = [3, 2, 1, 0], SURE = 10;
+const logitsAt = (state) => Float32Array.from(goal.logits.subarray(4 * state, 4 * state + 4));
+const looksLike = (a, b) => D.memory.alike[a].includes(b);
 function logitsNow(m = byId("memory").checked && D.memory) {
-  const state = path[at], logits = Float32Array.from(goal.logits.subarray(4 * state, 4 * state + 4));
-  if (!m) return logits;
-  const alike = (a, b) => m.alike[a].includes(b);
+  return !m ? logitsAt(path[at]) : m.repeated === undefined ? counted(m) : planned(m);
+}
+// The same as dirl.models.EpisodicMemory: what was done here in this episode is less likely to be done again.
+function counted(m) {
+  const state = path[at], logits = logitsAt(state);
   for (let i = 0; i < at; i++) {
-    const [before, action, after] = [path[i], taken[i + 1], path[i + 1]], moved = !alike(before, after);
-    if (alike(before, state)) logits[action] -= m.penalty * (moved ? 1 : m.blocked);
-    if (moved && alike(after, state)) logits[OPPOSITE[action]] -= m.penalty * m.opposite;
+    const [before, action, after] = [path[i], taken[i + 1], path[i + 1]], moved = !looksLike(before, after);
+    if (looksLike(before, state)) logits[action] -= m.penalty * (moved ? 1 : m.blocked);
+    if (moved && looksLike(after, state)) logits[OPPOSITE[action]] -= m.penalty * m.opposite;
   }
   return logits;
+}
+// The same as dirl.models.PlanningMemory: minus the cost of the cheapest way to an action that was not tried.
+function planned(m) {
+  const { nodes, here } = walkedNodes(), seen = nodes.some((node) => node.goal);
+  const step = (node, action) => seen ? (node.after[action] < 0 ? Infinity : SURE)
+    : node.cost[action] + (node.after[action] < 0 ? 0 : action % 3 ? m.turn : m.repeated);
+  let values = nodes.map((node) => node.goal ? 0 : Infinity), before, ways;
+  do {
+    before = values;
+    ways = nodes.map((node) => node.after.map((to, action) => step(node, action) + (to < 0 ? 0 : before[to])));
+    values = nodes.map((node, i) => node.goal ? 0 : Math.min(...ways[i]));
+  } while (values.some((value, i) => value !== before[i]));
+  return (ways[here].every((way) => way === Infinity) ? nodes[here].cost : ways[here]).map((way) => -way);
+}
+function walkedNodes() {  // four for each place of the episode, one for each heading, clockwise
+  const nodes = [], around = (node) => node - node % 4 + (node + 2) % 4;
+  let before = -1, here = -1;
+  for (let i = 0; i <= at; i++) {
+    here = nodes.findIndex((node) => looksLike(node.state, path[i]));
+    if (here < 0) {
+      here = nodes.length;
+      D.surrounding[path[i]].forEach((state, turns) => nodes.push({
+        state, goal: goal.stops.has(state), cost: probabilities(logitsAt(state)).map((p) => -Math.log(p)),
+        after: [-1, here + (turns + 1) % 4, here + (turns + 3) % 4, -1],
+      }));
+    }
+    nodes[here].goal = false;
+    const action = taken[i], moved = here !== before;
+    if (i) {
+      nodes[before].after[action] = here;
+      if (moved) nodes[here].after[OPPOSITE[action]] = before;
+    }
+    if (i && action % 3 === 0) {  // ahead is back for who faces the other way
+      nodes[around(before)].after[OPPOSITE[action]] = around(here);
+      if (moved) nodes[around(here)].after[action] = around(before);
+    }
+    before = here;
+  }
+  return { nodes, here };
 }
 // The same as dirl.evaluation: the first of the most probable actions; stop only after a step.
 function chosenAction() {
@@ -247,7 +289,9 @@ const leader = !D.image_graph ? "Greedy policy" : "Led by the image graph of one
   : " to the goal; the greedy policy decides only where it knows no way");
 byId("facts").textContent = `${D.title}. ${leader}; ` + (D.stops_by === "match" ? "stopped by template matching."
   : "stopped by the environment, exactly at the goal.")
-  + (D.memory ? " Episodic memory: what was done in this episode where it looked as it does now is less likely." : "");
+  + (!D.memory ? "" : D.memory.repeated === undefined
+    ? " Episodic memory: what was done in this episode where it looked as it does now is less likely."
+    : " Episodic memory: a plan to the best way that was not tried in this episode.");
 byId("with-memory").hidden = !D.memory;
 byId("match-title").textContent = `Matching with the goal (${D.match === "front" ? "the view ahead" : "all four views"}; `
   + `threshold ${D.threshold}${D.stops_by === "match" ? "" : ", not used here"})`;

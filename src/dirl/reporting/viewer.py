@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from dirl.decisions import answers
 from dirl.envs import SurroundingViews
 from dirl.mapping import ImageGraph
-from dirl.models import EpisodicMemory, recurrent_keys
+from dirl.models import PlanningMemory, recurrent_keys
+from dirl.recall import Memory
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
@@ -31,7 +32,7 @@ def viewer_pages(
     stop: Tensor | None,
     max_steps: int,
     title: str,
-    memory: EpisodicMemory | None = None,
+    memory: Memory | None = None,
     graphs: Sequence[ImageGraph] | None = None,
     last_steps: int = 0,
 ) -> dict[str, str]:
@@ -48,7 +49,7 @@ def viewer_pages(
         stop: where an agent stops on its way to each goal, bool ``[P]``; at the goal itself if None.
         max_steps: after so many steps an episode has failed.
         title: names the run; the same for all scenes.
-        memory: lowers the logits of actions that were taken in the episode.
+        memory: changes logits by what was done in the episode.
         graphs: an image graph of each scene, which leads the agent; to be drawn beside the map.
         last_steps: so near the goal the policy decides by itself.
 
@@ -119,13 +120,14 @@ def _room(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _memory(memory: EpisodicMemory, world: World, index: int) -> dict[str, Any]:
+def _memory(memory: Memory, world: World, index: int) -> dict[str, Any]:
     """The data of an episodic memory that a page needs: options, and the states that look like each state."""
     alike, row = look_alike(world, memory.threshold)
     offset, size = world.offsets[index], len(world.scenes[index])
     first = int(row[offset]) + offset
     same = alike[first : first + size * size].view(size, size)
-    options = {name: getattr(memory, name) for name in ("penalty", "opposite", "blocked")}
+    names = ("repeated", "turn") if isinstance(memory, PlanningMemory) else ("penalty", "opposite", "blocked")
+    options = {name: getattr(memory, name) for name in names}
     return {**options, "alike": [torch.nonzero(states).flatten().tolist() for states in same]}
 
 

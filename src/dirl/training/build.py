@@ -20,7 +20,7 @@ from dirl.envs.transforms import VIEWS
 from dirl.episodes import every_start, sampled_starts
 from dirl.evaluation import EvaluationProtocol
 from dirl.experts import demonstrations, shown_states
-from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
+from dirl.models import FeatureTable, PlanningMemory, feature_statistics, initial_state, recurrent_keys, whitening
 from dirl.objectives import ImitationLoss
 from dirl.scenes import ACTIONS, Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
@@ -310,8 +310,17 @@ def build_protocol(
         world: with the goals to be evaluated.
         observation: what is observed.
         held_out: goals to be evaluated apart, see `ChosenGoals`; none if empty or left out.
+
+    Raises:
+        ConfigError: the episodic memory cannot serve such a policy.
     """
     options = config.evaluation
+    memory = make("episodic_memory", config.episodic_memory, config.trust)
+    if isinstance(memory, PlanningMemory) and (observation.history or config.memory[TARGET]):
+        raise ConfigError(
+            "episodic_memory=planning asks the policy what it would do facing the other views; with "
+            "observation=sequential or a memory it depends on earlier steps too: choose episodic_memory=counts or none"
+        )
     if options.goals is not None:
         world = world.with_goals(_some_goals(world, options.goals, config.seed))
     return EvaluationProtocol(
@@ -323,7 +332,7 @@ def build_protocol(
         stop=stop_table(config, config.stop.evaluation, world),
         max_steps=options.max_steps,
         seed=config.seed,
-        memory=make("episodic_memory", config.episodic_memory, config.trust),
+        memory=memory,
         held_out=build_protocol(config, world.with_goals(held_out), observation) if held_out else None,
     )
 

@@ -1,0 +1,163 @@
+"""An episodic memory that plans: the agent returns to the best exit that it has not tried yet."""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Annotated
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from dirl.config.bounds import Bounds
+from dirl.models.episodic import OPPOSITE
+from dirl.scenes import ACTIONS
+
+HEADINGS = 4
+"""Of a place: those of the four views that are seen there, clockwise from the first."""
+AHEAD, RIGHT, LEFT, BACK = range(len(ACTIONS))
+
+SURE = 10.0
+"""Cost of an action on the way to a goal that was seen, in nats: one action more is not worth considering."""
+
+
+@dataclass
+class Walked:
+    """What B agents have seen and done in their present episodes; made by `PlanningMemory.begin`.
+
+    A node is a place and a heading: ``4 * place + heading``. Each step makes a place, which stays unused where the
+    agent recognises an earlier one.
+    """
+
+    cost: Tensor
+    """Of each action at each node, float32 ``[B, N, 4]``; infinite at unused places."""
+    after: Tensor
+    """The node that an action leads to, int64 ``[B, N, 4]``; -1 where that is not known."""
+    goal: Tensor
+    """Whether a node looks like the goal and the agent has not stood there, bool ``[B, N]``."""
+    here: Tensor
+    """The present node, int64 ``[B]``; -1 at the start."""
+    action: Tensor
+    """The last action, int64 ``[B]``; -1 at the start."""
+
+    @property
+    def used(self) -> Tensor:
+        """Nodes where an agent was, or which it faced from there, bool ``[B, N]``."""
+        return self.cost.isfinite().any(-1)
+
+    def select(self, chosen: Tensor) -> "Walked":
+        """Some of the agents, by mask or index."""
+        return Walked(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+
+class PlanningMemory(nn.Module):
+    """Replaces the policy's logits by those of a plan over the places of this episode.
+
+    An action costs what the policy thinks of it, ``-log p``; one whose outcome is known costs ``repeated`` more, a turn
+    ``turn`` more. The new logit of an action is minus the cost of the cheapest way that begins with it and ends with
+    an action not tried yet. A goal that was seen, facing another way, is walked to on the shortest known way.
+
+    So a policy that leads to new places decides as before. One that would return to where it was takes the most
+    promising exit of all places instead, over the known way.
+
+    At each place the policy is asked for all four headings, as the four views around the agent are those around it
+    after a turn too. That a turn leads from one to the next is assumed, and corrected where it does not. Moves
+    count in both directions.
+
+    `EpisodicMemory` lowers logits where the agent stands, and knows nothing of other places. Both are used in
+    evaluation, in the viewer and in a `dirl.Navigator`, but not in training. The policy must depend on the
+    present state alone.
+
+    Args:
+        repeated: cost of a move whose outcome is known, in nats.
+        turn: cost of a turn.
+        threshold: two observations above this correlation are of the same place and heading.
+    """
+
+    def __init__(
+        self,
+        repeated: Annotated[float, Bounds(0, 1000)] = 2.0,
+        turn: Annotated[float, Bounds(0.001, 1000)] = 0.1,
+        threshold: Annotated[float, Bounds(-1, 1)] = 0.95,
+    ) -> None:
+        super().__init__()
+        self.repeated, self.turn, self.threshold = repeated, turn, threshold
+
+    def begin(self, agents: int, device: torch.device | str = "cpu") -> Walked:
+        """What agents know at the start of their episodes: nothing."""
+        nowhere = torch.full((agents,), -1, device=device)
+        return Walked(
+            cost=torch.empty((agents, 0, len(ACTIONS)), device=device),
+            after=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.int64, device=device),
+            goal=torch.empty((agents, 0), dtype=torch.bool, device=device),
+            here=nowhere,
+            action=nowhere,
+        )
+
+    def arrive(self, walked: Walked, same: Tensor, logits: Tensor, goal: Tensor) -> Walked:
+        """Add where the agents are now, and what their last action led to.
+
+        Args:
+            walked: so far, N nodes.
+            same: whether each used node looks like where the agent is, bool ``[B, N]``.
+            logits: of the policy facing each of the four views around the agent, float32 ``[B, 4, 4]``; those of
+                agents at known nodes are not used.
+            goal: whether it looks like the goal facing there, bool ``[B, 4]``.
+        """
+        agents, nodes = same.shape
+        device = same.device
+        known = same.any(1)
+        new = nodes + torch.arange(HEADINGS, device=device)
+        here = torch.where(known, same.int().argmax(1) if nodes else nodes, nodes)
+        cost = torch.where(known[:, None, None], math.inf, -logits.log_softmax(-1))
+        after = torch.full((agents, HEADINGS, len(ACTIONS)), -1, device=device)
+        after[:, :, RIGHT], after[:, :, LEFT] = new.roll(-1), new.roll(1)
+        at = torch.arange(agents, device=device)
+        made = Walked(
+            cost=torch.cat([walked.cost, cost], 1),
+            after=torch.cat([walked.after, after], 1),
+            goal=torch.cat([walked.goal, goal & ~known[:, None]], 1),
+            here=here,
+            action=walked.action,
+        )
+        made.goal[at, here] = False  # the agent would have stopped
+        if nodes:
+            _connect(made.after, walked.here, walked.action, here)
+        return made
+
+    def plan(self, walked: Walked) -> Tensor:
+        """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
+        known, nodes = walked.after >= 0, walked.after.shape[1]
+        more = torch.full((len(ACTIONS),), self.repeated, device=walked.cost.device)
+        more[[RIGHT, LEFT]] = self.turn
+        seen = walked.goal.any(1)[:, None, None]
+        step = torch.where(seen, torch.where(known, SURE, math.inf), walked.cost + more * known)
+        # By action first, which is five times as fast; an unknown outcome is a node of value zero behind the others.
+        step, target = (table.movedim(-1, 0).contiguous() for table in (step, torch.where(known, walked.after, nodes)))
+        value = F.pad(torch.where(walked.goal, 0.0, math.inf), (0, 1))
+        while True:
+            ways = torch.stack([value.gather(1, after) for after in target]).add_(step)
+            better = torch.where(walked.goal, 0.0, ways.amin(0))
+            if torch.equal(better, value[:, :-1]):
+                break
+            value[:, :-1] = better
+        at = torch.arange(len(walked.here), device=walked.here.device)
+        found = ways[:, at, walked.here].T
+        return -torch.where(found.isinf().all(-1, keepdim=True), walked.cost[at, walked.here], found)
+
+
+def _connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor) -> None:
+    """Note in ``after`` what an action led to, and what follows from it for the opposite headings and actions."""
+    at, opposite = torch.arange(len(here), device=here.device), torch.tensor(OPPOSITE, device=here.device)[action]
+    moved, turned = here != before, (action == RIGHT) | (action == LEFT)
+    after[at, before, action] = here
+    after[at[moved], here[moved], opposite[moved]] = before[moved]
+    # Ahead is back for who faces the other way.
+    around = at[~turned], _turned_around(before)[~turned], opposite[~turned]
+    after[around] = _turned_around(here)[~turned]
+    both = moved & ~turned
+    after[at[both], _turned_around(here)[both], action[both]] = _turned_around(before)[both]
+
+
+def _turned_around(node: Tensor) -> Tensor:
+    """The same place, facing the other way."""
+    return node - node % HEADINGS + (node + HEADINGS // 2) % HEADINGS

@@ -1,0 +1,118 @@
+import itertools
+import math
+
+import pytest
+import torch
+
+from dirl.models import PlanningMemory
+from dirl.models.planning import SURE
+
+AHEAD, RIGHT, LEFT, BACK = range(4)
+NOWHERE = torch.zeros(1, 4, dtype=torch.bool)
+LIKES_ROOM = torch.tensor([[[4.0, 0.0, 0.0, 1.0], [3.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 4.0], [0.0, 0.0, 0.0, 3.0]]])
+"""Of one agent, facing each of four views: the first way is best, then the one on the right."""
+
+
+def at(walked, node=None):
+    """Whether each node looks like where the agent is."""
+    return (torch.arange(walked.cost.shape[1]) == (-1 if node is None else node)).unsqueeze(0)
+
+
+def walk(memory, *steps):
+    """What one agent knows that took an action and came to a known node, or to a new place if None."""
+    walked = memory.arrive(memory.begin(1), at(memory.begin(1)), LIKES_ROOM, NOWHERE)
+    for action, node in steps:
+        walked.action = torch.tensor([action])
+        walked = memory.arrive(walked, at(walked, node), LIKES_ROOM, NOWHERE)
+    return walked
+
+
+def cheapest(walked, memory, start, limit=7):
+    """By trying all ways of up to ``limit`` actions: the cost of the best for each first action."""
+    cost, after = walked.cost[0].tolist(), walked.after[0].tolist()
+    found = [math.inf] * 4
+    for way in itertools.product(range(4), repeat=limit):
+        node, total = start, 0.0
+        for action in way:
+            total += cost[node][action]
+            node = after[node][action]
+            if node >= 0:
+                total += memory.turn if action in (RIGHT, LEFT) else memory.repeated
+            if node < 0:
+                found[way[0]] = min(found[way[0]], total)
+                break
+    return found
+
+
+def test_at_first_the_plan_is_the_policy_but_for_turns_that_lead_to_a_better_one():
+    memory = PlanningMemory()
+    walked = walk(memory)
+    p = LIKES_ROOM[0].log_softmax(-1)
+    plan = memory.plan(walked)[0]
+    assert plan[AHEAD] == p[0, AHEAD]
+    assert plan[BACK] == p[0, BACK]
+    assert plan[RIGHT] == pytest.approx(float(p[0, RIGHT] - memory.turn + p[1, AHEAD]))
+    assert plan[LEFT] == pytest.approx(float(p[0, LEFT] - memory.turn + p[3, BACK]))
+
+
+def test_a_plan_is_the_cheapest_way_to_an_exit_not_tried():
+    memory = PlanningMemory(repeated=1.5, turn=0.2)
+    # To a second place and a third, blocked there, turned, and back to the first.
+    walked = walk(memory, (AHEAD, None), (RIGHT, 5), (AHEAD, None), (AHEAD, 12), (RIGHT, 13), (LEFT, 12), (BACK, 5))
+    for node in (0, 3, 5, 6, 12):
+        walked.here = torch.tensor([node])
+        assert memory.plan(walked)[0].tolist() == pytest.approx([-c for c in cheapest(walked, memory, node)], abs=1e-5)
+
+
+def test_a_blocked_way_is_not_tried_again_and_moves_count_in_both_directions():
+    memory = PlanningMemory()
+    walked = walk(memory, (AHEAD, 0))
+    assert walked.after[0, 0, AHEAD] == 0
+    assert walked.after[0, 2, BACK] == 2  # the same wall, behind who faces the other way
+    assert memory.plan(walked)[0].argmax() != AHEAD
+    walked = walk(memory, (AHEAD, None))
+    assert walked.after[0, 0, AHEAD] == 4
+    assert walked.after[0, 4, BACK] == 0
+    assert walked.after[0, 2, BACK] == 6
+    assert walked.after[0, 6, AHEAD] == 2
+
+
+def test_a_turn_by_less_than_a_right_angle_is_learnt():
+    walked = walk(PlanningMemory(), (RIGHT, None))
+    assert walked.after[0, 0, RIGHT] == 4
+    assert walked.after[0, 4, LEFT] == 0
+    assert walked.after[0, 0, LEFT] == 3  # still assumed
+
+
+def test_a_goal_that_was_seen_is_walked_to_and_not_where_the_agent_did_not_stop():
+    memory = PlanningMemory()
+    seen = torch.tensor([[True, False, True, False]])
+    walked = memory.arrive(memory.begin(1), at(memory.begin(1)), LIKES_ROOM, seen)
+    assert walked.goal.tolist() == [[False, False, True, False]]
+    assert memory.plan(walked).tolist() == [[-math.inf, -2 * SURE, -2 * SURE, -math.inf]]
+    walked.action = torch.tensor([RIGHT])
+    assert memory.arrive(walked, at(walked, 1), LIKES_ROOM, seen).goal.tolist() == [[False, False, True] + 5 * [False]]
+
+
+def test_agents_are_planned_for_one_by_one():
+    memory = PlanningMemory()
+    walks = [((AHEAD, None), (BACK, 0)), ((RIGHT, 1), (AHEAD, None)), ((AHEAD, 0), (AHEAD, 0))]
+    alone = [walk(memory, *steps) for steps in walks]
+    together = memory.begin(3)
+    empty = torch.zeros(3, 0, dtype=torch.bool)
+    together = memory.arrive(together, empty, LIKES_ROOM.expand(3, -1, -1), NOWHERE.expand(3, -1))
+    for step in range(2):
+        together.action = torch.tensor([steps[step][0] for steps in walks])
+        same = torch.cat([at(together, steps[step][1]) for steps in walks])
+        together = memory.arrive(together, same, LIKES_ROOM.expand(3, -1, -1), NOWHERE.expand(3, -1))
+    expected = torch.cat([memory.plan(one) for one in alone])
+    assert torch.allclose(memory.plan(together), expected)
+    kept = together.select(torch.tensor([True, False, True]))
+    assert torch.equal(memory.plan(kept), memory.plan(together)[[0, 2]])
+
+
+def test_where_all_was_tried_the_policy_decides():
+    memory = PlanningMemory()
+    walked = walk(memory)
+    walked.after[:] = torch.arange(4).view(1, 4, 1)
+    assert torch.allclose(memory.plan(walked), LIKES_ROOM[:, 0].log_softmax(-1))
