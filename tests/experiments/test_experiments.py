@@ -416,6 +416,9 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
     assert "Tested in 2 rooms of the test split" in printed
     rows = {row["walks by"]: row for row in rows_of(tmp_path / "report" / "unseen_rooms.csv")}
     assert float(rows["shortest path"]["SPL"]) == 1.0
+    counting = rows["four views of the goal, memory of counts"]
+    assert counting["SPL"] != rows["four views of the goal"]["SPL"]
+    assert "one photo of the goal, memory of counts" in rows
     curve = rows_of(tmp_path / "report" / "unseen_rooms_by_training.csv")
     assert list(dict.fromkeys(row["training rooms"] for row in curve)) == ["1", "2"]
     alike = rows_of(tmp_path / "report" / "unseen_rooms_thresholds.csv")
