@@ -116,3 +116,10 @@ def test_where_all_was_tried_the_policy_decides():
     walked = walk(memory)
     walked.after[:] = torch.arange(4).view(1, 4, 1)
     assert torch.allclose(memory.plan(walked), LIKES_ROOM[:, 0].log_softmax(-1))
+
+
+def test_a_step_to_a_known_place_adds_none():
+    walked = walk(PlanningMemory(), (AHEAD, None), (BACK, 0))
+    assert walked.here.tolist() == [0]
+    assert walked.used.tolist() == [8 * [True] + 4 * [False]]
+    assert walked.goal.tolist() == [12 * [False]]
