@@ -7,6 +7,7 @@ from torch import Tensor
 
 from dirl.envs.transforms import VIEWS
 from dirl.models import EpisodicMemory, PlanningMemory
+from dirl.recall import Memory
 from dirl.scenes.matching import normal_vectors
 
 Around = Callable[[], tuple[Tensor, Tensor]]
@@ -79,7 +80,8 @@ class Planning:
         facing = torch.stack([normal_vectors(features.roll(turns, 1).flatten(1)) for turns in range(VIEWS)], 1)
         if self.looks is None:
             self.looks, self.walked = facing[:, :0], self.memory.begin(len(logits), logits.device)
-        # Who now faces the view that was on the right looks like the place, facing right: its views rolled by one.
+        # An agent that turned right since its first arrival sees the same views rolled by minus one. Rolled back they
+        # look alike: it is at the place, facing right.
         alike = (self.looks.unsqueeze(2) * facing.unsqueeze(1)).sum(-1) > self.memory.threshold
         same = alike.flatten(1) & self.walked.used
         self.looks = torch.cat([self.looks, facing[:, :1]], 1)
@@ -94,6 +96,6 @@ class Planning:
 Recall = Counting | Planning
 
 
-def recalling(memory: EpisodicMemory | PlanningMemory) -> Recall:
+def recalling(memory: Memory) -> Recall:
     """A memory at the start of an episode."""
     return Planning(memory) if isinstance(memory, PlanningMemory) else Counting(memory)

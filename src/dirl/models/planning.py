@@ -9,12 +9,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.config.bounds import Bounds
+from dirl.envs.transforms import VIEWS
 from dirl.models.episodic import OPPOSITE
 from dirl.scenes import ACTIONS
-
-HEADINGS = 4
-"""Of a place: those of the four views that are seen there, clockwise from the first."""
-AHEAD, RIGHT, LEFT, BACK = range(len(ACTIONS))
+from dirl.scenes.graph import LEFT, RIGHT
 
 SURE = 10.0
 """Cost of an action on the way to a goal that was seen, in nats: one action more is not worth considering."""
@@ -24,7 +22,8 @@ SURE = 10.0
 class Walked:
     """What B agents have seen and done in their present episodes; made by `PlanningMemory.begin`.
 
-    A node is a place and a heading: ``4 * place + heading``. Each step makes a place, which stays unused where the
+    A node is a place and a heading, that of one of the four views there, clockwise from the first: ``4 * place +
+    heading``. Each step makes a place, which stays unused where the
     agent recognises an earlier one.
     """
 
@@ -106,10 +105,10 @@ class PlanningMemory(nn.Module):
         agents, nodes = same.shape
         device = same.device
         known = same.any(1)
-        new = nodes + torch.arange(HEADINGS, device=device)
+        new = nodes + torch.arange(VIEWS, device=device)
         here = torch.where(known, same.int().argmax(1) if nodes else nodes, nodes)
         cost = torch.where(known[:, None, None], math.inf, -logits.log_softmax(-1))
-        after = torch.full((agents, HEADINGS, len(ACTIONS)), -1, device=device)
+        after = torch.full((agents, VIEWS, len(ACTIONS)), -1, device=device)
         after[:, :, RIGHT], after[:, :, LEFT] = new.roll(-1), new.roll(1)
         at = torch.arange(agents, device=device)
         made = Walked(
@@ -160,4 +159,4 @@ def _connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor) -> Non
 
 def _turned_around(node: Tensor) -> Tensor:
     """The same place, facing the other way."""
-    return node - node % HEADINGS + (node + HEADINGS // 2) % HEADINGS
+    return node - node % VIEWS + (node + VIEWS // 2) % VIEWS
