@@ -24,7 +24,7 @@ from torchrl.objectives.value import GAE
 
 from dirl.config.schemas import ReinforcementConfig, TrainConfig
 from dirl.envs import NavigationEnv, Reward, SurroundingViews, ViewFeatures
-from dirl.episodes import every_start
+from dirl.evaluation.episodes import every_start
 from dirl.models import SiameseEncoder, caching
 from dirl.training.build import (
     build_demonstrations,

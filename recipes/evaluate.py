@@ -8,7 +8,7 @@
 All options with their values: conf/evaluate/evaluate.yaml.
 """
 
-from dirl.config.start import run_main, start
+from dirl.commands.start import run_main, start
 
 if __name__ == "__main__":
     start("evaluate")  # answers help and refuses options, before the imports below take their time
@@ -20,15 +20,15 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig
 
-from dirl.atomic import write_json, write_text
+from dirl.agent.mapping import GraphMemory, GuidedPolicy
+from dirl.agent.mapping.policy import LAST_STEPS
+from dirl.commands.command_line import one_line_errors
+from dirl.commands.refusals import checkpoint_file
 from dirl.config.choices import goal_view_options, group_options
-from dirl.config.command_line import one_line_errors
 from dirl.config.places import CONF
-from dirl.config.refusals import checkpoint_file
 from dirl.config.schemas import EvaluateConfig, typed
-from dirl.evaluation import assess
-from dirl.mapping import GraphMemory, GuidedPolicy
-from dirl.mapping.policy import LAST_STEPS
+from dirl.evaluation.protocol import assess
+from dirl.files.atomic import write_json, write_text
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError

@@ -8,7 +8,7 @@ A report is a folder: README.md with the tables, CSV files with the value of eve
 All options with their values: conf/report/report.yaml.
 """
 
-from dirl.config.start import run_main, start
+from dirl.commands.start import run_main, start
 
 if __name__ == "__main__":
     start("report")  # answers help and refuses options, before the imports below take their time
@@ -19,9 +19,9 @@ import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from dirl.backbones.registry import load_encoder
-from dirl.config.command_line import one_line_errors
+from dirl.commands.command_line import one_line_errors
+from dirl.commands.refusals import reported_runs
 from dirl.config.places import CONF
-from dirl.config.refusals import reported_runs
 from dirl.config.schemas import ExperimentName, ReportConfig, Split, TrainConfig, typed
 from dirl.experiments.any_goal import report_any_goal
 from dirl.experiments.efficiency import report_efficiency

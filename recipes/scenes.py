@@ -13,7 +13,7 @@
 All options of each command with their values: conf/scenes/<command>.yaml.
 """
 
-from dirl.config.start import run_main, start
+from dirl.commands.start import run_main, start
 
 if __name__ == "__main__":
     command = start("scenes", __doc__)  # answers help and refuses options, before the imports below take their time
@@ -29,9 +29,8 @@ from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_scene, encode_views, load_encoder
 from dirl.backbones.patches import patch_attributes
-from dirl.config.command_line import one_line_errors
-from dirl.config.places import CONF
-from dirl.config.refusals import (
+from dirl.commands.command_line import one_line_errors
+from dirl.commands.refusals import (
     encoder_name,
     new_file,
     one_scene,
@@ -41,6 +40,7 @@ from dirl.config.refusals import (
     simulated_scene,
     tour_path,
 )
+from dirl.config.places import CONF
 from dirl.config.scene_schemas import (
     BuildConfig,
     EncodeConfig,
@@ -53,22 +53,22 @@ from dirl.config.scene_schemas import (
     TourConfig,
 )
 from dirl.config.schemas import typed
+from dirl.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.rooms import build_room, read_description
 from dirl.rooms.collect import RoomSettings, make_rooms, missing_rooms
 from dirl.rooms.sheet import draw_sheet, preview
 from dirl.scenes import Scene, load_scenes, write_dump
 from dirl.scenes.collection import Entry
-from dirl.scenes.diagnostics import THRESHOLDS, Inspection, inspect_scene
 from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.io.write import replace_features
-from dirl.scenes.sources.photos import encoded_photos, read_photos
-from dirl.scenes.sources.thor import start_simulator, take_views
-from dirl.scenes.sources.tours import read_tour
-from dirl.scenes.sources.tours.images import cut_views
-from dirl.scenes.sources.tours.moves import tour_scene
 from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
+from dirl.sources.photos import encoded_photos, read_photos
+from dirl.sources.thor import start_simulator, take_views
+from dirl.tours import read_tour
+from dirl.tours.images import cut_views
+from dirl.tours.moves import tour_scene
 
 SHOWN_PAIRS = 10
 """Of the ambiguous ones."""

@@ -10,7 +10,7 @@
 All options with their values: conf/train.yaml and the groups beside it.
 """
 
-from dirl.config.start import run_main, start
+from dirl.commands.start import run_main, start
 
 if __name__ == "__main__":
     start("train")  # answers help and refuses options, before the imports below take their time
@@ -29,13 +29,13 @@ from omegaconf import DictConfig
 from torch import nn
 from tqdm import tqdm
 
-from dirl.config.command_line import job_errors, one_line_errors
+from dirl.commands.command_line import job_errors, one_line_errors
 from dirl.config.components import check_components
 from dirl.config.places import CONF
 from dirl.config.schemas import Precision, TrainConfig, typed
-from dirl.episodes import bar_interval
-from dirl.evaluation import EvaluationProtocol, mean_shortest, metrics
-from dirl.experts import label
+from dirl.evaluation.episodes import bar_interval
+from dirl.evaluation.experts import label
+from dirl.evaluation.protocol import EvaluationProtocol, mean_shortest, metrics
 from dirl.models import caching, count_parameters, noisy, recurrent_keys
 from dirl.reporting import run_title
 from dirl.runs import ranks

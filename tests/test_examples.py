@@ -9,9 +9,9 @@ import pytest
 import torch
 from commands import ROOT
 
-from dirl.deploy.exploring import Explorer
-from dirl.deploy.navigator import Decision, Scores
-from dirl.mapping import ImageGraph, load_graph
+from dirl.agent.exploring import Explorer
+from dirl.agent.mapping import ImageGraph, load_graph
+from dirl.agent.navigator import Decision, Scores
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from tensordict import TensorDict
 from train import begin, learn
 
 from dirl.config.schemas import ConfigError
-from dirl.evaluation import metrics
-from dirl.experts import ShortestPathExpert
+from dirl.evaluation.experts import ShortestPathExpert
+from dirl.evaluation.protocol import metrics
 from dirl.models import ActorCritic, ActorCriticHeads, FeatureTable
 from dirl.models.fast.caching import CachedEncoder
 from dirl.objectives import ImitationLoss

@@ -13,17 +13,17 @@ from PIL import Image
 from rooms import grid_scene
 from tours import grid_truth, tour_of, turned
 
-from dirl.deploy.navigator import Navigator
+from dirl.agent.mapping import GraphMemory
+from dirl.agent.navigator import Navigator
 from dirl.envs import SurroundingViews
-from dirl.episodes import every_start, run_episodes
-from dirl.evaluation import metrics
-from dirl.experts import ShortestPathPolicy
-from dirl.mapping import GraphMemory
+from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.experts import ShortestPathPolicy
+from dirl.evaluation.protocol import metrics
+from dirl.recognition.matching import TemplateStop
 from dirl.reporting import draw_scene, draw_scene_map, viewer_pages
 from dirl.scenes import load_scenes, make_world, write_dump
-from dirl.scenes.matching import TemplateStop
-from dirl.scenes.sources.tours.moves import tour_scene
 from dirl.scenes.views import encode
+from dirl.tours.moves import tour_scene
 from dirl.training.build import describe, matching
 
 GOAL = 19

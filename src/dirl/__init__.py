@@ -16,7 +16,7 @@ gymnasium.register(
 def __getattr__(name: str) -> Any:
     # Imported when asked for, so that `import dirl` stays light.
     if name == "Navigator":
-        from dirl.deploy.navigator import Navigator
+        from dirl.agent.navigator import Navigator
 
         return Navigator
     if name == "__version__":

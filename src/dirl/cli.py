@@ -1,6 +1,6 @@
 """The command ``dirl``, which runs the recipes from wherever the package is installed.
 
-Nothing here imports torch, nor does `dirl.config.start`: help, refused options and shell completion answer at once.
+Nothing here imports torch, nor does `dirl.commands.start`: help, refused options and shell completion answer at once.
 """
 
 import difflib
@@ -68,8 +68,8 @@ def run(name: str, arguments: Sequence[str]) -> None:
 
 def show(name: str, arguments: Sequence[str]) -> None:
     """Let Hydra answer a shell that completes the options of a recipe."""
-    from dirl.config.command_line import register
-    from dirl.config.start import configuration, shown
+    from dirl.commands.command_line import register
+    from dirl.commands.start import configuration, shown
 
     register()
     sys.argv[0] = "dirl"  # the command that Hydra's script completes

@@ -14,7 +14,7 @@ from rooms import grid_scene
 from dirl.backbones import EncoderError, ResNet50, ViewEncoder, encode_scene, encode_views, load_encoder, preprocess
 from dirl.backbones.encoder import weights_hash
 from dirl.backbones.registry import encode_all
-from dirl.evaluation import metrics
+from dirl.evaluation.protocol import metrics
 from dirl.scenes import SceneError, make_world, read_dump, write_dump
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.views import encode as webp

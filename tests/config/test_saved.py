@@ -6,7 +6,7 @@ from schema1 import CONFIG, old_config, old_weights
 
 from dirl.config.saved import MAX_CHARACTERS, config_text, read_config
 from dirl.config.schemas import ConfigError
-from dirl.evaluation import metrics
+from dirl.evaluation.protocol import metrics
 from dirl.models import plain_weights
 from dirl.training.load import load_trained
 

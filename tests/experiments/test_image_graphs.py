@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from rooms import grid_scene
 
+from dirl.agent.mapping.walks import looks
 from dirl.experiments.image_graph import by_graph, drawn_goals, measure
 from dirl.experiments.wrong_merges import VARIANTS, Place, Traced, mapped, measured, twin_looks, wrong_links
-from dirl.mapping.walks import looks
 
 
 def hall(**options):

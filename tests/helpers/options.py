@@ -6,7 +6,7 @@ from typing import get_args
 
 from forks import ROOT
 
-from dirl.config.command_line import SCHEMAS, option_types
+from dirl.commands.command_line import SCHEMAS, option_types
 
 CONF = ROOT / "conf"
 
@@ -46,7 +46,15 @@ COMPONENTS += ("losses.a2c.gamma", "losses.a2c.entropy_coeff", "losses.a2c.weigh
 COMPONENTS += ("losses.imitation.weight", "losses.a2c._target_", "policy._target_", "expert._target_", "expert.seed")
 COMPONENTS += ("observation._target_", "observation.goal_view", "episodic_memory._target_", "losses", "heads._target_")
 TARGETS = ("os.system", "nope", "nope.Nope", "torch.nn.Linear", "dirl.models.SiameseEncoder", "torch.optim.SGD")
-TARGETS += ("dirl.models.nope", "torch.nn.Identity", "dirl.experts.RandomPolicy", "a..b", ".", "builtins.eval", "5")
+TARGETS += (
+    "dirl.models.nope",
+    "torch.nn.Identity",
+    "dirl.evaluation.experts.RandomPolicy",
+    "a..b",
+    ".",
+    "builtins.eval",
+    "5",
+)
 
 
 def base(recipe, files, tiny=()):

@@ -3,7 +3,7 @@
 import torch
 from tensordict import TensorDict
 
-from dirl.experts import ShortestPathExpert
+from dirl.evaluation.experts import ShortestPathExpert
 
 RIGHT, BACK = 1, 3
 COUNTED = ("success", "steps", "false_stop", "missed_stop")

@@ -12,8 +12,8 @@ from dirl.rooms.description import Camera
 from dirl.rooms.navigation import walk
 from dirl.rooms.view import Renderer
 from dirl.scenes.graph import AHEAD
-from dirl.scenes.sources.tours.images import Equirectangular
-from dirl.scenes.sources.tours.tour import Link, Panorama, Tour
+from dirl.tours.images import Equirectangular
+from dirl.tours.tour import Link, Panorama, Tour
 
 HEADINGS = 8
 CUBE = {"f": (0, 0), "r": (90, 0), "b": (180, 0), "l": (270, 0), "u": (0, 90), "d": (0, -90)}

@@ -18,7 +18,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.modules import set_recurrent_mode
 
-from dirl.experts import RandomPolicy
+from dirl.evaluation.experts import RandomPolicy
 from dirl.models import caching, count_parameters, frozen, initial_state, plain_weights, recurrent_keys
 
 OUTPUTS = ("hidden", "logits", "state_value")

@@ -17,12 +17,12 @@ from simulator import Simulator
 from tours import Camera360, grid_truth, turned, write_table
 
 from dirl.backbones import ResNet50
-from dirl.config.command_line import SCHEMAS, choose_command, prepare, register
+from dirl.commands.command_line import SCHEMAS, choose_command, prepare, register
 from dirl.config.scene_schemas import MEANINGS
 from dirl.config.schemas import ConfigError, Match, typed
+from dirl.recognition.diagnostics import inspect_scene
 from dirl.rooms.checks import far_apart
 from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
-from dirl.scenes.diagnostics import inspect_scene
 from dirl.scenes.views import encode
 
 

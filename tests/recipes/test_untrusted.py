@@ -7,8 +7,8 @@ import pytest
 import yaml
 from commands import TINY, room_file, run_recipe, train_config
 
+from dirl.agent.navigator import Navigator
 from dirl.config.schemas import ConfigError
-from dirl.deploy.navigator import Navigator
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.runs.folder import open_run
 from dirl.training.load import load_trained

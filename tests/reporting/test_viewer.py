@@ -13,15 +13,15 @@ from commands import run_recipe, train_config
 from rooms import grid_scene
 from train import imitate
 
+from dirl.agent.decisions import observe
 from dirl.config.schemas import TrainConfig
-from dirl.decisions import observe
-from dirl.episodes import every_start
-from dirl.evaluation import EvaluationProtocol
+from dirl.evaluation.episodes import every_start
+from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import plain_weights
+from dirl.recognition.matching import TemplateStop
 from dirl.reporting import viewer_pages
 from dirl.runs.folder import Run
 from dirl.scenes import World, write_dump
-from dirl.scenes.matching import TemplateStop
 from dirl.scenes.views import encode
 from dirl.training.build import (
     build_demonstrations,

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from tours import grid_truth, tour_of, turned
 
+from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.envs import SurroundingViews
-from dirl.experts import ShortestPathPolicy
-from dirl.mapping import GraphMemory, GuidedPolicy
+from dirl.evaluation.experts import ShortestPathPolicy
+from dirl.recognition.matching import TemplateStop
 from dirl.reporting import viewer_pages
 from dirl.scenes import load_scenes, make_world, write_dump
-from dirl.scenes.matching import TemplateStop
-from dirl.scenes.sources.tours.moves import tour_scene
 from dirl.scenes.views import encode
+from dirl.tours.moves import tour_scene
 
 HEADINGS = 8
 

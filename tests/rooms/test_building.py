@@ -9,9 +9,9 @@ from dirl.rooms.building_tour import write_building_tour
 from dirl.rooms.navigation import clearance
 from dirl.rooms.scenery import Scenery
 from dirl.scenes import SceneError
-from dirl.scenes.sources.tours import read_tour
-from dirl.scenes.sources.tours.alignment import wrap
-from dirl.scenes.sources.tours.moves import tour_scene
+from dirl.tours import read_tour
+from dirl.tours.alignment import wrap
+from dirl.tours.moves import tour_scene
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 import torch
 from rooms import grid_scene
 
-from dirl.experts import ShortestPathPolicy
+from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.scenes import SceneError, make_world
 from dirl.scenes.goals import choose_goals
 from dirl.scenes.graph import places

@@ -10,8 +10,8 @@ from PIL import Image
 from rooms import grid_scene, read_here
 
 from dirl.scenes import write_dump
-from dirl.scenes.sources.photos import encoded_photos
 from dirl.scenes.views import FORMATS, ImageError, decode
+from dirl.sources.photos import encoded_photos
 
 DRAWING = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 16 12\n%%EndComments\nshowpage\n%%EOF\n"
 

@@ -6,7 +6,7 @@ from commands import room_file
 from parts import make_parts, train_in, train_state
 
 from dirl.config.schemas import Schedule
-from dirl.evaluation import metrics
+from dirl.evaluation.protocol import metrics
 from dirl.models import recurrent_keys
 from dirl.training.losses import Advantages, as_first_steps, clip_gradients, minibatches, set_learning_rate, total_loss
 from dirl.training.rollout import collect, summarise

@@ -5,7 +5,7 @@ import torch
 from rooms import grid_scene
 
 from dirl.envs import SurroundingViews
-from dirl.experts import ShortestPathExpert, label, shown_states
+from dirl.evaluation.experts import ShortestPathExpert, label, shown_states
 from dirl.scenes import make_world
 from dirl.training.pairs import DrawnPairs
 

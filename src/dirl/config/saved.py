@@ -34,6 +34,12 @@ RENAMED: Mapping[str, str] = {
 }
 """Options of schema 1 (dirl 0.1) by the names they have had since."""
 
+MOVED: Mapping[str, str] = {
+    "dirl.experts.": "dirl.evaluation.experts.",
+    "dirl.mapping.": "dirl.agent.mapping.",
+}
+"""Beginnings of class names in configurations saved before 0.3, and what they are today."""
+
 
 def config_text(config: TrainConfig) -> str:
     """A configuration as YAML, without interpolations and without what it was started with (``resume``, ``trust``)."""
@@ -59,7 +65,7 @@ def read_config(
     try:
         values = _plain(text)
         values = _upgraded(values) if isinstance(values.get("objective"), dict) else values
-        values = {**values, "resume": None, "trust": list(trust)}
+        values = {**_moved(values), "resume": None, "trust": list(trust)}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
         config: TrainConfig = typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), values))  # type: ignore[arg-type]
@@ -95,6 +101,16 @@ def _plain(text: str) -> dict[str, Any]:
     return values
 
 
+def _moved(values: Any) -> Any:
+    """The values with the classes that they name where these are today."""
+    if isinstance(values, dict):
+        return {name: _moved(value) for name, value in values.items()}
+    if isinstance(values, list):
+        return [_moved(value) for value in values]
+    old = next((old for old in MOVED if isinstance(values, str) and values.startswith(old)), None)
+    return values if old is None else MOVED[old] + values.removeprefix(old)
+
+
 def _replace(values: dict[str, Any], name: str, value: Any) -> None:
     """Set a value by its dotted name."""
     *above, last = name.split(".")
@@ -115,7 +131,7 @@ def _upgraded(old: dict[str, Any]) -> dict[str, Any]:
             _replace(values, new, before[name])
     _replace(values, "imitation.bc_coef.end", 0.0)
     views = {"surrounding": "SurroundingViews", "sequential": "SequentialViews"}
-    policies = {"network": "dirl.models.ActorCritic", "random": "dirl.experts.RandomPolicy"}
+    policies = {"network": "dirl.models.ActorCritic", "random": "dirl.evaluation.experts.RandomPolicy"}
     heads = {"width": network["width"], "shared": network["heads"] == "shared"}
     losses = {"a2c": "torchrl.objectives.A2CLoss", "ppo": "torchrl.objectives.ClipPPOLoss"}
     objective = before["objective.name"]
@@ -124,8 +140,8 @@ def _upgraded(old: dict[str, Any]) -> dict[str, Any]:
         "encoder": {"_target_": "dirl.models.SiameseEncoder", "width": network["width"]},
         "memory": {"_target_": None},
         "heads": {"_target_": "dirl.models.ActorCriticHeads", **heads},
-        "policy": {"_target_": policies.get(old["policy"], "dirl.experts.ShortestPathPolicy")},
-        "expert": {"_target_": "dirl.experts.ShortestPathExpert"},
+        "policy": {"_target_": policies.get(old["policy"], "dirl.evaluation.experts.ShortestPathPolicy")},
+        "expert": {"_target_": "dirl.evaluation.experts.ShortestPathExpert"},
         "losses": {objective: {"_target_": losses[objective]}} if objective in losses else {},
         "optimiser": {"_target_": "torch.optim.Adam", "lr": before["optimiser.lr"], "eps": before["optimiser.eps"]},
         "network": {"standardise": network["standardise"], "cache": "auto", "axes": network["axes"]},

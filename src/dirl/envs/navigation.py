@@ -40,8 +40,8 @@ class NavigationEnv(EnvBase):
         world: the scenes and goals; the environment runs on its device.
         num_agents: how many agents, B.
         reward: of a step.
-        stop: where an agent stops on its way to each goal, bool ``[P]``, see `dirl.scenes.matching.TemplateStop`. A
-            stop anywhere but at the goal ends the episode with the reward of an ordinary step.
+        stop: where an agent stops on its way to each goal, bool ``[P]``, see
+            `dirl.recognition.matching.TemplateStop`. A stop anywhere but at the goal ends the episode with the reward of an ordinary step.
         seed: of the generator that draws goals and starts. The policy draws the actions.
     """
 

@@ -14,15 +14,15 @@ from tqdm import tqdm
 from dirl.config.choices import goal_view_options
 from dirl.config.components import TARGET
 from dirl.config.schemas import TrainConfig
-from dirl.episodes import Episodes, sampled_starts, shortest_episodes
-from dirl.evaluation import EvaluationProtocol, metrics
+from dirl.evaluation.episodes import Episodes, sampled_starts, shortest_episodes
+from dirl.evaluation.experts import RandomPolicy
+from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
-from dirl.experts import RandomPolicy
 from dirl.models import PlanningMemory
+from dirl.recognition.matching import TemplateStop
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import GREEN, GREY, ORANGE, SKY, VERMILION, WINE, plain
 from dirl.scenes import World
-from dirl.scenes.matching import TemplateStop
 from dirl.training.build import build_goals
 
 FOUR, PHOTO = "four views of the goal", "one photo of the goal"

@@ -13,7 +13,7 @@ import numpy as np
 
 from dirl.backbones import ViewEncoder, encode_all, load_encoder
 from dirl.backbones.patches import patch_attributes
-from dirl.config.command_line import one_line_errors
+from dirl.commands.command_line import one_line_errors
 from dirl.experiments.image_graph import drawn_goals, measure, program
 from dirl.rooms.building import sample_building
 from dirl.rooms.building_tour import write_building_tour
@@ -21,10 +21,10 @@ from dirl.rooms.description import Camera
 from dirl.runs.exits import one_line_exits
 from dirl.scenes import load_scenes
 from dirl.scenes.io.write import write_dump
-from dirl.scenes.sources.tours import read_tour
-from dirl.scenes.sources.tours.images import cut_views
-from dirl.scenes.sources.tours.moves import tour_scene
 from dirl.scenes.views import decode
+from dirl.tours import read_tour
+from dirl.tours.images import cut_views
+from dirl.tours.moves import tour_scene
 
 BUILDINGS = {
     10001: ("bedroom", "bathroom", "kitchen"),

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from dirl.config.command_line import one_line_errors
-from dirl.deploy.navigator import Navigator
+from dirl.agent.mapping import ImageGraph
+from dirl.agent.mapping.walks import explore
+from dirl.agent.navigator import Navigator
+from dirl.commands.command_line import one_line_errors
 from dirl.experiments.results import Column, Table
-from dirl.mapping import ImageGraph
-from dirl.mapping.walks import explore
 from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene
 from dirl.scenes.collection import read_collection

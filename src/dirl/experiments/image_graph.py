@@ -17,16 +17,17 @@ import torch
 from matplotlib.figure import Figure
 from torch import nn
 
+from dirl.agent.mapping import GraphMemory, GuidedPolicy
+from dirl.agent.mapping.policy import LAST_STEPS
+from dirl.commands.command_line import one_line_errors
 from dirl.config.choices import goal_view_options
-from dirl.config.command_line import one_line_errors
 from dirl.envs import SurroundingViews
-from dirl.episodes import Episodes
-from dirl.evaluation import EvaluationProtocol
+from dirl.evaluation.episodes import Episodes
+from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.experiments.any_goal import FAR, FAR_NAMES, MEASURES, within, wrong_goals
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.unseen_rooms import MAX_STEPS, by_room, drawn_starts
-from dirl.mapping import GraphMemory, GuidedPolicy
-from dirl.mapping.policy import LAST_STEPS
+from dirl.recognition.matching import FRONT_THRESHOLD, TemplateStop
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, PURPLE, plain
 from dirl.runs.checkpoints import load_checkpoint
@@ -35,7 +36,6 @@ from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene, World, make_world
 from dirl.scenes.collection import read_collection
 from dirl.scenes.goals import well_reached
-from dirl.scenes.matching import FRONT_THRESHOLD, TemplateStop
 from dirl.training.load import load_trained
 
 THRESHOLD = 0.95

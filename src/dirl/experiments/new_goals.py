@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from torch import nn
 from tqdm import tqdm
 
-from dirl.episodes import Episodes
-from dirl.evaluation import EvaluationProtocol, metrics
+from dirl.evaluation.episodes import Episodes
+from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.experiments.results import (
     COLOR_OF,
     NAMES,

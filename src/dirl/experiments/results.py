@@ -12,15 +12,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dirl.atomic import atomic_path, write_text
 from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
+from dirl.files.atomic import atomic_path, write_text
+from dirl.files.texts import read_rows, read_text
 from dirl.reporting.statistics import summarised
 from dirl.reporting.style import SYSTEM_COLORS, write_figure
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.finding import finished_folders
-from dirl.texts import read_rows, read_text
 from dirl.training.load import Trained, load_trained
 
 NAMES = {

@@ -13,14 +13,14 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from dirl.backbones import ViewEncoder, encode_views
-from dirl.episodes import run_episodes
-from dirl.evaluation import metrics
+from dirl.evaluation.episodes import run_episodes
+from dirl.evaluation.protocol import metrics
 from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
 from dirl.models import FeatureTable
+from dirl.recognition.matching import ncc, template_vectors
 from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain, tell_cut
 from dirl.runs.checks import RunError
 from dirl.scenes import Scene
-from dirl.scenes.matching import ncc, template_vectors
 from dirl.training.build import build_policy
 from dirl.training.load import Trained, load_weights
 

@@ -11,8 +11,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dirl.config.choices import goal_view_options
-from dirl.episodes import Episodes
-from dirl.evaluation import metrics
+from dirl.evaluation.episodes import Episodes
+from dirl.evaluation.protocol import metrics
 from dirl.experiments.any_goal import (
     DRAWN,
     FAR,

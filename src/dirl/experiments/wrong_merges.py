@@ -18,16 +18,16 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from dirl.agent.exploring import Guide
+from dirl.agent.mapping import ImageGraph
+from dirl.agent.mapping.looks import UNKNOWN, VIEWS
+from dirl.agent.mapping.walks import looks, step
 from dirl.backbones import ViewEncoder, encode_views, load_encoder
-from dirl.config.command_line import one_line_errors
-from dirl.deploy.exploring import Guide
+from dirl.commands.command_line import one_line_errors
 from dirl.experiments.image_graph import drawn_goals, positive
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.stopping import DISTURBANCES, disturb
 from dirl.experiments.unseen_rooms import MAX_STEPS, drawn_starts
-from dirl.mapping import ImageGraph
-from dirl.mapping.looks import UNKNOWN, VIEWS
-from dirl.mapping.walks import looks, step
 from dirl.reporting.style import COLORS, plain
 from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene, World

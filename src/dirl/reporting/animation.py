@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dirl.atomic import atomic_path
+from dirl.files.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR
 from dirl.reporting.style import COLORS, star_points
 from dirl.reporting.trajectories import path_actions

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
+from dirl.files.texts import read_rows
 from dirl.reporting.style import BLUE, GREEN, PURPLE, SKY, VERMILION, plain, write_figure
 from dirl.reporting.tables import run_title
-from dirl.texts import read_rows
 from dirl.training.progress import STABLE_ATL, WINDOW
 
 FloatArray = NDArray[np.float64]

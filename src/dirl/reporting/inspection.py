@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from dirl.atomic import atomic_path
+from dirl.files.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room, has_walls
 from dirl.reporting.style import COLORS, tell_cut, write_figure
 from dirl.scenes import Scene

@@ -7,12 +7,12 @@ from typing import Any
 import torch
 from torch import nn
 
-from dirl.evaluation import EvaluationProtocol, action_values
+from dirl.evaluation.protocol import EvaluationProtocol, action_values
+from dirl.recognition.matching import TemplateStop
 from dirl.reporting.animation import write_gif
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.tables import run_title
 from dirl.reporting.trajectories import draw_trajectories
-from dirl.scenes.matching import TemplateStop
 
 
 def draw_scene(

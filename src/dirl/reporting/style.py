@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from dirl.atomic import atomic_path
+from dirl.files.atomic import atomic_path
 
 # The Okabe-Ito palette, which colour-blind readers can tell apart; its yellow is the goal's on maps.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")

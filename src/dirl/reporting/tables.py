@@ -56,7 +56,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
         summary: ``scene``, ``source``, ``system``, ``seed`` and ``frames``; ``frames_per_second``, ``seconds``,
             ``stable_at_frame`` (None: never) and ``peak_memory_mb`` are printed if they are present.
             ``shortest_path``, ``random``, ``greedy`` and ``sampled`` hold measures, those that were evaluated;
-            ``greedy`` also those of each scene and goal, as `dirl.evaluation.report` gives them.
+            ``greedy`` also those of each scene and goal, as `dirl.evaluation.protocol.report` gives them.
 
     Returns:
         A heading line, the table of the policies, that of held-out goals if there are any, and that of the greedy

@@ -65,7 +65,7 @@ function walkedNodes() {  // four for each place of the episode, one for each he
   }
   return { nodes, here };
 }
-// The same as dirl.evaluation: the first of the most probable actions; stop only after a step.
+// The same as dirl.evaluation.protocol: the first of the most probable actions; stop only after a step.
 function chosenAction() {
   const logits = logitsNow();
   return logits.indexOf(Math.max(...logits));

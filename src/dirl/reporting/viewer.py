@@ -11,15 +11,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from dirl.decisions import answers
+from dirl.agent.decisions import answers
+from dirl.agent.mapping import ImageGraph
+from dirl.agent.recall import Memory
 from dirl.envs import SurroundingViews
-from dirl.mapping import ImageGraph
 from dirl.models import PlanningMemory, recurrent_keys
-from dirl.recall import Memory
+from dirl.recognition.matching import TemplateStop, look_alike
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
-from dirl.scenes.matching import TemplateStop, look_alike
 from dirl.scenes.views import encode
 
 
@@ -39,7 +39,7 @@ def viewer_pages(
     """Pages to step through greedy episodes and to walk the scenes by keyboard.
 
     A scene is a finite graph, so a page holds the output of the policy for each pair of goal and state, and plays any
-    episode as `dirl.evaluation.run_episodes` would.
+    episode as `dirl.evaluation.protocol.run_episodes` would.
 
     Args:
         policy: with its present weights.

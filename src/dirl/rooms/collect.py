@@ -185,7 +185,7 @@ def checks(room: RoomDescription, scene: Scene, problems: list[str]) -> dict[str
     ``alike_front`` and ``alike_views`` count pairs of states that are far apart (`far_apart`) and match above 0.9 by
     one view, and by the four views that decide a stop.
     """
-    from dirl.scenes.diagnostics import inspect_scene
+    from dirl.recognition.diagnostics import inspect_scene
 
     found = {match: inspect_scene(scene, match=match) for match in ("front", "views")}
     apart = far_apart(scene.positions, scene.headings)

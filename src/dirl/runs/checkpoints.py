@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from dirl.atomic import atomic_path
+from dirl.files.atomic import atomic_path
 from dirl.runs.checks import RunError
 from dirl.runs.contents import check_header, check_plain
 from dirl.runs.finding import find_checkpoint, training_checkpoints

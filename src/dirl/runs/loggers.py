@@ -15,8 +15,8 @@ import numpy as np
 from omegaconf import OmegaConf
 from PIL import Image
 
-from dirl.atomic import write_text
 from dirl.config.schemas import ConfigError, LoggerName, TrainConfig, leaves
+from dirl.files.atomic import write_text
 
 PICTURES = ("*.png", "*.gif")
 

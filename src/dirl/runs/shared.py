@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dirl.atomic import atomic_path, write_json, write_text
+from dirl.files.atomic import atomic_path, write_json, write_text
+from dirl.files.texts import read_text
 from dirl.runs.checks import RunError
 from dirl.runs.contents import check_header, check_plain
 from dirl.runs.finding import WEIGHTS
-from dirl.texts import read_text
 
 CONFIG, FACTS = "config.yaml", "dirl.json"
 """The files of such a folder beside the weights by name: the run's configuration, and `KEYS`."""

@@ -17,14 +17,14 @@ from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
 from dirl.config.signatures import class_parameters
 from dirl.envs import NavigationEnv, Reward, SurroundingViews
 from dirl.envs.transforms import VIEWS
-from dirl.episodes import every_start, sampled_starts
-from dirl.evaluation import EvaluationProtocol
-from dirl.experts import demonstrations, shown_states
+from dirl.evaluation.episodes import every_start, sampled_starts
+from dirl.evaluation.experts import demonstrations, shown_states
+from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import FeatureTable, PlanningMemory, feature_statistics, initial_state, recurrent_keys, whitening
 from dirl.objectives import ImitationLoss
+from dirl.recognition.matching import TemplateStop
 from dirl.scenes import ACTIONS, Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
-from dirl.scenes.matching import TemplateStop
 from dirl.scenes.world import Goals
 from dirl.training.losses import Losses, ScheduledLoss
 from dirl.training.pairs import Demonstrations, DrawnPairs
@@ -192,7 +192,7 @@ def build_env(
 
 
 def build_demonstrations(config: TrainConfig, world: World, observation: SurroundingViews) -> Demonstrations:
-    """What the expert shows: rows ``[M]``, see `dirl.experts.demonstrations`; or pairs that are drawn.
+    """What the expert shows: rows ``[M]``, see `dirl.evaluation.experts.demonstrations`; or pairs that are drawn.
 
     Raises:
         ConfigError: goals of their own, or given by a photo, where there is a table of demonstrations.

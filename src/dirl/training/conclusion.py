@@ -4,7 +4,7 @@ from typing import Any
 
 from torch import nn
 
-from dirl.evaluation import EvaluationProtocol, assess
+from dirl.evaluation.protocol import EvaluationProtocol, assess
 from dirl.models import plain_weights
 from dirl.reporting import draw_learning_curve, draw_scene, summary_table
 from dirl.runs.folder import Run

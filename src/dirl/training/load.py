@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from dirl.config.saved import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SurroundingViews
-from dirl.evaluation import EvaluationProtocol
+from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.scenes import World
 from dirl.scenes.catalogue import collection_folder
 from dirl.training.build import (

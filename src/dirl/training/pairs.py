@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import front_only
-from dirl.experts import label, merge_demonstrations
+from dirl.evaluation.experts import label, merge_demonstrations
 from dirl.scenes import World
 
 
@@ -22,7 +22,7 @@ class DrawnPairs:
 
     Args:
         world: where to walk; its goals are those of the pairs.
-        expert: see `dirl.experts.ShortestPathExpert`.
+        expert: see `dirl.evaluation.experts.ShortestPathExpert`.
         observation: what is observed. States have no history: they are observed as the start of an episode.
         shown: which states the expert shows, bool ``[N]``.
         scenes_at_once: of how many scenes, drawn anew, the pairs of an update are, so that few observations are
@@ -87,7 +87,7 @@ class DrawnPairs:
 
 
 Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
-"""Rows ``[M]``, see `dirl.experts.demonstrations`, or pairs that are drawn."""
+"""Rows ``[M]``, see `dirl.evaluation.experts.demonstrations`, or pairs that are drawn."""
 
 
 def with_labels(demonstrations: Demonstrations, rows: TensorDictBase) -> Demonstrations:

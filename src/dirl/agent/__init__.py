@@ -1,0 +1,1 @@
+"""The agent: policy, memory and recogniser; maps of walks; the navigator for images."""

@@ -1,0 +1,160 @@
+"""Navigation by an image graph as a policy that is evaluated like any other: match, plan, go; nothing is learned."""
+
+from typing import Annotated, Any, ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from dirl.agent.mapping.graph import ImageGraph
+from dirl.agent.mapping.walks import explore, looks
+from dirl.config.bounds import Bounds
+from dirl.scenes import ACTIONS, World
+from dirl.scenes.graph import turns_per_circle
+
+NO_GOAL = -(2**60)
+"""In a table of goals: of a state that is none."""
+
+CERTAIN = 30.0
+"""The logit of the planned action, of others 0: drawn actions are the planned ones too."""
+
+
+LAST_STEPS = 3
+"""Within so many steps of the goal a policy that a map leads decides by itself."""
+
+
+class GraphMemory(TensorDictModuleBase):
+    """Walks once through each scene of its world, and then goes to any of the world's goals by the map of that walk.
+
+    It matches what it sees and what the goal looks like with the nodes of the map, and takes the first action of a
+    shortest way; where the map knows no way, all actions are equally probable. Reads ``view_ids`` and
+    ``goal_view_ids``, int64 ``[B, 4]``, and writes ``logits``, float32 ``[B, 4]``.
+
+    Args:
+        world: where; the walker learns of it only what it sees and does.
+        steps_per_state: length of the walk, in steps for each state of a scene.
+        threshold: above this correlation two looks around are of the same place and heading.
+        seed: of the states where the walks begin.
+        merge: whether places are recognised; without it the map is a list of what was seen.
+    """
+
+    in_keys: ClassVar = ["view_ids", "goal_view_ids"]
+    out_keys: ClassVar = ["logits"]
+
+    def __init__(
+        self,
+        world: World,
+        steps_per_state: Annotated[float, Bounds(0, 100)] = 2.0,
+        threshold: Annotated[float, Bounds(-1, 1)] = 0.9,
+        seed: Annotated[int, Bounds(0)] = 0,
+        merge: bool = True,
+    ) -> None:
+        super().__init__()
+        self.graphs: list[ImageGraph] = []
+        generator = torch.Generator().manual_seed(seed)
+        actions, distances, row, photo, size = [], [], [], [], 0
+        for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
+            count, goals = len(scene), world.local_goals(index).cpu()
+            graph = ImageGraph(threshold, turns=turns_per_circle(scene.graph), merge=merge)
+            features = world.features[offset : offset + count].cpu()
+            start = int(torch.randint(count, (1,), generator=generator))
+            explore(scene, graph, start, round(steps_per_state * count), looks(scene, features))
+            graph.lose()
+            first, far = plan_table(graph, features, torch.tensor(scene.surrounding), goals)
+            actions.append(first.flatten())
+            distances.append(far.flatten())
+            # The place of the pair of a goal and a state is row[goal] + state, as in `World.pair`.
+            of_goal = torch.full((count,), NO_GOAL)
+            of_goal[goals] = size - offset + count * torch.arange(len(goals))
+            row.append(of_goal)
+            photo.append(torch.full((count,), count * len(goals)))
+            size += first.numel()
+            self.graphs.append(graph)
+        tables = {"actions": actions, "distances": distances, "row": row, "photo": photo}
+        for name, parts in tables.items():
+            self.register_buffer(name, torch.cat(parts).to(world.device))
+
+    def planned(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """The planned action, -1 without one, and the known distance to the goal, -1 without a way; int64 ``[B]``."""
+        state, goal_views = tensordict["view_ids"][..., 0], tensordict["goal_view_ids"]
+        goal = goal_views[..., 0]
+        is_photo = goal_views[..., 1] == len(self.row)  # the view id of what is not known
+        is_goal = self.row[goal] != NO_GOAL
+        pair = torch.where(is_goal, self.row[goal] + state + is_photo * self.photo[goal], 0)
+        action, distance = (torch.where(is_goal, table[pair].long(), -1) for table in (self.actions, self.distances))
+        return action, distance
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``logits``."""
+        action, _ = self.planned(tensordict)
+        chosen = torch.arange(len(ACTIONS), device=action.device) == action.unsqueeze(-1)
+        return tensordict.set("logits", CERTAIN * chosen.float())
+
+
+class GuidedPolicy(TensorDictModuleBase):
+    """A policy that is led by a map, until it is near the goal and decides by itself.
+
+    Args:
+        policy: reads a tensordict and writes ``logits``.
+        memory: the maps.
+        last_steps: within so many steps of the goal the policy decides; also where the map knows no way.
+    """
+
+    out_keys: ClassVar = ["logits"]
+
+    def __init__(self, policy: Any, memory: GraphMemory, last_steps: int = LAST_STEPS) -> None:
+        super().__init__()
+        self.policy, self.memory, self.last_steps = policy, memory, last_steps
+        self.in_keys = [*policy.in_keys]
+        self.cached = getattr(policy, "cached", None)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``logits``."""
+        action, distance = self.memory.planned(tensordict)
+        decided: TensorDictBase = self.policy(tensordict)
+        chosen = torch.arange(len(ACTIONS), device=action.device) == action.unsqueeze(-1)
+        led = ((action >= 0) & (distance > self.last_steps)).unsqueeze(-1)
+        return decided.set("logits", torch.where(led, CERTAIN * chosen, decided["logits"]))
+
+
+def plan_table(
+    graph: ImageGraph, features: Tensor, surrounding: Tensor, goals: Tensor, goal_features: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """What to do in each of n states on the way to each of g goals, and how far it is.
+
+    Args:
+        graph: a map.
+        features: what is seen from each state, float32 ``[n, D]``.
+        surrounding: the states ahead, right, back and left of each, int64 ``[n, 4]``.
+        goals: states, int64 ``[g]``.
+        goal_features: of the views at goals, if they are others than ``features``, float32 ``[n, D]``.
+
+    Returns:
+        Actions, int8 ``[2, g, n]``, and distances in the map, int16 likewise; -1 where no way is known.
+        First for goals of four views, then for goals of one photo, the view ahead.
+    """
+    wanted = features if goal_features is None else goal_features
+    here = graph.scores(features[surrounding]).argmax(1)
+    four, photo = graph.scores(wanted[surrounding[goals]]), graph.scores(wanted[goals].unsqueeze(1))
+    actions = torch.empty((2, len(goals), len(features)), dtype=torch.int8)
+    distances = torch.empty(actions.shape, dtype=torch.int16)
+    for kind, scores in enumerate((four, photo)):
+        nodes, which = scores.argmax(1).unique(return_inverse=True)
+        far = graph.plan(nodes.tolist())
+        actions[kind] = first_actions(graph, far)[here][:, which].T
+        distances[kind] = far[here][:, which].T.to(torch.int16)
+    return actions, distances
+
+
+def first_actions(graph: ImageGraph, distances: Tensor) -> Tensor:
+    """The first action of a shortest way from each node to each goal, int8 ``[N, G]``; -1 at it and without a way.
+
+    Args:
+        graph: a map of N nodes.
+        distances: see `ImageGraph.plan`, int32 ``[N, G]``.
+    """
+    moves = torch.tensor(graph.moves)
+    after = torch.where((moves >= 0).unsqueeze(-1), distances[moves.clamp(min=0)], -1)  # [N, actions, G]
+    nearer = (after >= 0) & (after < distances.unsqueeze(1))
+    return torch.where(nearer.any(1), nearer.int().argmax(1), -1).to(torch.int8)

@@ -1,0 +1,344 @@
+"""A trained policy on a robot: from camera images to actions."""
+
+from collections.abc import Collection
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from dirl.agent.exploring import Explorer, Guide, guide_to
+from dirl.agent.feature_policy import FeaturePolicy
+from dirl.agent.hub import fetch_pretrained
+from dirl.agent.image_recall import Recall, recalling
+from dirl.agent.images import Images, NavigatorError, checked_images
+from dirl.agent.loading import (
+    Encoder,
+    check_encoder,
+    choose_scene,
+    encoder_of_images,
+    matched_view,
+    rebuild,
+)
+from dirl.agent.mapping import ImageGraph
+from dirl.agent.mapping.policy import LAST_STEPS
+from dirl.config.components import TARGET, find_class, make
+from dirl.config.saved import read_config
+from dirl.envs.transforms import VIEWS
+from dirl.models import FeatureTable, initial_state
+from dirl.recognition.matching import FRONT_THRESHOLD
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.training.build import reads_patches
+
+
+class Scores(NamedTuple):
+    """The scores behind a decision; for a batch, tensors with a first dimension of ``B``."""
+
+    matching: float | Tensor
+    """Correlation of the agent's views with the goal's, in [-1, 1]; the agent stops above the threshold."""
+    probabilities: Tensor
+    """Probabilities of ahead, right, left and back, float32 ``[4]`` on the navigator's device."""
+
+
+class Decision(NamedTuple):
+    """The agent's action and whether it stops; for a batch, tensors ``[B]``."""
+
+    action: int | Tensor
+    """0 ahead, 1 turn right, 2 turn left, 3 back; take it unless ``stop`` is true."""
+    stop: bool | Tensor
+    """Whether the views match the goal's, that is, the agent has arrived."""
+    scores: Scores
+
+
+class Navigator:
+    """An agent that is given images of its goal once, and then images of each step, for which it chooses an action.
+
+    `Navigator.load` makes one. A policy of surrounding views takes four images a step: ahead, right, back and left.
+    A policy of sequential views takes one image a step, and the navigator keeps the last four.
+
+    Args:
+        policy: see `FeaturePolicy`.
+        encoder: images to features, see `Encoder`.
+        view_order: the names of the four views; the last name of a history is ``now``.
+        threshold: stop above this matching coefficient. For a policy that matches four views, a goal given as one
+            photo needs at least `FRONT_THRESHOLD`.
+        facts: ``scene`` and ``extractor``, written to the metadata of exported files.
+        recall: the views and actions of the episode, if the policy has an episodic memory.
+    """
+
+    def __init__(
+        self,
+        policy: FeaturePolicy,
+        encoder: Encoder,
+        view_order: list[str],
+        threshold: float,
+        facts: dict[str, str],
+        recall: Recall | None = None,
+    ) -> None:
+        self.policy = policy
+        self.view_order = view_order
+        self.sequential = view_order[-1] == "now"
+        self.threshold = threshold
+        self.facts = facts
+        self.recall = recall
+        self.guide: Guide | None = None
+        self._encoder = encoder
+        self._goal: Tensor | None = None
+        self._views: Tensor | None = None
+        self._state: tuple[Tensor, ...] | None = None
+
+    @classmethod
+    def load(
+        cls,
+        checkpoint: str | Path,
+        encoder: Encoder | str | Path = "resnet50",
+        *,
+        extractor: str | None = None,
+        scene: str | None = None,
+        device: str | torch.device = "cpu",
+        trust: Collection[str] = (),
+    ) -> "Navigator":
+        """Load a navigator from a checkpoint; it does not need the scenes of the training.
+
+        Args:
+            checkpoint: the folder of a run, or a ``.pt`` file in one.
+            encoder: a name or a file of ResNet-50 weights for `dirl.backbones.load_encoder`; an encoder that it has
+                loaded; or a function of images (see `Encoder`). If left out, that of the built-in rooms.
+            extractor: the description of the encoder in the dump whose features it reproduces (``Scene.extractor``),
+                which must equal the checkpoint's. Required for a function; encoders of dirl describe themselves. A
+                dump may describe the same file of weights differently: if the texts differ, there is a warning
+                unless this argument confirms that they mean the same.
+            scene: whose layers are used. Optional if there is only one scene or the layers are shared.
+            device: ``cpu`` or ``cuda``.
+            trust: packages besides dirl whose classes the checkpoint's configuration may name.
+
+        Raises:
+            NavigatorError: another extractor, an unknown scene or device, or weights that do not fit the network.
+            ValueError: there is no such checkpoint, or no such encoder.
+        """
+        if torch.device(device).type == "cuda" and not torch.cuda.is_available():
+            raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
+        saved = load_checkpoint(checkpoint)
+        config = read_config(saved["config"], str(checkpoint), trust=trust)
+        check_encoder(encoder, extractor, saved, str(checkpoint))
+        own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
+        order = saved.get("views", own)  # checkpoints of older versions name none
+        if order != own:
+            raise NavigatorError(f"{checkpoint}: was trained on the views {order}, not {own}")
+        scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
+        policy = FeaturePolicy(rebuild(saved, config, scene, str(checkpoint)), matched_view(config, order))
+        if not callable(encoder):
+            given = {"confirmed": extractor is not None, "patches": reads_patches(config)}
+            encoder = encoder_of_images(encoder, device, saved, str(checkpoint), **given)
+        memory = make("episodic_memory", config.episodic_memory, trust)
+        if memory is not None and order[-1] == "now":
+            raise NavigatorError(
+                f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
+            )
+        facts = {"scene": scene or "any", "extractor": saved["extractor"]}
+        recall = None if memory is None else recalling(memory)
+        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, recall)
+
+    @classmethod
+    def from_pretrained(
+        cls,
+        name: str | Path,
+        encoder: Encoder | str | Path = "resnet50",
+        *,
+        revision: str | None = None,
+        **options: Any,
+    ) -> "Navigator":
+        """Load a navigator from the Hugging Face Hub, or from a folder of the same form.
+
+        Args:
+            name: ``user/name`` in the Hub, or a folder, see `dirl.agent.hub`; or an agent of the package, ``general``.
+            encoder: see `load`.
+            revision: a commit, branch or tag; the latest if left out.
+            options: of `load`; without ``trust`` only dirl's own classes are built.
+
+        Raises:
+            HubError: there is no such policy, or it cannot be fetched.
+            NavigatorError: see `load`.
+        """
+        return cls.load(fetch_pretrained(name, revision=revision), encoder, **options)
+
+    @property
+    def _table(self) -> FeatureTable:
+        table: FeatureTable = self.policy.policy.features
+        return table
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self._table.mean.device
+
+    @property
+    def width(self) -> int:
+        """The number of features of a view, D, as the encoder gives them."""
+        return self._table.inputs
+
+    @torch.no_grad()
+    def reset(
+        self, goal_images: Images, *, graph: ImageGraph | str | Path | None = None, last_steps: int = LAST_STEPS
+    ) -> None:
+        """Begin an episode, or one for each row of a batch.
+
+        Args:
+            goal_images: the views at the goal, uint8 RGB ``[4, H, W, 3]`` (ahead, right, back, left) or
+                ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well this works
+                depends on the training (``imitation.front_only``, ``goal_view=front``). With sequential views
+                one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents.
+            graph: a map of the place, see `explore`, or the folder of a saved one. It leads a single agent to the goal;
+                the policy decides within ``last_steps`` of it, and where the agent does not recognise what it sees.
+            last_steps: see ``graph``.
+
+        Raises:
+            NavigatorError: images of another shape or type, an encoder whose features do not fit the checkpoint, or a
+                map that cannot be used.
+        """
+        views = self._encode(goal_images, "goal_images")[0]
+        self.guide = None
+        if graph is not None:
+            self._check_alone(len(views))
+            self.guide = guide_to(graph, self._pooled(views[0]), last_steps, self.facts["extractor"])
+        if self.sequential:
+            views = views.expand(-1, VIEWS, -1)
+        elif views.shape[1] == 1:  # what is not known of a goal is zeros
+            views = F.pad(views, (0, 0, 0, VIEWS - 1))
+        self._goal = views
+        self._views = self._state = None
+        if self.recall is not None:
+            self.recall.clear()
+
+    @torch.no_grad()
+    def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
+        """Choose the action. Call this exactly once a step, because the navigator may keep a history.
+
+        Args:
+            images: the agent's present views, in the form that `reset` takes.
+            sample: draw the action by its probability instead of taking the most probable one.
+            generator: to draw with, on the navigator's device; torch's own if left out.
+
+        Raises:
+            NavigatorError: `reset` was not called, or images have another shape, type or number than the goals require.
+        """
+        if self._goal is None:
+            raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
+        views, batched = self._encode(images, "images")
+        agents, goals = len(views), len(self._goal)
+        if goals not in (1, agents):
+            raise NavigatorError(
+                f"images of {agents} agents for {goals} goals; give each agent a goal, or all the same"
+            )
+        views = self._remember(views)
+        state = self._recurrent_state(agents)
+        logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
+        self._state = tuple(after)
+        if self.recall is not None:
+            logits = self.recall.adjust(self._pooled(views), logits, partial(self._around, views))
+        probabilities = logits.softmax(-1)
+        if sample:
+            action = torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
+        else:
+            action = logits.argmax(-1)
+        action = self._guided(action, views)
+        if self.recall is not None:
+            self.recall.acted(action)
+        stop = matching > self._threshold_now()
+        if batched:
+            return Decision(action, stop, Scores(matching, probabilities))
+        return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
+
+    def _around(self, views: Tensor) -> tuple[Tensor, Tensor]:
+        """Of views ``[B, 4, D]`` the logits facing each of them, ``[B, 4, 4]``, and whether the goal is seen there."""
+        assert self._goal is not None
+        facing = torch.stack([views.roll(-turns, 1) for turns in range(VIEWS)], 1)
+        goal = self._goal.expand(len(views), -1, -1).repeat_interleave(VIEWS, 0)
+        logits, _, matching, *_ = self.policy(facing.flatten(0, 1), goal)
+        return logits.unflatten(0, (-1, VIEWS)), matching.unflatten(0, (-1, VIEWS)) > self._threshold_now()
+
+    def explore(self, graph: ImageGraph | None = None, *, turns: int | None = None) -> Explorer:
+        """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
+
+        Args:
+            graph: a map to walk on with; a new one if left out, in which nodes match above the navigator's threshold.
+            turns: right turns of the robot in a full circle, as 4, 8 or 12. It must be given unless the map says it:
+                the training's may be another one, and with a wrong one the map is wrong.
+
+        Raises:
+            NavigatorError: the policy sees the last four views, not those around it; or no turns are given, or others
+                than the map's.
+            MapError: turns that are no multiple of four.
+        """
+        self._check_alone(1)
+        if graph is None:
+            if turns is None:
+                raise NavigatorError("explore: say how many right turns make a full circle: turns=4, 8 or 12")
+            graph = ImageGraph(self.threshold, turns=turns)
+        elif turns not in (None, graph.turns):
+            raise NavigatorError(f"turns={turns}: this map was made with turns={graph.turns}")
+
+        def encode(images: Images) -> Tensor:
+            return self._pooled(self._encode(images, "images")[0][0])
+
+        return Explorer(encode, graph, self.facts["extractor"])
+
+    def _check_alone(self, agents: int) -> None:
+        """Raise `NavigatorError` unless a map can lead the agents."""
+        if self.sequential or agents != 1:
+            raise NavigatorError("a map leads one agent that sees four views around it, not a batch")
+
+    def _guided(self, action: Tensor, views: Tensor) -> Tensor:
+        """The action of the map, if it has one, for the policy's, int64 ``[B]``."""
+        if self.guide is None:
+            return action
+        self._check_alone(len(views))
+        planned = self.guide.advise(self._pooled(views[0]))
+        self.guide.action = int(action) if planned is None else planned
+        return torch.full_like(action, self.guide.action)
+
+    def _pooled(self, views: Tensor) -> Tensor:
+        """The pooled features of views, ``[..., D']``, without those of patches."""
+        return views[..., : len(self._table.mean)]
+
+    def _threshold_now(self) -> float:
+        """The threshold in use: higher for one photo if `threshold` is meant for four views."""
+        assert self._goal is not None
+        photo = self.policy.front is None and not self._goal[:, 1:].any()
+        return max(self.threshold, FRONT_THRESHOLD) if photo else self.threshold
+
+    def _recurrent_state(self, agents: int) -> tuple[Tensor, ...]:
+        if self._state is None:
+            return tuple(initial_state(self.policy.policy, agents, self.device).values())
+        if self._state and len(self._state[0]) != agents:
+            raise NavigatorError(f"images of {agents} agents after those of {len(self._state[0])}; call reset first")
+        return self._state
+
+    def _remember(self, views: Tensor) -> Tensor:
+        """The four views to decide by, ``[B, 4, D]``, see `dirl.envs.SequentialViews`."""
+        if not self.sequential:
+            return views
+        if self._views is None:
+            self._views = views.expand(-1, VIEWS, -1)
+        elif len(views) != len(self._views):
+            raise NavigatorError(f"images of {len(views)} agents after those of {len(self._views)}; call reset first")
+        else:
+            self._views = torch.cat([self._views[:, 1:], views], 1)
+        return self._views
+
+    def _encode(self, images: Images, name: str) -> tuple[Tensor, bool]:
+        """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
+        pixels, count, batched = checked_images(images, name, sequential=self.sequential)
+        features = torch.as_tensor(self._encoder(pixels.to(self.device)))
+        if features.shape != (len(pixels), self.width) or not features.is_floating_point():
+            raise NavigatorError(
+                f"the encoder returned {features.dtype} {list(features.shape)} for {len(pixels)} images; the "
+                f"checkpoint was trained on {self.width} features a view, float [{len(pixels)}, {self.width}]: "
+                f"{self.facts['extractor']}"
+            )
+        features = features.to(self.device, torch.float32)
+        if not features.isfinite().all():
+            raise NavigatorError("the encoder returned features that are not finite")
+        return features.reshape(-1, count, self.width), batched

@@ -1,0 +1,70 @@
+"""Export of a trained policy to ONNX, for machines without torch."""
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import torch
+
+from dirl.agent.images import NavigatorError
+from dirl.agent.navigator import Navigator
+from dirl.envs.transforms import VIEWS
+from dirl.files.atomic import atomic_path
+from dirl.models import initial_state
+
+
+def export_onnx(navigator: Navigator, file: str | Path) -> None:
+    """Export the policy to ONNX: features to logits, value and matching coefficient, for any number of agents.
+
+    Inputs are ``features`` and ``goal_features``, float32 ``[B, 4, D]`` as the backbone returns them; outputs
+    ``logits`` ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. A policy with memory also takes its recurrent
+    state (zeros at the beginning of an episode) and returns the next one as ``next_<name>``. The layers are those of
+    the navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and
+    ``threshold``. It does not contain the encoder.
+
+    Raises:
+        NavigatorError: a package that the export needs is not installed.
+    """
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise NavigatorError(
+            f"the export needs packages that are not installed ({error}): pip install 'dirl[onnx]'"
+        ) from None
+    # Two rows, because torch treats a dimension of one as a constant; two tensors, because it merges identical inputs.
+    features, goal_features = (torch.zeros(2, VIEWS, navigator.width, device=navigator.device) for _ in range(2))
+    state = initial_state(navigator.policy.policy, 2, navigator.device)
+    batch = {0: torch.export.Dim("batch")}
+    with _quiet():
+        program = torch.onnx.export(
+            navigator.policy,
+            (features, goal_features, *state.values()),
+            input_names=["features", "goal_features", *state],
+            output_names=["logits", "value", "matching", *(f"next_{name}" for name in state)],
+            dynamic_shapes={"features": batch, "goal_features": batch}
+            | ({"state": (batch,) * len(state)} if state else {}),
+            dynamo=True,
+            verbose=False,
+        )
+    assert program is not None
+    views = ",".join(navigator.view_order)
+    program.model.metadata_props.update(navigator.facts | {"views": views, "threshold": str(navigator.threshold)})
+    with atomic_path(Path(file)) as temporary:
+        program.save(str(temporary), external_data=False)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Suppress torch's warnings about its own deprecated functions and a missing torchvision."""
+    log = logging.getLogger("torch.onnx")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(level)

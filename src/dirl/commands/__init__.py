@@ -1,0 +1,1 @@
+"""What the commands share: starting quickly, refusing options before long imports, one-line errors."""

@@ -1,0 +1,223 @@
+"""What a recipe refuses before it imports torch: options that are missing, and paths and names that do not exist.
+
+The recipes call the functions below for what they take; `check_values` calls them beforehand.
+"""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dirl.config.components import check_sources
+from dirl.config.places import command
+from dirl.config.scene_schemas import (
+    BuildConfig,
+    EncodeConfig,
+    ExportConfig,
+    ImportConfig,
+    InspectConfig,
+    PhotosConfig,
+    SampleConfig,
+    ThorConfig,
+    TourConfig,
+)
+from dirl.config.schemas import ConfigError, EvaluateConfig, ExperimentName, ReportConfig, TrainConfig
+
+ARCHITECTURE = ("observation", "encoder", "memory", "heads", "policy", "network")
+"""The options that decide which weights a policy has, and what they read."""
+
+
+def check_values(options: Any, overrides: Sequence[str]) -> None:
+    """Refuse the options of a recipe that cannot be used.
+
+    Args:
+        options: composed and typed.
+        overrides: of the command line, as ``name=value``.
+
+    Raises:
+        ValueError: one cannot be used; the message says why in one line.
+    """
+    for kind, check in CHECKS.items():
+        if isinstance(options, kind):
+            check(options, overrides)
+
+
+def training(options: TrainConfig, overrides: Sequence[str]) -> None:
+    """Refuse a run that cannot be resumed, weights and scenes that do not exist, unknown options of components."""
+    if options.resume is not None:
+        from dirl.runs.finding import find_unfinished
+
+        if os.environ.get("RANK", "0") == "0":  # other ranks need not see the folder
+            find_unfinished(options.resume, overrides)
+        return
+    check_sources(options)
+    scenes(options)
+    if options.init is not None:
+        initial_weights_file(options.init, overrides)
+
+
+def scenes(options: TrainConfig) -> None:
+    """Refuse scenes that do not exist, and a goal that is named twice."""
+    from dirl.scenes.catalogue import find_rooms, find_scenes
+    from dirl.scenes.scene import check_goals_differ
+
+    if find_rooms(options.scene or [], options.split, options.rooms) is not None:
+        return
+    found = find_scenes(options.scene or [], source=options.source.name, root=options.source.root)
+    goals = options.goals
+    if not isinstance(goals, Mapping):
+        goals = {found[0].name: goals} if len(found) == 1 else {}
+    for name, states in goals.items():  # that of a file is not known yet
+        if name is not None and isinstance(states, list) and all(isinstance(state, int) for state in states):
+            check_goals_differ(name, states)
+
+
+def initial_weights_file(init: str, overrides: Sequence[str]) -> Path:
+    """The checkpoint that ``init`` names.
+
+    Raises:
+        ConfigError: an option of the architecture is given beside ``init``.
+        RunError: there is no such checkpoint.
+    """
+    from dirl.runs.finding import find_checkpoint
+
+    texts = [text.lstrip("+") for text in overrides]
+    given = [text for text in texts if text.partition("=")[0].partition(".")[0] in ARCHITECTURE]
+    if given:
+        raise ConfigError(f"init={init}: its checkpoint decides the architecture; leave out {' '.join(given)}")
+    return find_checkpoint(init)
+
+
+def checkpoint_file(options: EvaluateConfig) -> str:
+    """The checkpoint to evaluate, as the user names it.
+
+    Raises:
+        RunError: none is named, there is none, ``out`` exists, or ``last_steps`` is given without a map.
+    """
+    from dirl.runs.checks import RunError
+    from dirl.runs.finding import find_checkpoint
+
+    if options.checkpoint is None:
+        raise RunError("name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>")
+    if options.last_steps is not None and options.image_graph is None:
+        raise RunError(f"last_steps={options.last_steps}: only where a map leads; give image_graph=2 too")
+    if options.out is not None and Path(options.out).exists():
+        raise RunError(f"out={options.out}: this file exists already; it is not overwritten")
+    find_checkpoint(options.checkpoint)
+    return options.checkpoint
+
+
+def reported_runs(options: ReportConfig) -> tuple[Path, str]:
+    """The folder of the runs that a report is about, and the command that makes them.
+
+    Raises:
+        ConfigError: no experiment is named.
+        RunError: the folder holds no finished run.
+    """
+    from dirl.runs.finding import finished_folders
+
+    if options.experiment is None:
+        raise ConfigError(f"name what to report: experiment=<one of {', '.join(ExperimentName)}>")
+    folder = Path(options.runs) / options.preset
+    hint = f"{command('train')} -m experiment={options.experiment} preset={options.preset}"
+    finished_folders(folder, hint)
+    return folder, hint
+
+
+def new_file(name: str | None, ending: str = ".h5") -> Path:
+    """Where to write. What is there already is not overwritten."""
+    if name is None:
+        raise ConfigError(f"say where to write: out=<a new file{ending and f' ({ending})'}>")
+    path = Path(name)
+    if ending and path.suffix != ending:
+        raise ConfigError(f"out={name}: the name must end in {ending}")
+    if path.exists():
+        raise ConfigError(f"out={name}: this file exists already; it is not overwritten")
+    return path
+
+
+def named(value: str | None, wanted: str) -> str:
+    """The value of an option that must be given; ``wanted`` is the message if it is not."""
+    if value is None:
+        raise ConfigError(wanted)
+    return value
+
+
+def simulated_scene(options: ThorConfig) -> str:
+    """The scene of AI2-THOR that an option ``scene`` names."""
+    return named(options.scene, "name a scene of AI2-THOR: scene=FloorPlan401")
+
+
+def photo_folder(options: PhotosConfig) -> str:
+    """The folder of photographs that an option ``folder`` names."""
+    return named(options.folder, "name the folder of the photographs: folder=<the images and states.csv>")
+
+
+def tour_path(options: TourConfig) -> str:
+    """The tour that an option ``path`` names."""
+    return named(options.path, "name the tour: path=<its folder, or the file that describes it>")
+
+
+def room_description(options: BuildConfig) -> str:
+    """The description of a room that an option ``description`` names."""
+    from dirl.rooms.build import built_in_rooms, describe_room
+
+    name = named(options.description, f"name a room: description=<{' | '.join(built_in_rooms())}, or a .toml file>")
+    describe_room(name)
+    return name
+
+
+def sampled_kinds(options: SampleConfig) -> tuple[Path, list[str]]:
+    """Where random rooms are written, and which kinds."""
+    from dirl.rooms.options import check_keys
+    from dirl.rooms.sampling import KINDS
+
+    folder = Path(named(options.out, "say where to write: out=<a folder>"))
+    kind = named(options.kind, f"name a kind of room: kind=<{' | '.join(KINDS)} | all>")
+    check_keys({} if kind == "all" else {kind: 0}, KINDS, "kind")
+    return folder, [one for one in KINDS if kind in (one, "all")]
+
+
+def one_scene(name: str | None) -> str:
+    """The scene that an option ``scene`` names."""
+    from dirl.scenes.catalogue import find_rooms, find_scenes
+
+    if name is None:
+        raise ConfigError("name a scene: scene=<a dump (.h5) or a built-in room>")
+    if name == "all":
+        raise ConfigError("scene=all: one scene at a time")
+    if find_rooms(name, None, None) is None:
+        find_scenes(name)
+    return name
+
+
+def encoder_name(options: EncodeConfig) -> str:
+    """The encoder that an option ``encoder`` names."""
+    return named(
+        options.encoder, "name the encoder: encoder=resnet50, weights of one, torchvision, or a Hugging Face model"
+    )
+
+
+def photo_table(options: PhotosConfig) -> None:
+    """Refuse a folder of photographs whose table is missing or invalid."""
+    from dirl.sources.photos import read_photos
+
+    new_file(options.out)
+    read_photos(photo_folder(options), name=options.name)
+
+
+CHECKS: dict[type, Callable[[Any, Sequence[str]], object]] = {
+    TrainConfig: training,
+    EvaluateConfig: lambda options, _: checkpoint_file(options),
+    ReportConfig: lambda options, _: reported_runs(options),
+    ThorConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
+    PhotosConfig: lambda options, _: photo_table(options),
+    TourConfig: lambda options, _: (new_file(options.out), tour_path(options)),
+    BuildConfig: lambda options, _: (new_file(options.out), room_description(options)),
+    SampleConfig: lambda options, _: sampled_kinds(options),
+    EncodeConfig: lambda options, _: (new_file(options.out), one_scene(options.scene), encoder_name(options)),
+    ExportConfig: lambda options, _: (new_file(options.out), one_scene(options.scene)),
+    ImportConfig: lambda options, _: (new_file(options.out), one_scene(options.scene)),
+    InspectConfig: lambda options, _: (options.out and new_file(options.out, ending=""), one_scene(options.scene)),
+}
+"""What is checked, by the type of the options."""

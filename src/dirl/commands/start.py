@@ -1,0 +1,164 @@
+"""The start of a recipe: help and most refusals, before anything imports torch."""
+
+import contextlib
+import gc
+import io
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig, OmegaConf
+
+from dirl.commands.command_line import (
+    SCHEMAS,
+    choose_command,
+    config_dirs,
+    one_line_errors,
+    parsed,
+    prepare,
+    register,
+)
+from dirl.commands.refusals import check_values
+from dirl.config.places import CONF, RECIPES, command
+from dirl.config.scene_schemas import MEANINGS
+from dirl.config.schemas import typed
+from dirl.runs.exits import one_line_exits
+
+HELP = ("-h", "--help")
+COMPLETION = ("-sc", "--shell-completion")
+SHOWING = (*COMPLETION, *HELP, "--hydra-help", "-c", "--cfg", "-i", "--info", "--version")
+"""Options by which Hydra shows something and runs nothing."""
+
+TEMPLATE = """{header}
+{groups}
+== Options: name=value ==
+{options}
+{footer}
+"""
+
+
+def start(recipe: str, text: str | None = None) -> str:
+    """Check the command line of a recipe and write it in Hydra's form, or answer a request for help.
+
+    A recipe calls it before its other imports. Options are checked against their types and bounds, those of components
+    against the source of their classes, and paths and names are looked up (`dirl.commands.refusals`); what is in the
+    files is checked later.
+
+    Args:
+        recipe: a key of `RECIPES`.
+        text: of ``--help`` for a recipe with several commands.
+
+    Until `run_main` no garbage is collected: the imports make several hundred thousand objects that stay.
+
+    Returns:
+        The name of its configuration: ``train``, or the command of ``recipes/scenes.py``.
+
+    Raises:
+        SystemExit: help was asked for, or the command line is refused.
+    """
+    register()
+    with one_line_exits(), one_line_errors():
+        arguments = sys.argv[1:]
+        name = recipe
+        if recipe == "scenes":
+            name, arguments = choose_command(MEANINGS, arguments, _as_called(text or ""))
+        config = configuration(recipe, name)
+        options = check(config, arguments)
+        if any(argument in SHOWING for argument in options):
+            print(shown(config, options), end="")
+            raise SystemExit(0)
+        _check_values(config, options)
+    sys.argv[1:] = options
+    gc.disable()
+    return name
+
+
+def run_main(main: Callable[[], Any]) -> None:
+    """Run a recipe's function, decorated by Hydra; a refusal, or an error of the machine, ends it with one line.
+
+    Raises:
+        SystemExit: see `dirl.runs.exits`.
+    """
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells errors in many lines
+    gc.freeze()  # what the imports made is not looked through again
+    gc.enable()
+    with one_line_exits(), one_line_errors():
+        main()
+
+
+def configuration(recipe: str, name: str) -> str:
+    """The configuration of a recipe, or of one of its commands, as a path below `CONF` without ending."""
+    return f"{recipe}/{name}" if (CONF / recipe / f"{name}.yaml").is_file() else name
+
+
+def check(config: str, arguments: Sequence[str]) -> list[str]:
+    """The options as Hydra takes them.
+
+    Raises:
+        ConfigError: there is no such option, choice or type of value.
+    """
+    return prepare(SCHEMAS[Path(config).name], arguments, CONF if config == "train" else None)
+
+
+def _check_values(config: str, options: Sequence[str]) -> None:
+    """Check the composed values of a single run; those of a sweep are checked job by job."""
+    if any(option.startswith(("--config-name", "-cn", "--config-path", "-cp")) for option in options):
+        return
+    composed = _compose(config, options)
+    given = [(option, found) for option in options if (found := parsed(option))]
+    if any(found.is_sweep_override() for _, found in given):
+        return
+    overrides = [option for option, found in given if not found.key_or_group.startswith("hydra")]
+    check_values(typed(composed), overrides)
+
+
+def _compose(config: str, options: Sequence[str], **kwargs: Any) -> DictConfig:
+    folder, _, name = config.rpartition("/")
+    folders = ",".join(f"file://{path.resolve()}" for path in config_dirs(options))
+    given = [option for option in options if (found := parsed(option)) and not found.is_sweep_override()]
+    with initialize_config_dir(str(CONF / folder), version_base="1.3"):
+        return compose(name, [*given, *([f"hydra.searchpath=[{folders}]"] if folders else [])], **kwargs)
+
+
+def shown(config: str, options: Sequence[str]) -> str:
+    """The answer to ``--help``, ``--cfg job`` or a shell's completion."""
+    return _as_called(_help(config, options) if any(one in HELP for one in options) else _ask_hydra(config, options))
+
+
+def _as_called(text: str) -> str:
+    """A text with the recipes as the user calls them."""
+    for recipe, (file, _) in RECIPES.items():
+        text = text.replace(f"python {file}", command(recipe))
+    return text
+
+
+def _help(config: str, options: Sequence[str]) -> str:
+    """The text of Hydra's help, whose own form lists Hydra's groups too and takes a second."""
+    composed = _compose(config, options, return_hydra_config=True)
+    told = composed.hydra.help
+    groups: dict[str, set[str]] = {}
+    for folder in [CONF, *config_dirs(options)] if config == "train" else []:
+        for file in folder.glob("*/*.yaml"):
+            if file.parent.name not in RECIPES:
+                groups.setdefault(file.parent.name, set()).add(file.stem)
+    listed = "".join(f"{group}: {', '.join(sorted(choices))}\n" for group, choices in sorted(groups.items()))
+    values = OmegaConf.to_yaml(OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"]))
+    listed = f"\n== Groups: group=choice ==\n{listed}" if listed else ""
+    return TEMPLATE.format(header=told.header, groups=listed, options=values, footer=told.footer.rstrip())
+
+
+def _ask_hydra(config: str, options: Sequence[str]) -> str:
+    folder, _, name = config.rpartition("/")
+    sys.argv = [sys.argv[0], *options]
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):
+        hydra.main(version_base="1.3", config_path=str(CONF / folder), config_name=name)(_nothing)()
+    return told.getvalue()
+
+
+def _nothing(_: object) -> None:
+    """What Hydra would run."""

@@ -1,1 +1,0 @@
-"""A trained agent outside its scenes."""

@@ -1,0 +1,1 @@
+"""Experts, episodes, and the protocol and metrics of evaluation."""

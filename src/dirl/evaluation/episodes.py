@@ -1,0 +1,213 @@
+"""Episodes of a policy in a world: from given starts, until it stops, without rewards."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from dirl.agent.decisions import Decide, deciding
+from dirl.agent.recall import Memory, recalling
+from dirl.envs import SurroundingViews
+from dirl.evaluation.experts import RandomPolicy
+from dirl.models import frozen
+from dirl.scenes import ACTIONS, World
+
+MANY = 50_000
+"""Agents for more than which actions are drawn by one random number each, where `torch.multinomial` draws four."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """The outcome of E episodes; every tensor is ``[E]``."""
+
+    goal_index: Tensor
+    """The goal, by its place in ``world.goals``, int64."""
+    start: Tensor
+    """The state it began in, int64."""
+    shortest: Tensor
+    """Fewest actions from there to the goal, int64."""
+    steps: Tensor
+    """Actions taken, int64; the limit where the goal was not reached, or not recognised."""
+    success: Tensor
+    """The agent stopped at the goal, bool."""
+    false_stop: Tensor
+    """It stopped elsewhere, bool."""
+    missed_stop: Tensor
+    """It stood at the goal at least once without stopping, bool."""
+
+    def select(self, chosen: Tensor) -> "Episodes":
+        """Some of the episodes, by mask or index."""
+        return Episodes(*(value[chosen] for value in vars(self).values()))
+
+
+def every_start(world: World) -> tuple[Tensor, Tensor]:
+    """Each goal with each state that reaches it and is not it: goal index and start, int64 ``[E]`` each."""
+    goal_index, start = world.pairs()
+    reaches = world.distances > 0
+    return goal_index[reaches], start[reaches]
+
+
+def sampled_starts(world: World, per_goal: int, seed: int) -> tuple[Tensor, Tensor]:
+    """``per_goal`` starts for each goal, drawn uniformly with replacement, as in the paper's section 4.5.2."""
+    generator = torch.Generator().manual_seed(seed)
+    drawn = []
+    for index, offset in enumerate(world.offsets):
+        reaches = torch.stack([world.block(world.distances, goal) > 0 for goal in world.goals_in(index)])
+        starts = torch.multinomial(reaches.float().cpu(), per_goal, replacement=True, generator=generator)
+        drawn.append(starts.flatten() + offset)
+    goal_index = torch.arange(len(world.goals)).repeat_interleave(per_goal)
+    return goal_index.to(world.device), torch.cat(drawn).to(world.device)
+
+
+def shortest_episodes(world: World, starts: tuple[Tensor, Tensor]) -> Episodes:
+    """The expert's episodes from given starts, from the distances alone: the expert never fails."""
+    goal_index, start = starts
+    shortest = world.distance(goal_index, start)
+    never = torch.zeros_like(start, dtype=torch.bool)
+    return Episodes(goal_index, start, shortest, shortest, ~never, never, never)
+
+
+@torch.no_grad()
+def run_episodes(
+    policy: nn.Module,
+    world: World,
+    starts: tuple[Tensor, Tensor],
+    *,
+    observation: SurroundingViews,
+    stop: Tensor | None = None,
+    max_steps: int = 200,
+    greedy: bool = True,
+    seed: int = 0,
+    memory: Memory | None = None,
+    shown: Tensor | None = None,
+    watch: Callable[[Tensor, Tensor], None] | None = None,
+) -> Episodes:
+    """One episode from each start.
+
+    This is no TorchRL rollout, for two reasons. Finished episodes leave the batch, which an ``EnvBase`` does not
+    support. And a memoryless policy is evaluated once for all agents with the same observation and goal.
+
+    Args:
+        policy: reads a tensordict and writes ``logits``; with memory also its next recurrent state.
+        world: where.
+        starts: goal indices and start states, int64 ``[E]`` each, see `every_start`.
+        observation: the transform that the policy was trained with.
+        stop: where an agent stops, bool ``[P]``, see `World.pair`; at the goal itself if left out.
+        max_steps: after so many steps an episode has failed.
+        greedy: take the most probable action (of equal ones the first), else draw one.
+        seed: of the draws.
+        memory: changes logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`.
+        shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
+        watch: called after each step with the unfinished episodes and their states, int64 ``[W]`` each.
+    """
+    goal_index, start = starts
+    never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
+    episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
+    generator = torch.Generator(world.device).manual_seed(seed)
+    few = len(start) <= MANY
+    bar = tqdm(
+        total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=bar_interval(), disable=few
+    )
+    with frozen(policy), bar:
+        recall = None
+        if isinstance(policy, RandomPolicy) and not (greedy or few or memory):
+            act = partial(_any_action, generator)
+        else:
+            decide = deciding(policy, world, observation, len(start))
+            if memory is not None:
+                recall = recalling(memory, world, decide, observation, stop)
+            act = partial(_chosen_action, recall or decide, generator, greedy, shown)
+        # A memory of many episodes takes much space until they have ended.
+        for walking in torch.arange(len(start), device=world.device).split(MANY if recall else max(1, len(start))):
+            walk = _Walk(walking, start[walking], observation.begin(start[walking]))
+            if recall:
+                recall.begin(len(walking))
+            for step in range(1, max_steps + 1):
+                before, going = walk.state, _take_step(walk, act, world, episodes, stop, step)
+                if watch is not None:
+                    watch(walk.episode, walk.state)
+                left = int(going.sum())
+                bar.update(len(going) - left)
+                if not left:
+                    break
+                if recall:
+                    recall.record(before, walk.action, walk.state, going)
+                walk = walk.going_on(observation, going)
+    return episodes
+
+
+@dataclass
+class _Walk:
+    """Agents on their way."""
+
+    episode: Tensor
+    """int64 ``[W]``."""
+    state: Tensor
+    """Where they are, int64 ``[W]``."""
+    view_ids: Tensor
+    """What they saw before their last step, int64 ``[W, 4]``."""
+    action: Tensor = field(default_factory=lambda: torch.empty(0))
+    """Their last step, int64 ``[W]``."""
+
+    def going_on(self, observation: SurroundingViews, going: Tensor) -> "_Walk":
+        """Those that do not stop."""
+        return _Walk(self.episode[going], self.state[going], observation.follow(self.view_ids, self.state)[going])
+
+
+Act = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
+"""Of W agents the episode, state, view ids ``[W, 4]`` and goal index, int64, to their actions, int64 ``[W]``."""
+
+
+def _take_step(walk: _Walk, act: Act, world: World, episodes: Episodes, stop: Tensor | None, step: int) -> Tensor:
+    """One step of all agents; which of them go on, bool ``[W]``."""
+    wanted = episodes.goal_index[walk.episode]
+    walk.action = act(walk.episode, walk.state, walk.view_ids, wanted)
+    walk.state = world.graph[walk.state, walk.action]
+    at_goal = walk.state == world.goals[wanted]
+    stopped = at_goal if stop is None else stop[world.pair(wanted, walk.state)]
+    episodes.success[walk.episode] = stopped & at_goal
+    episodes.false_stop[walk.episode] = stopped & ~at_goal
+    episodes.missed_stop[walk.episode] |= at_goal & ~stopped
+    episodes.steps[walk.episode[stopped & at_goal]] = step
+    return ~stopped
+
+
+def _any_action(generator: torch.Generator, episode: Tensor, *_: Tensor) -> Tensor:
+    """Each action with the same probability."""
+    return torch.randint(len(ACTIONS), episode.shape, generator=generator, device=episode.device)
+
+
+def _chosen_action(
+    decide: Decide,
+    generator: torch.Generator,
+    greedy: bool,
+    shown: Tensor | None,
+    episode: Tensor,
+    state: Tensor,
+    view_ids: Tensor,
+    wanted: Tensor,
+) -> Tensor:
+    """What a policy does, with a memory if any, on the way to the goals that it is shown."""
+    logits = decide(episode, state, view_ids, wanted if shown is None else shown[wanted])
+    return choose(logits, generator, greedy=greedy)
+
+
+def bar_interval() -> float:
+    """Seconds between two drawings of a progress bar: in a file each drawing is a line."""
+    return 0.2 if sys.stderr.isatty() else 10.0
+
+
+def choose(logits: Tensor, generator: torch.Generator, *, greedy: bool) -> Tensor:
+    """The most probable action, or one drawn by its probability, of logits ``[B, 4]``; int64 ``[B]``."""
+    if greedy:
+        return logits.argmax(-1)
+    probabilities = logits.softmax(-1)
+    if len(logits) <= MANY:
+        return torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
+    drawn = torch.rand((len(logits), 1), generator=generator, device=logits.device)
+    # The last bound is 1 up to rounding, and must not let a number beyond it.
+    return (drawn >= probabilities.cumsum(-1)[:, :-1]).sum(-1)

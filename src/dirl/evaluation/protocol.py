@@ -1,0 +1,134 @@
+"""Evaluation of a policy: the protocol, and ATL, SR and SPL (paper section 4.3)."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from dirl.agent.decisions import answers
+from dirl.agent.recall import Memory
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import Episodes, run_episodes, shortest_episodes
+from dirl.evaluation.experts import RandomPolicy
+from dirl.scenes import World
+
+
+@dataclass(frozen=True)
+class EvaluationProtocol:
+    """The conditions under which policies are evaluated."""
+
+    world: World
+    observation: SurroundingViews
+    """What the policies observe."""
+    starts: tuple[Tensor, Tensor]
+    """Goal index and start state of each episode, int64 ``[E]`` each; see `dirl.evaluation.episodes.every_start`."""
+    stop: Tensor | None = None
+    """Where an agent stops on its way to each goal, bool ``[P]``; None = exactly at the goal."""
+    max_steps: int = 200
+    """An episode that has not arrived by then has failed."""
+    seed: int = 0
+    """Of drawn actions."""
+    memory: Memory | None = None
+    """Changes the policies' logits by what was done in the episode."""
+    shown: Tensor | None = None
+    """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
+    held_out: "EvaluationProtocol | None" = None
+    """The same for goals that were held out of the training, if there are any."""
+
+    def run(self, policy: nn.Module, *, greedy: bool = True) -> Episodes:
+        """One episode from each start."""
+        return run_episodes(policy, self.world, self.starts, greedy=greedy, **self._conditions())
+
+    def run_random(self) -> Episodes:
+        """The same for random actions. The environment stops the agent, so that it makes no false stops."""
+        return replace(self, stop=None, memory=None).run(RandomPolicy(), greedy=False)
+
+    def trajectories(
+        self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
+    ) -> tuple[Episodes, list[list[int]]]:
+        """Episodes from given starts, and the states that each passed, from its start to its last state."""
+        paths = [[state] for state in starts[1].tolist()]
+
+        def watch(walking: Tensor, state: Tensor) -> None:
+            for episode, passed in zip(walking.tolist(), state.tolist(), strict=True):
+                paths[episode].append(passed)
+
+        return run_episodes(policy, self.world, starts, greedy=greedy, watch=watch, **self._conditions()), paths
+
+    def _conditions(self) -> dict[str, Any]:
+        names = ("observation", "stop", "max_steps", "seed", "memory", "shown")
+        return {name: getattr(self, name) for name in names}
+
+
+def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[str, Any]]:
+    """The metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
+
+    A policy without parameters has a single result: that of random actions or of the shortest path. Held-out goals are
+    evaluated separately, under ``held_out``.
+    """
+    if protocol.held_out is not None:
+        apart = assess(policy, protocol.held_out)
+        held_out = {key: apart[key] for key in ("greedy", "sampled", "random")}
+        return {**assess(policy, replace(protocol, held_out=None)), "held_out": held_out}
+    world = protocol.world
+    baselines = {
+        "shortest_path": report(shortest_episodes(world, protocol.starts), world),
+        "random": report(protocol.run_random(), world),
+    }
+    if isinstance(policy, RandomPolicy):
+        return {**baselines, "greedy": baselines["random"], "sampled": baselines["random"]}
+    return {
+        **baselines,
+        "greedy": report(protocol.run(policy), world),
+        "sampled": report(protocol.run(policy, greedy=False), world),
+    }
+
+
+def mean_shortest(world: World) -> list[float]:
+    """The length of the shortest path to each goal, averaged over the states that reach it."""
+    blocks = [world.block(world.distances, goal) for goal in range(len(world.goals))]
+    return [block[block > 0].double().mean().item() for block in blocks]
+
+
+def action_values(
+    policy: nn.Module, world: World, observation: SurroundingViews, goal_index: int
+) -> tuple[Tensor, Tensor]:
+    """Probabilities ``[n, 4]`` and state value ``[n]`` on the way to a goal, in its scene's states; see `answers`."""
+    logits, values = answers(policy, world, observation, goal_index)
+    return logits.softmax(-1), values
+
+
+def metrics(episodes: Episodes) -> dict[str, float]:
+    """The measures of the paper's section 4.3, over all episodes unless said otherwise.
+
+    ``atl``: steps, with the limit for failures; ``atl_success``: steps of the successful ones (NaN if there are
+    none); ``sr``: share that stopped at the goal; ``spl``: success weighted by shortest/steps; ``shortest``: fewest
+    possible steps; ``false_stop_rate`` and ``missed_stop_rate``: shares; ``episodes``: how many.
+    """
+    success = episodes.success.double()
+    steps, shortest = episodes.steps.double(), episodes.shortest.double()
+    return {
+        "atl": steps.mean().item(),
+        "atl_success": steps[episodes.success].mean().item(),
+        "sr": success.mean().item(),
+        "spl": (success * shortest / torch.maximum(steps, shortest)).mean().item(),
+        "shortest": shortest.mean().item(),
+        "false_stop_rate": episodes.false_stop.double().mean().item(),
+        "missed_stop_rate": episodes.missed_stop.double().mean().item(),
+        "episodes": len(steps),
+    }
+
+
+def report(episodes: Episodes, world: World) -> dict[str, Any]:
+    """`metrics` overall; under ``scenes`` those of each scene, and under its ``goals`` those of each goal's state."""
+    summary: dict[str, Any] = {**metrics(episodes), "scenes": {}}
+    order = torch.argsort(episodes.goal_index, stable=True)
+    sizes = torch.bincount(episodes.goal_index, minlength=len(world.goals)).tolist()
+    for goal, those in zip(world.goals.tolist(), order.split(sizes), strict=True):
+        scene, local = world.local(goal)
+        if scene.name not in summary["scenes"]:
+            inside = world.scene_of[episodes.start] == world.scene_of[goal]
+            summary["scenes"][scene.name] = {**metrics(episodes.select(inside)), "goals": {}}
+        summary["scenes"][scene.name]["goals"][str(local)] = metrics(episodes.select(those))
+    return summary

@@ -1,7 +1,0 @@
-"""Image graphs: maps made of what a walk saw and did, to find the way to any photograph of the place."""
-
-from dirl.mapping.graph import ImageGraph, MapError
-from dirl.mapping.policy import GraphMemory, GuidedPolicy
-from dirl.mapping.storage import load_graph, save_graph
-
-__all__ = ["GraphMemory", "GuidedPolicy", "ImageGraph", "MapError", "load_graph", "save_graph"]

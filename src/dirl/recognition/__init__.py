@@ -1,0 +1,1 @@
+"""Recognising a place or the goal by what is seen."""

@@ -1,0 +1,282 @@
+"""Scenes from photographs: a folder of images, and a table that says where each was taken.
+
+``states.csv`` has one row for each image, in any order:
+
+| column | contents |
+|---|---|
+| ``image`` | the image's file, relative to the folder |
+| ``location`` | a name for the place where the camera stood |
+| ``heading`` | where it looked, degrees clockwise |
+| ``x``, ``z`` | the place on a map, metres; rough values suffice, only pictures use them |
+| ``ahead`` | the location that a move ahead leads to, with the same heading; empty = blocked |
+| ``back`` | the same for a move back; the column may be missing: then back undoes ahead |
+| ``goal`` | ``yes`` where the image is a goal; the column may be missing |
+
+Every location has the same number of headings, a multiple of four, evenly spread: 4 of 90 degrees, 8 of 45, 12 of 30.
+A right turn is the next heading clockwise.
+"""
+
+import csv
+import difflib
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageOps
+
+from dirl.files.texts import read_text
+from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
+from dirl.scenes.names import check_name
+from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.views import FORMATS, ImageError, encode, open_image
+
+TABLE = "states.csv"
+REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
+OPTIONAL = ("back", "goal")
+
+TOLERANCE = 1.0
+"""Degrees that a heading may be off."""
+
+MAX_PHOTO_PIXELS = 2**28
+"""Of an image to be scaled; as RGB it takes three bytes for each."""
+
+PANORAMA_MARK = b"GPano:ProjectionType"
+"""What cameras write into the XMP metadata of a panorama."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table, checked by itself."""
+
+    where: str
+    """The table and the line, for errors."""
+    image: Path
+    location: str
+    heading: float
+    position: tuple[float, float]
+    moves: tuple[str, str | None]
+    """The locations ahead and back, empty = blocked; None = back is not said."""
+    goal: bool
+
+
+def read_photos(folder: str | Path, *, name: str | None = None, source: str = "photos") -> tuple[Scene, list[Path]]:
+    """A scene without views and features from a folder, and the image of each of its states.
+
+    States are numbered by location, in the order of the table, and then by heading.
+
+    Args:
+        folder: holds ``states.csv`` and the images.
+        name: of the scene; the folder's name if left out.
+        source: where the scene comes from.
+
+    Raises:
+        SceneError: the table is invalid, or describes an invalid scene. The message names the line.
+    """
+    folder = Path(folder)
+    name = name or folder.resolve().name
+    rows = _read_table(folder)
+    check_name(name, str(folder))
+    places: dict[str, list[Row]] = {}
+    for row in rows:
+        places.setdefault(row.location, []).append(row)
+    for location, here in places.items():
+        here.sort(key=lambda row: row.heading % 360)
+        _check_place(location, here, len(next(iter(places.values()))))
+    states = [row for here in places.values() for row in here]
+    scene = Scene(
+        name=name,
+        graph=_graph(places, states),
+        positions=np.array([row.position for row in states]),
+        headings=np.array([row.heading for row in states]) % 360,
+        goals=tuple(state for state, row in enumerate(states) if row.goal),
+        source=source,
+        extractor="none",
+        origin=str(folder / TABLE),
+    )
+    return scene, [row.image for row in states]
+
+
+def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[bytes]:
+    """The images as a dump stores them: upright, cropped in the middle to the shape, scaled to it, WebP.
+
+    An image that is WebP of that shape already is stored as it is.
+
+    Raises:
+        SceneError: an image cannot be read, or is a panorama.
+    """
+    for path in images:
+        try:
+            data = path.read_bytes()
+            image = open_image(data, MAX_PHOTO_PIXELS)
+        except (OSError, ImageError) as error:
+            raise SceneError(f"{path}: not a readable image ({error})") from None
+        if image.format == FORMATS[0] and image.size == (width, height):
+            yield data
+            continue
+        if _is_panorama(data, image, width / height):
+            raise SceneError(
+                f"{path}: {image.width}x{image.height} pixels are a panorama, which shows all headings at once; cut it "
+                "into one image a heading (an ordinary image of that shape: crop it a little)"
+            )
+        upright = ImageOps.exif_transpose(image).convert("RGB")
+        yield encode(np.asarray(ImageOps.fit(upright, (width, height), Image.Resampling.LANCZOS)), quality=90)
+
+
+def _is_panorama(data: bytes, image: Image.Image, ratio: float) -> bool:
+    """Whether an image says that it is a panorama, or is twice as wide as high where other views are not."""
+    twice = abs(image.width / image.height - 2) < 0.02
+    return PANORAMA_MARK in data or (twice and abs(ratio - 2) > 0.02)
+
+
+def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
+    """Write ``states.csv`` of a folder, completely or not at all."""
+    unfinished = folder / f"{TABLE}.tmp"
+    with unfinished.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [*REQUIRED, "back"])
+        writer.writeheader()
+        writer.writerows(rows)
+    unfinished.replace(folder / TABLE)
+
+
+def _read_table(folder: Path) -> list[Row]:
+    file = folder / TABLE
+    if not file.is_file():
+        raise SceneError(f"{folder}: holds no {TABLE}; it has a row for each image: {','.join(REQUIRED)}")
+    try:
+        text = read_text(file, encoding="utf-8-sig")
+    except ValueError as error:
+        raise SceneError(f"{error}; save it as CSV UTF-8") from None
+    lines = text.splitlines()
+    if not lines:
+        raise SceneError(f"{file}: is empty; its first line names the columns: {','.join(REQUIRED)}")
+    # Spreadsheets of countries with a decimal comma separate by semicolons.
+    reader = csv.reader(lines, delimiter=";" if ";" in lines[0] and "," not in lines[0] else ",")
+    rows = []
+    try:
+        columns = [column.strip() for column in next(reader)]
+        _check_columns(columns, file)
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append(_row(columns, [cell.strip() for cell in cells], f"{file}: line {reader.line_num}", folder))
+    except csv.Error as error:
+        raise SceneError(f"{file}: line {reader.line_num}: is no line of a table ({error})") from None
+    if not rows:
+        raise SceneError(f"{file}: has no rows; each says where one image was taken")
+    return rows
+
+
+def _check_columns(columns: Sequence[str], file: Path) -> None:
+    for column in columns:
+        if column not in REQUIRED + OPTIONAL:
+            near = difflib.get_close_matches(column, REQUIRED + OPTIONAL, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"columns are {', '.join(REQUIRED + OPTIONAL)}"
+            raise SceneError(f"{file}: line 1: there is no column '{column}'; {hint}")
+        if columns.count(column) > 1:
+            raise SceneError(f"{file}: line 1: the column '{column}' is named twice")
+    missing = [column for column in REQUIRED if column not in columns]
+    if missing:
+        raise SceneError(f"{file}: line 1: the column '{missing[0]}' is missing; found {', '.join(columns)}")
+
+
+def _row(columns: Sequence[str], cells: Sequence[str], where: str, folder: Path) -> Row:
+    if len(cells) != len(columns):
+        raise SceneError(f"{where}: {len(cells)} cells for {len(columns)} columns")
+    values = dict(zip(columns, cells, strict=True))
+    numbers = {}
+    for column in ("heading", "x", "z"):
+        try:
+            numbers[column] = float(values[column])
+        except ValueError:
+            numbers[column] = math.nan
+        if not math.isfinite(numbers[column]):
+            raise SceneError(f"{where}: {column}: expected a number, found '{values[column]}'")
+    image = folder / values["image"]
+    if not values["image"] or not image.is_file():
+        raise SceneError(f"{where}: image: there is no file '{values['image']}' in {folder}")
+    if not values["location"]:
+        raise SceneError(f"{where}: location: is empty; give the place a name")
+    if values.get("goal", "") not in ("", "yes"):
+        raise SceneError(f"{where}: goal: expected 'yes' or nothing, found '{values['goal']}'")
+    return Row(
+        where=where,
+        image=image,
+        location=values["location"],
+        heading=numbers["heading"],
+        position=(numbers["x"], numbers["z"]),
+        moves=(values["ahead"], values.get("back")),
+        goal=values.get("goal") == "yes",
+    )
+
+
+def _check_place(location: str, here: Sequence[Row], count: int) -> None:
+    """Check the headings, in their order, and the positions of a location; ``count`` is how many the first one has."""
+    first = here[0]
+    if len(here) != count or count % 4:
+        raise SceneError(
+            f"{first.where}: location '{location}' has {len(here)} headings; expected the same multiple of four "
+            f"everywhere{f' ({count} as the first location)' if len(here) != count else ''}"
+        )
+    for before, after in pairwise([*here, first]):
+        turn = (after.heading - before.heading) % 360
+        if abs(turn - 360 / count) > TOLERANCE:
+            raise SceneError(
+                f"{before.where}: location '{location}': from heading {before.heading:g} to the next, "
+                f"{after.heading:g}, are {turn:g} degrees; {count} headings must be {360 / count:g} apart"
+            )
+    for row in here:
+        if row.position != first.position:
+            raise SceneError(
+                f"{row.where}: location '{location}' is at {row.position}, but at {first.position} in {first.where}"
+            )
+
+
+def _graph(places: dict[str, list[Row]], states: Sequence[Row]) -> IntArray:
+    """Next states, int64 ``[N, 4]``: turns by the order of headings, moves as the rows say."""
+    count = len(next(iter(places.values())))
+    first = {location: count * place for place, location in enumerate(places)}
+    graph = np.full((len(states), len(ACTIONS)), -1)
+    for state, row in enumerate(states):
+        start, turn = first[row.location], state % count
+        graph[state, RIGHT] = start + (turn + 1) % count
+        graph[state, LEFT] = start + (turn - 1) % count
+        for action, location in zip((AHEAD, BACK), row.moves, strict=True):
+            if location:
+                graph[state, action] = _same_heading(places, first, row, ACTIONS[action], location)
+    if states[0].moves[1] is None:
+        _undo_ahead(graph, states)
+    return graph
+
+
+def _same_heading(places: dict[str, list[Row]], first: dict[str, int], row: Row, column: str, location: str) -> int:
+    """The state at another location with the heading of a row."""
+    if location not in places:
+        near = difflib.get_close_matches(location, places, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else "no row has it in the column location"
+        raise SceneError(f"{row.where}: {column}: there is no location '{location}'; {hint}")
+    if location == row.location:
+        raise SceneError(
+            f"{row.where}: {column}: leads to '{location}' itself; leave it empty where the way is blocked"
+        )
+    off = [abs((there.heading - row.heading + 180) % 360 - 180) for there in places[location]]
+    nearest = int(np.argmin(off))
+    if off[nearest] > TOLERANCE:
+        raise SceneError(
+            f"{row.where}: {column}: '{location}' has no image with heading {row.heading:g}; a move keeps it"
+        )
+    return first[location] + nearest
+
+
+def _undo_ahead(graph: IntArray, states: Sequence[Row]) -> None:
+    """Fill in the column of moves back, each the reverse of a move ahead."""
+    for state in np.flatnonzero(graph[:, AHEAD] >= 0).tolist():
+        there = int(graph[state, AHEAD])
+        if graph[there, BACK] >= 0:
+            other = states[int(graph[there, BACK])]
+            raise SceneError(
+                f"{states[state].where}: ahead: '{states[there].location}' is also ahead of '{other.location}', so "
+                "that a move back from there could end in either; add a column back that says where"
+            )
+        graph[there, BACK] = state

@@ -1,0 +1,135 @@
+"""Tours of krpano: ``tour.xml`` with a ``<scene>`` for each panorama; spheres, cube faces or tiles at several sizes.
+
+Angles are degrees, clockwise from the middle of the front face. Scripts in the file are not run, includes not followed.
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from xml.parsers import expat
+
+from dirl.scenes.scene import SceneError
+from dirl.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, Equirectangular, tiles_along
+from dirl.tours.tour import Link, Panorama, Tour, inside, make_tour, number, tour_text
+
+
+def read_krpano(file: Path) -> Tour:
+    """The tour that a ``tour.xml`` describes.
+
+    Raises:
+        SceneError: it is invalid, or an image is missing.
+    """
+    scenes = list(_root(file).iter("scene"))
+    unlinked = sum(
+        "loadscene" in spot.get("onclick", "") and not spot.get("linkedscene")
+        for one in scenes
+        for spot in one.iter("hotspot")
+    )
+    notes = (
+        [f"{unlinked} hotspots call loadscene() in a script instead of naming a linkedscene: left out"]
+        if unlinked
+        else []
+    )
+    panoramas = [_panorama(scene, index, file) for index, scene in enumerate(scenes)]
+    return make_tour(file.resolve().parent.name, panoramas, file, notes)
+
+
+def _root(file: Path) -> ET.Element:
+    """The parsed file. A document type, which can declare entities, is refused before anything is expanded."""
+
+    def refuse(*_: object) -> None:
+        raise SceneError(f"{file}: has a document type (DOCTYPE), which no tour needs")
+
+    text = tour_text(file)
+    checking = expat.ParserCreate()
+    checking.StartDoctypeDeclHandler = refuse
+    try:
+        checking.Parse(text, True)
+        return ET.fromstring(text)
+    except (expat.ExpatError, ET.ParseError, ValueError, RecursionError) as error:
+        if isinstance(error, SceneError):
+            raise
+        raise SceneError(f"{file}: is not XML ({error})") from None
+
+
+def _panorama(scene: ET.Element, index: int, file: Path) -> Panorama:
+    name = scene.get("name", "")
+    where = f"{file}: scene '{name or index}'"
+    if not name:
+        raise SceneError(f"{where}: has no name")
+    links = [
+        Link(target, number(spot.get("ath"), f"{where}: ath"))
+        for spot in scene.iter("hotspot")
+        if (target := spot.get("linkedscene"))
+    ]
+    heading = scene.get("heading")
+    return Panorama(
+        name,
+        _image(scene, file, where),
+        tuple(links),
+        heading=number(heading, f"{where}: heading") if heading else None,
+    )
+
+
+def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
+    image = scene.find("image")
+    if image is None:
+        raise SceneError(f"{where}: has no image")
+    _check_whole(image, where)
+    sphere = image.find("sphere")
+    if sphere is not None:
+        return Equirectangular(inside(file.parent, _name(sphere.get("url", ""), {}), where))
+    of_levels = [(level, cube) for level in image.iter("level") if (cube := level.find("cube")) is not None]
+    if of_levels:
+        levels = []
+        for level, cube in of_levels:
+            size = int(number(level.get("tiledimagewidth"), f"{where}: tiledimagewidth", 1, 2**15))
+            tile = int(number(image.get("tilesize"), f"{where}: tilesize", 1, 2**15))
+            levels.append(_level(cube.get("url", ""), size, tile, 0, file, where))
+        return Cube(tuple(sorted(levels, key=lambda level: level.size or 0)))
+    cube = image.find("cube")
+    if cube is None:
+        raise SceneError(f"{where}: its image is none of sphere, cube and levels of cubes")
+    url, sizes = cube.get("url", ""), cube.get("multires")
+    if sizes is None:
+        return Cube((CubeLevel(None, {face: ((_file(url, face, 0, 1, 1, file, where),),) for face in FACES}),))
+    tile, *sides = (int(number(one, f"{where}: multires", 1, 2**15)) for one in sizes.split(","))
+    if not 0 < len(sides) <= MOST_LEVELS or sides != sorted(sides):
+        raise SceneError(f"{where}: multires={sizes[:50]}: expected the size of tiles, then sizes of the cube, growing")
+    return Cube(tuple(_level(url, side, tile, level, file, where) for level, side in enumerate(sides, 1)))
+
+
+def _check_whole(image: ET.Element, where: str) -> None:
+    """Raise `SceneError` for part of a panorama, or for one that krpano turns before it is shown."""
+    for partial in ("hfov", "vfov"):
+        if image.get(partial) not in (None, "", "360", "360.0", "180", "180.0"):
+            raise SceneError(f"{where}: {partial}={image.get(partial)}: only whole panoramas can be cut into views")
+    turned = image.get("prealign") or ""
+    if any(part.strip().strip("+-0.") for part in turned.split("|")):
+        raise SceneError(f"{where}: prealign={turned[:50]}: turns the panorama; export the tour without it")
+
+
+def _level(url: str, size: int, tile: int, level: int, file: Path, where: str) -> CubeLevel:
+    tiles = range(1, tiles_along(size, tile, where) + 1)
+    paths = {
+        face: tuple(tuple(_file(url, face, level, v, h, file, where) for h in tiles) for v in tiles) for face in FACES
+    }
+    return CubeLevel(size, paths)
+
+
+def _file(url: str, face: str, level: int, row: int, column: int, file: Path, where: str) -> Path:
+    values: dict[str, str | int] = {"s": face, "l": level, "v": row, "y": row, "h": column, "x": column, "u": column}
+    return inside(file.parent, _name(url, values), where)
+
+
+def _name(url: str, values: dict[str, str | int]) -> str:
+    """The URL with ``%s``, ``%l``, ``%v``, ``%h`` replaced; as many zeros as stand before the letter pad a number."""
+
+    def put(match: re.Match[str]) -> str:
+        zeros, letter = match.groups()
+        value = values.get(letter)
+        return match.group() if value is None else str(value).rjust(len(zeros) + 1, "0") if zeros else str(value)
+
+    return re.sub(
+        r"%(0*)([a-z])", put, url.replace("%FIRSTXML%/", "").replace("%CURRENTXML%/", "").replace("%SWFPATH%/", "")
+    )

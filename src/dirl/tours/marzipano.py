@@ -1,0 +1,81 @@
+"""Tours of the Marzipano Tool: ``data.js`` and ``tiles/<scene>/<level>/<face>/<row>/<column>.jpg``.
+
+``data.js`` assigns an object to a variable; the object is read as JSON, no code is run. Angles are radians, clockwise.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dirl.scenes.scene import SceneError
+from dirl.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, tiles_along
+from dirl.tours.tour import (
+    Link,
+    Panorama,
+    Tour,
+    entries,
+    entry,
+    inside,
+    make_tour,
+    number,
+    read_json,
+    tour_text,
+)
+
+ASSIGNMENT = re.compile(r"\s*(?:var|let|const)\s+[A-Za-z_]\w*\s*=\s*(?=\{)")
+
+
+def read_marzipano(file: Path) -> Tour:
+    """The tour that a ``data.js`` describes.
+
+    Raises:
+        SceneError: it is invalid, or a tile is missing.
+    """
+    text = tour_text(file)
+    assigned = ASSIGNMENT.match(text)
+    if assigned is None:
+        raise SceneError(f"{file}: expected 'var APP_DATA = {{...}};', as the Marzipano Tool writes it")
+    data = read_json(text[assigned.end() :].rstrip().removesuffix(";"), file)
+    panoramas = [_panorama(scene, index, file) for index, scene in enumerate(entries(data, "scenes", str(file)))]
+    return make_tour(str(data.get("name") or file.resolve().parent.name), panoramas, file)
+
+
+def _panorama(scene: Mapping[str, Any], index: int, file: Path) -> Panorama:
+    name = entry(scene, "id", str, f"{file}: scene {index}")
+    where = f"{file}: scene '{name}'"
+    hotspots = entries(scene, "linkHotspots", where)
+    links = [
+        Link(entry(spot, "target", str, where), math.degrees(number(spot.get("yaw"), f"{where}: yaw")))
+        for spot in hotspots
+    ]
+    return Panorama(name, _cube(scene, name, file, where), tuple(links))
+
+
+def _cube(scene: Mapping[str, Any], name: str, file: Path, where: str) -> Cube:
+    """Levels are numbered from the smallest, 0; a first one that is only a preview has no tiles."""
+    sizes = []
+    for level in entries(scene, "levels", where):
+        size, tile = (int(number(level.get(key), f"{where}: {key}", 1, 2**15)) for key in ("size", "tileSize"))
+        sizes.append((size, tiles_along(size, tile, where), level.get("fallbackOnly") is True))
+    if not sizes or len(sizes) > MOST_LEVELS or sizes != sorted(sizes, key=lambda level: level[0]):
+        raise SceneError(f"{where}: expected 1 to {MOST_LEVELS} levels, the smallest first")
+    levels = []
+    for number_, (size, tiles, preview) in enumerate(sizes):
+        if preview:
+            continue
+        paths = {
+            face: tuple(
+                tuple(
+                    inside(file.parent, f"tiles/{name}/{number_}/{face}/{row}/{column}.jpg", where)
+                    for column in range(tiles)
+                )
+                for row in range(tiles)
+            )
+            for face in FACES
+        }
+        levels.append(CubeLevel(size, paths))
+    if not levels:
+        raise SceneError(f"{where}: has no level with tiles")
+    return Cube(tuple(levels))

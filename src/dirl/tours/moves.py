@@ -1,0 +1,268 @@
+"""From a tour to a scene: aligned headings, moves along links, a map."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
+from dirl.scenes.names import check_name
+from dirl.scenes.scene import Scene, SceneError
+from dirl.tours.alignment import Alignment, align, wrap
+from dirl.tours.tour import Tour
+
+Array = NDArray[np.float64]
+
+NAMED = 5
+"""Panoramas that a line names at most, where it does not name all."""
+
+AGREE = 1.0
+"""Degrees that stated headings may differ from those of the links without a note."""
+
+
+@dataclass(frozen=True, eq=False)
+class Converted:
+    """What became of a tour of P panoramas.
+
+    Args:
+        scene: K states for each panorama, in their order; without views and features.
+        yaws: where the view of each state looks, degrees clockwise from the middle of its panorama, float64 ``[P, K]``.
+        notes: what a user must know: what was left out, how well headings agree, what is not aligned, a line each.
+        layout: whether positions are no measured ones but were laid out by the links.
+    """
+
+    scene: Scene
+    yaws: Array
+    notes: list[str]
+    layout: bool
+
+
+def tour_scene(
+    tour: Tour, *, headings: int = 8, tolerance: float | None = None, step: float = 2.0, name: str | None = None
+) -> Converted:
+    """The scene of a tour.
+
+    A move ahead leads along the link that is nearest to the heading, if it is within the tolerance; a move back along
+    the one that is nearest to the opposite. Both keep the heading.
+
+    Args:
+        tour: see `dirl.tours.read_tour`.
+        headings: of each panorama, a multiple of four.
+        tolerance: degrees; half a turn if left out.
+        step: metres that a link is long on the map, where the tour gives no positions.
+        name: of the scene; the tour's if left out.
+
+    Raises:
+        SceneError: another number of headings, or a tour without any link that a move could follow.
+    """
+    if headings % 4 or not 4 <= headings <= 36:
+        raise SceneError(f"headings={headings}: must be a multiple of four from 4 to 36")
+    name = _scene_name(name or tour.name)
+    check_name(name, tour.origin)
+    turn = 360 / headings
+    tolerance = turn / 2 if tolerance is None else tolerance
+    aligned = align(tour)
+    if not any(panorama.links for panorama in tour.panoramas):
+        raise SceneError(
+            f"{tour.origin}: no panorama has a link to another one, so no move is possible; panoramas of ZInD may need "
+            "more reach"
+        )
+    middles, along = _directions(tour, aligned, turn)
+    facing = np.float64(_zero(along, turn)) + turn * np.arange(headings, dtype=np.float64)
+    graph, shown = _graph(tour, along, facing, tolerance)
+    if not shown.any():
+        raise SceneError(
+            f"{tour.origin}: no heading shows any of the {len(shown)} links; give more headings or tolerance"
+        )
+    layout = any(panorama.position is None for panorama in tour.panoramas)
+    places = _layout(tour, along, aligned.part, step) if layout else np.array([p.position for p in tour.panoramas])
+    scene = Scene(
+        name=name,
+        graph=graph,
+        positions=np.repeat(places, headings, axis=0),
+        headings=np.tile(facing.round(6) % 360, len(tour.panoramas)),
+        source="tour, laid out" if layout else "tour",
+        extractor="none",
+        origin=tour.origin,
+    )
+    contrary = _contrary(tour, middles)
+    notes = [*tour.notes, *_about(tour, aligned, shown), *contrary, *_about_positions(tour, step)]
+    return Converted(scene, wrap(facing - middles[:, None]), notes, layout)
+
+
+def _scene_name(text: str) -> str:
+    """A tour's title as a name: letters, digits and some signs, see `dirl.scenes.names`."""
+    kept = "".join(sign if sign.isalnum() or sign in " _.,()+-" else "_" for sign in text)
+    return kept.encode()[:100].decode(errors="ignore").strip() or "tour"
+
+
+def _links(tour: Tour) -> tuple[IntArray, Array]:
+    """Start and end of every link, int64 ``[L, 2]``, and its yaw, float64 ``[L]``."""
+    number = {panorama.id: index for index, panorama in enumerate(tour.panoramas)}
+    found = [(number[one.id], number[link.target], link.yaw) for one in tour.panoramas for link in one.links]
+    table = np.array(found, float).reshape(-1, 3)
+    return table[:, :2].astype(np.int64), table[:, 2]
+
+
+def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Array]:
+    """Where the middle of each panorama and each link look on the map, degrees clockwise.
+
+    The zero of each part is the one of its stated headings that agrees best with the others; where none is stated, the
+    one that has most links along a heading of the agent.
+    """
+    ends, yaws = _links(tour)
+    known, stated = _stated(tour)
+    middles = aligned.headings.copy()
+    for part in range(int(aligned.part.max()) + 1):
+        here = np.flatnonzero(aligned.part == part)
+        mine = np.isin(known, here)
+        if mine.any():
+            off = stated[mine] - middles[known[mine]]
+            middles[here] += off[np.abs(wrap(off[:, None] - off)).sum(1).round(6).argmin()]
+        else:
+            middles[here] -= _zero((middles[ends[:, 0]] + yaws)[np.isin(ends[:, 0], here)], turn)
+    return middles % 360, (middles[ends[:, 0]] + yaws) % 360
+
+
+def _stated(tour: Tour) -> tuple[IntArray, Array]:
+    """The panoramas that state headings, int64 ``[H]``, and the headings, degrees, float64 ``[H]``."""
+    found = [(index, one.heading) for index, one in enumerate(tour.panoramas) if one.heading is not None]
+    return np.array([index for index, _ in found], np.int64), np.array([heading for _, heading in found], np.float64)
+
+
+def _contrary(tour: Tour, middles: Array) -> Iterator[str]:
+    """A note where stated headings are not those that are used, which the links give."""
+    known, stated = _stated(tour)
+    off = np.abs(wrap(stated - middles[known]))
+    if (off > AGREE).any():
+        worst = tour.panoramas[known[off.argmax()]].id
+        yield (
+            f"{(off > AGREE).sum()} of {len(known)} stated headings differ from those of the links, which are used, by "
+            f"up to {off.max():.0f} degrees, the worst: '{worst}'"
+        )
+
+
+def _zero(along: Array, turn: float) -> float:
+    """The offset of headings, half a turn at most, that has links along them: a circular mean."""
+    if not len(along):
+        return 0.0
+    mean = np.exp(1j * np.radians(along) * 360 / turn).mean()
+    return float(np.degrees(np.angle(mean)) * turn / 360) if abs(mean) > 1e-9 else 0.0
+
+
+def _graph(tour: Tour, along: Array, facing: Array, tolerance: float) -> tuple[IntArray, NDArray[np.bool_]]:
+    """Next states, int64 ``[P * K, 4]``, and which links a move ahead follows, bool ``[L]``."""
+    ends, _ = _links(tour)
+    count, states = len(facing), np.arange(len(tour.panoramas) * len(facing))
+    graph = np.full((len(states), len(ACTIONS)), -1, np.int64)
+    first, heading = states - states % count, states % count
+    graph[:, RIGHT], graph[:, LEFT] = first + (heading + 1) % count, first + (heading - 1) % count
+    shown = np.zeros(len(ends), bool)
+    for panorama in range(len(tour.panoramas)):
+        mine = np.flatnonzero(ends[:, 0] == panorama)
+        if not len(mine):
+            continue
+        for action, opposite in ((AHEAD, 0), (BACK, 180)):
+            off = np.abs(wrap(along[mine][None] - facing[:, None] - opposite)).round(6)
+            nearest = off.argmin(1)
+            follows = np.flatnonzero(off.min(1) <= tolerance + 1e-6)
+            chosen = mine[nearest[follows]]
+            graph[count * panorama + follows, action] = count * ends[chosen, 1] + follows
+            if action == AHEAD:
+                shown[chosen] = True
+    return graph, shown
+
+
+def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
+    """Positions at which every link is one step long in its direction, as nearly as they can be, float64 ``[P, 2]``.
+
+    Parts that are not linked both ways with each other stand side by side.
+    """
+    ends, _ = _links(tour)
+    ends, along = ends[part[ends[:, 0]] == part[ends[:, 1]]], along[part[ends[:, 0]] == part[ends[:, 1]]]
+    way = step * np.stack([np.sin(np.radians(along)), np.cos(np.radians(along))], 1)
+    count = len(tour.panoramas)
+    matrix, right = np.zeros((count, count)), np.zeros((count, 2))
+    for end, other, sign in ((1, 0, 1), (0, 1, -1)):
+        np.add.at(matrix, (ends[:, end], ends[:, end]), 1)
+        np.add.at(matrix, (ends[:, end], ends[:, other]), -1)
+        np.add.at(right, ends[:, end], sign * way)
+    pins = np.unique(part, return_index=True)[1]
+    matrix[pins, pins] += 1
+    places = np.linalg.solve(matrix, right)
+    edge = 0.0
+    for index in range(int(part.max()) + 1):
+        here = part == index
+        places[here] -= places[here].min(0) - [edge, 0]
+        edge = places[here, 0].max() + 2 * step
+    return np.asarray(places, np.float64)
+
+
+def _about(tour: Tour, aligned: Alignment, shown: NDArray[np.bool_]) -> Iterator[str]:
+    """The notes on links and headings."""
+    ids = [panorama.id for panorama in tour.panoramas]
+    ends, _ = _links(tour)
+    if len(aligned.loops):
+        median, worst = np.median(aligned.loops), aligned.loops.max()
+        error = f"a median error of {median:.1f} degrees, at most {worst:.1f}"
+        yield f"headings: {len(aligned.loops)} loops of links close with {error}"
+    else:
+        yield "no links form a loop: nothing checks the headings"
+    if aligned.rejected:
+        i, j, off = aligned.rejected[0]
+        yield (
+            f"{len(aligned.rejected)} links both ways contradict the others and were not used to align headings, the "
+            f"worst: '{ids[i]}' and '{ids[j]}', {off:.0f} degrees off"
+        )
+    yield from _about_parts(tour, aligned.part)
+    lonely = [ids[index] for index in aligned.unchecked if aligned.part[index] == 0]
+    if lonely and len(aligned.loops):
+        yield f"{len(lonely)} panoramas are on no loop, nothing checks their headings: {_named(lonely)}"
+    if aligned.one_way:
+        i, j = aligned.one_way[0]
+        yield f"{len(aligned.one_way)} links lead one way only, the first: '{ids[i]}' to '{ids[j]}'"
+    hidden = np.flatnonzero(~shown)
+    if len(hidden):
+        i, j = ends[hidden[0]]
+        yield f"{len(hidden)} of {len(ends)} links are shown by no heading, the first: '{ids[i]}' to '{ids[j]}'"
+
+
+def _about_parts(tour: Tour, part: NDArray[np.int64]) -> Iterator[str]:
+    """The notes on parts that are not joined with the largest by links both ways; all their panoramas are named."""
+    ends, _ = _links(tour)
+    parts = part[ends]
+    touched = set(parts[parts[:, 0] != parts[:, 1]].flatten().tolist())
+    stated = set(part[_stated(tour)[0]].tolist())
+    whys = {
+        False: "without any link to or from the others",
+        True: "joined with others only by links one way or by links that contradict",
+    }
+    for linked, why in whys.items():
+        for known in (True, False):
+            chosen = [
+                index
+                for index in range(1, int(part.max()) + 1)
+                if (index in touched) == linked and ({0, index} <= stated) == known
+            ]
+            if not chosen:
+                continue
+            names = ", ".join(f"'{tour.panoramas[index].id}'" for index in np.flatnonzero(np.isin(part, chosen)))
+            sizes = " and ".join(str((part == index).sum()) for index in chosen)
+            headings = (
+                "their stated headings are used" if known else "their headings cannot be aligned with the others'"
+            )
+            yield f"{len(chosen)} parts {why}, of {sizes} panoramas; {headings}: {names}"
+
+
+def _about_positions(tour: Tour, step: float) -> Iterator[str]:
+    """The note on a map that is a layout."""
+    known, count = sum(panorama.position is not None for panorama in tour.panoramas), len(tour.panoramas)
+    if known < count:
+        about = f"known of {known} of {count} panoramas only, so they are not used" if known else "not known"
+        yield f"positions are {about}: the map is a layout in which each link is {step:g} m long"
+
+
+def _named(ids: Sequence[str]) -> str:
+    shown = ", ".join(f"'{one}'" for one in ids[:NAMED])
+    return shown + (" and others" if len(ids) > NAMED else "")

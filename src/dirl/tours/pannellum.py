@@ -1,0 +1,101 @@
+"""Tours of Pannellum: a JSON configuration with ``scenes``, each an equirectangular image, a cube or a tiled cube.
+
+Angles are degrees, clockwise from the middle of the image.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dirl.scenes.scene import SceneError
+from dirl.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, Equirectangular, tiles_along
+from dirl.tours.tour import (
+    Link,
+    Panorama,
+    Tour,
+    entries,
+    entry,
+    inside,
+    make_tour,
+    number,
+    read_json,
+    tour_text,
+)
+
+
+def read_pannellum(file: Path) -> Tour:
+    """The tour that a JSON configuration describes.
+
+    Raises:
+        SceneError: it is invalid, or an image is missing.
+    """
+    data = read_json(tour_text(file), file)
+    common = data.get("default")
+    common = common if isinstance(common, Mapping) else {}
+    scenes = entry(data, "scenes", dict, str(file))
+    panoramas = [_panorama(name, {**common, **_object(scene, name, file)}, file) for name, scene in scenes.items()]
+    return make_tour(str(common.get("title") or file.resolve().parent.name), panoramas, file)
+
+
+def _object(scene: Any, name: str, file: Path) -> Mapping[str, Any]:
+    if not isinstance(scene, Mapping):
+        raise SceneError(f"{file}: scene '{name}': expected a JSON object")
+    return scene
+
+
+def _panorama(name: str, scene: Mapping[str, Any], file: Path) -> Panorama:
+    where = f"{file}: scene '{name}'"
+    links = [
+        Link(entry(spot, "sceneId", str, where), number(spot.get("yaw"), f"{where}: yaw"))
+        for spot in entries(scene, "hotSpots", where)
+        if spot.get("type") == "scene"
+    ]
+    north = scene.get("northOffset")
+    heading = None if north is None else number(north, f"{where}: northOffset")
+    return Panorama(name, _image(scene, file, where), tuple(links), heading=heading)
+
+
+def _image(scene: Mapping[str, Any], file: Path, where: str) -> Equirectangular | Cube:
+    kind, base = scene.get("type", "equirectangular"), scene.get("basePath", "")
+    folder = inside(file.parent, base, where) if base else file.parent
+    for key, whole in (("haov", 360), ("vaov", 180)):
+        if number(scene.get(key, whole), f"{where}: {key}") != whole:
+            raise SceneError(f"{where}: {key}={scene[key]}: only whole panoramas can be cut into views")
+    if kind == "equirectangular":
+        return Equirectangular(inside(folder, scene.get("panorama"), where))
+    if kind == "cubemap":
+        names = entry(scene, "cubeMap", list, where)
+        if len(names) != len(FACES):
+            raise SceneError(f"{where}: cubeMap has {len(names)} images, not six (front, right, back, left, up, down)")
+        return Cube(
+            (CubeLevel(None, {face: ((inside(folder, one, where),),) for face, one in zip(FACES, names, strict=True)}),)
+        )
+    if kind == "multires":
+        return _tiles(entry(scene, "multiRes", dict, where), folder, where)
+    raise SceneError(f"{where}: type '{str(kind)[:50]}' is none of equirectangular, cubemap and multires")
+
+
+def _tiles(given: Mapping[str, Any], folder: Path, where: str) -> Cube:
+    """Levels 1 to ``maxLevel``; each is half as large as the next, rounded down as Pannellum's generate.py does."""
+    if given.get("basePath"):
+        folder = inside(folder, given["basePath"], where)
+    most, size, tile = (
+        int(number(given.get(key), f"{where}: {key}", 1, high))
+        for key, high in (("maxLevel", MOST_LEVELS), ("cubeResolution", 2**15), ("tileResolution", 2**15))
+    )
+    pattern, ending = entry(given, "path", str, where), str(given.get("extension") or "")
+    levels = []
+    for level in range(1, most + 1):
+        side = max(size // 2 ** (most - level), 1)
+        tiles = tiles_along(side, tile, where)
+
+        def path(face: str, row: int, column: int, level: int = level) -> Path:
+            values = {"%s": face, "%l": str(level), "%y": str(row), "%x": str(column)}
+            name = pattern
+            for sign, value in values.items():
+                name = name.replace(sign, value)
+            return inside(folder, name.lstrip("/") + (f".{ending}" if ending else ""), where)
+
+        paths = {face: tuple(tuple(path(face, y, x) for x in range(tiles)) for y in range(tiles)) for face in FACES}
+        levels.append(CubeLevel(side, paths))
+    return Cube(tuple(levels))

@@ -1,0 +1,64 @@
+"""Image graphs as files."""
+
+import json
+
+import pytest
+import torch
+from rooms import grid_scene
+
+from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
+from dirl.agent.mapping.walks import explore
+
+
+@pytest.fixture
+def saved(tmp_path):
+    graph = ImageGraph(0.85, 0.5, 0.2)
+    explore(grid_scene(), graph, 0, 12)
+    return graph, save_graph(graph, tmp_path / "map", extractor="random")
+
+
+def test_a_map_comes_back_as_it_was(saved):
+    graph, folder = saved
+    again = load_graph(folder, extractor="random")
+    assert (again.moves, again.observed, again.at) == (graph.moves, graph.observed, None)
+    assert (again.threshold, again.keep, again.margin, again.turns, again.merge) == (0.85, 0.5, 0.2, 4, True)
+    assert (again.views == graph.views).all()
+    look = graph.views[1].roll(-1, 0)
+    assert again.locate(look) == graph.locate(look) == 5
+    assert sorted(path.name for path in folder.iterdir()) == ["map.json", "map.safetensors"]
+
+
+def test_another_extractor_is_refused(saved):
+    with pytest.raises(MapError, match="was made with another extractor: 'random', not 'resnet'"):
+        load_graph(saved[1], extractor="resnet")
+
+
+def test_an_empty_map_is_not_saved(tmp_path):
+    with pytest.raises(MapError, match="the map is empty"):
+        save_graph(ImageGraph(), tmp_path)
+
+
+@pytest.mark.parametrize("how", ["absent", "cut", "json", "shape", "nowhere", "infinite"])
+def test_a_damaged_map_is_refused_in_one_line(how, saved):
+    from safetensors.torch import load, save
+
+    folder = saved[1]
+    file = folder / "map.safetensors"
+    tensors = load(file.read_bytes())
+    if how == "absent":
+        file.unlink()
+    elif how == "cut":
+        file.write_bytes(file.read_bytes()[:-20])
+    elif how == "json":
+        (folder / "map.json").write_text(json.dumps({"schema": 1}))
+    else:
+        if how == "shape":
+            tensors["moves"] = tensors["moves"][1:].contiguous()
+        elif how == "nowhere":
+            tensors["moves"][0, 0] = 10**6
+        else:
+            tensors["views"][0, 0, 0] = torch.inf
+        file.write_bytes(save(tensors))
+    with pytest.raises(MapError, match=r"holds no map|is no map of dirl") as caught:
+        load_graph(folder)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,143 @@
+"""A navigator that walks through a place once, and then goes to any photo of it."""
+
+import numpy as np
+import pytest
+import torch
+from rooms import grid_scene
+from shown_goals import images_of, look_up, rooms, trained
+
+from dirl import Navigator
+from dirl.agent.mapping import ImageGraph
+from dirl.agent.navigator import NavigatorError
+from dirl.scenes import make_world
+
+
+@pytest.fixture(scope="module")
+def world():
+    return rooms(width=48)
+
+
+@pytest.fixture(scope="module")
+def navigator(world, tmp_path_factory):
+    """Of a policy that has learnt nothing."""
+    folder = tmp_path_factory.mktemp("run")
+    trained(folder, world)
+    return Navigator.load(folder, look_up(world), extractor="random")
+
+
+def walk_through(walk, world):
+    """Go where the explorer wants to, as long as it wants to."""
+    state, action = 3, None
+    for _ in range(2 * len(world)):
+        walk.see(images_of(world.surrounding[state]), action)
+        action = walk.next_action()
+        if action is None:
+            break
+        after = int(world.graph[state, action])
+        state = state if after < 0 else after
+
+
+@pytest.fixture
+def explorer(navigator, world):
+    """After a walk in which the navigator chose where to go."""
+    walk = navigator.explore(turns=4)
+    assert walk.next_action() is None
+    walk_through(walk, world)
+    assert len(walk.graph) == len(world)
+    return walk
+
+
+def walk_to(navigator, world, state, goal, most=30):
+    """The states that are passed."""
+    passed = [state]
+    for _ in range(most):
+        decision = navigator.act(images_of(world.surrounding[state]))
+        if decision.stop:
+            break
+        state = int(world.graph[state, decision.action])
+        passed.append(state)
+    return passed
+
+
+@pytest.mark.parametrize("photo", [False, True])
+def test_it_goes_to_any_photo_on_a_shortest_way(photo, navigator, explorer, world):
+    for goal in (1, 13, 22):
+        seen = images_of(goal) if photo else images_of(world.surrounding[goal])
+        for start in (0, 7, 18):
+            navigator.reset(seen, graph=explorer.graph, last_steps=0)
+            passed = walk_to(navigator, world, start, goal)
+            assert passed[-1] == goal
+            assert len(passed) - 1 == world.scenes[0].distances[start, goal]
+        assert navigator.guide.match == pytest.approx(1, abs=1e-4)
+
+
+def test_the_last_steps_are_the_policys(navigator, explorer, world):
+    seen = images_of(world.surrounding[22])
+    navigator.reset(seen)
+    own = [navigator.act(images_of(world.surrounding[state])).action for state in range(24)]
+    navigator.reset(seen, graph=explorer.graph, last_steps=2)
+    far = world.scenes[0].distances[:, 22]
+    led = []
+    for state in range(24):
+        explorer.graph.lose()
+        navigator.guide.action = None
+        led.append(navigator.act(images_of(world.surrounding[state])).action)
+    near = far <= 2
+    assert (np.array(led)[near] == np.array(own)[near]).all()
+    after = far[[int(world.graph[state, action]) for state, action in enumerate(led)]]
+    assert (after[~near] == far[~near] - 1).all()
+    navigator.reset(seen)
+    assert navigator.guide is None
+
+
+def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_path):
+    folder = explorer.save(tmp_path / "map")
+    navigator.reset(images_of(world.surrounding[5]), graph=folder, last_steps=0)
+    assert walk_to(navigator, world, 20, 5)[-1] == 5
+    (folder / "map.json").write_text((folder / "map.json").read_text().replace('"random"', '"other"'))
+    with pytest.raises(NavigatorError, match="was made with another extractor: 'other', not 'random'"):
+        navigator.reset(images_of(world.surrounding[5]), graph=folder)
+
+
+@pytest.mark.parametrize(("truly", "given"), [(4, 8), (8, 4), (12, 4), (8, 12), (12, 8)])
+def test_turns_of_another_angle_than_the_maps_are_noticed(truly, given, tmp_path):
+    place = make_world([grid_scene(goals=(0,), feature_width=48, headings=truly)])
+    trained(tmp_path / "run", place)
+    navigator = Navigator.load(tmp_path / "run", look_up(place), extractor="random")
+    with pytest.raises(NavigatorError, match=f"^turns={given}: after . of . quarter turns the views are not those"):
+        walk_through(navigator.explore(turns=given), place)
+
+
+@pytest.mark.parametrize("headings", [8, 12])
+def test_turns_of_the_maps_angle_are_believed(headings, tmp_path):
+    place = make_world([grid_scene(goals=(0,), feature_width=48, headings=headings)])
+    trained(tmp_path / "run", place)
+    walk = Navigator.load(tmp_path / "run", look_up(place), extractor="random").explore(turns=headings)
+    walk_through(walk, place)
+    assert len(walk.graph) == len(place)
+
+
+def test_turns_are_given_by_the_caller_or_the_map(navigator):
+    with pytest.raises(NavigatorError, match="say how many right turns make a full circle"):
+        navigator.explore()
+    known = ImageGraph(turns=8)
+    assert navigator.explore(known).graph is known
+    assert navigator.explore(known, turns=8).graph is known
+    with pytest.raises(NavigatorError, match="turns=4: this map was made with turns=8"):
+        navigator.explore(known, turns=4)
+
+
+def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
+    goal = images_of(world.surrounding[5])
+    with pytest.raises(NavigatorError, match="the map is empty"):
+        navigator.reset(goal, graph=ImageGraph())
+    with pytest.raises(NavigatorError, match="holds no map"):
+        navigator.reset(goal, graph=tmp_path)
+    with pytest.raises(NavigatorError, match="a map leads one agent"):
+        navigator.reset(np.stack([goal, goal]), graph=explorer.graph)
+    with pytest.raises(NavigatorError, match="action=7: expected 0 ahead"):
+        explorer.see(goal, 7)
+    narrow = ImageGraph()
+    narrow.see(torch.randn(4, 5))
+    with pytest.raises(NavigatorError, match="the map has 5 features a view, the navigator 48"):
+        navigator.reset(goal, graph=narrow)

@@ -1,0 +1,58 @@
+"""The agent of the package."""
+
+import numpy as np
+import pytest
+import torch
+
+from dirl import Navigator
+from dirl.agent.hub import fetch_pretrained
+from dirl.config.schemas import ConfigError
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.finding import AGENTS
+from dirl.scenes import load_scenes
+from dirl.training.load import load_trained
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path):
+    saved = load_checkpoint("general")
+    assert all(torch.isfinite(value).all() for value in saved["network"].values())
+    assert not any(".scenes." in name and ".shared" not in name for name in saved["network"])
+    assert (AGENTS / "general" / "network.pt").stat().st_size < 15e6
+    (tmp_path / "general").mkdir()  # a folder of the reader's with this name comes first
+    with pytest.raises(ValueError, match="holds no checkpoint"):
+        load_checkpoint("general")
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_it_is_not_looked_for_in_the_hub():
+    assert fetch_pretrained("general") == AGENTS / "general"
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_its_evaluation_needs_a_room():
+    with pytest.raises(ConfigError, match=r"general: its training rooms, .* are not here; .*: scene=\.\.\."):
+        load_trained(load_checkpoint("general"), "general")
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_it_finds_a_photo_in_a_room_it_was_not_trained_in():
+    """From three steps away in the built-in bathroom, on raw images."""
+    scene = load_scenes("bathroom_02")[0]
+    navigator = Navigator.load("general", "resnet50_small")
+    goal = 26
+    start = int(np.nonzero(scene.distances[scene.goals.index(goal)] == 3)[0][0])
+    navigator.reset(scene.views[goal])
+    state = start
+    for _ in range(20):
+        decision = navigator.act(np.stack([scene.views[seen] for seen in scene.surrounding[state]]))
+        if decision.stop:
+            break
+        after = scene.graph[state, int(decision.action)]
+        state = state if after < 0 else int(after)
+    assert state == goal

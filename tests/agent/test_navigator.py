@@ -1,0 +1,434 @@
+import copy
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from shown_goals import images_of, look_up, rooms, trained
+
+import dirl
+from dirl import Navigator
+from dirl.agent.decisions import observe
+from dirl.agent.navigator import NavigatorError
+from dirl.agent.onnx import export_onnx
+from dirl.backbones import ResNet50
+from dirl.evaluation.episodes import every_start
+from dirl.evaluation.protocol import EvaluationProtocol
+from dirl.models import EpisodicMemory, PlanningMemory, recurrent_keys
+from dirl.recognition.matching import TemplateStop
+from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
+
+
+def answer(policy, world, observation, state, goal_index):
+    """What a policy writes at the start of episodes."""
+    return policy(observe(world, observation, state, observation.begin(state), goal_index))
+
+
+def load(folder, world, **options):
+    return Navigator.load(folder, look_up(world), extractor="random", **options)
+
+
+@pytest.mark.parametrize("heads", ["scene", "shared"])
+@pytest.mark.parametrize("match", ["views", "front"])
+@pytest.mark.parametrize("observation", ["surrounding", "sequential"])
+def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observation, match, heads):
+    world = rooms(("grid", "other.room"))
+    policy, seen = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}", f"heads={heads}")
+    if observation == "sequential":
+        match = "front"  # a single camera cannot compare four views
+    threshold = 0.1  # low enough for false stops among random features
+    stop = TemplateStop(threshold, match)(world)
+    starts = every_start(world)
+    episodes, paths = EvaluationProtocol(world, seen, starts, stop=stop, max_steps=12).trajectories(policy, starts)
+    assert episodes.success.any()
+    assert episodes.false_stop.any()
+    assert not (episodes.success | episodes.false_stop).all()
+    see = (lambda state: images_of(world.surrounding[state])) if observation == "surrounding" else images_of
+    for index, name in enumerate(world.names):
+        navigator = load(tmp_path, world, scene=name)
+        navigator.threshold = threshold
+        for episode in torch.nonzero(world.scene_of[starts[1]] == index).flatten().tolist():
+            goal, state = world.goals[starts[0][episode]], starts[1][episode]
+            navigator.reset(see(goal))
+            action, stopped, _ = navigator.act(see(state))
+            walked = [int(state)]
+            while len(walked) <= 12 and (len(walked) == 1 or not stopped):
+                state = world.graph[state, action]
+                walked.append(int(state))
+                action, stopped, _ = navigator.act(see(state))
+            assert walked == paths[episode]
+            assert stopped == bool(stop[world.pair(starts[0][episode], state)])
+
+
+@pytest.mark.parametrize("goal_view", ["surrounding", "front"])
+@pytest.mark.parametrize(
+    ("options", "memory"),
+    [
+        (["episodic_memory=counts", "episodic_memory.penalty=1"], EpisodicMemory(penalty=1.0)),
+        (["episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3)),
+    ],
+    ids=["counts", "planning"],
+)
+def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path, goal_view, options, memory):
+    world = rooms()
+    policy, seen = trained(tmp_path, world, f"goal_view={goal_view}", *options)
+    starts = every_start(world)
+    match = "front" if goal_view == "front" else "views"
+    stop = TemplateStop(0.95 if match == "front" else 0.9, match)(world)
+    protocol = EvaluationProtocol(world, seen, starts, max_steps=25, memory=memory, stop=stop)
+    _, paths = protocol.trajectories(policy, starts)
+    _, alone = replace(protocol, memory=None).trajectories(policy, starts)
+    assert paths != alone
+    navigator = load(tmp_path, world)
+    for episode in range(len(paths)):
+        goal, state = int(world.goals[starts[0][episode]]), starts[1][episode]
+        navigator.reset(images_of(goal if goal_view == "front" else world.surrounding[goal]))
+        walked = [int(state)]
+        while walked[-1] != goal and len(walked) <= 25:
+            state = world.graph[state, navigator.act(images_of(world.surrounding[state])).action]
+            walked.append(int(state))
+        assert walked == paths[episode]
+        assert bool(navigator.act(images_of(world.surrounding[goal])).stop)
+
+
+@pytest.fixture
+def world():
+    return rooms()
+
+
+@pytest.fixture
+def run(tmp_path, world):
+    """The folder of a run with surrounding views."""
+    trained(tmp_path / "run", world)
+    return tmp_path / "run"
+
+
+@pytest.fixture
+def navigator(run, world):
+    return load(run, world)
+
+
+def test_the_checkpoint_alone_decides_threshold_and_scores(run, world, navigator):
+    goal, state = 0, 9
+    navigator.reset(images_of(world.surrounding[goal]))
+    decision = navigator.act(images_of(world.surrounding[state]))
+    policy, observation = trained(run.parent / "again", world)
+    logits = answer(policy, world, observation, torch.tensor([state]), torch.tensor([0]))["logits"]
+    torch.testing.assert_close(decision.scores.probabilities, logits[0].softmax(-1))
+    assert decision.scores.matching == pytest.approx(
+        world.block(TemplateStop().scores(world), 0)[state].item(), abs=1e-5
+    )
+    assert navigator.threshold == 0.9
+    assert navigator.act(images_of(world.surrounding[goal])).stop is True
+
+
+@pytest.mark.parametrize("observation", ["surrounding", "sequential"])
+def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, observation):
+    world = rooms()
+    _, seen = trained(tmp_path, world, f"observation={observation}")
+    see = (lambda states: images_of(seen.begin(states))) if observation == "surrounding" else images_of
+    batch, alone = load(tmp_path, world), load(tmp_path, world)
+    goals, walks = torch.tensor([0, 13, 0]), torch.tensor([[5, 6, 7, 8], [14, 13, 12, 1], [2, 1, 0, 3]])
+    batch.reset(torch.from_numpy(see(goals).copy()))
+    together = [batch.act(torch.from_numpy(see(walks[:, time]).copy())) for time in range(4)]
+    for agent in range(3):
+        alone.reset(see(goals[agent]))
+        for time, both in enumerate(together):
+            action, stop, scores = alone.act(see(walks[agent, time]))
+            assert (type(action), type(stop), type(scores.matching)) == (int, bool, float)
+            assert (action, stop) == (both.action[agent].item(), both.stop[agent].item())
+            assert scores.matching == pytest.approx(both.scores.matching[agent].item(), abs=1e-6)
+            torch.testing.assert_close(scores.probabilities, both.scores.probabilities[agent])
+    assert together[1].stop.tolist() == [False, True, False]
+
+
+def test_one_goal_serves_a_batch_of_agents(world, navigator):
+    navigator.reset(images_of(world.surrounding[13]))
+    assert navigator.act(images_of(world.surrounding[[13, 4]])).stop.tolist() == [True, False]
+
+
+def test_a_reset_forgets_the_views_before_it(tmp_path, world):
+    trained(tmp_path, world, "observation=sequential")
+    navigator = load(tmp_path, world)
+    navigator.reset(images_of(0))
+    first = navigator.act(images_of(9)).scores.probabilities
+    later = navigator.act(images_of(10)).scores.probabilities
+    navigator.reset(images_of(0))
+    torch.testing.assert_close(navigator.act(images_of(9)).scores.probabilities, first, rtol=0, atol=0)
+    assert not torch.allclose(navigator.act(images_of(9)).scores.probabilities, later)
+
+
+def test_sampled_actions_come_as_often_as_their_probability_says(world, navigator):
+    navigator.reset(images_of(world.surrounding[0]))
+    images = images_of(world.surrounding[[9] * 2000])
+    draws = [navigator.act(images, sample=True, generator=torch.Generator().manual_seed(5)) for _ in range(2)]
+    assert torch.equal(draws[0].action, draws[1].action)
+    shares = torch.bincount(draws[0].action, minlength=4) / 2000
+    torch.testing.assert_close(shares, draws[0].scores.probabilities[0], rtol=0, atol=0.04)
+    assert (shares > 0.05).sum() > 1
+
+
+def test_images_may_be_flipped_or_read_only_views_of_others(world, navigator):
+    images = images_of(world.surrounding[9])
+    navigator.reset(images_of(world.surrounding[0]))
+    assert not images.flags.writeable
+    assert navigator.act(images[..., ::-1])[:2] == navigator.act(images.copy())[:2]
+
+
+def test_another_extractor_is_refused(run, world):
+    with pytest.raises(NavigatorError, match="another extractor: 'random', not 'CLIP'"):
+        Navigator.load(run, look_up(world), extractor="CLIP")
+    with pytest.raises(NavigatorError, match=r"say which extractor .* trained with 'random'"):
+        Navigator.load(run, look_up(world))
+    with pytest.raises(NavigatorError, match="another extractor"):
+        Navigator.load(run, "resnet50.pth", extractor="CLIP")
+
+
+def test_an_encoder_of_another_width_is_refused(run, world):
+    navigator = load(run, rooms(width=17))
+    with pytest.raises(NavigatorError, match=r"returned torch.float32 \[4, 17\] for 4 images; .*\[4, 16\]: random"):
+        navigator.reset(images_of(world.surrounding[0]))
+
+
+def test_features_that_are_no_numbers_are_refused(run, world):
+    nan = Navigator.load(run, lambda images: torch.full((len(images), 16), torch.nan), extractor="random")
+    with pytest.raises(NavigatorError, match="not finite"):
+        nan.reset(images_of(world.surrounding[0]))
+    whole = Navigator.load(run, lambda images: np.zeros((len(images), 16), int), extractor="random")
+    with pytest.raises(NavigatorError, match="int64"):
+        whole.reset(images_of(world.surrounding[0]))
+
+
+def test_weights_of_a_resnet_are_an_encoder_and_warn_where_nobody_said_what_they_are(tmp_path):
+    world = rooms(width=2048)
+    trained(tmp_path, world)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        torch.save(ResNet50().state_dict(), tmp_path / "resnet.pth")
+    with pytest.warns(UserWarning, match="resnet.pth .* 'random'"):
+        Navigator.load(tmp_path, tmp_path / "resnet.pth")
+    navigator = Navigator.load(tmp_path, tmp_path / "resnet.pth", extractor="random")
+    goal = np.random.default_rng(0).integers(0, 256, (4, 40, 50, 3), np.uint8)
+    navigator.reset(goal)
+    assert navigator.act(goal).scores.matching == pytest.approx(1, abs=1e-5)
+
+
+def test_the_scene_must_be_one_of_the_checkpoint(tmp_path):
+    world = rooms(("grid", "other"))
+    trained(tmp_path / "own", world)
+    trained(tmp_path / "shared", world, "heads=shared")
+    with pytest.raises(NavigatorError, match=r"scene=...; choose from \['grid', 'other'\]"):
+        load(tmp_path / "own", world)
+    with pytest.raises(NavigatorError, match=r"not trained in 'grod'; choose from \['grid', 'other'\]"):
+        load(tmp_path / "shared", world, scene="grod")
+    load(tmp_path / "shared", world)  # shared layers need no scene
+
+
+@pytest.mark.parametrize("shape", [(5, 3), (3, 2, 5, 3), (4, 2, 5), (4, 2, 5, 4), (1, 1, 4, 2, 5, 3), (0, 4, 2, 5, 3)])
+def test_images_of_another_shape_are_refused(navigator, shape):
+    with pytest.raises(NavigatorError, match=r"goal_images: expected uint8 \[4, H, W, 3\] .*, found torch.uint8"):
+        navigator.reset(np.zeros(shape, np.uint8))
+
+
+@pytest.mark.parametrize("shape", [(5, 3), (2, 5, 4), (1, 4, 2, 5, 3)])
+def test_sequential_views_come_one_at_a_time(tmp_path, world, shape):
+    trained(tmp_path, world, "observation=sequential")
+    with pytest.raises(NavigatorError, match=r"expected uint8 \[H, W, 3\] or \[B, H, W, 3\]"):
+        load(tmp_path, world).reset(np.zeros(shape, np.uint8))
+
+
+def test_images_that_are_no_bytes_or_no_array_are_refused(world, navigator):
+    images = images_of(world.surrounding[0])
+    with pytest.raises(NavigatorError, match="float32"):
+        navigator.reset(images / np.float32(255))
+    with pytest.raises(NavigatorError, match="found list"):
+        navigator.reset(list(images))
+
+
+def test_agents_and_goals_must_be_as_many(tmp_path, world, navigator):
+    with pytest.raises(NavigatorError, match="call reset"):
+        navigator.act(images_of(world.surrounding[0]))
+    navigator.reset(images_of(world.surrounding[[0, 13]]))
+    with pytest.raises(NavigatorError, match="3 agents for 2 goals"):
+        navigator.act(images_of(world.surrounding[[1, 2, 3]]))
+    trained(tmp_path / "sequential", world, "observation=sequential")
+    remembering = load(tmp_path / "sequential", world)
+    remembering.reset(images_of(0))
+    remembering.act(images_of([1, 2, 3]))
+    with pytest.raises(NavigatorError, match="2 agents after those of 3"):
+        remembering.act(images_of([1, 2]))
+
+
+def spoilt(run, **changes):
+    state = copy.deepcopy(load_checkpoint(run)) | changes
+    save_checkpoint(run / "network.pt", {key: value for key, value in state.items() if value is not None})
+
+
+def test_checkpoints_name_the_order_of_their_views_and_another_order_is_refused(run, world):
+    assert load_checkpoint(run)["views"] == ["ahead", "right", "back", "left"]
+    spoilt(run, views=None)
+    load(run, world)  # written before the order was
+    spoilt(run, views=["ahead", "left", "back", "right"])
+    with pytest.raises(NavigatorError, match="trained on the views"):
+        load(run, world)
+
+
+def test_weights_of_another_network_are_refused(run, world):
+    weights = load_checkpoint(run)["network"]
+    spoilt(run, network={**weights, "encoder.fusion.bias": torch.zeros(3)})
+    with pytest.raises(NavigatorError, match="do not fit"):
+        load(run, world)
+    spoilt(run, network={})
+    with pytest.raises(NavigatorError, match="do not fit"):
+        load(run, world)
+
+
+def test_a_device_that_is_not_there_is_refused(run, world):
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(NavigatorError, match="no CUDA device"):
+        load(run, world, device="cuda")
+
+
+def test_importing_the_package_does_not_import_torch():
+    code = "import sys, dirl; assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="'dirl' has no attribute 'Nagivator'"):
+        _ = dirl.Nagivator
+
+
+@pytest.mark.parametrize(
+    ("observation", "match"), [("surrounding", "views"), ("surrounding", "front"), ("sequential", "views")]
+)
+def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, observation, match, capfd):
+    pytest.importorskip("onnxscript")
+    runtime = pytest.importorskip("onnxruntime")
+    world = rooms(("grid", "other"))
+    policy, looks = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}")
+    navigator = load(tmp_path, world, scene="other")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        export_onnx(navigator, tmp_path / "policy.onnx")
+    assert capfd.readouterr() == ("", "")
+    (tmp_path / "moved").mkdir()
+    session = runtime.InferenceSession((tmp_path / "policy.onnx").rename(tmp_path / "moved" / "policy.onnx"))
+    assert [(i.name, i.shape[1:]) for i in session.get_inputs()] == [("features", [4, 16]), ("goal_features", [4, 16])]
+    labels = session.get_modelmeta().custom_metadata_map
+    assert (labels["scene"], labels["extractor"], labels["threshold"]) == ("other", "random", "0.9")
+    assert len(labels["views"].split(",")) == 4
+    for agents in (1, 2, 24):
+        states, goal_index = torch.arange(24, 24 + agents), torch.full((agents,), 2)
+        seen, wanted = looks.begin(states), looks.begin(world.goals[goal_index])
+        features = {"features": world.features[seen].numpy(), "goal_features": world.features[wanted].numpy()}
+        logits, value, matching = session.run(["logits", "value", "matching"], features)
+        with torch.no_grad():
+            expected = answer(policy, world, looks, states, goal_index)
+        np.testing.assert_allclose(logits, expected["logits"], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(value, expected["state_value"], rtol=0, atol=1e-5)
+        front = match == "front" or observation == "sequential"
+        scores = TemplateStop(match="front" if front else "views").scores(world)
+        np.testing.assert_allclose(matching, world.block(scores, 2)[:agents], rtol=0, atol=1e-5)
+
+
+def test_without_its_packages_the_export_says_what_to_install(navigator, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
+    with pytest.raises(NavigatorError, match=r"pip install 'dirl\[onnx\]'"):
+        export_onnx(navigator, tmp_path / "policy.onnx")
+
+
+def walk_with_memory(policy, world, observation, states, goal_index):
+    """Logits of a policy with memory on ``[T, B]`` states, one step after the other."""
+    found, state = [], None
+    for step in states:
+        asked = observe(world, observation, step, observation.begin(step), goal_index)
+        asked["is_init"] = torch.full((len(step), 1), state is None)
+        if state is None:
+            state = {key: torch.zeros(len(step), 1, 20) for key in recurrent_keys(policy)}
+        answered = policy(asked.update(state))
+        state = {key: answered["next", key] for key in state}
+        found.append(answered["logits"])
+    return torch.stack(found)
+
+
+GRU = ("memory=gru", "memory.hidden_size=20")
+WALK = torch.tensor([[5, 6, 7, 8], [14, 13, 12, 1], [2, 1, 0, 3]]).T + 24
+
+
+def test_a_policy_with_memory_remembers_until_the_next_reset(tmp_path):
+    world = rooms(("grid", "other"))
+    policy, observation = trained(tmp_path, world, *GRU)
+    navigator = load(tmp_path, world, scene="other")
+    goal_index = torch.tensor([2, 3, 2])
+    with torch.no_grad():
+        expected = walk_with_memory(policy, world, observation, WALK, goal_index)
+    for _ in range(2):
+        navigator.reset(images_of(observation.begin(world.goals[goal_index])))
+        for states, logits in zip(WALK, expected, strict=True):
+            found = navigator.act(images_of(observation.begin(states))).scores.probabilities
+            torch.testing.assert_close(found, logits.softmax(-1))
+    with torch.no_grad():  # the memory matters
+        first = walk_with_memory(policy, world, observation, WALK[-1:], goal_index)
+    assert not torch.allclose(first[0], expected[-1])
+    navigator.reset(images_of(observation.begin(world.goals[[2]])))
+    navigator.act(images_of(observation.begin(WALK[0])))
+    with pytest.raises(NavigatorError, match="2 agents after those of 3"):
+        navigator.act(images_of(observation.begin(WALK[1][:2])))
+
+
+def test_an_exported_policy_with_memory_takes_and_gives_its_state(tmp_path):
+    pytest.importorskip("onnxscript")
+    runtime = pytest.importorskip("onnxruntime")
+    world = rooms(("grid", "other"))
+    policy, observation = trained(tmp_path, world, *GRU)
+    export_onnx(load(tmp_path, world, scene="other"), tmp_path / "policy.onnx")
+    session = runtime.InferenceSession(tmp_path / "policy.onnx")
+    inputs, outputs = ([one.name for one in ports] for ports in (session.get_inputs(), session.get_outputs()))
+    keys = recurrent_keys(policy)
+    assert keys
+    assert inputs == ["features", "goal_features", *keys]
+    assert outputs == ["logits", "value", "matching", *(f"next_{key}" for key in keys)]
+    for agents in (1, 3):
+        goal_index = torch.tensor([2, 3, 2])[:agents]
+        with torch.no_grad():
+            expected = walk_with_memory(policy, world, observation, WALK[:, :agents], goal_index)
+        goal = world.features[observation.begin(world.goals[goal_index])].numpy()
+        state = {key: np.zeros((agents, 1, 20), np.float32) for key in keys}
+        for states, logits in zip(WALK[:, :agents], expected, strict=True):
+            features = world.features[observation.begin(states)].numpy()
+            given = {"features": features, "goal_features": goal, **state}
+            found = dict(zip(outputs, session.run(None, given), strict=True))
+            np.testing.assert_allclose(found["logits"], logits, rtol=0, atol=1e-5)
+            state = {key: found[f"next_{key}"] for key in keys}
+
+
+MINE = """
+from torch import nn
+
+class Mean(nn.Module):
+    def __init__(self, num_features: int, width: int = 8) -> None:
+        super().__init__()
+        self.layer = nn.Linear(2 * num_features, width)
+
+    def forward(self, observation, goal_observation):
+        import torch
+        return self.layer(torch.cat([observation.mean(-2), goal_observation.mean(-2)], -1)).relu()
+"""
+
+
+def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp_path, monkeypatch):
+    (tmp_path / "my_encoders.py").write_text(MINE)
+    monkeypatch.syspath_prepend(tmp_path)
+    world = rooms()
+    policy, observation = trained(tmp_path / "run", world, "encoder._target_=my_encoders.Mean", "encoder.width=8")
+    monkeypatch.delitem(sys.modules, "my_encoders")
+    with pytest.raises(ValueError, match=r"names a class of 'my_encoders'; trust=\[my_encoders\] allows it"):
+        load(tmp_path / "run", world)
+    assert "my_encoders" not in sys.modules
+    navigator = load(tmp_path / "run", world, trust=["my_encoders"])
+    navigator.reset(images_of(world.surrounding[0]))
+    found = navigator.act(images_of(world.surrounding[9])).scores.probabilities
+    logits = answer(policy, world, observation, torch.tensor([9]), torch.tensor([0]))["logits"]
+    torch.testing.assert_close(found, logits[0].softmax(-1))

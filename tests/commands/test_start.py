@@ -1,0 +1,99 @@
+import contextlib
+import gc
+import io
+import random
+import sys
+from unittest.mock import patch
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from options import command_line, draw_arguments, program
+
+from dirl.commands.command_line import SCHEMAS
+from dirl.commands.start import run_main, start
+from dirl.config.schemas import ConfigError
+
+RECIPES = sorted(set(SCHEMAS) - {"benchmark"})
+
+
+@pytest.fixture(autouse=True)
+def _collect_garbage():
+    """A recipe would turn it on again after its imports, which these tests do not reach."""
+    yield
+    gc.enable()
+
+
+def started(recipe, *arguments):
+    """What the start of a recipe's program ends with; None if it is let go on."""
+    errors = io.StringIO()
+    with patch.object(sys, "argv", ["program", *arguments]), contextlib.redirect_stderr(errors):
+        try:
+            start(recipe)
+        except SystemExit as error:
+            return error.code if isinstance(error.code, str) else f"{errors.getvalue().strip()} ({error.code})"
+    return None
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.randoms(use_true_random=False), st.sampled_from(RECIPES))
+def test_any_options_are_let_go_on_or_refused_with_one_line(tmp_path_factory, rng, recipe):
+    files = tmp_path_factory.getbasetemp()
+    (files / "room.h5").touch()
+    told = started(program(recipe), *command_line(recipe, draw_arguments(rng, recipe), files))
+    assert told is None or (told.startswith("error: ") and len(told.splitlines()) == 1)
+
+
+def test_a_seed_draws_the_same_options():
+    first, second = ([draw_arguments(random.Random(3), recipe) for recipe in RECIPES] for _ in range(2))
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["a=${", "seed=1"], "error: a=${: is not of the form name=value"),
+        (["=5"], "error: =5: is not of the form name=value"),
+        (["seed=[1"], "error: seed=[1: is not of the form name=value"),
+        (["scene=a\nb"], "error: scene=a b: is not of the form name=value"),
+        (["nope"], "error: nope: is not of the form name=value"),
+        (["~nope"], "error: there is no option 'nope'"),
+        (["hydra.nope=1"], "error: Could not override 'hydra.nope'"),
+        (["hydra/launcher=nope"], "error: In 'hydra/config': Could not find 'hydra/launcher/nope'"),
+        (["seed=${nope}"], "error: seed: Interpolation key 'nope' not found"),
+        (["seed=???"], "error: seed: Structured config of type `TrainConfig` has missing mandatory value: seed"),
+        (["reward.goal=${oc.decode:'inf'}"], "error: reward.goal=inf: must be a finite number"),
+        (["--nope"], "error: unrecognized arguments: --nope; --hydra-help tells the flags"),
+        (["seed=1", "-m", "preset=fast"], "error: unrecognized arguments: preset=fast; flags such as -m come before"),
+        (["--cfg=nope"], "error: argument --cfg/-c: invalid choice: 'nope'"),
+        (["--config-dir=nope"], "error: --config-dir nope: there is no such folder"),
+        (["--experimental-rerun=nope"], "error: --experimental-rerun: reads a pickle"),
+        (["scene=" + "x" * 3000], "error: "),
+        (["-m", "hydra.nope=1", "seed=1,2"], "error: Could not override 'hydra.nope'"),
+    ],
+)
+def test_what_hydra_would_refuse_in_many_lines_is_one(tmp_path, monkeypatch, arguments, told):
+    monkeypatch.chdir(tmp_path)
+    said = started("train", *arguments)
+    assert said is not None
+    assert said.startswith(told)
+    assert len(said.splitlines()) == 1
+
+
+def fails_with(error):
+    def main():
+        raise error
+
+    return main
+
+
+def test_the_end_of_a_recipe_is_one_line(capsys, monkeypatch):
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    with pytest.raises(SystemExit, match=r"^error: one two$"):
+        run_main(fails_with(ConfigError("one\ntwo")))
+    with pytest.raises(SystemExit) as raised:
+        run_main(fails_with(OSError(28, "No space left on device", "x.h5")))
+    assert raised.value.code == 74
+    assert capsys.readouterr().err == "error: x.h5: No space left on device; make room on the disk\n"
+    with pytest.raises(KeyError):
+        run_main(fails_with(KeyError("a bug")))

@@ -1,0 +1,305 @@
+import pytest
+import torch
+from networks import make_policy
+from policies import BACK, COUNTED, RIGHT, Asked, always, expert, from_states, only_goals, outcome, pair
+from rooms import grid_scene
+from tensordict import TensorDict
+from torchrl.envs import TransformedEnv
+
+from dirl import decisions as decisions_module
+from dirl import episodes as episodes_module
+from dirl.agent.decisions import answers
+from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
+from dirl.evaluation.episodes import every_start, run_episodes, sampled_starts, shortest_episodes
+from dirl.evaluation.experts import RandomPolicy
+from dirl.evaluation.protocol import action_values, metrics
+from dirl.models import EpisodicMemory, PlanningMemory, initial_state, recurrent_keys
+from dirl.scenes import make_world
+
+KINDS = (SurroundingViews, SequentialViews)
+BOTH = pytest.mark.parametrize("kind", KINDS)
+
+
+@pytest.fixture
+def world():
+    """24 states with goals 0 and 13, 12 around a corner with goal 30, 8 in two unconnected places with goal 37."""
+    room = grid_scene(3, 2, name="room", goals=(0, 13))
+    corner = grid_scene(2, 2, name="corner", goals=(6,), blocked=[(1, 1)], seed=1)
+    split = grid_scene(3, 1, name="split", goals=(1,), blocked=[(1, 0)], seed=2)
+    return make_world([room, corner, split])
+
+
+def test_every_start_is_each_state_that_reaches_the_goal_and_is_not_it(world):
+    goal_index, start = every_start(world)
+    room, corner = set(range(24)), set(range(24, 36))
+    wanted = [room - {0}, room - {13}, corner - {30}, {36, 38, 39}]
+    assert [set(start[goal_index == index].tolist()) for index in range(4)] == wanted
+    assert len(start) == sum(map(len, wanted)) == 60
+
+
+def test_sampled_starts_are_as_many_for_each_goal_and_uniform_among_those_that_reach_it(world):
+    goal_index, start = sampled_starts(world, 6000, seed=1)
+    assert goal_index.bincount().tolist() == [6000] * 4
+    assert torch.equal(torch.stack([goal_index, start]).unique(dim=1), torch.stack(every_start(world)))
+    assert start[-6000:].bincount()[[36, 38, 39]].tolist() == pytest.approx([2000] * 3, abs=200)
+    assert torch.equal(start, sampled_starts(world, 6000, seed=1)[1])
+    assert not torch.equal(start, sampled_starts(world, 6000, seed=2)[1])
+
+
+@BOTH
+@pytest.mark.parametrize("greedy", [True, False])
+def test_the_expert_takes_a_shortest_path_from_everywhere(world, kind, greedy):
+    episodes = run_episodes(expert(world), world, every_start(world), observation=kind(world), greedy=greedy)
+    assert torch.equal(episodes.steps, episodes.shortest)
+    known = shortest_episodes(world, every_start(world))
+    assert all(torch.equal(value, vars(known)[name]) for name, value in vars(episodes).items())
+    found = metrics(episodes)
+    assert (found["sr"], found["spl"]) == (1, 1)
+    assert found["atl"] == found["atl_success"] == found["shortest"]
+    assert (found["false_stop_rate"], found["missed_stop_rate"]) == (0, 0)
+    assert found["episodes"] == 23 + 23 + 11 + 3
+
+
+@BOTH
+def test_failures_count_as_the_limit(world, kind):
+    # Who only turns right comes from 3 to goal 0 in one step, from 2 in two, from 1 in three, else never.
+    episodes = run_episodes(always(RIGHT), world, from_states(0, *range(1, 24)), observation=kind(world), max_steps=10)
+    assert episodes.steps.tolist() == [3, 2, 1] + [10] * 20
+    assert episodes.success.tolist() == [True] * 3 + [False] * 20
+    found = metrics(episodes)
+    assert (found["sr"], found["episodes"]) == (pytest.approx(3 / 23), 23)
+    assert found["atl"] == pytest.approx((1 + 2 + 3 + 20 * 10) / 23)
+    assert found["atl_success"] == 2
+    # From 1 a left turn would have done.
+    assert found["spl"] == pytest.approx((1 / 1 + 2 / 2 + 1 / 3) / 23)
+
+
+@pytest.mark.parametrize(("max_steps", "success"), [(2, False), (3, True)])
+def test_the_last_step_still_counts(world, max_steps, success):
+    options = {"observation": SurroundingViews(world), "max_steps": max_steps}
+    assert run_episodes(always(RIGHT), world, from_states(0, 1), **options).success.tolist() == [success]
+
+
+@BOTH
+def test_a_stop_elsewhere_and_a_goal_not_recognised_are_failures(world, kind):
+    stop = only_goals(world)
+    stop[pair(world, 0, 2)] = stop[pair(world, 1, 12)] = True
+    stop[pair(world, 1, 13)] = False
+    # Turning right, 1 is stopped at 2 and 3 at its goal 0; 12 passes its goal 13 and is stopped back at 12.
+    starts = torch.tensor([0, 0, 0, 1, 1]), torch.tensor([1, 3, 4, 12, 16])
+    episodes = run_episodes(always(RIGHT), world, starts, observation=kind(world), stop=stop, max_steps=9)
+    assert outcome(episodes) == {
+        "success": [False, True, False, False, False],
+        "steps": [9, 1, 9, 9, 9],
+        "false_stop": [True, False, False, True, False],
+        "missed_stop": [False, False, False, True, False],
+    }
+    found = metrics(episodes)
+    assert (found["false_stop_rate"], found["missed_stop_rate"]) == (pytest.approx(0.4), pytest.approx(0.2))
+
+
+def test_of_equal_actions_the_greedy_one_is_the_first(world):
+    # One step back would lead to the goal, ahead leads away from it.
+    starts, observation = from_states(1, 17), SurroundingViews(world)
+    assert run_episodes(always(BACK), world, starts, observation=observation).success.tolist() == [True]
+    assert run_episodes(RandomPolicy(), world, starts, observation=observation).success.tolist() == [False]
+
+
+def test_sampled_actions_follow_the_policys_probabilities(world):
+    # One step from 3: the goal by a right turn only.
+    logits = torch.tensor([0.2, 0.5, 0.2, 0.1]).log()
+    starts = from_states(0, *[3] * 20_000)
+    for policy, share in ((Asked(lambda rows: logits.expand(len(rows), 4)), 0.5), (RandomPolicy(), 0.25)):
+        for kind in KINDS:
+            episodes = run_episodes(policy, world, starts, observation=kind(world), max_steps=1, greedy=False)
+            assert metrics(episodes)["sr"] == pytest.approx(share, abs=0.02)
+
+
+def test_sampling_wanders_where_the_greedy_expert_goes_straight(world):
+    options = {"world": world, "starts": every_start(world), "observation": SurroundingViews(world)}
+    greedy = metrics(run_episodes(expert(world, sureness=1.0), **options))
+    sampled = metrics(run_episodes(expert(world, sureness=1.0), **options, greedy=False))
+    assert greedy["spl"] == 1 > 0.7 > sampled["spl"]
+    assert sampled["atl"] > 1.5 * greedy["atl"]
+
+
+def test_draws_are_decided_by_the_seed_alone(world):
+    options = {"starts": every_start(world), "observation": SurroundingViews(world), "greedy": False}
+
+    def walk(seed, torchs_seed):
+        torch.manual_seed(torchs_seed)
+        return run_episodes(RandomPolicy(), world, seed=seed, **options).steps
+
+    assert torch.equal(walk(1, 0), walk(1, 1))
+    assert not torch.equal(walk(1, 0), walk(2, 0))
+
+
+def by_the_env(policy, world, starts, observation, stop, max_steps):
+    """The greedy outcome of each episode, walked in the training environment, every agent asked at every step."""
+    goal_index, start = starts
+    env = TransformedEnv(NavigationEnv(world, len(start), stop=stop), observation)
+    agents, memory = env.reset(), initial_state(policy, len(start), world.device)
+    agents["is_init"] = torch.ones(len(start), 1, dtype=torch.bool)
+    agents["state"], agents["goal"], agents["scene"] = start, world.goals[goal_index], world.scene_of[start]
+    agents["view_ids"] = observation.begin(start)
+    agents["goal_view_ids"] = observation.begin(world.goals[goal_index])
+    going = torch.ones_like(start, dtype=torch.bool)
+    found = {key: torch.zeros_like(going) for key in ("success", "false_stop", "missed_stop")}
+    found["steps"] = torch.full_like(start, max_steps)
+    for step in range(1, max_steps + 1):
+        answered = policy(agents.copy().update(memory))
+        memory = {key: answered["next", key] for key in memory}
+        agents["action"] = answered["logits"].argmax(-1)
+        after = env.step(agents)["next"]
+        ended = going & after["terminated"].squeeze(-1)
+        at_goal = after["state"] == after["goal"]
+        found["success"] |= ended & at_goal
+        found["false_stop"] |= ended & ~at_goal
+        found["missed_stop"] |= going & at_goal & ~ended
+        found["steps"][ended & at_goal] = step
+        going &= ~ended
+        agents = env.step_mdp(agents)
+        agents["is_init"] = torch.zeros(len(start), 1, dtype=torch.bool)
+    return {key: found[key].tolist() for key in COUNTED}
+
+
+class Advised(torch.nn.Module):
+    """A random network's preferences, and the expert's now and then, so that some arrive and some do not."""
+
+    def __init__(self, world, network):
+        super().__init__()
+        self.network, self.expert, self.out_keys = network, expert(world, sureness=0.1), network.out_keys
+
+    @torch.no_grad()
+    def forward(self, rows):
+        own = self.network(rows)["logits"]
+        return rows.set("logits", own + self.expert(rows.copy())["logits"])
+
+
+@BOTH
+@pytest.mark.parametrize(("seed", "memory"), [(0, False), (1, False), (2, False), (0, True), (1, True)])
+def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, seed, memory):
+    policy = Advised(world, make_policy(world.features, world.names, width=16, seed=seed, memory=memory))
+    assert len(recurrent_keys(policy)) == memory
+    stop = only_goals(world) & (world.pairs()[0] != 1)
+    stop |= (torch.rand(stop.shape, generator=torch.Generator().manual_seed(seed)) < 0.05) & (world.distances >= 0)
+    starts = every_start(world)
+    episodes = run_episodes(policy, world, starts, observation=kind(world), stop=stop, max_steps=30)
+    found = outcome(episodes)
+    assert found == by_the_env(policy, world, starts, kind(world), stop, 30)
+    for key in ("success", "false_stop", "missed_stop"):
+        assert len(set(found[key])) == 2, f"no variety of {key}: the comparison says nothing"
+    assert (~episodes.success & ~episodes.false_stop & ~episodes.missed_stop).any()
+
+
+def test_a_limit_on_how_many_are_asked_at_once_changes_nothing(world, monkeypatch):
+    options = {"world": world, "starts": every_start(world), "observation": SurroundingViews(world)}
+    policy = expert(world)
+    whole = run_episodes(policy, **options)
+    monkeypatch.setattr(decisions_module, "PAIRS_AT_ONCE", 7)
+    parts = run_episodes(policy, **options)
+    # Every state of a scene with every goal of it.
+    assert policy.sizes == [68] + [7] * 9 + [5]
+    assert outcome(parts) == outcome(whole)
+
+
+def test_agents_that_see_the_same_are_asked_once(world):
+    policy = always(RIGHT)
+    run_episodes(policy, world, from_states(0, *[1] * 50, *[2] * 50), observation=SequentialViews(world), max_steps=9)
+    assert policy.sizes == [2, 2, 1]
+
+
+def test_who_walks_in_a_circle_is_asked_once_for_each_view_of_it(world):
+    policy = always(RIGHT)
+    run_episodes(policy, world, from_states(0, 5), observation=SequentialViews(world), max_steps=100)
+    assert policy.sizes == [1] * 7  # three while the start is still in sight twice or more, and four
+
+
+def test_watching_shows_the_episodes_still_going_on_after_each_step(world):
+    seen = []
+    options = {"observation": SurroundingViews(world), "max_steps": 3}
+    options["watch"] = lambda walking, state: seen.append((walking.tolist(), state.tolist()))
+    run_episodes(always(RIGHT), world, from_states(0, 2, 4), **options)
+    assert seen == [([0, 1], [3, 5]), ([0, 1], [0, 6]), ([1], [7])]
+
+
+def test_answers_are_those_of_the_policy_asked_for_each_pair(world):
+    network, observation = make_policy(world.features, world.names, width=16, seed=2), SurroundingViews(world)
+    logits, values = answers(network, world, observation)
+    goal_index, state = world.pairs()
+    goals = world.goals[goal_index]
+    asked = {"view_ids": world.surrounding[state], "goal_view_ids": world.surrounding[goals]}
+    direct = network(TensorDict({**asked, "scene": world.scene_of[goals]}, [len(state)]))
+    torch.testing.assert_close(logits, direct["logits"].detach())
+    torch.testing.assert_close(values, direct["state_value"].squeeze(-1).detach())
+    for index in range(4):
+        probabilities, of_goal = action_values(network, world, observation, index)
+        torch.testing.assert_close(probabilities, world.block(logits, index).softmax(-1))
+        torch.testing.assert_close(of_goal, world.block(values, index))
+
+
+def test_a_policy_without_values_answers_zero(world):
+    _, values = answers(RandomPolicy(), world, SurroundingViews(world))
+    assert not values.any()
+
+
+@pytest.mark.parametrize("memory", [EpisodicMemory(), PlanningMemory()], ids=["counts", "planning"])
+def test_a_memory_ends_the_circles_of_a_greedy_policy(world, memory):
+    """A policy that always turns right finds only goals in its place; with the memory it tries what it has not."""
+    starts = every_start(world)
+    options = {"observation": SurroundingViews(world), "max_steps": 200}
+    without = run_episodes(always(RIGHT, 1.0), world, starts, **options)
+    remembered = run_episodes(always(RIGHT, 1.0), world, starts, memory=memory, **options)
+    assert without.success.float().mean() < 0.3
+    assert remembered.success.all()
+
+
+@pytest.mark.parametrize("memory", [EpisodicMemory, PlanningMemory])
+def test_the_memory_knows_places_by_what_they_look_like(world, memory):
+    """Where everything looks alike, every action is soon tried everywhere: the count is of looks, not of states."""
+    starts = every_start(world)
+    options = {"observation": SurroundingViews(world), "max_steps": 30}
+    states, looks = [
+        run_episodes(always(RIGHT, 1.0), world, starts, memory=memory(threshold=threshold), **options)
+        for threshold in (0.9, -1.0)
+    ]
+    assert not torch.equal(states.steps, looks.steps)
+
+
+@pytest.mark.parametrize("memory", [EpisodicMemory(), PlanningMemory()], ids=["counts", "planning"])
+def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch, memory):
+    starts, options = every_start(world), {"observation": SurroundingViews(world), "memory": memory}
+    whole = run_episodes(always(BACK, 1.0), world, starts, **options)
+    monkeypatch.setattr(episodes_module, "MANY", 7)
+    parts = run_episodes(always(BACK, 1.0), world, starts, **options)
+    assert all(torch.equal(a, b) for a, b in zip(vars(whole).values(), vars(parts).values(), strict=True))
+
+
+def test_a_plan_leads_straight_to_a_goal_that_was_seen(world):
+    """Whatever the policy says: facing one of the four views here, the agent would be at the goal."""
+    goal_index, start = every_start(world)
+    near = (world.surrounding[start] == world.goals[goal_index, None]).any(1)
+    starts = goal_index[near], start[near]
+    options = {"observation": SurroundingViews(world), "max_steps": 2}
+    assert near.any()
+    assert not run_episodes(always(BACK, 9.0), world, starts, **options).success.all()
+    found = run_episodes(always(BACK, 9.0), world, starts, memory=PlanningMemory(), **options)
+    assert found.success.all()
+    assert torch.equal(found.steps, found.shortest)
+
+
+def test_a_policy_may_be_shown_another_goal(world):
+    """The expert walks to the goal that it is shown; the episode is of the true one."""
+    goal_index, start = (part[:23] for part in every_start(world))
+    shown = torch.tensor([1, 0, 2, 3])
+    episodes = run_episodes(
+        expert(world), world, (goal_index, start), observation=SurroundingViews(world), shown=shown, max_steps=20
+    )
+    on_the_way = {0} & set(start.tolist())
+    assert not on_the_way
+    assert episodes.success.float().mean() < 0.5
+    same = run_episodes(
+        expert(world), world, (goal_index, start), observation=SurroundingViews(world), shown=torch.arange(4)
+    )
+    assert same.success.all()
+    assert torch.equal(same.steps, same.shortest)

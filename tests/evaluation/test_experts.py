@@ -1,0 +1,260 @@
+from collections import deque
+
+import pytest
+import torch
+from rooms import grid_scene
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+
+from dirl.envs import SequentialViews, SurroundingViews
+from dirl.evaluation.experts import (
+    DEMONSTRATED,
+    RULES,
+    RandomPolicy,
+    ShortestPathExpert,
+    ShortestPathPolicy,
+    demonstration_states,
+    demonstrations,
+    label,
+    merge_demonstrations,
+    optimal_actions,
+)
+from dirl.scenes import make_world
+
+AHEAD, RIGHT, LEFT, BACK = range(4)
+
+
+@pytest.fixture
+def world():
+    """24 states with goals 0 and 13, 12 around a corner with goal 30, 8 in two unconnected places with goal 37."""
+    room = grid_scene(3, 2, name="room", goals=(0, 13))
+    corner = grid_scene(2, 2, name="corner", goals=(6,), blocked=[(1, 1)])
+    split = grid_scene(3, 1, name="split", goals=(1,), blocked=[(1, 0)])
+    return make_world([room, corner, split])
+
+
+def expert_action(world, goal_index, state):
+    asked = TensorDict({"state": state, "goal": world.goals[goal_index]}, [len(state)])
+    return ShortestPathExpert(world)(asked)["expert_action"]
+
+
+def shown_by_expert(world, fraction, rule="interval", seed=0):
+    return demonstrations(world, ShortestPathExpert(world), SurroundingViews(world), fraction, rule, seed)
+
+
+def distances_by_hand(world, goal):
+    """Fewest actions from each state that reaches the goal, by a search of its own."""
+    distances, queue = {goal: 0}, deque([goal])
+    while queue:
+        state = queue.popleft()
+        for before in (world.graph == state).any(1).nonzero().flatten().tolist():
+            if before not in distances:
+                distances[before] = distances[state] + 1
+                queue.append(before)
+    return distances
+
+
+def every_case(world):
+    """Goal index, state and distances of every state that reaches a goal."""
+    for index, goal in enumerate(world.goals.tolist()):
+        distances = distances_by_hand(world, goal)
+        for state in set(distances) - {goal}:
+            yield index, state, distances
+
+
+def test_the_expert_always_comes_one_step_nearer(world):
+    cases = list(every_case(world))
+    assert len(cases) == 23 + 23 + 11 + 3
+    actions = expert_action(world, torch.tensor([c[0] for c in cases]), torch.tensor([c[1] for c in cases]))
+    for (_, state, distances), action in zip(cases, actions, strict=True):
+        assert distances[world.graph[state, action].item()] == distances[state] - 1
+
+
+def test_optimal_actions_are_all_that_come_nearer_and_the_expert_takes_the_first(world):
+    for index, state, distances in every_case(world):
+        nearer = [distances[next_state] < distances[state] for next_state in world.graph[state].tolist()]
+        case = torch.tensor([index]), torch.tensor([state])
+        assert optimal_actions(world, *case).tolist() == [nearer]
+        assert expert_action(world, *case).tolist() == [nearer.index(True)]
+
+
+@pytest.mark.parametrize(
+    ("state", "optimal", "chosen"),
+    [
+        pytest.param(2, [RIGHT, LEFT], RIGHT, id="either turn"),
+        pytest.param(14, [AHEAD, RIGHT, LEFT], AHEAD, id="turn before or after the step"),
+        pytest.param(13, [LEFT], LEFT, id="the nearer turn"),
+        pytest.param(12, [BACK], BACK, id="one way only"),
+    ],
+)
+def test_of_several_optimal_actions_the_first_is_taken(world, state, optimal, chosen):
+    case = torch.tensor([0]), torch.tensor([state])
+    assert optimal_actions(world, *case)[0].nonzero().flatten().tolist() == optimal
+    assert expert_action(world, *case).tolist() == [chosen]
+
+
+PLACE = torch.tensor([0, 0, 1, 1, 2, 0, 2, 3, 1, 3, 4, 4])
+
+
+def shown(fraction, rule, place=PLACE, seed=0):
+    chosen = demonstration_states(place, fraction, rule, torch.Generator().manual_seed(seed))
+    assert chosen.dtype == torch.bool
+    assert len(chosen) == len(place)
+    return chosen.nonzero().flatten().tolist()
+
+
+@pytest.mark.parametrize(("fraction", "every"), [(0.5, 2), (0.25, 4), (0.2, 5), (0.3, 3), (0.05, 20)])
+def test_interval_shows_every_kth_state(fraction, every):
+    assert shown(fraction, "interval") == list(range(0, 12, every))
+
+
+@pytest.mark.parametrize(("fraction", "states"), [(0.5, [0, 1, 4, 5, 6, 10, 11]), (0.25, [0, 1, 5, 10, 11])])
+def test_interval_pos_shows_every_kth_place_with_all_its_headings(fraction, states):
+    assert shown(fraction, "interval_pos") == states
+
+
+@pytest.mark.parametrize(("fraction", "states"), [(0.5, 50), (0.05, 5), (0.128, 13), (0.001, 1)])
+def test_random_shows_the_fraction_of_states_and_at_least_one(fraction, states):
+    place = torch.arange(100)
+    first = shown(fraction, "random", place)
+    assert len(first) == states
+    assert shown(fraction, "random", place) == first
+    assert shown(fraction, "random", place, seed=1) != first
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_nothing_and_everything_are_fractions_too(rule):
+    assert shown(0, rule) == []
+    assert shown(1, rule) == list(range(12))
+
+
+@pytest.mark.parametrize("fraction", [-0.1, 1.01, float("nan")])
+def test_a_fraction_beyond_nothing_and_everything_is_refused(world, fraction):
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        shown_by_expert(world, fraction)
+
+
+@pytest.mark.parametrize("fraction", [0, 0.1])
+def test_an_unknown_rule_is_refused_with_the_choices(world, fraction):
+    with pytest.raises(ValueError, match=r"no rule 'intervall'.*'interval_pos'"):
+        shown_by_expert(world, fraction, "intervall")
+
+
+def test_everything_is_shown_for_every_goal_but_the_goal_and_what_does_not_reach_it(world):
+    shows = shown_by_expert(world, 1)
+    rows = list(zip(shows["goal"].tolist(), shows["state"].tolist(), strict=True))
+    wanted = [(world.goals[index].item(), state) for index, state, _ in every_case(world)]
+    assert sorted(rows) == sorted(wanted)
+    assert shows.batch_size == (60,)
+
+
+def test_a_demonstration_holds_the_experts_action_and_the_scene(world):
+    shows = shown_by_expert(world, 1)
+    kinds = dict.fromkeys(DEMONSTRATED, torch.int64) | {"optimal_actions": torch.bool}
+    assert {key: value.dtype for key, value in shows.items()} == kinds
+    goal_index = torch.tensor([world.goals.tolist().index(goal) for goal in shows["goal"].tolist()])
+    assert torch.equal(shows["expert_action"], expert_action(world, goal_index, shows["state"]))
+    assert torch.equal(shows["scene"], world.scene_of[shows["state"]])
+    assert torch.equal(shows["scene"], world.scene_of[shows["goal"]])
+
+
+@pytest.mark.parametrize(
+    ("fraction", "rule", "states"),
+    [
+        # Counted from each scene's own first state, place 0 of the room, the corner and the split room.
+        (0.1, "interval", [0, 10, 20, 24, 34, 36]),
+        (0.25, "interval_pos", [0, 1, 2, 3, 16, 17, 18, 19, 24, 25, 26, 27, 36, 37, 38, 39]),
+    ],
+)
+def test_states_are_counted_scene_by_scene(world, fraction, rule, states):
+    reaching_another = set(states) - {37}
+    assert set(shown_by_expert(world, fraction, rule)["state"].tolist()) == reaching_another
+
+
+def test_randomly_chosen_states_are_decided_by_the_seed_and_the_same_for_every_goal(world):
+    first, again, other = (shown_by_expert(world, 0.25, "random", seed)["state"] for seed in (4, 4, 5))
+    assert torch.equal(first, again)
+    assert set(first.tolist()) != set(other.tolist())
+    # A quarter of the first scene's 24 states, each for its two goals unless it is one of them.
+    in_room = first[first < 24].tolist()
+    assert len(set(in_room)) == 6
+    assert all(in_room.count(state) == 2 - (state in (0, 13)) for state in in_room)
+
+
+def test_no_fraction_gives_no_demonstrations(world):
+    assert shown_by_expert(world, 0).batch_size == (0,)
+
+
+@pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
+def test_a_demonstration_is_observed_as_the_start_of_an_episode(world, kind):
+    shows = demonstrations(world, ShortestPathExpert(world), kind(world), 1)
+    assert torch.equal(shows["view_ids"], kind(world).begin(shows["state"]))
+    assert torch.equal(shows["goal_view_ids"], kind(world).begin(shows["goal"]))
+
+
+def test_without_a_way_or_at_the_goal_the_expert_has_no_advice_and_its_policy_no_preference(world):
+    # At the goals, and of state 41, which a wall separates from goal 37.
+    goal_index, state = torch.tensor([0, 2, 3, 3, 0]), torch.tensor([0, 30, 37, 41, 3])
+    asked = TensorDict({"state": state, "goal": world.goals[goal_index]}, [5])
+    assert expert_action(world, goal_index, state).tolist() == [-1] * 4 + [RIGHT]
+    probabilities = ShortestPathPolicy(world)(asked)["logits"].softmax(-1)
+    assert probabilities.tolist() == [[0.25] * 4] * 4 + [[0, 1, 0, 0]]
+    assert RandomPolicy()(asked)["logits"].softmax(-1).tolist() == [[0.25] * 4] * 5
+
+
+def silent_in(world, *states):
+    """The expert, but without advice in some states."""
+
+    def advise(state, goal):
+        known = ShortestPathExpert(world)(TensorDict({"state": state, "goal": goal}, [len(state)]))["expert_action"]
+        return torch.where(torch.isin(state, torch.tensor(states)), -1, known)
+
+    return TensorDictModule(advise, in_keys=["state", "goal"], out_keys=["expert_action"])
+
+
+def test_states_without_advice_are_not_demonstrated(world):
+    everything = shown_by_expert(world, 1)
+    fewer = demonstrations(world, silent_in(world, 3, 4, 25), SurroundingViews(world), 1)
+    kept = ~torch.isin(everything["state"], torch.tensor([3, 4, 25]))
+    assert (~kept).sum() == 2 + 2 + 1
+    assert (fewer == everything[kept].select(*DEMONSTRATED)).all()
+
+
+def visited(world, goal_index, state, views=SurroundingViews):
+    goal, observation = world.goals[torch.tensor(goal_index)], views(world)
+    seen = {"view_ids": observation.begin(torch.tensor(state)), "goal_view_ids": observation.begin(goal)}
+    rows = {"state": torch.tensor(state), "goal": goal, "scene": world.scene_of[goal]}
+    return TensorDict({**rows, **seen}, [len(state)])
+
+
+def test_labels_are_the_experts_and_states_without_advice_are_left_out(world):
+    rows = visited(world, [0, 0, 0, 1, 3, 3], [3, 0, 4, 4, 41, 36])
+    before = rows.clone()
+    found = label(silent_in(world, 4), rows)
+    assert found["state"].tolist() == [3, 36]
+    assert found["expert_action"].tolist() == [
+        RIGHT,
+        expert_action(world, torch.tensor([3]), torch.tensor([36])).item(),
+    ]
+    assert set(found.keys()) == set(DEMONSTRATED)
+    assert set(rows.keys()) == set(before.keys())
+    assert (rows == before).all()
+
+
+def test_merged_demonstrations_keep_the_first_of_each_that_observe_the_same(world):
+    first = label(ShortestPathExpert(world), visited(world, [0, 0, 1], [3, 5, 3]))
+    again = label(ShortestPathExpert(world), visited(world, [1, 0, 0], [3, 5, 7]))
+    again["expert_action"][:] = 9
+    merged = merge_demonstrations(first, again)
+    rows = {(row["goal"].item(), row["state"].item()): row["expert_action"].item() for row in merged}
+    assert len(merged) == len(rows) == 4
+    assert rows[0, 7] == 9
+    assert 9 not in (rows[0, 3], rows[0, 5], rows[13, 3])
+    assert len(merge_demonstrations(merged, merged)) == 4
+
+
+def test_the_same_state_is_kept_twice_where_it_was_observed_otherwise(world):
+    one = label(ShortestPathExpert(world), visited(world, [0], [5], SequentialViews))
+    other = one.clone()
+    other["view_ids"] = torch.tensor([[4, 4, 4, 5]])
+    assert len(merge_demonstrations(one, other, one)) == 2

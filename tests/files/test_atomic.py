@@ -1,0 +1,87 @@
+import json
+import math
+import os
+import stat
+
+import pytest
+
+from dirl.files.atomic import PREFIX, atomic_path, remove_unfinished, write_json, write_text
+
+
+def test_a_file_appears_whole_with_usual_permissions_and_nothing_beside_it(tmp_path):
+    file = tmp_path / "a.txt"
+    write_text(file, "äöü\n")
+    assert file.read_text(encoding="utf-8") == "äöü\n"
+    (tmp_path / "usual").touch()
+    assert stat.S_IMODE(file.stat().st_mode) == stat.S_IMODE((tmp_path / "usual").stat().st_mode)
+    assert {entry.name for entry in tmp_path.iterdir()} == {"a.txt", "usual"}
+
+
+@pytest.mark.parametrize("problem", [ValueError(), KeyboardInterrupt(), OSError(28, "No space left on device")])
+def test_if_anything_fails_the_old_file_stays_and_no_temporary_one(tmp_path, problem):
+    file = tmp_path / "a.txt"
+    write_text(file, "old")
+
+    def half(path):
+        path.write_text("half")
+        raise problem
+
+    with pytest.raises(type(problem)) as caught, atomic_path(file) as temporary:
+        half(temporary)
+    assert file.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
+    if isinstance(problem, OSError):
+        assert caught.value.filename == str(file)
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_a_failing_call_of_the_system_names_the_file(tmp_path, monkeypatch, call):
+    file = tmp_path / "a.txt"
+    write_text(file, "old")
+
+    def fail(*_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, call, fail)
+    with pytest.raises(OSError, match="Input/output error") as caught:
+        write_text(file, "new")
+    assert caught.value.filename == str(file)
+    assert file.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_two_writers_of_one_file_do_not_mix(tmp_path):
+    file = tmp_path / "a.txt"
+    with atomic_path(file) as first, atomic_path(file) as second:
+        assert first != second
+        first.write_text("1" * 10)
+        second.write_text("2" * 5)
+    assert file.read_text() == "1" * 10
+
+
+def test_an_error_that_is_of_another_file_keeps_its_name(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught, atomic_path(tmp_path / "a.txt") as temporary:
+        temporary.write_text((tmp_path / "other").read_text())
+    assert caught.value.filename == str(tmp_path / "other")
+
+
+def test_a_symbolic_link_stays_one(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "a.txt")
+    write_text(tmp_path / "link", "text")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "a.txt").read_text() == "text"
+
+
+def test_json_knows_no_nan(tmp_path):
+    write_json(tmp_path / "a.json", {"a": math.nan, "b": {"c": [1, math.inf]}})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": {"c": [1, None]}}
+    with pytest.raises(TypeError):
+        write_json(tmp_path / "b.json", {"a": object()})
+    assert not (tmp_path / "b.json").exists()
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path):
+    (tmp_path / f"{PREFIX}0.csv").touch()
+    (tmp_path / "a.csv").touch()
+    remove_unfinished(tmp_path)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.csv"]

@@ -1,0 +1,240 @@
+"""Scenes from a folder of photographs with states.csv."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from rooms import grid_scene
+
+from dirl.scenes import SceneError
+from dirl.scenes.views import decode
+from dirl.sources.photos import encoded_photos, read_photos
+
+HEADER = "image,location,heading,x,z,ahead"
+
+
+def corridor(turns=4, offset=0):
+    """Two places, hall and door, one metre apart; ahead of the hall, looking along +x, is the door."""
+    lines = []
+    for location, x in (("hall", 0), ("door", 1)):
+        for turn in range(turns):
+            heading = offset + 360 * turn / turns
+            ahead = {("hall", turns // 4): "door", ("door", 3 * turns // 4): "hall"}.get((location, turn), "")
+            lines.append(f"{location}_{turn}.png,{location},{heading:g},{x},0,{ahead}")
+    return lines
+
+
+def folder_of(path, lines, header=HEADER):
+    for line in lines:
+        image = path / line.split(",")[0]
+        if image.suffix == ".png":
+            Image.new("RGB", (40, 30), (len(line), 50, 90)).save(image)
+    (path / "states.csv").write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("turns", [4, 8, 12])
+def test_a_table_becomes_a_scene(tmp_path, turns):
+    scene, images = read_photos(folder_of(tmp_path, corridor(turns)))
+    assert (scene.name, scene.source, scene.extractor) == (tmp_path.name, "photos", "none")
+    assert [image.name for image in images] == [
+        f"{place}_{turn}.png" for place in ("hall", "door") for turn in range(turns)
+    ]
+    assert scene.headings.tolist() == [360 * turn / turns for turn in range(turns)] * 2
+    assert scene.positions.tolist() == [[0, 0]] * turns + [[1, 0]] * turns
+    quarter = turns // 4
+    wanted = {"ahead": {quarter: turns + quarter, turns + 3 * quarter: 3 * quarter}}
+    wanted["back"] = {to: state for state, to in wanted["ahead"].items()}
+    for action, column in (("ahead", 0), ("back", 3)):
+        assert {s: to for s, to in enumerate(scene.graph[:, column].tolist()) if to >= 0} == wanted[action]
+    assert scene.surrounding[1].tolist() == [(1 + step * quarter) % turns for step in range(4)]
+
+
+def test_rows_may_be_in_any_order_with_spaces_semicolons_and_a_byte_order_mark(tmp_path):
+    scene, images = read_photos(folder_of(tmp_path, corridor()))
+    lines = [HEADER, "", *reversed(corridor())]
+    text = "\n".join(lines).replace(",", " ; ")
+    (tmp_path / "states.csv").write_text(text, encoding="utf-8-sig")
+    again, others = read_photos(tmp_path)
+    assert [image.name for image in others] == [image.name for image in images[4:] + images[:4]]
+    assert (again.graph == np.where(scene.graph >= 0, (scene.graph + 4) % 8, -1)[[4, 5, 6, 7, 0, 1, 2, 3]]).all()
+
+
+def test_headings_may_be_a_little_off_and_begin_anywhere(tmp_path):
+    lines = corridor(offset=-20.4)
+    lines[2] = lines[2].replace("159.6", "160.3")
+    scene, _ = read_photos(folder_of(tmp_path, lines))
+    assert scene.headings.tolist() == pytest.approx([69.6, 160.3, 249.6, 339.6, 69.6, 159.6, 249.6, 339.6])
+    assert (scene.graph[:, 0] >= 0).sum() == 2
+
+
+def test_moves_back_may_be_said(tmp_path):
+    lines = [f"{line},{'door' if line.startswith('hall_3') else ''}" for line in corridor()]
+    scene, _ = read_photos(folder_of(tmp_path, lines, f"{HEADER},back"))
+    assert scene.graph[:, 3].tolist() == [-1, -1, -1, 7, -1, -1, -1, -1]
+
+
+def test_goals_are_marked(tmp_path):
+    lines = [f"{line},{'yes' if line.startswith('door_1') else ''}" for line in corridor()]
+    scene, _ = read_photos(folder_of(tmp_path, lines, f"{HEADER},goal"))
+    assert scene.goals == (5,)
+
+
+@given(width=st.integers(1, 3), depth=st.integers(1, 3), turns=st.sampled_from([4, 8, 12]), data=st.data())
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_room_written_as_a_table_is_read_back(tmp_path, width, depth, turns, data):
+    walls = data.draw(st.lists(st.tuples(st.integers(0, width - 1), st.integers(0, depth - 1)), unique=True))
+    room = grid_scene(width, depth, headings=turns, blocked=walls[: width * depth - 1], goals=())
+    Image.new("RGB", (4, 3)).save(tmp_path / "all.png")
+    lines = [
+        f"all.png,{state // turns},{room.headings[state]},{x},{z},"
+        + ",".join("" if to < 0 else str(to // turns) for to in room.graph[state, [0, 3]])
+        for state, (x, z) in enumerate(room.positions)
+    ]
+    shuffled = data.draw(st.permutations(range(len(lines))))
+    (tmp_path / "states.csv").write_text("\n".join([f"{HEADER},back", *(lines[i] for i in shuffled)]))
+    read, _ = read_photos(tmp_path)
+    # States are numbered by where they first stand in the table: match them by place and heading.
+    number = {(tuple(p), h): state for state, (p, h) in enumerate(zip(read.positions, read.headings, strict=True))}
+    mine = np.array([number[tuple(p), h] for p, h in zip(room.positions, room.headings, strict=True)])
+    assert (read.graph[mine] == np.where(room.graph >= 0, mine[room.graph], -1)).all()
+
+
+def changed(line, old, new):
+    lines = corridor()
+    assert old in lines[line]
+    lines[line] = lines[line].replace(old, new)
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        ([], "states.csv: has no rows"),
+        (changed(0, "hall_0.png", "hall_9.jpg"), "line 2: image: there is no file 'hall_9.jpg' in"),
+        (changed(0, "hall_0.png", ""), "line 2: image: there is no file ''"),
+        (changed(2, ",hall,", ",,"), "line 4: location: is empty"),
+        (changed(2, ",180,", ",south,"), "line 4: heading: expected a number, found 'south'"),
+        (changed(2, ",180,", ",nan,"), "line 4: heading: expected a number, found 'nan'"),
+        (changed(2, ",0,0,", ",0,,"), "line 4: z: expected a number, found ''"),
+        (changed(2, ",0,0,", ",0,0,,,"), "line 4: 8 cells for 6 columns"),
+        (
+            changed(2, ",180,", ",170,"),
+            "line 3: location 'hall': from heading 90 to the next, 170, are 80 degrees; 4",
+        ),
+        (changed(2, ",180,", ",90,"), "line 3: location 'hall': from heading 90 to the next, 90, are 0 degrees"),
+        (changed(2, ",0,0,", ",0,3,"), r"line 4: location 'hall' is at \(0.0, 3.0\), but at \(0.0, 0.0\) in .* line 2"),
+        (changed(1, ",door", ",dor"), "line 3: ahead: there is no location 'dor'; did you mean 'door'"),
+        (changed(1, ",door", ",hall"), "line 3: ahead: leads to 'hall' itself; leave it empty"),
+        (corridor() * 2, "location 'hall': from heading 0 to the next, 0, are 0 degrees; 8 headings must be 45 apart"),
+        (
+            corridor()[:7],
+            "line 6: location 'door' has 3 headings; .* a multiple|has 3 headings; expected the same mult",
+        ),
+        (corridor()[1:4], "line 2: location 'hall' has 3 headings; expected the same multiple of four everywhere"),
+        ([line.replace("door,45", "door,46") for line in corridor(8, offset=1)], None),
+    ],
+)
+def test_a_table_that_makes_no_sense_is_refused(tmp_path, lines, says):
+    folder_of(tmp_path, lines)
+    if says is None:
+        read_photos(tmp_path)
+        return
+    with pytest.raises(SceneError, match=says) as caught:
+        read_photos(tmp_path)
+    assert str(caught.value).startswith(str(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_move_between_headings_that_do_not_match_is_refused(tmp_path):
+    lines = corridor()[:4] + corridor(offset=30)[4:]
+    with pytest.raises(SceneError, match="line 3: ahead: 'door' has no image with heading 90; a move keeps it"):
+        read_photos(folder_of(tmp_path, lines))
+
+
+def test_a_way_back_that_is_open_to_doubt_is_refused(tmp_path):
+    lines = [*corridor(), *(line.replace("hall", "yard") for line in corridor()[:4])]
+    with pytest.raises(SceneError, match=r"ahead: 'door' is also ahead of 'hall', .*; add a column back"):
+        read_photos(folder_of(tmp_path, lines))
+
+
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ("", "line 1: the column 'image' is missing"),
+        ("image,location,heading,x,z", "line 1: the column 'ahead' is missing; found image, location"),
+        ("image,location,headng,x,z,ahead", "line 1: there is no column 'headng'; did you mean 'heading'"),
+        ("image,location,heading,x,z,ahead,ahead", "line 1: the column 'ahead' is named twice"),
+    ],
+)
+def test_a_header_that_is_wrong_is_refused(tmp_path, header, says):
+    with pytest.raises(SceneError, match=says):
+        read_photos(folder_of(tmp_path, corridor(), header))
+
+
+def test_a_folder_without_a_table_an_empty_one_and_one_that_is_no_text_are_refused(tmp_path):
+    with pytest.raises(SceneError, match=r"holds no states.csv; it has a row for each image: image,location"):
+        read_photos(tmp_path)
+    (tmp_path / "states.csv").write_bytes(b"")
+    with pytest.raises(SceneError, match=r"states.csv: is empty"):
+        read_photos(tmp_path)
+    (tmp_path / "states.csv").write_bytes(b"image,location\n\xff\xfe,1\n")
+    with pytest.raises(SceneError, match=r"states.csv: is not UTF-8 text"):
+        read_photos(tmp_path)
+
+
+def test_images_are_turned_upright_cropped_and_scaled(tmp_path):
+    picture = Image.new("RGB", (60, 120), "red")  # lies on its side: upright it is 120 wide, its left end blue
+    picture.paste("blue", (0, 80, 60, 120))
+    exif = Image.Exif()
+    exif[0x0112] = 6  # turn by 90 degrees clockwise
+    picture.save(tmp_path / "phone.jpg", exif=exif, quality=95)
+    (view,) = map(decode, encoded_photos([tmp_path / "phone.jpg"], 30, 40))
+    assert view.shape == (30, 40, 3)
+    assert view[15, 2].argmax() == 2
+    assert view[15, 37].argmax() == 0
+
+
+def test_webp_of_the_right_shape_is_stored_as_it_is(tmp_path):
+    path = tmp_path / "a.webp"
+    Image.new("RGB", (40, 30), "teal").save(path, quality=33)
+    assert list(encoded_photos([path], 30, 40)) == [path.read_bytes()]
+    assert list(encoded_photos([path], 15, 20)) != [path.read_bytes()]
+
+
+def test_an_image_that_cannot_be_read_is_named(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"no image")
+    with pytest.raises(SceneError, match=r"a.jpg: not a readable image"):
+        list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
+
+
+@pytest.mark.parametrize("size", [(400, 200), (4000, 1990)])
+def test_a_panorama_is_no_view(tmp_path, size):
+    Image.new("RGB", size).save(tmp_path / "a.jpg")
+    with pytest.raises(
+        SceneError, match=r"a\.jpg: \d+x\d+ pixels are a panorama, which shows all headings at once; cut"
+    ):
+        list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
+
+
+def test_an_image_that_says_it_is_a_panorama_is_no_view(tmp_path):
+    mark = (
+        b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><GPano:ProjectionType>equirectangular</GPano:ProjectionType></x:xmpmeta>'
+    )
+    Image.new("RGB", (400, 300)).save(tmp_path / "a.jpg", xmp=mark)
+    with pytest.raises(SceneError, match=r"a\.jpg: 400x300 pixels are a panorama"):
+        list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
+
+
+def test_views_twice_as_wide_as_high_may_be_asked_for(tmp_path):
+    Image.new("RGB", (400, 200)).save(tmp_path / "a.jpg")
+    Image.new("RGB", (300, 200)).save(tmp_path / "b.jpg")
+    views = encoded_photos([tmp_path / "a.jpg", tmp_path / "b.jpg"], 30, 60)
+    assert [decode(view).shape for view in views] == [(30, 60, 3)] * 2
+
+
+@pytest.mark.parametrize("name", ["../x", "keys", "$a$", "x" * 240])
+def test_a_name_that_will_not_do_is_refused_before_an_image_is_read(tmp_path, name):
+    with pytest.raises(SceneError, match="a scene cannot be called"):
+        read_photos(folder_of(tmp_path, corridor()), name=name)
