@@ -6,7 +6,7 @@ from rooms import grid_scene
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
-from dirl import decisions as decisions_module
+from dirl.agent import decisions as decisions_module
 from dirl import episodes as episodes_module
 from dirl.agent.decisions import answers
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
