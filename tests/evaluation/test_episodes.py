@@ -7,9 +7,9 @@ from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
 from dirl.agent import decisions as decisions_module
-from dirl import episodes as episodes_module
 from dirl.agent.decisions import answers
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
+from dirl.evaluation import episodes as episodes_module
 from dirl.evaluation.episodes import every_start, run_episodes, sampled_starts, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
 from dirl.evaluation.protocol import action_values, metrics
