@@ -31,7 +31,7 @@ from dirl.models import FeatureTable, initial_state
 from dirl.recognition.matching import FRONT_THRESHOLD
 from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.training.build import reads_patches
+from dirl.training.build import build_recogniser, reads_patches
 
 
 class Scores(NamedTuple):
@@ -136,13 +136,15 @@ class Navigator:
         if not callable(encoder):
             given = {"confirmed": extractor is not None, "patches": reads_patches(config)}
             encoder = encoder_of_images(encoder, device, saved, str(checkpoint), **given)
-        memory = make("episodic_memory", config.episodic_memory, trust)
+        memory, recogniser = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
+        if memory is not None and recogniser.thresholds is not None:
+            memory.threshold = recogniser.thresholds.memory
         if memory is not None and order[-1] == "now":
             raise NavigatorError(
                 f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
             )
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
-        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory)
+        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory, recogniser)
 
     @classmethod
     def from_pretrained(
@@ -238,6 +240,7 @@ class Navigator:
         state = self._recurrent_state(agents)
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
         self._state = tuple(after)
+        matching = self._matching(views, matching)
         if self.recall is not None:
             policy = logits
             logits = self.recall.adjust(self._described(views), lambda: policy, partial(self._around, views))
@@ -264,6 +267,7 @@ class Navigator:
             wanted = self._goal.expand(agents, -1, -1)[chosen].repeat_interleave(VIEWS, 0)
             asked, _, matching, *_ = self.policy(facing.flatten(0, 1), wanted)
             logits[chosen] = asked.unflatten(0, (-1, VIEWS))
+            matching = self._matching(facing.flatten(0, 1), matching)
             goal[chosen] = matching.unflatten(0, (-1, VIEWS)) > self._threshold_now()
         return logits, goal
 
@@ -307,6 +311,21 @@ class Navigator:
         self.guide.action = int(action) if planned is None else planned
         return torch.full_like(action, self.guide.action)
 
+    def _matching(self, views: Tensor, coefficient: Tensor) -> Tensor:
+        """How much views ``[B, 4, D]`` look like the goal's, ``[B]``: the recogniser's score, or the correlation."""
+        if self.recogniser.thresholds is None:
+            return coefficient
+        assert self._goal is not None
+        known = self._goal[:, :1] if self._is_photo() else self._goal
+        goal = self._described(known).expand(len(self._goal) if len(self._goal) > 1 else len(views), -1, -1)
+        goal = goal.repeat_interleave(len(views) // len(goal), 0)
+        return self.recogniser.scores(self._described(views).unsqueeze(1), goal.unsqueeze(1)).flatten()
+
+    def _is_photo(self) -> bool:
+        """Whether the goal is given by one view, though the agent sees four."""
+        assert self._goal is not None
+        return not self.sequential and not bool(self._goal[:, 1:].any())
+
     def _described(self, views: Tensor) -> Tensor:
         """What the recogniser compares of views, ``[..., D]`` to ``[..., F]``."""
         pooled = len(self._table.mean)
@@ -321,6 +340,8 @@ class Navigator:
     def _threshold_now(self) -> float:
         """The threshold in use: higher for one photo if `threshold` is meant for four views."""
         assert self._goal is not None
+        if self.recogniser.thresholds is not None:
+            return self.recogniser.thresholds.photo if self._is_photo() else self.recogniser.thresholds.views
         photo = self.policy.front is None and not self._goal[:, 1:].any()
         return max(self.threshold, FRONT_THRESHOLD) if photo else self.threshold
 

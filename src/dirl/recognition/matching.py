@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from dirl.recognition.recogniser import NCC, Recogniser, ncc, normal_vectors
-from dirl.recognition.tables import VisitScores, described_visits
+from dirl.recognition.recogniser import NCC, Recogniser, in_blocks, ncc, normal_vectors
+from dirl.recognition.tables import VisitScores, described_visits, matched
 from dirl.scenes.world import World
 
 __all__ = ["FRONT_THRESHOLD", "TemplateStop", "ncc", "normal_vectors", "stop_errors", "template_vectors"]
@@ -56,8 +56,9 @@ class TemplateStop:
         """
         found = []
         for index, scene in enumerate(world.scenes):
-            visits = described_visits(self.recogniser, world, index, self.match)[: len(scene)]
-            found.append(self.recogniser.scores(visits[world.local_goals(index)], visits).flatten())
+            visits = described_visits(self.recogniser, world, index)[: len(scene)]
+            goals = matched(visits[world.local_goals(index)], self.match)
+            found.append(in_blocks(self.recogniser, visits, goals).T.flatten())
         return torch.cat(found)
 
     def __call__(self, world: World) -> Tensor:

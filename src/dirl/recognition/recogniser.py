@@ -1,21 +1,43 @@
 """What recognises a place: the interface of the component group ``recogniser``, and the paper's choice."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol, Self
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 
+class Thresholds(NamedTuple):
+    """Above which scores two visits are of the same place and heading."""
+
+    views: float
+    """Where an agent stops that is given four views of its goal."""
+    photo: float
+    """Where it stops that is given one."""
+    memory: float
+    """Which earlier visit of the episode this one repeats."""
+
+
 class Recogniser(Protocol):
     """Compares what is seen at one visit of a place with what was seen at another.
 
-    A *visit* is the V views of one moment: four (ahead, right, back, left), or the one of a single photo. Views are
-    described once, and the descriptions compared as often as needed.
+    A *visit* is the views of one moment: ahead, right, back and left. Views are described once, and the descriptions
+    compared as often as needed.
     """
 
     reads_patches: bool
     """Whether `describe` needs the patches of the views."""
+
+    thresholds: Thresholds | None
+    """Its own; None where the configuration of the stop and the memory gives them."""
+
+    def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
+        """The recogniser for a place.
+
+        Args:
+            features: pooled ones of N views of the place, float ``[N, D]``.
+            patches: of the same views, float ``[N, cells, channels]``.
+        """
 
     def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
         """What is compared of views.
@@ -32,8 +54,8 @@ class Recogniser(Protocol):
         """How much each visit looks like each reference.
 
         Args:
-            seen: described views, float32 ``[..., A, V, F]``.
-            references: likewise, ``[..., B, V, F]``.
+            seen: described views of visits, float32 ``[..., A, 4, F]``.
+            references: of visits, ``[..., B, 4, F]``, or of single photos, ``[..., B, 1, F]``.
 
         Returns:
             float32 ``[..., A, B]``; higher is more alike.
@@ -44,13 +66,19 @@ class NCC(nn.Module):
     """Normalised cross-correlation of the pooled features of all views together (paper section 3.4, equation 13)."""
 
     reads_patches = False
+    thresholds: Thresholds | None = None
+
+    def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
+        """Itself: it has no statistics."""
+        return self
 
     def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
         """The features themselves; see `Recogniser.describe`."""
         return features.float()
 
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:
-        """Pearson's coefficients, in [-1, 1]; see `Recogniser.scores`."""
+        """Pearson's coefficients, in [-1, 1], of as many views as the references have; see `Recogniser.scores`."""
+        seen = seen[..., : references.shape[-2], :]
         return normal_vectors(seen.flatten(-2)) @ normal_vectors(references.flatten(-2)).transpose(-1, -2)
 
 

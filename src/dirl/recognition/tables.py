@@ -21,8 +21,8 @@ class VisitScores:
     def __init__(self, recogniser: Recogniser, world: World, match: str = "views") -> None:
         blocks, row, column, size = [], [], [], 0
         for index in range(len(world.scenes)):
-            visits = described_visits(recogniser, world, index, match)
-            blocks.append(in_blocks(recogniser, visits, visits).flatten())
+            visits = described_visits(recogniser, world, index)
+            blocks.append(in_blocks(recogniser, visits, matched(visits, match)).T.flatten())
             column.append(torch.arange(len(visits), device=world.device))
             row.append(size + len(visits) * column[-1])
             size += len(visits) ** 2
@@ -35,14 +35,18 @@ class VisitScores:
         return self.table[self.row[reference] + self.column[seen]]
 
 
-def described_visits(recogniser: Recogniser, world: World, index: int, match: str = "views") -> Tensor:
-    """The described views of the visits of one scene, float32 ``[M, V, F]``, in the order of `World.pictures`."""
+def described_visits(recogniser: Recogniser, world: World, index: int) -> Tensor:
+    """The described views of the visits of one scene, float32 ``[M, 4, F]``, in the order of `World.pictures`."""
     pictures = world.pictures(index)
     patches = None if world.patches is None or not recogniser.reads_patches else world.patches[pictures]
-    views = recogniser.describe(world.features[pictures], patches)
-    if match == "front":
-        return views.unsqueeze(1)
+    features, default = world.features[pictures], len(world.scenes[index])
+    own = recogniser.fit(features[:default], None if patches is None else patches[:default])
+    views = own.describe(features, patches)
     states, offset = len(world.scenes[index]), world.offsets[index]
     local = world.surrounding[offset : offset + states] - offset
-    around = torch.cat([local + look * states for look in range(world.looks)])
-    return views[around]
+    return views[torch.cat([local + look * states for look in range(world.looks)])]
+
+
+def matched(visits: Tensor, match: str) -> Tensor:
+    """The views of references that are compared: all, or with ``front`` the one ahead, ``[M, 1, F]``."""
+    return visits[:, :1] if match == "front" else visits

@@ -63,7 +63,7 @@ def viewer_pages(
         ValueError: the policy depends on more than the state, or the world changes, so that a state has no single
             output.
     """
-    if world.looks > 1:
+    if world.looks > 1 or callable(stop):
         raise ValueError(
             f"the viewer shows one look of each state, and {world.names[0]} has {world.looks}: leave out viewer=true"
         )
