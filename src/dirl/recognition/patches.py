@@ -68,12 +68,15 @@ class Patches(nn.Module):
 
     def measure(self, features: Tensor, patches: Tensor) -> Self:
         """Take the statistics of N views: pooled features, float ``[N, D]``, and patches, ``[N, cells, channels]``."""
-        self.mean, self.axes, _ = principal_components(features.float(), COMPONENTS)
-        self.patch_mean, self.patch_axes, _ = principal_components(patches.flatten(0, 1).float(), COMPONENTS)
+        self.mean, axes, _ = principal_components(features.float(), COMPONENTS)
+        self.patch_mean, patch_axes, _ = principal_components(patches.flatten(0, 1).float(), COMPONENTS)
+        self.axes, self.patch_axes = (F.pad(found, (0, COMPONENTS - found.shape[1])) for found in (axes, patch_axes))
         return self
 
     def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
         """Whitened features and patches, each of length one, behind each other; see `Recogniser.describe`."""
+        if not len(self.mean):
+            raise ValueError("recogniser=patches with statistics=place knows no place yet; use statistics=rooms")
         if patches is None or features.shape[-1] != len(self.mean):
             raise ValueError(
                 f"recogniser=patches compares patches and {len(self.mean)} features a view; these views have "
@@ -91,9 +94,8 @@ class Patches(nn.Module):
 
     def _of_views(self, seen: Tensor, references: Tensor) -> Tensor:
         """Of single views, ``[..., A, F]`` and ``[..., B, F]`` to ``[..., A, B]``."""
-        pooled, width = self.axes.shape[1], self.patch_axes.shape[1]
-        whole = seen[..., :pooled] @ references[..., :pooled].transpose(-1, -2)
-        bags = [part[..., pooled:].unflatten(-1, (-1, width)) for part in (seen, references)]
+        whole = seen[..., :COMPONENTS] @ references[..., :COMPONENTS].transpose(-1, -2)
+        bags = [part[..., COMPONENTS:].unflatten(-1, (-1, COMPONENTS)) for part in (seen, references)]
         cosines = torch.einsum("...acw,...bdw->...abcd", *bags)
         bag = (cosines.amax(-1).mean(-1) + cosines.amax(-2).mean(-1)) / 2
         return self.share * bag + (1 - self.share) * whole
