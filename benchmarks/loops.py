@@ -26,14 +26,8 @@ from dirl.config.schemas import ReinforcementConfig, TrainConfig
 from dirl.envs import NavigationEnv, Reward, SurroundingViews, ViewFeatures
 from dirl.evaluation.episodes import every_start
 from dirl.models import SiameseEncoder, caching
-from dirl.training.build import (
-    build_demonstrations,
-    build_observation,
-    build_optimiser,
-    build_policy,
-    build_world,
-    feature_table,
-)
+from dirl.models.build import build_policy, feature_table
+from dirl.training.build import build_demonstrations, build_observation, build_optimiser, build_world
 from dirl.training.load import learning_policy
 from dirl.training.losses import set_learning_rate
 

@@ -29,10 +29,11 @@ from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation.protocol import assess
 from dirl.files.atomic import write_json, write_text
+from dirl.recognition.build import matching
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
-from dirl.training.build import describe, matching
+from dirl.training.build import describe
 from dirl.training.load import Trained, load_trained
 
 

@@ -30,9 +30,9 @@ from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
 from dirl.experiments.unseen_rooms import report_unseen_rooms
+from dirl.models.build import reads_patches
 from dirl.reporting.tables import scene_names
 from dirl.runs.checks import RunError
-from dirl.training.build import reads_patches
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF / "report"), config_name="report")

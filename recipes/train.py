@@ -36,6 +36,7 @@ from dirl.config.schemas import Precision, TrainConfig, typed
 from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EvaluationProtocol, mean_shortest, metrics
+from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import caching, count_parameters, noisy, recurrent_keys
 from dirl.reporting import run_title
 from dirl.runs import ranks
@@ -70,7 +71,7 @@ from dirl.training.losses import (
     total_loss,
 )
 from dirl.training.pairs import Demonstrations, with_labels
-from dirl.training.progress import EpisodeMeter, due, is_done
+from dirl.training.progress import due, is_done
 from dirl.training.rollout import Update, collect, summarise, together
 from dirl.training.state import Record, TrainState, begin_imitation, in_imitation
 

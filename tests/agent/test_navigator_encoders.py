@@ -12,9 +12,10 @@ from rooms import grid_scene
 from dirl import Navigator
 from dirl.agent.navigator import NavigatorError
 from dirl.backbones import ResNet50, load_encoder
+from dirl.models.build import build_policy, feature_table
 from dirl.runs.folder import Run
 from dirl.scenes import make_world
-from dirl.training.build import build_observation, build_policy, feature_table
+from dirl.training.build import build_observation
 
 IMAGES = np.random.default_rng(0).integers(0, 256, (4, 40, 50, 3), np.uint8)
 

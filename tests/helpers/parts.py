@@ -8,13 +8,7 @@ from train import begin, imitate, reinforce
 
 from dirl.models import plain_weights
 from dirl.runs.folder import Run
-from dirl.training.build import (
-    build_demonstrations,
-    build_losses,
-    build_observation,
-    build_protocol,
-    build_world,
-)
+from dirl.training.build import build_demonstrations, build_losses, build_observation, build_protocol, build_world
 from dirl.training.load import learning_policy
 
 

@@ -5,9 +5,10 @@ import torch
 from commands import train_config
 from rooms import grid_scene
 
+from dirl.models.build import build_policy, feature_table
 from dirl.runs.folder import Run
 from dirl.scenes import make_world
-from dirl.training.build import build_observation, build_policy, feature_table
+from dirl.training.build import build_observation
 
 PIXELS = (2, 5)
 """Height and width of the images, which differ so that neither passes for the other."""

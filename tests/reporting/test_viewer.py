@@ -18,18 +18,13 @@ from dirl.config.schemas import TrainConfig
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import plain_weights
+from dirl.recognition.build import matching
 from dirl.recognition.matching import TemplateStop
 from dirl.reporting import viewer_pages
 from dirl.runs.folder import Run
 from dirl.scenes import World, write_dump
 from dirl.scenes.views import encode
-from dirl.training.build import (
-    build_demonstrations,
-    build_observation,
-    build_protocol,
-    build_world,
-    matching,
-)
+from dirl.training.build import build_demonstrations, build_observation, build_protocol, build_world
 from dirl.training.load import learning_policy
 
 LIMIT = 30

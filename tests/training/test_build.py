@@ -12,10 +12,12 @@ from torch import nn
 
 from dirl.config.schemas import ConfigError
 from dirl.models import FeatureTable, plain_weights, recurrent_keys
+from dirl.models.build import build_policy
 from dirl.models.fast.siamese import CachedSiamese
+from dirl.models.weights import load_weights
 from dirl.scenes import SceneError, write_dump
-from dirl.training.build import build_env, build_goals, build_policy, build_world
-from dirl.training.load import load_weights, trained_policy
+from dirl.training.build import build_env, build_goals, build_world
+from dirl.training.load import trained_policy
 
 SMALL = ["encoder.width=8", "heads.width=8"]
 

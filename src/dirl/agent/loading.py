@@ -15,8 +15,8 @@ from dirl.backbones.registry import BATCH
 from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
-from dirl.training.build import build_policy, reads_patches, saved_statistics
-from dirl.training.load import check_extractor, load_weights
+from dirl.models.build import build_policy, reads_patches, saved_statistics
+from dirl.models.weights import check_extractor, load_weights
 
 Encoder = Callable[[Tensor], Any]
 """RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""

@@ -28,10 +28,11 @@ from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state
+from dirl.models.build import reads_patches
+from dirl.recognition.build import build_recogniser
 from dirl.recognition.matching import FRONT_THRESHOLD
 from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.training.build import build_recogniser, reads_patches
 
 
 class Scores(NamedTuple):

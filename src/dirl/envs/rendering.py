@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from dirl.reporting.style import BLUE, GOAL_COLOR, WALL_COLOR, star_points
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
+from dirl.scenes.palette import BLUE, GOAL_COLOR, WALL_COLOR, star_points
 
 HEIGHT = 300
 """Of a picture, pixels."""

@@ -21,8 +21,9 @@ from dirl.experiments.results import Column, Result, Table, grouped, save_figure
 from dirl.models import PlanningMemory
 from dirl.recognition.matching import TemplateStop
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import GREEN, GREY, ORANGE, SKY, VERMILION, WINE, plain
+from dirl.reporting.style import plain
 from dirl.scenes import World
+from dirl.scenes.palette import GREEN, GREY, ORANGE, SKY, VERMILION, WINE
 from dirl.training.build import build_goals
 
 FOUR, PHOTO = "four views of the goal", "one photo of the goal"

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, NullLocator, StrMethodFormatter
 
 from dirl.config.schemas import TrainConfig
+from dirl.evaluation.stability import NEAR, STABLE_ATL, WINDOW
 from dirl.experiments.results import (
     COLOR_OF,
     NAMES,
@@ -24,8 +25,8 @@ from dirl.experiments.results import (
 )
 from dirl.reporting.curves import common_frames
 from dirl.reporting.statistics import FloatArray, bootstrap_interval, iqm
-from dirl.reporting.style import COLORS, plain
-from dirl.training.progress import NEAR, STABLE_ATL, WINDOW
+from dirl.reporting.style import plain
+from dirl.scenes.palette import COLORS
 
 RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}
 

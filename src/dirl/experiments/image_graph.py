@@ -29,13 +29,14 @@ from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.unseen_rooms import MAX_STEPS, by_room, drawn_starts
 from dirl.recognition.matching import FRONT_THRESHOLD, TemplateStop
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import BLUE, GREEN, GREY, ORANGE, PURPLE, plain
+from dirl.reporting.style import plain
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene, World, make_world
 from dirl.scenes.collection import read_collection
 from dirl.scenes.goals import well_reached
+from dirl.scenes.palette import BLUE, GREEN, GREY, ORANGE, PURPLE
 from dirl.training.load import load_trained
 
 THRESHOLD = 0.95

@@ -11,7 +11,8 @@ from matplotlib.lines import Line2D
 from dirl.config.schemas import TrainConfig
 from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import SYSTEM_COLORS, plain
+from dirl.reporting.style import plain
+from dirl.scenes.palette import SYSTEM_COLORS
 
 MEASURES = {
     "atl": (".2f", "ATL"),

@@ -17,12 +17,14 @@ from dirl.evaluation.episodes import run_episodes
 from dirl.evaluation.protocol import metrics
 from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
 from dirl.models import FeatureTable
+from dirl.models.build import build_policy
+from dirl.models.weights import load_weights
 from dirl.recognition.matching import ncc, template_vectors
-from dirl.reporting.style import BLUE, GREEN, PURPLE, VERMILION, plain, tell_cut
+from dirl.reporting.style import plain, tell_cut
 from dirl.runs.checks import RunError
 from dirl.scenes import Scene
-from dirl.training.build import build_policy
-from dirl.training.load import Trained, load_weights
+from dirl.scenes.palette import BLUE, GREEN, PURPLE, VERMILION
+from dirl.training.load import Trained
 
 DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "noise": ("deviation, grey levels", (8, 16, 32, 64)),

@@ -28,10 +28,11 @@ from dirl.experiments.image_graph import drawn_goals, positive
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.stopping import DISTURBANCES, disturb
 from dirl.experiments.unseen_rooms import MAX_STEPS, drawn_starts
-from dirl.reporting.style import COLORS, plain
+from dirl.reporting.style import plain
 from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene, World
 from dirl.scenes.collection import read_collection
+from dirl.scenes.palette import COLORS
 
 VARIANTS = ((0.9, False), (0.8, True), (0.9, True), (0.95, True))
 """Thresholds, and whether a match is verified."""

@@ -10,10 +10,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dirl.files.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR
-from dirl.reporting.style import COLORS, star_points
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
+from dirl.scenes.palette import COLORS, star_points
 
 MAX_FRAMES = 60
 """Number of frames; of a longer episode the first steps and the last one are shown."""

@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
+from dirl.evaluation.stability import STABLE_ATL, WINDOW
 from dirl.files.texts import read_rows
-from dirl.reporting.style import BLUE, GREEN, PURPLE, SKY, VERMILION, plain, write_figure
+from dirl.reporting.style import plain, write_figure
 from dirl.reporting.tables import run_title
-from dirl.training.progress import STABLE_ATL, WINDOW
+from dirl.scenes.palette import BLUE, GREEN, PURPLE, SKY, VERMILION
 
 FloatArray = NDArray[np.float64]
 

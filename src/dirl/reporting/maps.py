@@ -15,10 +15,11 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
-from dirl.reporting.style import COLORS, write_figure
+from dirl.reporting.style import write_figure
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, shortest_distances, turns_per_circle
+from dirl.scenes.palette import COLORS
 
 FloatArray = NDArray[np.floating]
 

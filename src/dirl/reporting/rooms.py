@@ -6,8 +6,8 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
 
-from dirl.reporting.style import GOAL_COLOR, WALL_COLOR
 from dirl.scenes import Scene
+from dirl.scenes.palette import GOAL_COLOR, WALL_COLOR
 
 __all__ = ["GOAL_COLOR", "WALL_COLOR", "draw_room", "has_walls"]
 

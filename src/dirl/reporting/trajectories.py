@@ -18,10 +18,11 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
-from dirl.reporting.style import COLORS, write_figure
+from dirl.reporting.style import write_figure
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import IntArray, places
+from dirl.scenes.palette import COLORS
 
 DASHES: tuple[float, Sequence[float]] = (0, (2, 1.2))
 

@@ -1,30 +1,26 @@
 """The components of a run, built from its configuration by one function each."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
-from dirl.backbones.patches import PATCH_SHAPE
-from dirl.config.components import TARGET, components, find_class, make, schedules
+from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
-from dirl.config.signatures import class_parameters
 from dirl.envs import NavigationEnv, Reward, SurroundingViews
-from dirl.envs.transforms import VIEWS
 from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import FeatureTable, PlanningMemory, feature_statistics, initial_state, recurrent_keys, whitening
+from dirl.models import PlanningMemory, recurrent_keys
 from dirl.objectives import ImitationLoss
-from dirl.recognition.matching import Arrived, TemplateStop
-from dirl.recognition.recogniser import NCC, Recogniser
-from dirl.scenes import ACTIONS, Scene, SceneError, World, load_scenes, make_world
+from dirl.recognition.build import build_recogniser, matching
+from dirl.recognition.matching import Arrived
+from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.world import Goals
 from dirl.training.losses import Losses, ScheduledLoss
@@ -59,104 +55,6 @@ def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
     """The transform that computes what agents observe."""
     made: SurroundingViews = make("observation", config.observation, config.trust, world=world)
     return made.to(world.device)
-
-
-def build_policy(
-    config: TrainConfig,
-    features: FeatureTable,
-    scenes: Collection[str],
-    *,
-    world: World | None = None,
-) -> nn.Module:
-    """The policy with its initial weights, which depend on the seed alone.
-
-    Args:
-        config: of the run.
-        features: of the world's states.
-        scenes: the scenes' names.
-        world: where it walks; a policy that is loaded outside of its scenes has none.
-
-    Raises:
-        ConfigError: components that do not fit together.
-    """
-    trust, width = config.trust, features.width
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        # Patches have one shape wherever they are computed, see dirl.backbones.patches.
-        encoder = make("encoder", config.encoder, trust, num_features=width, patch_shape=PATCH_SHAPE)
-        fused = _output_width("encoder", lambda: encoder(*torch.zeros(2, 1, VIEWS, width)))
-        memory = make("memory", config.memory, trust, input_size=fused, in_key="fused", out_key="memory")
-        encoded = fused if memory is None else _output_width("memory", lambda: _remember(memory, fused))
-        heads = make("heads", config.heads, trust, scenes=list(scenes), in_features=encoded, num_actions=len(ACTIONS))
-        parts = {"encoder": encoder, "memory": memory, "heads": heads, "features": features, "world": world}
-        policy: nn.Module = make("policy", config.policy, trust, **parts)
-    return policy.to(features.table.device)
-
-
-def _output_width(name: str, call: Any) -> int:
-    """The width of what a component gives for one row."""
-    try:
-        with torch.no_grad():
-            result = call()
-    except (RuntimeError, TypeError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ConfigError(f"{name}: cannot be called as it should, on [1, 4, D] features: {reason}") from None
-    if not isinstance(result, Tensor) or result.ndim != 2 or len(result) != 1:
-        found = list(result.shape) if isinstance(result, Tensor) else type(result).__name__
-        raise ConfigError(f"{name}: gives {found} for one row; expected [1, width]")
-    return result.shape[1]
-
-
-def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
-    row = TensorDict({"fused": torch.zeros(1, width), "is_init": torch.ones(1, 1, dtype=torch.bool)}, batch_size=[1])
-    result: Tensor = memory(row.update(initial_state(memory, 1, torch.device("cpu"))))["memory"]
-    return result
-
-
-def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tensor] | None = None) -> FeatureTable:
-    """The features of the world's states, standardised or whitened as configured.
-
-    Args:
-        config: of the run.
-        world: whose states.
-        weights: of a trained network, whose mean, standard deviation and axes are used; the world's if left out.
-
-    Raises:
-        ConfigError: the encoder reads patches, and the scenes have none.
-    """
-    mean, std, axes = None, None, None
-    if weights is not None:
-        mean, std, axes = saved_statistics(weights)
-    elif config.network.components:
-        mean, std, axes = whitening(world.features, config.network.components)
-    elif config.network.standardise:
-        mean, std = feature_statistics(world.features)
-    patches = world.patches if reads_patches(config) else None
-    if patches is None and reads_patches(config):
-        raise ConfigError(
-            f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again by "
-            "scenes.py encode ... patches=true"
-        )
-    return FeatureTable(world.features, mean, std, axes, patches).to(world.device)
-
-
-def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
-    """Mean, standard deviation and axes of the features that a network was trained on, float32.
-
-    The agents of the package are stored as float16, half the size.
-    """
-    found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
-    mean, std, axes = (found.get(f"features.{name}") for name in ("mean", "std", "axes"))
-    return _float32(mean), _float32(std), _float32(axes)
-
-
-def _float32(values: Tensor | None) -> Tensor | None:
-    return None if values is None else values.float()
-
-
-def reads_patches(config: TrainConfig) -> bool:
-    """Whether the encoder compares patches: its constructor takes ``patch_shape``."""
-    return "patch_shape" in class_parameters(find_class("encoder", config.encoder[TARGET], config.trust))
 
 
 def build_env(
@@ -302,21 +200,6 @@ def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | Arrive
     if rule == Stop.goal:
         return None
     return matching(config)(world) if world.looks == 1 else matching(config).arrived(world)
-
-
-def matching(config: TrainConfig) -> TemplateStop:
-    """The stop by template matching."""
-    recogniser = build_recogniser(config)
-    threshold = config.stop.threshold
-    if recogniser.thresholds is not None:
-        threshold = recogniser.thresholds.photo if config.stop.match == "front" else recogniser.thresholds.views
-    return TemplateStop(threshold, config.stop.match, recogniser)
-
-
-def build_recogniser(config: TrainConfig) -> Recogniser:
-    """What the stop and the episodic memory recognise places by."""
-    found: Recogniser | None = make("recogniser", config.recogniser, config.trust)
-    return found or NCC()
 
 
 def build_protocol(

@@ -6,10 +6,10 @@ from torch import nn
 
 from dirl.evaluation.protocol import EvaluationProtocol, assess
 from dirl.models import plain_weights
+from dirl.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, summary_table
 from dirl.runs.folder import Run
 from dirl.runs.memory import peak_memory_mb
-from dirl.training.build import matching
 
 DRAWN_SCENES = 8
 """Of how many scenes there are pictures at most; those of one take seconds."""

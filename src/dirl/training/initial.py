@@ -9,9 +9,9 @@ from torch import Tensor
 from dirl.commands.refusals import ARCHITECTURE, initial_weights_file
 from dirl.config.saved import read_config
 from dirl.config.schemas import ConfigError, TrainConfig
+from dirl.models.weights import check_extractor
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
-from dirl.training.load import check_extractor
 
 
 def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:

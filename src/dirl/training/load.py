@@ -11,16 +11,11 @@ from dirl.config.saved import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.protocol import EvaluationProtocol
+from dirl.models.build import build_policy, feature_table
+from dirl.models.weights import check_extractor, load_weights
 from dirl.scenes import World
 from dirl.scenes.catalogue import collection_folder
-from dirl.training.build import (
-    build_goals,
-    build_observation,
-    build_policy,
-    build_protocol,
-    build_world,
-    feature_table,
-)
+from dirl.training.build import build_goals, build_observation, build_protocol, build_world
 
 
 class Trained(NamedTuple):
@@ -144,61 +139,6 @@ def trained_policy(
     return cached(policy, config, world, observation)
 
 
-def check_extractor(saved: Mapping[str, Any], extractor: str, origin: str) -> None:
-    """Compare the extractor of features with the one that a checkpoint was trained on.
-
-    Args:
-        saved: see `dirl.runs.checkpoints.load_checkpoint`.
-        extractor: of the scenes, see `dirl.scenes.Scene.extractor`, or of the encoder that a navigator uses.
-        origin: of the checkpoint, for the error.
-
-    Raises:
-        ConfigError: they differ.
-    """
-    if extractor != saved["extractor"]:
-        raise ConfigError(
-            f"{origin}: was trained on features of another extractor: '{saved['extractor']}', not '{extractor}'"
-        )
-
-
 def _scenes(trained: Sequence[str], names: Sequence[str]) -> Sequence[str]:
     """The names by which a policy's heads serve the scenes of a world: their own, or of as many others in order."""
     return names if set(names) <= set(trained) or len(names) != len(trained) else trained
-
-
-def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, scenes: Sequence[str] = ()) -> None:
-    """Load a checkpoint's weights, also those of schema 1.
-
-    Args:
-        policy: gets them.
-        weights: by name.
-        origin: where they stood, for errors.
-        scenes: of a policy for some of the scenes only; the weights of other scenes are left out.
-
-    Raises:
-        ConfigError: they do not fit.
-    """
-    own = {name.replace(".", "_") for name in scenes} | {"shared"}
-    try:
-        found = {
-            name: value
-            for name, value in _renamed(weights).items()
-            if not scenes or ".scenes." not in name or name.split(".scenes.")[1].split(".")[0] in own
-        }
-        policy.load_state_dict(found)
-    except (RuntimeError, KeyError, AttributeError) as error:
-        reason = " ".join(str(error).split())[:300]
-        raise ConfigError(f"{origin}: the weights do not fit the network of its configuration ({reason})") from None
-
-
-def _renamed(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights by the names they have today."""
-    if "encoder.table.mean" not in weights:
-        return dict(weights)
-    heads = {"hidden.": "heads.trunk.", "policy.": "heads.policy.", "value.": "heads.value."}
-    names = {"encoder.table.": "features.", **heads}
-    found = {}
-    for name, value in weights.items():
-        old = next((prefix for prefix in names if name.startswith(prefix)), "")
-        found[names.get(old, "") + name.removeprefix(old)] = value
-    return found

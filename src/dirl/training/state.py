@@ -13,12 +13,12 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torchrl.envs import EnvBase
 
+from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import plain_weights
 from dirl.runs import ranks
 from dirl.runs.folder import Run
 from dirl.runs.states import check_imitation
 from dirl.training.losses import Losses
-from dirl.training.progress import EpisodeMeter
 from dirl.training.rollout import Update
 
 Record = Callable[[Update, AbstractContextManager[None]], None]

@@ -7,15 +7,31 @@ something else, they are not. Where the map knows too little to decide, the matc
 """
 
 from collections import deque
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import Protocol
 
 from torch import Tensor
 
 from dirl.agent.mapping.looks import UNKNOWN, VIEWS, turned
 from dirl.scenes.graph import AHEAD, BACK
 
-if TYPE_CHECKING:
-    from dirl.agent.mapping.graph import ImageGraph
+
+class Walked(Protocol):
+    """What is asked of a map here, see `dirl.agent.mapping.ImageGraph`."""
+
+    moves: list[list[int]]
+    at: int | None
+    doubt: "Doubt | None"
+
+    def scores(self, views: Tensor) -> Tensor: ...  # noqa: D102
+
+    def fits(self, scores: Tensor, node: int) -> bool: ...  # noqa: D102
+
+    def add_station(self, views: Tensor) -> int: ...  # noqa: D102
+
+    def merge_stations(self, same: Mapping[int, int]) -> None: ...  # noqa: D102
+
+    def record(self, before: int | None, action: int | None, node: int) -> None: ...  # noqa: D102
 
 
 class Doubt:
@@ -32,7 +48,7 @@ class Doubt:
         self.same = [_pairs(node, candidate) for candidate in candidates]
         """For each, which nodes those of the stations made since would be."""
 
-    def testing_action(self, graph: "ImageGraph") -> int | None:
+    def testing_action(self, graph: Walked) -> int | None:
         """The first action on a shortest way to a neighbour of the best candidate; None if it has none."""
         first: dict[int, int | None] = {self.candidates[0]: None}
         queue = deque(first)
@@ -54,7 +70,7 @@ class Doubt:
         self.same = [self.same[i] for i in chosen]
 
 
-def settle(graph: "ImageGraph", views: Tensor, action: int) -> bool:
+def settle(graph: Walked, views: Tensor, action: int) -> bool:
     """See on while in doubt.
 
     Args:

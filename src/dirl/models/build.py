@@ -1,0 +1,115 @@
+"""The policy of a configuration: its features, encoder, memory and heads."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+
+from dirl.backbones.patches import PATCH_SHAPE
+from dirl.config.components import TARGET, find_class, make
+from dirl.config.schemas import ConfigError, TrainConfig
+from dirl.config.signatures import class_parameters
+from dirl.envs.transforms import VIEWS
+from dirl.models import FeatureTable, feature_statistics, initial_state, whitening
+from dirl.scenes import ACTIONS, World
+
+
+def build_policy(
+    config: TrainConfig,
+    features: FeatureTable,
+    scenes: Collection[str],
+    *,
+    world: World | None = None,
+) -> nn.Module:
+    """The policy with its initial weights, which depend on the seed alone.
+
+    Args:
+        config: of the run.
+        features: of the world's states.
+        scenes: the scenes' names.
+        world: where it walks; a policy that is loaded outside of its scenes has none.
+
+    Raises:
+        ConfigError: components that do not fit together.
+    """
+    trust, width = config.trust, features.width
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        # Patches have one shape wherever they are computed, see dirl.backbones.patches.
+        encoder = make("encoder", config.encoder, trust, num_features=width, patch_shape=PATCH_SHAPE)
+        fused = _output_width("encoder", lambda: encoder(*torch.zeros(2, 1, VIEWS, width)))
+        memory = make("memory", config.memory, trust, input_size=fused, in_key="fused", out_key="memory")
+        encoded = fused if memory is None else _output_width("memory", lambda: _remember(memory, fused))
+        heads = make("heads", config.heads, trust, scenes=list(scenes), in_features=encoded, num_actions=len(ACTIONS))
+        parts = {"encoder": encoder, "memory": memory, "heads": heads, "features": features, "world": world}
+        policy: nn.Module = make("policy", config.policy, trust, **parts)
+    return policy.to(features.table.device)
+
+
+def _output_width(name: str, call: Any) -> int:
+    """The width of what a component gives for one row."""
+    try:
+        with torch.no_grad():
+            result = call()
+    except (RuntimeError, TypeError, ValueError, KeyError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ConfigError(f"{name}: cannot be called as it should, on [1, 4, D] features: {reason}") from None
+    if not isinstance(result, Tensor) or result.ndim != 2 or len(result) != 1:
+        found = list(result.shape) if isinstance(result, Tensor) else type(result).__name__
+        raise ConfigError(f"{name}: gives {found} for one row; expected [1, width]")
+    return result.shape[1]
+
+
+def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
+    row = TensorDict({"fused": torch.zeros(1, width), "is_init": torch.ones(1, 1, dtype=torch.bool)}, batch_size=[1])
+    result: Tensor = memory(row.update(initial_state(memory, 1, torch.device("cpu"))))["memory"]
+    return result
+
+
+def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tensor] | None = None) -> FeatureTable:
+    """The features of the world's states, standardised or whitened as configured.
+
+    Args:
+        config: of the run.
+        world: whose states.
+        weights: of a trained network, whose mean, standard deviation and axes are used; the world's if left out.
+
+    Raises:
+        ConfigError: the encoder reads patches, and the scenes have none.
+    """
+    mean, std, axes = None, None, None
+    if weights is not None:
+        mean, std, axes = saved_statistics(weights)
+    elif config.network.components:
+        mean, std, axes = whitening(world.features, config.network.components)
+    elif config.network.standardise:
+        mean, std = feature_statistics(world.features)
+    patches = world.patches if reads_patches(config) else None
+    if patches is None and reads_patches(config):
+        raise ConfigError(
+            f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again by "
+            "scenes.py encode ... patches=true"
+        )
+    return FeatureTable(world.features, mean, std, axes, patches).to(world.device)
+
+
+def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+    """Mean, standard deviation and axes of the features that a network was trained on, float32.
+
+    The agents of the package are stored as float16, half the size.
+    """
+    found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
+    mean, std, axes = (found.get(f"features.{name}") for name in ("mean", "std", "axes"))
+    return _float32(mean), _float32(std), _float32(axes)
+
+
+def _float32(values: Tensor | None) -> Tensor | None:
+    return None if values is None else values.float()
+
+
+def reads_patches(config: TrainConfig) -> bool:
+    """Whether the encoder compares patches: its constructor takes ``patch_shape``."""
+    return "patch_shape" in class_parameters(find_class("encoder", config.encoder[TARGET], config.trust))

@@ -1,0 +1,21 @@
+"""The recogniser of a configuration, and the stop by it."""
+
+from dirl.config.components import make
+from dirl.config.schemas import TrainConfig
+from dirl.recognition.matching import TemplateStop
+from dirl.recognition.recogniser import NCC, Recogniser
+
+
+def matching(config: TrainConfig) -> TemplateStop:
+    """The stop by template matching."""
+    recogniser = build_recogniser(config)
+    threshold = config.stop.threshold
+    if recogniser.thresholds is not None:
+        threshold = recogniser.thresholds.photo if config.stop.match == "front" else recogniser.thresholds.views
+    return TemplateStop(threshold, config.stop.match, recogniser)
+
+
+def build_recogniser(config: TrainConfig) -> Recogniser:
+    """What the stop and the episodic memory recognise places by."""
+    found: Recogniser | None = make("recogniser", config.recogniser, config.trust)
+    return found or NCC()
