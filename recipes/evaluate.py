@@ -33,6 +33,7 @@ from dirl.recognition.build import matching
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
+from dirl.runs.finding import packaged_agent
 from dirl.training.build import describe
 from dirl.training.load import Trained, load_trained
 
@@ -67,7 +68,12 @@ def main(composed: DictConfig) -> None:
         if options.image_graph is not None:
             last_steps = LAST_STEPS if options.last_steps is None else options.last_steps
             trained = trained._replace(policy=led_by_map(trained, options.image_graph, last_steps))
+        own = trained.protocol.recogniser
+        if options.threshold is not None and own is not None and own.thresholds is not None:
+            raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
         facts = describe(trained.config, trained.protocol.world)
+        if packaged_agent(checkpoint) is not None:
+            facts["agent"] = Path(checkpoint).name
         pages = viewer(trained, facts) if options.viewer else {}
         result = {
             "checkpoint": checkpoint,

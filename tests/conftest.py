@@ -3,8 +3,11 @@
 import importlib
 import os
 import shutil
+import tempfile
 
 os.environ["OMP_NUM_THREADS"] = "1"  # here and in every program that a test starts: they are small, and side by side
+os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
+os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="dirl-tests-")  # of features that are encoded when needed
 
 import pytest
 from hypothesis import settings

@@ -1,6 +1,7 @@
 import contextlib
 import gc
 import io
+import os
 import random
 import sys
 from unittest.mock import patch
@@ -42,6 +43,15 @@ def test_any_options_are_let_go_on_or_refused_with_one_line(tmp_path_factory, rn
     (files / "room.h5").touch()
     told = started(program(recipe), *command_line(recipe, draw_arguments(rng, recipe), files))
     assert told is None or (told.startswith("error: ") and len(told.splitlines()) == 1)
+
+
+@pytest.mark.parametrize("own", [None, "ACTIVE"])
+def test_threads_wait_passively_unless_the_user_says_otherwise(monkeypatch, own):
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    if own is not None:
+        monkeypatch.setenv("OMP_WAIT_POLICY", own)
+    assert started("train", "nope") is not None
+    assert os.environ["OMP_WAIT_POLICY"] == (own or "PASSIVE")
 
 
 def test_a_seed_draws_the_same_options():

@@ -167,7 +167,8 @@ def test_what_a_constructor_refuses_is_one_line():
 def test_every_component_of_a_configuration_is_found():
     config = train_config("objective=ppo")
     assert set(components(config)) == {
-        "observation", "encoder", "heads", "policy", "expert", "losses.imitation", "losses.ppo", "optimiser"
+        "observation", "encoder", "heads", "policy", "recogniser", "expert", "losses.imitation", "losses.ppo",
+        "optimiser",
     }  # fmt: skip
     check_components(config, ())
     config.encoder = {"width": 3}

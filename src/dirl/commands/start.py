@@ -60,6 +60,9 @@ def start(recipe: str, text: str | None = None) -> str:
     Raises:
         SystemExit: help was asked for, or the command line is refused.
     """
+    # Threads of OpenMP that wait for each other spin, and beside other processes they wait for most of the time. Read
+    # when torch is imported, also by the processes that this one starts.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     register()
     with one_line_exits(), one_line_errors():
         arguments = sys.argv[1:]

@@ -79,6 +79,8 @@ def run_title(summary: Mapping[str, Any]) -> str:
     # The built-in rooms have the names of published scenes; their results must not be confused with those.
     sources = ["rooms, synthetic" if source == "rooms" else source for source in summary["source"].split("+")]
     system = summary["system"].upper().replace("_", "-")
+    if "agent" in summary:  # one of the package, as it came
+        return f"{summary['agent']}, {scenes} (source: {' + '.join(sources)})"
     return f"{system}, {scenes} (source: {' + '.join(sources)}), seed {summary['seed']}"
 
 
@@ -89,7 +91,7 @@ def scene_names(scene: str | Sequence[str]) -> str:
 
 
 def _heading(summary: Mapping[str, Any]) -> str:
-    facts = [f"{summary['frames']:,} frames"]
+    facts = [] if "agent" in summary else [f"{summary['frames']:,} frames"]
     if (rate := summary.get("frames_per_second")) is not None:
         facts.append(f"{rate:,.0f} frames/s")
     if (seconds := summary.get("seconds")) is not None:
@@ -99,7 +101,7 @@ def _heading(summary: Mapping[str, Any]) -> str:
         facts.append("never stable" if stable is None else f"stable at {stable:,} frames")
     if (memory := summary.get("peak_memory_mb")) is not None:
         facts.append(f"peak memory {memory:,.0f} MB")
-    return f"{run_title(summary)}: {', '.join(facts)}"
+    return ": ".join([run_title(summary), *([", ".join(facts)] if facts else [])])
 
 
 def _by_goal(scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, float | None]]:

@@ -1,6 +1,5 @@
 """How much memory a process has needed."""
 
-import resource
 import sys
 from pathlib import Path
 
@@ -10,4 +9,8 @@ def peak_memory_mb() -> float:
     status = Path("/proc/self/status")
     if status.exists():  # on Linux `getrusage` would include the memory of the parent before the fork
         return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    try:
+        import resource
+    except ImportError:  # on Windows
+        return float("nan")
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6

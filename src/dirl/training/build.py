@@ -10,6 +10,7 @@ from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
+from dirl.backbones.again import encoded_as
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
 from dirl.envs import NavigationEnv, Reward, SurroundingViews
@@ -17,6 +18,7 @@ from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import PlanningMemory, recurrent_keys
+from dirl.models.build import reads_patches
 from dirl.objectives import ImitationLoss
 from dirl.recognition.build import build_recogniser, matching
 from dirl.recognition.matching import Arrived
@@ -27,8 +29,12 @@ from dirl.training.losses import Losses, ScheduledLoss
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 
-def build_world(config: TrainConfig) -> World:
+def build_world(config: TrainConfig, extractor: str | None = None) -> World:
     """Read the scenes and join them into a world, on the configured device.
+
+    Args:
+        config: of the run.
+        extractor: what a checkpoint was trained on; scenes with views get features of it, see `encoded_as`.
 
     Raises:
         SceneError: a scene or goal that does not exist or cannot be used.
@@ -38,6 +44,8 @@ def build_world(config: TrainConfig) -> World:
         raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
     where = {"source": config.source.name, "root": config.source.root, "split": config.split, "rooms": config.rooms}
     scenes = load_scenes(config.scene or [], **where)  # type: ignore[arg-type]
+    if extractor is not None:
+        scenes = [encoded_as(scene, extractor, patches=reads_patches(config)) for scene in scenes]
     workers, agents = config.reinforcement.workers, config.reinforcement.agents_per_scene * len(scenes)
     if workers > agents:
         raise ConfigError(f"reinforcement.workers={workers}: there are only {agents} agents to share among them")

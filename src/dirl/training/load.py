@@ -50,14 +50,16 @@ def load_trained(
         given.setdefault("hold_out", 0.0)
         given.setdefault("evaluation.goals", None)  # all that are named, though the run drew some of its own
     if "scene" in given and collection_folder(given["scene"]) is None:  # else the rooms of the training's split
-        given = {"split": None, "rooms": None, **given}
+        # Of other rooms their own goals, from every start, unless something else is said.
+        own = {"goals": None, "hold_out": 0.0, "evaluation.goals": None, "evaluation.starts": "every"}
+        given = {"split": None, "rooms": None, **own, **given}
     # Goals that are drawn are drawn by the seed of the training: by another, trained ones would count as held out.
     seed = given.pop("seed", None)
     config = read_config(saved["config"], origin, given, trust)
     rooms = None if "scene" in given else collection_folder(config.scene or [])
     if rooms is not None and not rooms.is_dir():
         raise ConfigError(f"{origin}: its training rooms, {rooms}, are not here; say where to evaluate it: scene=...")
-    world = build_world(config)
+    world = build_world(config, saved["extractor"])
     held_out = build_goals(config, world.scenes).held_out
     if seed is not None:
         config = replace(config, seed=seed)
