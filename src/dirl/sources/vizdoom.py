@@ -57,6 +57,7 @@ class VizDoom:
         _check_map(Path(wad) if wad else own, name)
         self.name = f"{Path(wad or own).stem}_{name.lower()}"
         self.size = (width, height)
+        self._moved = True
         self._game = game = vizdoom.DoomGame()
         game.set_doom_config_path(os.devnull)  # else it leaves a file of settings where one works
         game.set_doom_game_path(str(own))
@@ -121,7 +122,7 @@ class VizDoom:
                 thrust = 32 * (NEARER * (along @ left) - speed)
                 self._tics(0, way * np.clip(thrust, -PUSH, PUSH), 1)
                 still = still + 1 if abs(along @ self._speed()) < 0.05 else 0
-            self._halt(Pose(*end.tolist(), start.heading) if arrived else start)
+            self._halt(Pose(float(end[0]), float(end[1]), start.heading) if arrived else start)
         return arrived
 
     def look(self, heading: float) -> NDArray[np.uint8]:
@@ -155,7 +156,9 @@ class VizDoom:
     def _halt(self, pose: Pose) -> None:
         """Put the agent somewhere, and let it lose its speed there."""
         self._warp(pose)
-        while np.abs(self._speed()).max() > 0.05:
+        for _ in range(TICS):  # on a floor that carries, it never does
+            if np.abs(self._speed()).max() < 0.05:
+                break
             self._tics(0, 0, 4)
             self._warp(pose)
 
