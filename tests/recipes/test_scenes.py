@@ -75,7 +75,7 @@ def test_the_program_ends_with_one_line_or_with_the_work_done(room, here):
     [
         ("inpect", "did you mean inspect?"),
         ("phtos", "did you mean photos?"),
-        ("xyz", "choose from thor, vizdoom, miniworld, photos"),
+        ("xyz", "choose from thor, vizdoom"),
     ],
 )
 def test_a_mistyped_command_is_told_its_neighbour(name, says):
