@@ -55,6 +55,7 @@ def main(composed: DictConfig) -> None:
             "stop.threshold": options.threshold,
             "stop.match": options.match,
             "episodic_memory": group_options("episodic_memory", options.episodic_memory),
+            "recogniser": group_options("recogniser", options.recogniser),
             "evaluation.starts": options.starts,
             "evaluation.episodes_per_goal": options.episodes_per_goal,
             "evaluation.max_steps": options.max_steps,

@@ -62,6 +62,7 @@ from dirl.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.rooms import build_room, read_description
 from dirl.rooms.collect import RoomSettings, make_rooms, missing_rooms
+from dirl.rooms.looks import Changes
 from dirl.rooms.sheet import draw_sheet, preview
 from dirl.scenes import Scene, load_scenes, write_dump
 from dirl.scenes.collection import Entry
@@ -192,7 +193,8 @@ def build(options: BuildConfig) -> None:
 def sample(options: SampleConfig) -> None:
     """Furnish random rooms and build them into a collection, each with its description; those that are there stay."""
     folder, kinds = sampled_kinds(options)
-    settings = RoomSettings(**{field.name: getattr(options, field.name) for field in fields(RoomSettings)})
+    values = {field.name: getattr(options, field.name) for field in fields(RoomSettings)}
+    settings = RoomSettings(**{**values, "changes": Changes(**vars(options.changes))})
     seeds = range(options.seed, options.seed + options.count)
     wanted = [(kind, seed) for seed in seeds for kind in kinds]
     todo = missing_rooms(folder, wanted, settings.stored(settings.load_encoder()))

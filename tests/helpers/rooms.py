@@ -22,6 +22,8 @@ def grid_scene(
     blocked=(),
     extractor="random",
     patches=False,
+    looks=0,
+    noise=0.05,
 ):
     """A rectangular room with one place per cell, all of them connected unless cells are blocked.
 
@@ -33,6 +35,7 @@ def grid_scene(
         headings: turns in a full circle, a multiple of 4; ahead and back only move along the axes.
         blocked: cells ``(x, z)`` without a place, e.g. ``[(1, 0)]``.
         patches: with patches, which are random.
+        looks: further looks, which are the features and patches with ``noise``.
     """
     cells = [(x, z) for z in range(depth) for x in range(width) if (x, z) not in set(blocked)]
     place_of = {cell: place for place, cell in enumerate(cells)}
@@ -52,6 +55,13 @@ def grid_scene(
                         graph[first + turn, action] = headings * beside + turn
     rng = np.random.default_rng(seed)
     features = rng.random((len(graph), feature_width), np.float32)
+    parts = rng.normal(size=(len(graph), *PATCH_SHAPE)).astype(np.float16) if patches else None
+
+    def again(values):
+        if values is None or not looks:
+            return None
+        return (values + noise * rng.normal(size=(looks, *values.shape))).astype(np.float16)
+
     return Scene(
         name=name,
         graph=graph,
@@ -61,7 +71,9 @@ def grid_scene(
         goals=tuple(goals),
         extractor=extractor,
         origin="grid_scene",
-        patches=rng.normal(size=(len(graph), *PATCH_SHAPE)).astype(np.float16) if patches else None,
+        patches=parts,
+        look_features=again(features),
+        look_patches=again(parts),
     )
 
 

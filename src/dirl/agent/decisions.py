@@ -19,7 +19,11 @@ WALKED = 50
 """States that an episode passes, roughly; where there are more pairs to ask for beforehand, agents ask on their way."""
 
 Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
-"""Of B agents the episode, state, view ids ``[B, 4]`` and goal index, int64, to logits ``[B, 4]``."""
+"""Of B agents the episode, what is seen ahead, the view ids ``[B, 4]`` and the goal, int64, to logits ``[B, 4]``.
+
+What is seen ahead is a view id, ``look * N + state``. A goal is its place among the world's G goals, plus G times its
+look.
+"""
 
 
 def deciding(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
@@ -33,18 +37,18 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
         return _with_memory(policy, world, observation, episodes)
     if observation.history:
         return _once_a_case(policy, world, observation)
-    if max(PAIRS_AT_ONCE, WALKED * episodes) < len(world.distances):
-        return lambda _, state, view_ids, wanted: policy(observe(world, observation, state, view_ids, wanted))["logits"]
+    if world.looks > 1 or max(PAIRS_AT_ONCE, WALKED * episodes) < len(world.distances):
+        return lambda _, ahead, view_ids, wanted: policy(observe(world, observation, ahead, view_ids, wanted))["logits"]
     table, _ = answers(policy, world, observation)
-    return lambda episode, state, view_ids, wanted: table.index_select(0, world.pair(wanted, state))
+    return lambda episode, ahead, view_ids, wanted: table.index_select(0, world.pair(wanted, ahead))
 
 
 def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide:
-    states, goals = len(world), len(world.goals)
+    pictures, goals = observation.pictures, len(world.goals) * world.looks
     seen, answered = EmbeddingCache(), EmbeddingCache()
 
-    def decide(episode: Tensor, state: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        row = seen.places(pack(view_ids, states), lambda keys: (unpack(keys, states, VIEWS),))
+    def decide(episode: Tensor, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
+        row = seen.places(pack(view_ids, pictures), lambda keys: (unpack(keys, pictures, VIEWS),))
 
         def answer(cases: Tensor) -> tuple[Tensor]:
             goal, ids = cases % goals, seen.rows[0][cases // goals]
@@ -60,8 +64,8 @@ def _with_memory(policy: nn.Module, world: World, observation: SurroundingViews,
     memory = initial_state(policy, episodes, world.device)
     begins = torch.ones((episodes, 1), dtype=torch.bool, device=world.device)
 
-    def decide(episode: Tensor, state: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        asked = observe(world, observation, state, view_ids, wanted)
+    def decide(episode: Tensor, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
+        asked = observe(world, observation, ahead, view_ids, wanted)
         asked.update({"is_init": begins[episode], **{key: value[episode] for key, value in memory.items()}})
         logits: Tensor = policy(asked)["logits"]
         for key, value in memory.items():
@@ -72,20 +76,18 @@ def _with_memory(policy: nn.Module, world: World, observation: SurroundingViews,
     return decide
 
 
-def observe(
-    world: World, observation: SurroundingViews, state: Tensor, view_ids: Tensor, goal_index: Tensor
-) -> TensorDict:
-    """The input of a policy, ``[B]``: state, goal, scene, and the view ids of both."""
-    goal = world.goals[goal_index]
+def observe(world: World, observation: SurroundingViews, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> TensorDict:
+    """The input of a policy, ``[B]``: state, goal, scene, and the view ids of both; see `Decide`."""
+    goal, look = world.goals[wanted % len(world.goals)], wanted // len(world.goals)
     return TensorDict(
         {
-            "state": state,
+            "state": ahead % len(world),
             "goal": goal,
             "scene": world.scene_of[goal],
             "view_ids": view_ids,
-            "goal_view_ids": observation.of_goal(goal),
+            "goal_view_ids": observation.of_goal(goal + look * len(world)),
         },
-        batch_size=[len(state)],
+        batch_size=[len(ahead)],
     )
 
 
@@ -95,7 +97,8 @@ def answers(
 ) -> tuple[Tensor, Tensor]:
     """The outputs of a policy for every pair of a goal and a state of its scene.
 
-    Sequential views and memories are those at the start of an episode. For all goals the batches are those of
+    Sequential views and memories are those at the start of an episode; states and goals have
+    their default look. For all goals the batches are those of
     `run_episodes`, so that even the rounding is the same.
 
     Args:

@@ -12,7 +12,6 @@ from torch import Tensor
 from dirl.agent.exploring import Explorer, Guide, guide_to
 from dirl.agent.feature_policy import FeaturePolicy
 from dirl.agent.hub import fetch_pretrained
-from dirl.agent.image_recall import Recall, recalling
 from dirl.agent.images import Images, NavigatorError, checked_images
 from dirl.agent.loading import (
     Encoder,
@@ -24,13 +23,15 @@ from dirl.agent.loading import (
 )
 from dirl.agent.mapping import ImageGraph
 from dirl.agent.mapping.policy import LAST_STEPS
+from dirl.agent.recall import CameraSight, Memory, Recall, recalling
 from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state
 from dirl.recognition.matching import FRONT_THRESHOLD
+from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.training.build import reads_patches
+from dirl.training.build import build_recogniser, reads_patches
 
 
 class Scores(NamedTuple):
@@ -65,7 +66,8 @@ class Navigator:
         threshold: stop above this matching coefficient. For a policy that matches four views, a goal given as one
             photo needs at least `FRONT_THRESHOLD`.
         facts: ``scene`` and ``extractor``, written to the metadata of exported files.
-        recall: the views and actions of the episode, if the policy has an episodic memory.
+        memory: of what was done in an episode, or None.
+        recogniser: by which the goal and known places are recognised; correlation if left out.
     """
 
     def __init__(
@@ -75,14 +77,16 @@ class Navigator:
         view_order: list[str],
         threshold: float,
         facts: dict[str, str],
-        recall: Recall | None = None,
+        memory: Memory | None = None,
+        recogniser: Recogniser | None = None,
     ) -> None:
         self.policy = policy
         self.view_order = view_order
         self.sequential = view_order[-1] == "now"
         self.threshold = threshold
         self.facts = facts
-        self.recall = recall
+        self.memory, self.recogniser = memory, recogniser or NCC()
+        self.recall: Recall | None = None
         self.guide: Guide | None = None
         self.encoder = encoder
         self._goal: Tensor | None = None
@@ -132,14 +136,15 @@ class Navigator:
         if not callable(encoder):
             given = {"confirmed": extractor is not None, "patches": reads_patches(config)}
             encoder = encoder_of_images(encoder, device, saved, str(checkpoint), **given)
-        memory = make("episodic_memory", config.episodic_memory, trust)
+        memory, recogniser = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
+        if memory is not None and recogniser.thresholds is not None:
+            memory.threshold = recogniser.thresholds.memory
         if memory is not None and order[-1] == "now":
             raise NavigatorError(
                 f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
             )
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
-        recall = None if memory is None else recalling(memory)
-        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, recall)
+        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory, recogniser)
 
     @classmethod
     def from_pretrained(
@@ -209,8 +214,7 @@ class Navigator:
             views = F.pad(views, (0, 0, 0, VIEWS - 1))
         self._goal = views
         self._views = self._state = None
-        if self.recall is not None:
-            self.recall.clear()
+        self.recall = None if self.memory is None else recalling(self.memory, CameraSight(self.recogniser))
 
     @torch.no_grad()
     def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
@@ -236,8 +240,10 @@ class Navigator:
         state = self._recurrent_state(agents)
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
         self._state = tuple(after)
+        matching = self._matching(views, matching)
         if self.recall is not None:
-            logits = self.recall.adjust(self._pooled(views), logits, partial(self._around, views))
+            policy = logits
+            logits = self.recall.adjust(self._described(views), lambda: policy, partial(self._around, views))
         probabilities = logits.softmax(-1)
         if sample:
             action = torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
@@ -251,13 +257,19 @@ class Navigator:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
 
-    def _around(self, views: Tensor) -> tuple[Tensor, Tensor]:
-        """Of views ``[B, 4, D]`` the logits facing each of them, ``[B, 4, 4]``, and whether the goal is seen there."""
+    def _around(self, views: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
+        """See `dirl.agent.recall.Around`, of views ``[B, 4, D]``."""
         assert self._goal is not None
-        facing = torch.stack([views.roll(-turns, 1) for turns in range(VIEWS)], 1)
-        goal = self._goal.expand(len(views), -1, -1).repeat_interleave(VIEWS, 0)
-        logits, _, matching, *_ = self.policy(facing.flatten(0, 1), goal)
-        return logits.unflatten(0, (-1, VIEWS)), matching.unflatten(0, (-1, VIEWS)) > self._threshold_now()
+        agents = len(views)
+        logits, goal = views.new_zeros(agents, VIEWS, VIEWS), chosen.new_zeros(agents, VIEWS)
+        if chosen.any():
+            facing = torch.stack([views[chosen].roll(-turns, 1) for turns in range(VIEWS)], 1)
+            wanted = self._goal.expand(agents, -1, -1)[chosen].repeat_interleave(VIEWS, 0)
+            asked, _, matching, *_ = self.policy(facing.flatten(0, 1), wanted)
+            logits[chosen] = asked.unflatten(0, (-1, VIEWS))
+            matching = self._matching(facing.flatten(0, 1), matching)
+            goal[chosen] = matching.unflatten(0, (-1, VIEWS)) > self._threshold_now()
+        return logits, goal
 
     def explore(self, graph: ImageGraph | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
@@ -299,6 +311,28 @@ class Navigator:
         self.guide.action = int(action) if planned is None else planned
         return torch.full_like(action, self.guide.action)
 
+    def _matching(self, views: Tensor, coefficient: Tensor) -> Tensor:
+        """How much views ``[B, 4, D]`` look like the goal's, ``[B]``: the recogniser's score, or the correlation."""
+        if self.recogniser.thresholds is None:
+            return coefficient
+        assert self._goal is not None
+        known = self._goal[:, :1] if self._is_photo() else self._goal
+        goal = self._described(known).expand(len(self._goal) if len(self._goal) > 1 else len(views), -1, -1)
+        goal = goal.repeat_interleave(len(views) // len(goal), 0)
+        return self.recogniser.scores(self._described(views).unsqueeze(1), goal.unsqueeze(1)).flatten()
+
+    def _is_photo(self) -> bool:
+        """Whether the goal is given by one view, though the agent sees four."""
+        assert self._goal is not None
+        return not self.sequential and not bool(self._goal[:, 1:].any())
+
+    def _described(self, views: Tensor) -> Tensor:
+        """What the recogniser compares of views, ``[..., D]`` to ``[..., F]``."""
+        pooled = len(self._table.mean)
+        patches = self._table.patches
+        parts = None if patches is None else views[..., pooled:].unflatten(-1, patches.shape[1:])
+        return self.recogniser.describe(views[..., :pooled], parts)
+
     def _pooled(self, views: Tensor) -> Tensor:
         """The pooled features of views, ``[..., D']``, without those of patches."""
         return views[..., : len(self._table.mean)]
@@ -306,6 +340,8 @@ class Navigator:
     def _threshold_now(self) -> float:
         """The threshold in use: higher for one photo if `threshold` is meant for four views."""
         assert self._goal is not None
+        if self.recogniser.thresholds is not None:
+            return self.recogniser.thresholds.photo if self._is_photo() else self.recogniser.thresholds.views
         photo = self.policy.front is None and not self._goal[:, 1:].any()
         return max(self.threshold, FRONT_THRESHOLD) if photo else self.threshold
 

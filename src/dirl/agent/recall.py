@@ -1,15 +1,87 @@
-"""Episodic memories of agents that walk in a world: states whose views match are the same place."""
+"""The episodic memory of agents on their way: what they see now, compared with all they have seen in the episode.
+
+One code for agents in worlds and agents that see images. They differ in their `Sight` alone: a world's agents look
+scores up, a camera's compute them.
+"""
+
+from collections.abc import Callable
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from dirl.agent.decisions import Decide
-from dirl.envs import SurroundingViews
+from dirl.envs.transforms import VIEWS
 from dirl.models import EpisodicMemory, PlanningMemory
-from dirl.recognition.matching import look_alike
-from dirl.scenes import World
+from dirl.recognition.recogniser import Recogniser
+from dirl.recognition.tables import VisitScores
 
 Memory = EpisodicMemory | PlanningMemory
+
+Around = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""Of the chosen agents, bool ``[B]``, the policy's logits facing each of the four views, float32 ``[B, 4, 4]``, and
+whether the goal is seen there, bool ``[B, 4]``; rows of agents that are not chosen are zero."""
+
+
+class Sight(Protocol):
+    """What B agents have seen in their episodes. A *node* is a visit and a heading: ``4 * visit + quarters``."""
+
+    def compare(self, visit: Tensor) -> Tensor:
+        """How much what is seen now looks like each node so far, float32 ``[B, T, 4]``; the visit becomes the next.
+
+        Args:
+            visit: what is seen ahead, right, back and left, in the form of this sight, ``[B, 4, ...]``.
+        """
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents, by mask or index."""
+
+
+class WorldSight:
+    """Visits of a world by their view ids, int64 ``[B, 4]``; scores are looked up.
+
+    Args:
+        scores: between any two visits of a scene.
+        agents: how many begin, B.
+    """
+
+    def __init__(self, scores: VisitScores, agents: int) -> None:
+        self.scores = scores
+        self.seen = torch.empty((agents, 0, VIEWS), dtype=torch.int64, device=scores.table.device)
+
+    def compare(self, visit: Tensor) -> Tensor:
+        """See `Sight.compare`."""
+        found = self.scores(self.seen, visit[:, None, :1])  # a node faces the view that was ahead or aside
+        self.seen = torch.cat([self.seen, visit[:, None]], 1)
+        return found
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents."""
+        self.seen = self.seen[chosen]
+
+
+class CameraSight:
+    """Visits by the descriptions of their views, float32 ``[B, 4, F]``; scores are computed.
+
+    Args:
+        recogniser: compares them.
+    """
+
+    def __init__(self, recogniser: Recogniser) -> None:
+        self.recogniser = recogniser
+        self.seen: Tensor | None = None
+
+    def compare(self, visit: Tensor) -> Tensor:
+        """See `Sight.compare`."""
+        seen = visit[:, None][:, :0] if self.seen is None else self.seen
+        # An agent that turned right since a visit sees the same views rolled by minus one: rolled back they are alike.
+        facing = torch.stack([visit.roll(quarters, 1) for quarters in range(VIEWS)], 1)
+        self.seen = torch.cat([seen, visit[:, None]], 1)
+        return self.recogniser.scores(seen, facing) if seen.shape[1] else seen.new_zeros(len(visit), 0, VIEWS)
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents."""
+        assert self.seen is not None
+        self.seen = self.seen[chosen]
 
 
 class Counting:
@@ -17,27 +89,40 @@ class Counting:
 
     Args:
         memory: lowers the logits of actions that were taken before.
-        world: where they walk.
-        decide: the policy's logits.
+        sight: empty.
     """
 
-    def __init__(self, memory: EpisodicMemory, world: World, decide: Decide) -> None:
-        self.memory, self.decide, self.device = memory, decide, world.device
-        self.alike, self.row = look_alike(world, memory.threshold)
+    def __init__(self, memory: EpisodicMemory, sight: Sight) -> None:
+        self.memory, self.sight, self.action = memory, sight, torch.empty(0)
+        self.trace = memory.begin(0)
+        self.visits = 0
 
-    def begin(self, agents: int) -> None:
-        """Begin new episodes."""
-        self.trace = self.memory.begin(agents, self.device)
+    def adjust(self, visit: Tensor, logits: Callable[[], Tensor], around: Around) -> Tensor:
+        """The logits, lowered for what was done where everything looked as it does now.
 
-    def __call__(self, episode: Tensor, state: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        """The adjusted logits; see `dirl.agent.decisions.Decide`."""
-        same = self.alike[self.row[self.trace.place] + state.unsqueeze(-1)]
-        return self.memory.adjust(self.decide(episode, state, view_ids, wanted), self.trace, same)
+        Args:
+            visit: what is seen, see `Sight.compare`.
+            logits: gives those of the policy, float32 ``[B, 4]``.
+            around: not used.
+        """
+        alike = self.sight.compare(visit)[..., 0] > self.memory.threshold
+        if not self.visits:
+            self.trace = self.memory.begin(len(visit), visit.device)
+        else:
+            place = torch.full((len(visit),), self.visits, device=visit.device)
+            self.trace = self.memory.record(self.trace, place - 1, self.action, place, ~alike[:, -1])
+        self.visits += 1
+        here = torch.cat([alike, alike.new_ones(len(alike), 1)], 1)
+        return self.memory.adjust(logits(), self.trace, here.gather(1, self.trace.place))
 
-    def record(self, before: Tensor, action: Tensor, after: Tensor, going: Tensor) -> None:
-        """Note a step of all agents, and keep those that go on, bool ``[B]``."""
-        moved = ~self.alike[self.row[before] + after]
-        self.trace = self.memory.record(self.trace, before, action, after, moved).select(going)
+    def acted(self, action: Tensor) -> None:
+        """Note the actions that the agents take now, int64 ``[B]``."""
+        self.action = action
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents, by mask or index."""
+        self.trace, self.action = self.trace.select(chosen), self.action[chosen]
+        self.sight.select(chosen)
 
 
 class Planning:
@@ -45,57 +130,42 @@ class Planning:
 
     Args:
         memory: plans.
-        world: where they walk.
-        decide: the policy's logits.
-        observation: what it observes; see `dirl.envs.SurroundingViews`.
-        stop: where agents stop, see `dirl.evaluation.episodes.run_episodes`.
+        sight: empty.
     """
 
-    def __init__(
-        self,
-        memory: PlanningMemory,
-        world: World,
-        decide: Decide,
-        observation: SurroundingViews,
-        stop: Tensor | None,
-    ) -> None:
-        self.memory, self.world, self.decide, self.observation, self.stop = memory, world, decide, observation, stop
-        self.alike, self.row = look_alike(world, memory.threshold)
+    def __init__(self, memory: PlanningMemory, sight: Sight) -> None:
+        self.memory, self.sight = memory, sight
+        self.walked = memory.begin(0)
+        self.visits = 0
 
-    def begin(self, agents: int) -> None:
-        """Begin new episodes."""
-        self.walked = self.memory.begin(agents, self.world.device)
-        self.states = torch.empty((agents, 0), dtype=torch.int64, device=self.world.device)
-        """Of the nodes, int64 ``[B, N]``."""
+    def adjust(self, visit: Tensor, logits: Callable[[], Tensor], around: Around) -> Tensor:
+        """The logits of the plan, float32 ``[B, 4]``; see `Counting.adjust`.
 
-    def __call__(self, episode: Tensor, state: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        """The logits of the plan; see `dirl.agent.decisions.Decide`."""
-        same = self.alike[self.row[self.states] + state.unsqueeze(-1)] & self.walked.used
-        around = self.world.surrounding[state]
-        new = ~same.any(1)
-        facing, wanted_there = around[new].flatten(), wanted[new].repeat_interleave(around.shape[1])
-        logits = torch.zeros((*around.shape, around.shape[1]), device=state.device)
-        asked = episode[new].repeat_interleave(around.shape[1]), facing, self.observation.begin(facing), wanted_there
-        logits[new] = self.decide(*asked).view(-1, *logits.shape[1:])
-        goal = torch.zeros_like(around, dtype=torch.bool)
-        goal[new] = self._is_goal(wanted_there, facing).view(-1, around.shape[1])
-        self.walked = self.memory.arrive(self.walked, same, logits, goal)
-        self.states = torch.cat([self.states, around], 1)
+        Args:
+            visit: what is seen, see `Sight.compare`.
+            logits: not used: those of the policy facing ahead are among ``around``.
+            around: asks the policy at places that are new.
+        """
+        if not self.visits:
+            self.walked = self.memory.begin(len(visit), visit.device)
+        self.visits += 1
+        same = (self.sight.compare(visit).flatten(1) > self.memory.threshold) & self.walked.used
+        self.walked = self.memory.arrive(self.walked, same, *around(~same.any(1)))
         return self.memory.plan(self.walked)
 
-    def _is_goal(self, wanted: Tensor, state: Tensor) -> Tensor:
-        return state == self.world.goals[wanted] if self.stop is None else self.stop[self.world.pair(wanted, state)]
-
-    def record(self, before: Tensor, action: Tensor, after: Tensor, going: Tensor) -> None:
-        """Note a step of all agents, and keep those that go on, bool ``[B]``."""
+    def acted(self, action: Tensor) -> None:
+        """Note the actions that the agents take now, int64 ``[B]``."""
         self.walked.action = action
-        self.walked, self.states = self.walked.select(going), self.states[going]
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents, by mask or index."""
+        self.walked = self.walked.select(chosen)
+        self.sight.select(chosen)
 
 
-def recalling(
-    memory: Memory, world: World, decide: Decide, observation: SurroundingViews, stop: Tensor | None
-) -> Counting | Planning:
-    """A memory at the start of episodes in a world; see `Counting` and `Planning`."""
-    if isinstance(memory, PlanningMemory):
-        return Planning(memory, world, decide, observation, stop)
-    return Counting(memory, world, decide)
+Recall = Counting | Planning
+
+
+def recalling(memory: Memory, sight: Sight) -> Recall:
+    """A memory at the start of episodes."""
+    return Planning(memory, sight) if isinstance(memory, PlanningMemory) else Counting(memory, sight)

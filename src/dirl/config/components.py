@@ -28,6 +28,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
     "heads": frozenset({"scenes", "in_features", "num_actions"}),
     "policy": frozenset({"world", "features", "encoder", "heads", "memory"}),
     "episodic_memory": frozenset(),
+    "recogniser": frozenset(),
     "expert": frozenset({"world", "seed"}),
     "losses": frozenset({"policy", "actor_network", "actor", "critic_network", "world"}),
     "optimiser": frozenset({"params"}),

@@ -1,6 +1,6 @@
 """The options of the commands of ``recipes/scenes.py`` with their types; the values are in ``conf/scenes/``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from omegaconf import MISSING
@@ -109,6 +109,17 @@ class BuildConfig:
 
 
 @dataclass
+class ChangesConfig:
+    """By how much further looks differ, see `dirl.rooms.looks.Changes`."""
+
+    position: float = MISSING
+    heading: float = MISSING
+    exposure: float = MISSING
+    white_balance: float = MISSING
+    camera_height: float = MISSING
+
+
+@dataclass
 class SampleConfig:
     """Everything ``recipes/scenes.py sample`` takes."""
 
@@ -125,6 +136,8 @@ class SampleConfig:
     precision: Precision = MISSING
     patches: bool = MISSING
     device: Device = MISSING
+    looks: int = MISSING
+    changes: ChangesConfig = field(default_factory=ChangesConfig)
     sheet: bool = MISSING
 
 

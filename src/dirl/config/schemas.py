@@ -180,6 +180,7 @@ class TrainConfig:
     heads: Any = MISSING
     policy: Any = MISSING
     episodic_memory: Any = field(default_factory=lambda: {"_target_": None})
+    recogniser: Any = field(default_factory=lambda: {"_target_": "dirl.recognition.NCC"})
     expert: Any = MISSING
     losses: Any = MISSING
     optimiser: Any = MISSING
@@ -212,6 +213,7 @@ class EvaluateConfig:
     match: Match | None = None
     goal_view: GoalView | None = None
     episodic_memory: str | None = None
+    recogniser: str | None = None
     starts: Starts | None = None
     episodes_per_goal: int | None = None
     max_steps: int | None = None

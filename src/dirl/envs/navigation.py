@@ -32,7 +32,9 @@ class NavigationEnv(EnvBase):
     own: add TorchRL's ``StepCounter``, which truncates. With B agents, an observation holds
 
     - ``state``, ``goal``: states of the world, int64 ``[B]``;
-    - ``scene``: the scene they are in, int64 ``[B]``.
+    - ``scene``: the scene they are in, int64 ``[B]``;
+    - ``look``, ``goal_look``, only in a world that changes: which of its looks the state has at this visit, drawn anew
+      at every step, and the goal in this episode, int64 ``[B]``.
 
     The action is 0 ahead, 1 turn right, 2 turn left, 3 back, int64 ``[B]``; reward and done flags are ``[B, 1]``.
 
@@ -73,6 +75,7 @@ class NavigationEnv(EnvBase):
             state=Categorical(states, shape=agents),
             goal=Categorical(states, shape=agents),
             scene=Categorical(len(world.scenes), shape=agents),
+            **{key: Categorical(world.looks, shape=agents) for key in self._look_keys()},
             shape=agents,
             device=self.device,
         )
@@ -86,6 +89,13 @@ class NavigationEnv(EnvBase):
         if seed is not None:
             self.generator.manual_seed(seed)
 
+    def _look_keys(self) -> tuple[str, ...]:
+        """What an observation of a world that changes has besides; nothing is drawn in one that does not."""
+        return ("look", "goal_look") if self.world.looks > 1 else ()
+
+    def _any_look(self) -> Tensor:
+        return torch.randint(self.world.looks, self.batch_size, generator=self.generator, device=self.device)
+
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         draw = torch.rand((2, *self.batch_size), generator=self.generator, device=self.device)
         goal = (draw[0] * len(self.world.goals)).long()
@@ -97,6 +107,7 @@ class NavigationEnv(EnvBase):
                 "state": state,
                 "goal": self.world.goals[goal],
                 "scene": self.world.scene_of[state],
+                **{key: self._any_look() for key in self._look_keys()},
                 "done": done,
                 "terminated": done.clone(),
             },
@@ -111,11 +122,13 @@ class NavigationEnv(EnvBase):
         reward = torch.where(next_state == state, self.reward.collision, self.reward.step)
         reward = torch.where(stopped & (next_state == goal), self.reward.goal, reward)
         done = stopped.unsqueeze(-1)
+        looks = {"look": self._any_look(), "goal_look": tensordict["goal_look"]} if self.world.looks > 1 else {}
         return TensorDict(
             {
                 "state": next_state,
                 "goal": goal,
                 "scene": tensordict["scene"],
+                **looks,
                 "reward": reward.unsqueeze(-1),
                 "done": done,
                 "terminated": done.clone(),

@@ -36,26 +36,38 @@ class SurroundingViews(Transform):
     def __init__(self, world: World, goal_view: Literal["surrounding", "front"] = "surrounding") -> None:
         super().__init__(in_keys=["state", "goal"], out_keys=["view_ids", "goal_view_ids"])
         self.states = len(world)
+        self.pictures = world.looks * len(world)
+        """How many pictures there are; as a view id, this number denotes no view."""
         self.goal_view = goal_view
-        self.register_buffer("surrounding", world.surrounding)
+        by_look = [world.surrounding + look * len(world) for look in range(world.looks)]
+        self.register_buffer("surrounding", torch.cat(by_look))
 
-    def begin(self, state: Tensor) -> Tensor:
-        """The view ids at the start of an episode, int64 ``[...]`` to ``[..., 4]``."""
-        return self.surrounding[state]
+    def begin(self, picture: Tensor) -> Tensor:
+        """The view ids at the start of an episode, int64 ``[...]`` to ``[..., 4]``.
 
-    def of_goal(self, goal: Tensor) -> Tensor:
-        """The view ids of a goal, int64 ``[...]`` to ``[..., 4]``."""
-        views = self.begin(goal)
-        return views if self.goal_view == "surrounding" else front_only(views, self.states)
+        Args:
+            picture: what is seen ahead, ``look * N + state``: the state itself in a world that never changes.
+        """
+        return self.surrounding[picture]
 
-    def follow(self, view_ids: Tensor, state: Tensor) -> Tensor:
-        """The view ids after a step to ``state``, int64 ``[...]``, given those before it."""
-        return self.begin(state)
+    def of_goal(self, picture: Tensor) -> Tensor:
+        """The view ids of a goal, int64 ``[...]`` to ``[..., 4]``, see `begin`."""
+        views = self.begin(picture)
+        return views if self.goal_view == "surrounding" else front_only(views, self.pictures)
+
+    def follow(self, view_ids: Tensor, picture: Tensor) -> Tensor:
+        """The view ids after a step to where ``picture`` is seen, int64 ``[...]``, given those before it."""
+        return self.begin(picture)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        next_tensordict["view_ids"] = self.begin(next_tensordict["state"])
-        next_tensordict["goal_view_ids"] = self.of_goal(next_tensordict["goal"])
+        next_tensordict["view_ids"] = self.begin(self._picture(next_tensordict, "state", "look"))
+        next_tensordict["goal_view_ids"] = self.of_goal(self._picture(next_tensordict, "goal", "goal_look"))
         return next_tensordict
+
+    def _picture(self, tensordict: TensorDictBase, state: str, look: str) -> Tensor:
+        """The view id of a state in the look that was drawn; the state itself where there is one look."""
+        found: Tensor = tensordict[state]
+        return found if self.pictures == self.states else found + self.states * tensordict[look]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``view_ids`` and ``goal_view_ids`` of a replayed batch."""
@@ -65,14 +77,15 @@ class SurroundingViews(Transform):
         return self._call(tensordict_reset)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        next_tensordict["view_ids"] = self.follow(tensordict["view_ids"], next_tensordict["state"])
+        picture = self._picture(next_tensordict, "state", "look")
+        next_tensordict["view_ids"] = self.follow(tensordict["view_ids"], picture)
         next_tensordict["goal_view_ids"] = tensordict["goal_view_ids"]
         return next_tensordict
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add ``view_ids`` and ``goal_view_ids``."""
         shape = (*observation_spec.shape, VIEWS)
-        counts = {"view_ids": self.states, "goal_view_ids": self.states + (self.goal_view == "front")}
+        counts = {"view_ids": self.pictures, "goal_view_ids": self.pictures + (self.goal_view == "front")}
         for key, count in counts.items():
             observation_spec[key] = Categorical(count, shape=shape, device=observation_spec.device)
         return observation_spec
@@ -100,24 +113,24 @@ class SequentialViews(SurroundingViews):
 
     order = ("three steps ago", "two steps ago", "one step ago", "now")
 
-    def begin(self, state: Tensor) -> Tensor:
-        """The state four times, int64 ``[...]`` to ``[..., 4]``."""
-        return state.unsqueeze(-1).expand(*state.shape, VIEWS).clone()
+    def begin(self, picture: Tensor) -> Tensor:
+        """The picture four times, int64 ``[...]`` to ``[..., 4]``."""
+        return picture.unsqueeze(-1).expand(*picture.shape, VIEWS).clone()
 
-    def follow(self, view_ids: Tensor, state: Tensor) -> Tensor:
-        """``view_ids`` without the oldest, and the new state, int64 ``[..., 4]``."""
-        return torch.cat([view_ids[..., 1:], state.unsqueeze(-1)], -1)
+    def follow(self, view_ids: Tensor, picture: Tensor) -> Tensor:
+        """``view_ids`` without the oldest, and the new picture, int64 ``[..., 4]``."""
+        return torch.cat([view_ids[..., 1:], picture.unsqueeze(-1)], -1)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``view_ids`` and ``goal_view_ids`` of a replayed batch, see the class."""
-        state = tensordict["state"]
-        view_ids = self.begin(state)
-        for time in range(1, state.shape[-1]):
+        picture = self._picture(tensordict, "state", "look")
+        view_ids = self.begin(picture)
+        for time in range(1, picture.shape[-1]):
             begins = tensordict["next", "done"][..., time - 1, :]
-            longer = self.follow(view_ids[..., time - 1, :], state[..., time])
+            longer = self.follow(view_ids[..., time - 1, :], picture[..., time])
             view_ids[..., time, :] = torch.where(begins, view_ids[..., time, :], longer)
         tensordict["view_ids"] = view_ids
-        tensordict["goal_view_ids"] = self.of_goal(tensordict["goal"])
+        tensordict["goal_view_ids"] = self.of_goal(self._picture(tensordict, "goal", "goal_look"))
         return tensordict
 
 
@@ -125,7 +138,7 @@ class ViewFeatures(Transform):
     """The features behind view ids, as ``observation`` and ``goal_observation``, float32 ``[..., 4, D]``.
 
     Args:
-        table: features of all N states, float32 ``[N, D]``. View id N, an unknown view, has zeros.
+        table: features of all N pictures, float32 ``[N, D]``. View id N, an unknown view, has zeros.
     """
 
     def __init__(self, table: Tensor) -> None:

@@ -10,10 +10,13 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from dirl.agent.decisions import Decide, deciding
-from dirl.agent.recall import Memory, recalling
+from dirl.agent.recall import Memory, Recall, WorldSight, recalling
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import RandomPolicy
 from dirl.models import frozen
+from dirl.recognition.matching import Arrived
+from dirl.recognition.recogniser import NCC, Recogniser
+from dirl.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
 
 MANY = 50_000
@@ -78,15 +81,16 @@ def run_episodes(
     starts: tuple[Tensor, Tensor],
     *,
     observation: SurroundingViews,
-    stop: Tensor | None = None,
+    stop: Tensor | Arrived | None = None,
     max_steps: int = 200,
     greedy: bool = True,
     seed: int = 0,
     memory: Memory | None = None,
+    recogniser: Recogniser | None = None,
     shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> Episodes:
-    """One episode from each start.
+    """One episode from each start. In a world that changes every visit and every goal has a look drawn for it.
 
     This is no TorchRL rollout, for two reasons. Finished episodes leave the batch, which an ``EnvBase`` does not
     support. And a memoryless policy is evaluated once for all agents with the same observation and goal.
@@ -96,11 +100,13 @@ def run_episodes(
         world: where.
         starts: goal indices and start states, int64 ``[E]`` each, see `every_start`.
         observation: the transform that the policy was trained with.
-        stop: where an agent stops, bool ``[P]``, see `World.pair`; at the goal itself if left out.
+        stop: where an agent stops, bool ``[P]``, see `World.pair`, or see `dirl.recognition.matching.Arrived`; at the
+            goal itself if left out.
         max_steps: after so many steps an episode has failed.
         greedy: take the most probable action (of equal ones the first), else draw one.
         seed: of the draws.
         memory: changes logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`.
+        recogniser: by which the memory knows places; correlation if left out.
         shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
         watch: called after each step with the unfinished episodes and their states, int64 ``[W]`` each.
     """
@@ -108,36 +114,53 @@ def run_episodes(
     never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
     episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
     generator = torch.Generator(world.device).manual_seed(seed)
+    wanted = drawn_looks(goal_index, len(world.goals), world, generator)
+    arrived = _arrived(world, stop)
     few = len(start) <= MANY
     bar = tqdm(
         total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=bar_interval(), disable=few
     )
     with frozen(policy), bar:
-        recall = None
-        if isinstance(policy, RandomPolicy) and not (greedy or few or memory):
-            act = partial(_any_action, generator)
-        else:
-            decide = deciding(policy, world, observation, len(start))
-            if memory is not None:
-                recall = recalling(memory, world, decide, observation, stop)
-            act = partial(_chosen_action, recall or decide, generator, greedy, shown)
+        at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
+        decide = None if at_random else deciding(policy, world, observation, len(start))
+        agents = _Agents(decide, arrived, world, observation, generator, greedy, shown)
+        scores = None if memory is None else VisitScores(recogniser or NCC(), world)
         # A memory of many episodes takes much space until they have ended.
-        for walking in torch.arange(len(start), device=world.device).split(MANY if recall else max(1, len(start))):
-            walk = _Walk(walking, start[walking], observation.begin(start[walking]))
-            if recall:
-                recall.begin(len(walking))
+        for walking in torch.arange(len(start), device=world.device).split(MANY if memory else max(1, len(start))):
+            ahead = drawn_looks(start[walking], len(world), world, generator)
+            walk = _Walk(walking, start[walking], ahead, observation.begin(ahead))
+            if memory is not None and scores is not None:
+                agents.recall = recalling(memory, WorldSight(scores, len(walking)))
             for step in range(1, max_steps + 1):
-                before, going = walk.state, _take_step(walk, act, world, episodes, stop, step)
+                going = _take_step(walk, agents, episodes, wanted, step)
                 if watch is not None:
                     watch(walk.episode, walk.state)
                 left = int(going.sum())
                 bar.update(len(going) - left)
                 if not left:
                     break
-                if recall:
-                    recall.record(before, walk.action, walk.state, going)
+                if agents.recall is not None:
+                    agents.recall.acted(walk.action)
+                    agents.recall.select(going)
                 walk = walk.going_on(observation, going)
     return episodes
+
+
+def drawn_looks(index: Tensor, count: int, world: World, generator: torch.Generator) -> Tensor:
+    """States or goals, int64 ``[B]`` below ``count``, each in a look drawn for it: ``look * count + index``."""
+    if world.looks == 1:
+        return index
+    return index + count * torch.randint(world.looks, index.shape, generator=generator, device=index.device)
+
+
+def _arrived(world: World, stop: Tensor | Arrived | None) -> Arrived:
+    """Whether agents stop, by a table, a function, or exactly at the goal."""
+    states, goals = len(world), len(world.goals)
+    if stop is None:
+        return lambda wanted, ahead: ahead % states == world.goals[wanted % goals]
+    if isinstance(stop, Tensor):
+        return lambda wanted, ahead: stop[world.pair(wanted % goals, ahead % states)]
+    return stop
 
 
 @dataclass
@@ -148,6 +171,8 @@ class _Walk:
     """int64 ``[W]``."""
     state: Tensor
     """Where they are, int64 ``[W]``."""
+    ahead: Tensor
+    """What they see ahead there, by view id, int64 ``[W]``."""
     view_ids: Tensor
     """What they saw before their last step, int64 ``[W, 4]``."""
     action: Tensor = field(default_factory=lambda: torch.empty(0))
@@ -155,45 +180,66 @@ class _Walk:
 
     def going_on(self, observation: SurroundingViews, going: Tensor) -> "_Walk":
         """Those that do not stop."""
-        return _Walk(self.episode[going], self.state[going], observation.follow(self.view_ids, self.state)[going])
+        view_ids = observation.follow(self.view_ids, self.ahead)
+        return _Walk(self.episode[going], self.state[going], self.ahead[going], view_ids[going])
 
 
-Act = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
-"""Of W agents the episode, state, view ids ``[W, 4]`` and goal index, int64, to their actions, int64 ``[W]``."""
+@dataclass
+class _Agents:
+    """The agents of some episodes: what they do and where they stop."""
+
+    decide: Decide | None
+    """None for agents that do anything with the same probability."""
+    arrived: Arrived
+    world: World
+    observation: SurroundingViews
+    generator: torch.Generator
+    greedy: bool
+    shown: Tensor | None
+    recall: Recall | None = None
+
+    def act(self, walk: _Walk, wanted: Tensor) -> Tensor:
+        """Their actions on the way to goals, see `Decide`; int64 ``[W]``."""
+        if self.decide is None:
+            return torch.randint(len(ACTIONS), wanted.shape, generator=self.generator, device=wanted.device)
+        if self.shown is not None:  # another goal, in the same look
+            goals = len(self.shown)
+            wanted = self.shown[wanted % goals] + wanted // goals * goals
+        policy = partial(self.decide, walk.episode, walk.ahead, walk.view_ids, wanted)
+        if self.recall is None:
+            return choose(policy(), self.generator, greedy=self.greedy)
+        states = len(self.world)
+        visit = self.world.surrounding[walk.ahead % states] + (walk.ahead - walk.ahead % states).unsqueeze(-1)
+        around = partial(self._around, walk.episode, visit, wanted)
+        return choose(self.recall.adjust(visit, policy, around), self.generator, greedy=self.greedy)
+
+    def _around(self, episode: Tensor, visit: Tensor, wanted: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
+        """See `dirl.agent.recall.Around`; ``visit`` has the view ids around each agent, int64 ``[W, 4]``."""
+        headings = visit.shape[1]
+        facing = visit[chosen].flatten()
+        there = [rows[chosen].repeat_interleave(headings) for rows in (episode, wanted)]
+        logits = torch.zeros((*visit.shape, len(ACTIONS)), device=visit.device)
+        assert self.decide is not None
+        asked = self.decide(there[0], facing, self.observation.begin(facing), there[1])
+        logits[chosen] = asked.view(-1, headings, len(ACTIONS))
+        goal = torch.zeros_like(visit, dtype=torch.bool)
+        goal[chosen] = self.arrived(there[1], facing).view(-1, headings)
+        return logits, goal
 
 
-def _take_step(walk: _Walk, act: Act, world: World, episodes: Episodes, stop: Tensor | None, step: int) -> Tensor:
-    """One step of all agents; which of them go on, bool ``[W]``."""
-    wanted = episodes.goal_index[walk.episode]
-    walk.action = act(walk.episode, walk.state, walk.view_ids, wanted)
+def _take_step(walk: _Walk, agents: _Agents, episodes: Episodes, goals: Tensor, step: int) -> Tensor:
+    """One step of all agents to ``goals``, int64 ``[E]``; which of them go on, bool ``[W]``."""
+    wanted, world = goals[walk.episode], agents.world
+    walk.action = agents.act(walk, wanted)
     walk.state = world.graph[walk.state, walk.action]
-    at_goal = walk.state == world.goals[wanted]
-    stopped = at_goal if stop is None else stop[world.pair(wanted, walk.state)]
+    walk.ahead = drawn_looks(walk.state, len(world), world, agents.generator)
+    at_goal = walk.state == world.goals[episodes.goal_index[walk.episode]]
+    stopped = agents.arrived(wanted, walk.ahead)
     episodes.success[walk.episode] = stopped & at_goal
     episodes.false_stop[walk.episode] = stopped & ~at_goal
     episodes.missed_stop[walk.episode] |= at_goal & ~stopped
     episodes.steps[walk.episode[stopped & at_goal]] = step
     return ~stopped
-
-
-def _any_action(generator: torch.Generator, episode: Tensor, *_: Tensor) -> Tensor:
-    """Each action with the same probability."""
-    return torch.randint(len(ACTIONS), episode.shape, generator=generator, device=episode.device)
-
-
-def _chosen_action(
-    decide: Decide,
-    generator: torch.Generator,
-    greedy: bool,
-    shown: Tensor | None,
-    episode: Tensor,
-    state: Tensor,
-    view_ids: Tensor,
-    wanted: Tensor,
-) -> Tensor:
-    """What a policy does, with a memory if any, on the way to the goals that it is shown."""
-    logits = decide(episode, state, view_ids, wanted if shown is None else shown[wanted])
-    return choose(logits, generator, greedy=greedy)
 
 
 def bar_interval() -> float:

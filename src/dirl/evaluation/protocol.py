@@ -11,6 +11,8 @@ from dirl.agent.recall import Memory
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, run_episodes, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
+from dirl.recognition.matching import Arrived
+from dirl.recognition.recogniser import Recogniser
 from dirl.scenes import World
 
 
@@ -23,14 +25,16 @@ class EvaluationProtocol:
     """What the policies observe."""
     starts: tuple[Tensor, Tensor]
     """Goal index and start state of each episode, int64 ``[E]`` each; see `dirl.evaluation.episodes.every_start`."""
-    stop: Tensor | None = None
-    """Where an agent stops on its way to each goal, bool ``[P]``; None = exactly at the goal."""
+    stop: Tensor | Arrived | None = None
+    """Where an agent stops on its way to each goal, see `run_episodes`; None = exactly at the goal."""
     max_steps: int = 200
     """An episode that has not arrived by then has failed."""
     seed: int = 0
     """Of drawn actions."""
     memory: Memory | None = None
     """Changes the policies' logits by what was done in the episode."""
+    recogniser: Recogniser | None = None
+    """By which the memory knows places; None = correlation."""
     shown: Tensor | None = None
     """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
     held_out: "EvaluationProtocol | None" = None
@@ -57,7 +61,7 @@ class EvaluationProtocol:
         return run_episodes(policy, self.world, starts, greedy=greedy, watch=watch, **self._conditions()), paths
 
     def _conditions(self) -> dict[str, Any]:
-        names = ("observation", "stop", "max_steps", "seed", "memory", "shown")
+        names = ("observation", "stop", "max_steps", "seed", "memory", "recogniser", "shown")
         return {name: getattr(self, name) for name in names}
 
 

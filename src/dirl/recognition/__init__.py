@@ -1,1 +1,6 @@
-"""Recognising a place or the goal by what is seen."""
+"""Recognising a place or the goal by what is seen: one recogniser for stop, memories and maps."""
+
+from dirl.recognition.patches import Patches
+from dirl.recognition.recogniser import NCC, Recogniser, Thresholds
+
+__all__ = ["NCC", "Patches", "Recogniser", "Thresholds"]

@@ -1,36 +1,23 @@
-"""Template matching: recognising that the goal has been reached (paper section 3.4)."""
+"""Recognising that the goal has been reached (paper section 3.4)."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
+from dirl.recognition.recogniser import NCC, Recogniser, in_blocks, ncc, normal_vectors
+from dirl.recognition.tables import VisitScores, described_visits, matched
 from dirl.scenes.world import World
+
+__all__ = ["FRONT_THRESHOLD", "TemplateStop", "ncc", "normal_vectors", "stop_errors", "template_vectors"]
 
 FRONT_THRESHOLD = 0.95
 """Above which one photo matches: other places are more like a goal in one view than in four, see docs/decisions.md."""
 
-
-def ncc(observation: Tensor, goal: Tensor) -> Tensor:
-    """Normalised cross-correlation of feature vectors, i.e. Pearson's coefficient (paper equation 13).
-
-    Args:
-        observation: float ``[..., D]``.
-        goal: float ``[..., D]``, broadcast against it.
-
-    Returns:
-        float ``[...]`` in [-1, 1]; 0 where one of the vectors is constant.
-    """
-    return (normal_vectors(observation) * normal_vectors(goal)).sum(-1)
-
-
-def normal_vectors(vector: Tensor) -> Tensor:
-    """Vectors, float ``[..., D]``, without their mean and of length one; the product of two is their `ncc`."""
-    centred = vector - vector.mean(-1, keepdim=True)
-    # The mean of a constant vector is rounded; the remainder must not be normalised to length one.
-    constant = vector.amax(-1, keepdim=True) == vector.amin(-1, keepdim=True)
-    return F.normalize(centred.masked_fill(constant, 0.0), dim=-1)
+Arrived = Callable[[Tensor, Tensor], Tensor]
+"""Of goals, by their place among a world's goals plus G times their look, and of what is seen ahead, by view id, int64
+``[...]`` each: whether an agent stops there, bool ``[...]``."""
 
 
 def template_vectors(features: Tensor, surrounding: Tensor, match: str) -> Tensor:
@@ -44,29 +31,6 @@ def template_vectors(features: Tensor, surrounding: Tensor, match: str) -> Tenso
     return normal_vectors(features if match == "front" else features[surrounding].flatten(1))
 
 
-def scene_vectors(world: World, index: int, match: str) -> Tensor:
-    """`template_vectors` of one scene of a world; those of all scenes together would take much memory."""
-    states = slice(world.offsets[index], world.offsets[index] + len(world.scenes[index]))
-    return template_vectors(world.features[states], world.surrounding[states] - world.offsets[index], match)
-
-
-def look_alike(world: World, threshold: float) -> tuple[Tensor, Tensor]:
-    """Which states of a scene look alike, by their four views.
-
-    Returns:
-        A table, bool ``[Q]``, and of each state its row, int64 ``[N]``: states a and b of one scene look alike where
-        ``table[row[a] + b]``. Q is the sum of squares of the scenes' states.
-    """
-    blocks, rows, place = [], [], 0
-    for index, offset in enumerate(world.offsets):
-        of_scene = scene_vectors(world, index, "views")
-        size = len(of_scene)
-        blocks.append((of_scene @ of_scene.T > threshold).flatten())
-        rows.append(place - offset + size * torch.arange(size, device=world.device))
-        place += size * size
-    return torch.cat(blocks), torch.cat(rows)
-
-
 @dataclass(frozen=True)
 class TemplateStop:
     """Stop where the observation matches the goal.
@@ -74,26 +38,42 @@ class TemplateStop:
     Args:
         threshold: stop above this coefficient (the paper's is 0.9).
         match: what is compared: ``views``, all four of them, or ``front``, the one ahead.
+        recogniser: compares it; the paper's is template matching by correlation.
     """
 
     threshold: float = 0.9
     match: str = "views"
+    recogniser: Recogniser = field(default_factory=NCC, compare=False)
 
     def __post_init__(self) -> None:
         if self.match not in ("views", "front"):
             raise ValueError(f"match is 'views' or 'front', not '{self.match}'")
 
     def scores(self, world: World) -> Tensor:
-        """The coefficient of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`."""
+        """The score of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`.
+
+        In a world that changes both are seen in their default look.
+        """
         found = []
-        for index in range(len(world.scenes)):
-            of_scene = scene_vectors(world, index, self.match)
-            found.append((of_scene[world.local_goals(index)] @ of_scene.T).flatten())
+        for index, scene in enumerate(world.scenes):
+            visits = described_visits(self.recogniser, world, index)[: len(scene)]
+            goals = matched(visits[world.local_goals(index)], self.match)
+            found.append(in_blocks(self.recogniser, visits, goals).T.flatten())
         return torch.cat(found)
 
     def __call__(self, world: World) -> Tensor:
         """Where an agent stops on its way to each goal, bool ``[P]``; not where it cannot be reached from."""
         return (self.scores(world) > self.threshold) & (world.distances >= 0)
+
+    def arrived(self, world: World) -> Arrived:
+        """The same in a world that changes, where it depends on the looks of the goal and of the visit."""
+        scores, states, goals = VisitScores(self.recogniser, world, self.match), len(world), len(world.goals)
+
+        def at(wanted: Tensor, picture: Tensor) -> Tensor:
+            goal = world.goals[wanted % goals] + wanted // goals * states
+            return scores(goal, picture) > self.threshold
+
+        return at
 
 
 def stop_errors(stop: Tensor, world: World) -> dict[str, float]:

@@ -16,7 +16,9 @@ from dirl.agent.mapping import ImageGraph
 from dirl.agent.recall import Memory
 from dirl.envs import SurroundingViews
 from dirl.models import PlanningMemory, recurrent_keys
-from dirl.recognition.matching import TemplateStop, look_alike
+from dirl.recognition.matching import Arrived, TemplateStop
+from dirl.recognition.recogniser import NCC
+from dirl.recognition.tables import described_visits
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
@@ -29,7 +31,7 @@ def viewer_pages(
     observation: SurroundingViews,
     *,
     matching: TemplateStop,
-    stop: Tensor | None,
+    stop: Tensor | Arrived | None,
     max_steps: int,
     title: str,
     memory: Memory | None = None,
@@ -58,8 +60,13 @@ def viewer_pages(
         belong in one folder.
 
     Raises:
-        ValueError: the policy depends on more than the state, so that a state has no single output.
+        ValueError: the policy depends on more than the state, or the world changes, so that a state has no single
+            output.
     """
+    if world.looks > 1 or callable(stop):
+        raise ValueError(
+            f"the viewer shows one look of each state, and {world.names[0]} has {world.looks}: leave out viewer=true"
+        )
     if observation.history or recurrent_keys(policy):
         raise ValueError(
             "the viewer needs a policy that depends on the present state only; with observation=sequential or a memory "
@@ -122,10 +129,8 @@ def _room(scene: Scene) -> dict[str, Any]:
 
 def _memory(memory: Memory, world: World, index: int) -> dict[str, Any]:
     """The data of an episodic memory that a page needs: options, and the states that look like each state."""
-    alike, row = look_alike(world, memory.threshold)
-    offset, size = world.offsets[index], len(world.scenes[index])
-    first = int(row[offset]) + offset
-    same = alike[first : first + size * size].view(size, size)
+    visits = described_visits(NCC(), world, index)
+    same = NCC().scores(visits, visits) > memory.threshold
     names = ("repeated", "turn") if isinstance(memory, PlanningMemory) else ("penalty", "opposite", "blocked")
     options = {name: getattr(memory, name) for name in names}
     return {**options, "alike": [torch.nonzero(states).flatten().tolist() for states in same]}

@@ -128,6 +128,7 @@ def write_room(
     attributes: dict[str, Any],
     provenance: str = "",
     progress: bool = False,
+    looks: Sequence[Sequence[Array]] = (),
 ) -> None:
     """Encode the stored views of a room, and write its dump, completely or not at all.
 
@@ -139,6 +140,7 @@ def write_room(
         attributes: of the file.
         provenance: where the encoder's weights come from, if it does not say so itself.
         progress: show a progress bar.
+        looks: the views of each further look, uint8 ``[height, width, 3]`` each, of which only features are stored.
     """
     about, about_patches = {"extractor": "none"}, {}
     if encoder is not None:
@@ -149,6 +151,11 @@ def write_room(
         found = encode_all(encoder, stored, len(views), str(out), progress=progress)
         features = found.features.astype(np.float16)
         scene = replace(scene, features=features, extractor=encoder.extractor, patches=found.patches)
+        if looks:
+            again = [encode_all(encoder, iter(views), len(views), str(out), progress=progress) for views in looks]
+            look_features = np.stack([one.features.astype(np.float16) for one in again])
+            parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
+            scene = replace(scene, look_features=look_features, look_patches=parts)
         about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
         about_patches = patch_attributes() if found.patches is not None else {}
     write_dump(

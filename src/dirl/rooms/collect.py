@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ import numpy as np
 from dirl.rooms.build import check_packages, check_size, poses, scene_of, take_views, write_room
 from dirl.rooms.checks import check_room, check_views, far_apart
 from dirl.rooms.description import RoomDescription, description_text
+from dirl.rooms.looks import Changes, look_views
 from dirl.rooms.navigation import walk
 from dirl.rooms.sampling.sample import LOOK, sample_views
 from dirl.rooms.sampling.splits import split_of
@@ -24,6 +25,9 @@ from dirl.scenes.io.digest import file_digest
 
 if TYPE_CHECKING:  # the models are built on the scenes
     from dirl.backbones import ViewEncoder
+
+LOOK_SEEDS = 1000
+"""Looks of a room at most; the seed of a look is this many times the room's, and its number."""
 
 Wanted = tuple[str, int]
 """A kind and a seed."""
@@ -41,6 +45,8 @@ class RoomSettings:
         precision: of the encoder.
         patches: whether to store patches too.
         device: of the encoder; the only setting that rooms of one collection need not share.
+        looks: further looks of each state; needs an encoder, since their views are not stored.
+        changes: by how much these differ from the views of the dump.
     """
 
     height: int = 300
@@ -51,6 +57,8 @@ class RoomSettings:
     precision: str = "float32"
     patches: bool = False
     device: str = "cpu"
+    looks: int = 0
+    changes: Changes = field(default_factory=Changes)
 
     def load_encoder(self) -> "ViewEncoder | None":
         """The encoder that the settings name."""
@@ -62,7 +70,10 @@ class RoomSettings:
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
         """The settings as the index stores them: the encoder by its description, not by its name."""
-        kept = {key: value for key, value in asdict(self).items() if key not in ("encoder", "device", "patches")}
+        apart = ("encoder", "device", "patches", "looks", "changes")
+        kept = {key: value for key, value in asdict(self).items() if key not in apart}
+        if self.looks:
+            kept |= {"looks": self.looks, **{f"changes.{key}": value for key, value in asdict(self.changes).items()}}
         kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
         if encoder is not None and self.patches:
             from dirl.backbones.patches import patch_attributes
@@ -121,6 +132,10 @@ def make_rooms(
     """
     check_packages()
     check_size((settings.height, settings.width))
+    if not 0 <= settings.looks <= LOOK_SEEDS:
+        raise SceneError(f"looks={settings.looks}: must be 0 to {LOOK_SEEDS}")
+    if settings.looks and settings.encoder is None:
+        raise SceneError(f"looks={settings.looks}: their views are encoded and not stored; give an encoder")
     workers = os.cpu_count() or 1 if workers is None else workers
     if workers < 1:
         raise SceneError(f"workers={workers}: at least one process is needed")
@@ -155,15 +170,20 @@ def make_room(
     except SceneError as error:
         return error
     way, size = walk(room, settings.turn), (settings.height, settings.width)
-    if size != LOOK or settings.fine or settings.turn != 90:  # else the views of the look are the ones that are wanted
-        renderer = Renderer.of(room, fine=settings.fine)
+    wanted = size != LOOK or settings.fine or settings.turn != 90  # else the views of the check serve
+    renderer = Renderer.of(room, fine=settings.fine) if wanted or settings.looks else None
+    if wanted and renderer is not None:
         views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
     about = {"room": description_text(room), "step": room.grid.step, "turn": settings.turn, "seed": seed}
     dump = folder / f"{room.name}.h5"
     unfinished = folder / f"{room.name}.toml.tmp"
     unfinished.write_text(description_text(room), encoding="utf-8")
     os.replace(unfinished, folder / f"{room.name}.toml")  # also over what a killed job left
-    write_room(dump, scene_of(room, way), views, encoder, attributes=about)
+    looks = []
+    if renderer is not None:
+        seeds = range(LOOK_SEEDS * seed, LOOK_SEEDS * seed + settings.looks)
+        looks = [list(look_views(renderer, room.camera, way, size, settings.changes, look)) for look in seeds]
+    write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks)
     thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
     problems = check_room(room) + check_views(thumbnails, contrasts, way)
     scene = read_dump(dump, isolated=False)  # just written here

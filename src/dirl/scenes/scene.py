@@ -37,6 +37,9 @@ class Scene:
         origin: the file or function that made it, named in errors.
         patches: features of the parts of each view (`dirl.backbones.patches`), float16 ``[N, cells, channels]``, or
             None; those of a scene that was read from a file are memory-mapped.
+        look_features: of further looks, what a state looks like at other visits, float16 or float32 ``[K, N, D]``; or
+            None.
+        look_patches: likewise, float16 ``[K, N, cells, channels]``; there if both ``patches`` and looks are.
 
     Raises:
         SceneError: an array has the wrong shape or type, or the first offending state of it is named.
@@ -53,6 +56,8 @@ class Scene:
     extractor: str = "unknown"
     origin: str = "a scene made in memory"
     patches: NDArray[np.float16] | None = None
+    look_features: NDArray[np.floating] | None = None
+    look_patches: NDArray[np.float16] | None = None
 
     def __post_init__(self) -> None:
         given = self._array("graph", self.graph, np.integer, (None, 4))
@@ -82,6 +87,7 @@ class Scene:
                 )
         if self.patches is not None:
             arrays["patches"] = self._array("patches", self.patches, np.float16, (states, None, None))
+        arrays |= self._checked_looks()
         self._check_turns(graph, positions)
         if self.views is not None and len(self.views) != states:
             raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")
@@ -93,6 +99,11 @@ class Scene:
     def __len__(self) -> int:
         """The number of states."""
         return len(self.graph)
+
+    @property
+    def looks(self) -> int:
+        """How many looks a state has, the default one among them."""
+        return 1 if self.look_features is None else 1 + len(self.look_features)
 
     @cached_property
     def distances(self) -> NDArray[np.int32]:
@@ -136,6 +147,18 @@ class Scene:
             if len(rows):
                 raise SceneError(f"{self.origin}: {name}: state {rows[0]} holds a value that is not finite")
         return array
+
+    def _checked_looks(self) -> dict[str, NDArray[Any]]:
+        """The arrays of further looks: as many of patches as of features, each as that of the default look."""
+        if self.look_features is None:
+            return {}
+        pairs = [("look_features", np.floating, self.features), ("look_patches", np.float16, self.patches)]
+        found: dict[str, NDArray[Any]] = {}
+        for name, kind, default in pairs:
+            if default is not None:
+                shape = (None if name == "look_features" else len(found["look_features"]), *default.shape)
+                found[name] = self._array(name, getattr(self, name), kind, shape)
+        return found
 
     def _check_turns(self, graph: IntArray, positions: NDArray[np.floating]) -> None:
         turned = np.where(graph[:, RIGHT] < 0, np.arange(len(graph)), graph[:, RIGHT])

@@ -19,7 +19,7 @@ from dirl.scenes.scene import Scene, SceneError, check_goals_differ
 class World:
     """Scenes laid one behind the other: a state of the world is its number in the scene plus the scene's offset.
 
-    Made by `make_world`. N states, S scenes, G goals, D feature width; all tensors on one device.
+    Made by `make_world`. N states in L looks each, S scenes, G goals, D feature width; all tensors on one device.
     """
 
     scenes: tuple[Scene, ...]
@@ -30,9 +30,9 @@ class World:
     surrounding: Tensor
     """The states ahead, right, back and left of each state, int64 ``[N, 4]``."""
     features: Tensor
-    """The frozen backbone's output, float32 ``[N, D]``; those of ``scenes`` are parts of it."""
+    """The frozen backbone's output, float32 ``[L * N, D]``: that of look l of a state is row ``l * N + state``."""
     patches: Tensor | None
-    """What each part of each view shows, float16 ``[N, cells, channels]``; None if a scene has none."""
+    """What each part of each view shows, float16 ``[L * N, cells, channels]``; None if a scene has none."""
     scene_of: Tensor
     """The scene of each state, int64 ``[N]``."""
     goals: Tensor
@@ -48,6 +48,16 @@ class World:
     def __len__(self) -> int:
         """The number of states."""
         return len(self.graph)
+
+    @property
+    def looks(self) -> int:
+        """How many looks each state has, L; one if the world never changes."""
+        return len(self.features) // len(self)
+
+    def pictures(self, scene: int) -> Tensor:
+        """The view ids of one scene, look by look, int64 ``[L * n]``."""
+        states = torch.arange(len(self.scenes[scene]), device=self.device) + self.offsets[scene]
+        return torch.cat([states + look * len(self) for look in range(self.looks)])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -158,14 +168,17 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
     offsets = tuple(int(offset) for offset in np.cumsum([0, *sizes[:-1]]))
     parts = list(zip(scenes, offsets, strict=True))
     graphs = [np.where(s.graph < 0, np.arange(len(s))[:, None], s.graph) + offset for s, offset in parts]
-    features = np.concatenate([np.asarray(s.features) for s in scenes], dtype=np.float32)
+    looks = _looks(scenes)
+    features = np.concatenate(
+        [rows for look in range(looks) for rows in _of_look(scenes, "features", look)], dtype=np.float32
+    )
     return World(
         scenes=tuple(_sharing(scene, features[offset : offset + len(scene)]) for scene, offset in parts),
         offsets=offsets,
         graph=torch.from_numpy(np.concatenate(graphs)),
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
         features=torch.from_numpy(features),
-        patches=_patches(scenes),
+        patches=_patches(scenes, looks),
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         **_goal_tables(scenes, offsets, chosen),
     )
@@ -179,15 +192,28 @@ def _sharing(scene: Scene, features: NDArray[np.float32]) -> Scene:
     return shared
 
 
-def _patches(scenes: Sequence[Scene]) -> Tensor | None:
-    """The patches of all scenes, one behind the other."""
+def _looks(scenes: Sequence[Scene]) -> int:
+    """How many looks the states of all scenes have."""
+    counts = sorted({scene.looks for scene in scenes})
+    if len(counts) > 1:
+        raise SceneError(f"the scenes have different numbers of looks, {counts}; render or read them with as many")
+    return counts[0]
+
+
+def _of_look(scenes: Sequence[Scene], name: str, look: int) -> list[NDArray[np.floating]]:
+    """The features or patches of one look of each scene."""
+    return [getattr(s, name) if look == 0 else getattr(s, f"look_{name}")[look - 1] for s in scenes]
+
+
+def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
+    """The patches of all scenes, look by look, one behind the other."""
     found = [scene.patches for scene in scenes if scene.patches is not None]
     if len(found) < len(scenes):
         return None
     shapes = sorted({patches.shape[1:] for patches in found})
     if len(shapes) > 1:
         raise SceneError(f"the scenes' patches have different shapes, {shapes}; encode them alike")
-    return torch.from_numpy(np.concatenate(found))
+    return torch.from_numpy(np.concatenate([p for look in range(looks) for p in _of_look(scenes, "patches", look)]))
 
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:

@@ -22,7 +22,8 @@ from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import FeatureTable, PlanningMemory, feature_statistics, initial_state, recurrent_keys, whitening
 from dirl.objectives import ImitationLoss
-from dirl.recognition.matching import TemplateStop
+from dirl.recognition.matching import Arrived, TemplateStop
+from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.scenes import ACTIONS, Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.world import Goals
@@ -178,11 +179,17 @@ def build_env(
         seed: of goals and starts; the configuration's if left out.
     """
     reward, scale = config.reward, config.reward.scale
+    stop = stop_table(config, config.stop.training, world)
+    if callable(stop):
+        raise ConfigError(
+            "stop.training=match: in training the stop is a table of states, and in a scene with looks it depends on "
+            "them; use stop.training=goal"
+        )
     env = NavigationEnv(
         world,
         agents or config.reinforcement.agents_per_scene * len(world.scenes),
         reward=Reward(reward.goal * scale, reward.step * scale, reward.collision * scale),
-        stop=stop_table(config, config.stop.training, world),
+        stop=stop,
         seed=config.seed if seed is None else seed,
     )
     transforms = [StepCounter(max_steps=config.reinforcement.max_steps), observation.clone()]
@@ -290,14 +297,26 @@ def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> li
     return list(dict.fromkeys(parameter for parameter in both if parameter.requires_grad))
 
 
-def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | None:
-    """The states in which an agent stops on its way to each goal, bool ``[P]``; None: at the goal itself."""
-    return matching(config)(world) if rule == Stop.match else None
+def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | Arrived | None:
+    """Where an agent stops on its way to each goal, bool ``[P]``, or in a world that changes `Arrived`; None: at it."""
+    if rule == Stop.goal:
+        return None
+    return matching(config)(world) if world.looks == 1 else matching(config).arrived(world)
 
 
 def matching(config: TrainConfig) -> TemplateStop:
     """The stop by template matching."""
-    return TemplateStop(config.stop.threshold, config.stop.match)
+    recogniser = build_recogniser(config)
+    threshold = config.stop.threshold
+    if recogniser.thresholds is not None:
+        threshold = recogniser.thresholds.photo if config.stop.match == "front" else recogniser.thresholds.views
+    return TemplateStop(threshold, config.stop.match, recogniser)
+
+
+def build_recogniser(config: TrainConfig) -> Recogniser:
+    """What the stop and the episodic memory recognise places by."""
+    found: Recogniser | None = make("recogniser", config.recogniser, config.trust)
+    return found or NCC()
 
 
 def build_protocol(
@@ -315,7 +334,9 @@ def build_protocol(
         ConfigError: the episodic memory cannot serve such a policy.
     """
     options = config.evaluation
-    memory = make("episodic_memory", config.episodic_memory, config.trust)
+    memory, recogniser = make("episodic_memory", config.episodic_memory, config.trust), build_recogniser(config)
+    if memory is not None and recogniser.thresholds is not None:
+        memory.threshold = recogniser.thresholds.memory
     if isinstance(memory, PlanningMemory) and (observation.history or config.memory[TARGET]):
         raise ConfigError(
             "episodic_memory=planning asks the policy what it would do facing the other views; with "
@@ -333,6 +354,7 @@ def build_protocol(
         max_steps=options.max_steps,
         seed=config.seed,
         memory=memory,
+        recogniser=recogniser,
         held_out=build_protocol(config, world.with_goals(held_out), observation) if held_out else None,
     )
 

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor, nn
 
 from dirl.config.saved import read_config
@@ -113,7 +114,9 @@ def cached(
         # With more states than features of a view there is next to nothing to save by principal axes.
         front = front or observation.goal_view == "front"
         principal = principal and not front and len(world) <= world.features.shape[1]
-        surrounding = None if observation.history else world.surrounding
+        # What is observed, not the world's own: a transform of one's own may hide views.
+        everything = torch.arange(observation.pictures, device=world.device)
+        surrounding = None if observation.history else observation.begin(everything)
         policy.cache(surrounding, front=front, noisy=noisy, principal=principal)
     made: nn.Module = policy
     return made

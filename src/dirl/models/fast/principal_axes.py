@@ -19,7 +19,7 @@ class PrincipalAxes(nn.Module):
     the past any four states can be seen together: then each view has coordinates of its own.
 
     Args:
-        features: standardised, of N states, float32 ``[N, D]``.
+        features: standardised, of N states, float32 ``[N, D]``, followed by a row of zeros where views are hidden.
         surrounding: the four states seen from each state, int64 ``[N, 4]``, if they are all that is ever seen
             there; None if any four states can be seen.
         weight: of the embedding as it begins, float32 ``[F, 4 * D]``.

@@ -45,7 +45,9 @@ class CachedSiamese(CachedEncoder):
         self._projected: Tensor | None = None
         if principal:
             with torch.no_grad():
-                self.axes = PrincipalAxes(table.known, surrounding, encoder.embedding.weight)
+                hidden = surrounding is not None and bool((surrounding == len(table)).any())  # views that are not shown
+                rows = table.table if hidden else table.known
+                self.axes = PrincipalAxes(rows, surrounding, encoder.embedding.weight)
                 encoder.embedding = _linear(self.axes.narrow(encoder.embedding.weight), encoder.embedding.bias)
 
     @torch.no_grad()

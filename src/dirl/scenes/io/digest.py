@@ -17,6 +17,8 @@ DATASETS = (
     "rotation",
     "resnet_feature",
     "patches",
+    "look_feature",
+    "look_patches",
     "shortest_path_distance",
     "observation",
     "observation_webp",

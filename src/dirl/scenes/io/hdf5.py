@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dirl.scenes.graph import ACTIONS, GraphError, IntArray, check_graph, shortest_distances
 from dirl.scenes.io.digest import EXTRACTOR_ATTRIBUTES, blocks, check_digest
 from dirl.scenes.io.heap import find_views
-from dirl.scenes.io.patches import locate_patches
+from dirl.scenes.io.patches import Located, locate_mapped
 from dirl.scenes.io.storage import check_storage, open_dataset, own_dataset, read_attribute, short
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import MAX_PIXELS, ImageError, Views, decode
@@ -60,9 +60,8 @@ class Contents:
     view_spans: IntArray
     view_shape: list[int] | None
     views_unpacked: NDArray[np.uint8] | None
-    patch_offset: int
-    """This and the next: see `dirl.scenes.io.patches.map_patches`."""
-    patch_shape: list[int] | None
+    mapped: dict[str, Located]
+    """Where large arrays lie, see `dirl.scenes.io.patches`."""
     warning: str = ""
 
     def views(self, path: Path) -> Views | None:
@@ -119,7 +118,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         check_storage(dataset)
     features = _open_features(file, states)
     views = _open_views(file, states)
-    patch_offset, patch_shape = locate_patches(file, path, states)
+    mapped = locate_mapped(file, path, states)
     distances = None
     if "shortest_path_distance" in file:
         distances = open_dataset(file, "shortest_path_distance", kinds="iuf", shape=(states, states))
@@ -136,8 +135,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         source=_text_attribute(file, "source"),
         goals=_goals(read_attribute(file, "goals"), states),
         **_locate_views(views, path, decoded=verified),
-        patch_offset=patch_offset,
-        patch_shape=patch_shape,
+        mapped=mapped,
     )
     _check_differences(contents)
     if distances is not None and states <= MAX_COMPARED and not verified:

@@ -1,6 +1,7 @@
-"""Patches in a dump: stored contiguously and memory-mapped, so that those of many scenes need no memory."""
+"""Large float16 arrays of a dump: in one piece and memory-mapped, so that those of many scenes need no memory."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -12,29 +13,50 @@ from dirl.scenes.scene import SceneError
 MAX_VALUES = 2**27
 """A quarter of a gigabyte."""
 
+MAPPED = ("patches", "look_feature", "look_patches")
+"""Patches of the default look; features and patches of further looks."""
 
-def locate_patches(file: h5py.File, path: Path, states: int) -> tuple[int, list[int] | None]:
-    """Where the patches of a file begin, in bytes, and their shape; None if there are none. They are not read.
+
+class Located(NamedTuple):
+    """Where an array lies in a file."""
+
+    offset: int
+    """Of its first byte."""
+    shape: list[int]
+
+
+def locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, Located]:
+    """Where those of `MAPPED` that a file has lie in it. They are not read.
 
     Raises:
-        SceneError: they have another type or shape, or are not stored in one piece.
+        SceneError: one has another type or shape, is not stored in one piece, or does not go with the others.
     """
-    if "patches" not in file:
-        return 0, None
-    dataset = open_dataset(file, "patches", kinds="f", shape=(states, None, None))
+    shapes: dict[str, tuple[int | None, ...]] = {
+        "patches": (states, None, None),
+        "look_feature": (None, states, None),
+        "look_patches": (None, states, None, None),
+    }
+    found = {name: _locate(file, path, name, shape) for name, shape in shapes.items() if name in file}
+    if "look_patches" in found and "look_feature" not in found:
+        raise SceneError("look_patches: there is no look_feature; looks have features, and patches if the file has any")
+    return found
+
+
+def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...]) -> Located:
+    dataset = open_dataset(file, name, kinds="f", shape=shape)
     if dataset.dtype != np.float16 or 0 in dataset.shape or dataset.size > MAX_VALUES:
         raise SceneError(
-            f"patches: expected float16 values, at most {MAX_VALUES} of them, found {dataset.dtype} {dataset.shape}"
+            f"{name}: expected float16 values, at most {MAX_VALUES} of them, found {dataset.dtype} {dataset.shape}"
         )
     check_storage(dataset)
     offset: int | None = dataset.id.get_offset()
     if offset is None:
-        raise SceneError("patches: are not stored in one piece (h5repack -f patches:NONE -l patches:CONTI does that)")
+        raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
     if offset + dataset.nbytes > path.stat().st_size:
-        raise SceneError("patches: the file ends before they do; it is damaged")
-    return offset, list(dataset.shape)
+        raise SceneError(f"{name}: the file ends before they do; it is damaged")
+    return Located(offset, list(dataset.shape))
 
 
-def map_patches(path: Path, offset: int, shape: list[int] | None) -> NDArray[np.float16] | None:
-    """The patches that `locate_patches` found: ``[N, cells, channels]``, read when they are used."""
-    return None if shape is None else np.memmap(path, np.float16, "r", offset, tuple(shape))
+def map_array(path: Path, located: Located | None) -> NDArray[np.float16] | None:
+    """An array that `locate_mapped` found, read when it is used; None if there is none."""
+    return None if located is None else np.memmap(path, np.float16, "r", located[0], tuple(located[1]))

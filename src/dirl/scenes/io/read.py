@@ -7,6 +7,8 @@
 | ``rotation`` | number ``[N]`` | heading in degrees |
 | ``resnet_feature`` | float16 or float32 ``[N, D]`` or ``[N, k, D]`` | features; of ``k`` crops the first is used |
 | ``patches`` | float16 ``[N, cells, channels]`` | features of the parts of each view (our files); contiguous |
+| ``look_feature`` | float16 ``[K, N, D]`` | features of K further looks of each state (our files); contiguous |
+| ``look_patches`` | float16 ``[K, N, cells, channels]`` | their patches; contiguous |
 | ``shortest_path_distance`` | number ``[N, N]`` | only compared: distances are always recomputed |
 | ``observation`` | uint8 ``[N, H, W, 3]`` | raw views (published files) |
 | ``observation_webp`` | N byte strings | encoded views (our files): WebP, PNG or JPEG |
@@ -29,7 +31,7 @@ from numpy.typing import NDArray
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.hdf5 import Contents, read_contents
 from dirl.scenes.io.isolation import read_apart
-from dirl.scenes.io.patches import map_patches
+from dirl.scenes.io.patches import map_array
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 
@@ -108,15 +110,17 @@ def _scene(dump: Dump, contents: Contents, *, intact: bool) -> Scene:
         extractor=contents.extractor,
         origin=str(dump.path),
         patches=_patches(dump.path, contents, intact=intact),
+        look_features=map_array(dump.path, contents.mapped.get("look_feature")),
+        look_patches=map_array(dump.path, contents.mapped.get("look_patches")),
     )
 
 
 def _patches(path: Path, contents: Contents, *, intact: bool) -> NDArray[np.float16] | None:
     """The patches of a dump; those of a built-in room lie in a file beside it."""
     beside = path.with_suffix(".patches.npy")
-    if contents.patch_shape is None and intact and beside.is_file() and _is_intact_room(beside):
+    if "patches" not in contents.mapped and intact and beside.is_file() and _is_intact_room(beside):
         return np.load(beside, mmap_mode="r", allow_pickle=False)
-    return map_patches(path, contents.patch_offset, contents.patch_shape)
+    return map_array(path, contents.mapped.get("patches"))
 
 
 def _is_intact(dump: Dump) -> bool:

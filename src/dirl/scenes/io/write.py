@@ -46,14 +46,7 @@ def write_dump(
     """
     path = Path(path)
     check_name(scene.name, str(path))
-    encoded = None if views is None else list(views)
-    if encoded is not None and len(encoded) != len(scene):
-        raise ValueError(f"{path}: {len(encoded)} views for {len(scene)} states")
-    for state, view in enumerate(encoded or ()):  # the reader trusts the digest
-        try:
-            decode(view)
-        except ImageError as error:
-            raise SceneError(f"{path}: the view of state {state} is not a readable image ({error})") from None
+    encoded = None if views is None else _checked_views(path, len(scene), list(views))
     with whole_file(path) as file:
         file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
         file.attrs.update(attributes or {})
@@ -67,13 +60,29 @@ def write_dump(
         if scene.features is not None:
             file["resnet_feature"] = scene.features[:, None]
             file["resnet_feature"].attrs.update(feature_attributes or {"extractor": scene.extractor})
+        # In one piece each, so that a reader can map them into memory.
+        large = {"patches": scene.patches, "look_feature": scene.look_features, "look_patches": scene.look_patches}
+        for name, array in large.items():
+            if array is not None:
+                file[name] = array.astype(np.float16, copy=False)
         if scene.patches is not None:
-            file["patches"] = scene.patches  # in one piece, so that a reader can map it into memory
             file["patches"].attrs.update(patch_attributes or {})
         if encoded is not None:
             stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
             for state, view in enumerate(encoded):
                 stored[state] = np.frombuffer(view, np.uint8)
+
+
+def _checked_views(path: Path, states: int, views: list[bytes]) -> list[bytes]:
+    """The encoded views, which the reader will trust with the digest."""
+    if len(views) != states:
+        raise ValueError(f"{path}: {len(views)} views for {states} states")
+    for state, view in enumerate(views):
+        try:
+            decode(view)
+        except ImageError as error:
+            raise SceneError(f"{path}: the view of state {state} is not a readable image ({error})") from None
+    return views
 
 
 def replace_features(
@@ -118,8 +127,10 @@ def copy_with(
     """Write a copy of a dump, in this process, with other values and attributes of the named datasets."""
     with h5py.File(dump) as old, whole_file(path) as new:
         new.attrs.update(old.attrs)
+        # Of further looks the file has no views to encode anew.
+        stale = {"look_feature", "look_patches"} if "resnet_feature" in arrays else set()
         for name in DATASETS:
-            if name in old and name not in arrays:
+            if name in old and name not in arrays and name not in stale:
                 old.copy(name, new)
         for name, array in arrays.items():
             new[name] = array

@@ -1,0 +1,108 @@
+"""What recognises a place: the interface of the component group ``recogniser``, and the paper's choice."""
+
+from typing import NamedTuple, Protocol, Self
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+class Thresholds(NamedTuple):
+    """Above which scores two visits are of the same place and heading."""
+
+    views: float
+    """Where an agent stops that is given four views of its goal."""
+    photo: float
+    """Where it stops that is given one."""
+    memory: float
+    """Which earlier visit of the episode this one repeats."""
+
+
+class Recogniser(Protocol):
+    """Compares what is seen at one visit of a place with what was seen at another.
+
+    A *visit* is the views of one moment: ahead, right, back and left. Views are described once, and the descriptions
+    compared as often as needed.
+    """
+
+    reads_patches: bool
+    """Whether `describe` needs the patches of the views."""
+
+    thresholds: Thresholds | None
+    """Its own; None where the configuration of the stop and the memory gives them."""
+
+    def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
+        """The recogniser for a place.
+
+        Args:
+            features: pooled ones of N views of the place, float ``[N, D]``.
+            patches: of the same views, float ``[N, cells, channels]``.
+        """
+
+    def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
+        """What is compared of views.
+
+        Args:
+            features: pooled ones, float ``[..., D]``.
+            patches: of the same views, float ``[..., cells, channels]``.
+
+        Returns:
+            float32 ``[..., F]``.
+        """
+
+    def scores(self, seen: Tensor, references: Tensor) -> Tensor:
+        """How much each visit looks like each reference.
+
+        Args:
+            seen: described views of visits, float32 ``[..., A, 4, F]``.
+            references: of visits, ``[..., B, 4, F]``, or of single photos, ``[..., B, 1, F]``.
+
+        Returns:
+            float32 ``[..., A, B]``; higher is more alike.
+        """
+
+
+class NCC(nn.Module):
+    """Normalised cross-correlation of the pooled features of all views together (paper section 3.4, equation 13)."""
+
+    reads_patches = False
+    thresholds: Thresholds | None = None
+
+    def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
+        """Itself: it has no statistics."""
+        return self
+
+    def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
+        """The features themselves; see `Recogniser.describe`."""
+        return features.float()
+
+    def scores(self, seen: Tensor, references: Tensor) -> Tensor:
+        """Pearson's coefficients, in [-1, 1], of as many views as the references have; see `Recogniser.scores`."""
+        seen = seen[..., : references.shape[-2], :]
+        return normal_vectors(seen.flatten(-2)) @ normal_vectors(references.flatten(-2)).transpose(-1, -2)
+
+
+def ncc(observation: Tensor, goal: Tensor) -> Tensor:
+    """Normalised cross-correlation of feature vectors, i.e. Pearson's coefficient (paper equation 13).
+
+    Args:
+        observation: float ``[..., D]``.
+        goal: float ``[..., D]``, broadcast against it.
+
+    Returns:
+        float ``[...]`` in [-1, 1]; 0 where one of the vectors is constant.
+    """
+    return (normal_vectors(observation) * normal_vectors(goal)).sum(-1)
+
+
+def normal_vectors(vector: Tensor) -> Tensor:
+    """Vectors, float ``[..., D]``, without their mean and of length one; the product of two is their `ncc`."""
+    centred = vector - vector.mean(-1, keepdim=True)
+    # The mean of a constant vector is rounded; the remainder must not be normalised to length one.
+    constant = vector.amax(-1, keepdim=True) == vector.amin(-1, keepdim=True)
+    return F.normalize(centred.masked_fill(constant, 0.0), dim=-1)
+
+
+def in_blocks(recogniser: Recogniser, seen: Tensor, references: Tensor, block: int = 256) -> Tensor:
+    """`Recogniser.scores` of many visits, ``[A, V, F]`` and ``[B, V, F]``, computed ``block`` rows at a time."""
+    return torch.cat([recogniser.scores(rows, references) for rows in seen.split(block)])

@@ -1,0 +1,115 @@
+"""Scenes whose states have several looks: in memory, in files, in worlds, in the environment."""
+
+import h5py
+import numpy as np
+import pytest
+import torch
+from rooms import grid_scene, read_here
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
+from dirl.scenes import SceneError, make_world, write_dump
+from dirl.scenes.io.write import replace_features
+
+
+@pytest.fixture
+def scenes():
+    return [
+        grid_scene(3, 2, name="a", patches=True, looks=2),
+        grid_scene(2, 2, name="b", seed=1, patches=True, looks=2),
+    ]
+
+
+def test_the_view_id_of_a_look_is_the_look_times_the_states_and_the_state(scenes):
+    world = make_world(scenes)
+    assert (world.looks, len(world)) == (3, 40)
+    for look in range(3):
+        for scene, offset in zip(scenes, world.offsets, strict=True):
+            wanted = scene.features if look == 0 else scene.look_features[look - 1].astype(np.float32)
+            rows = slice(look * 40 + offset, look * 40 + offset + len(scene))
+            assert np.array_equal(world.features[rows].numpy(), wanted)
+            parts = scene.patches if look == 0 else scene.look_patches[look - 1]
+            assert np.array_equal(world.patches[rows].numpy(), parts)
+    assert world.pictures(1).tolist() == [look * 40 + 24 + state for look in range(3) for state in range(16)]
+
+
+def test_scenes_with_different_numbers_of_looks_are_no_world(scenes):
+    with pytest.raises(SceneError, match=r"different numbers of looks, \[1, 3\]"):
+        make_world([scenes[0], grid_scene(name="c")])
+
+
+def test_looks_are_kept_in_a_dump(scenes, tmp_path):
+    write_dump(tmp_path / "a.h5", scenes[0])
+    read = read_here(tmp_path / "a.h5")
+    assert read.looks == 3
+    assert np.array_equal(read.look_features, scenes[0].look_features)
+    assert np.array_equal(read.look_patches, scenes[0].look_patches)
+
+
+def test_a_dump_without_looks_has_no_dataset_of_them(tmp_path):
+    write_dump(tmp_path / "plain.h5", grid_scene())
+    with h5py.File(tmp_path / "plain.h5") as file:
+        assert not [name for name in file if name.startswith("look")]
+    assert read_here(tmp_path / "plain.h5").looks == 1
+
+
+def test_changed_looks_are_damage(scenes, tmp_path):
+    write_dump(tmp_path / "a.h5", scenes[0])
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file["look_feature"][1, 3, 5] = 0.125
+    with pytest.raises(SceneError, match="does not hold what was written"):
+        read_here(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "told"),
+    [
+        ("look_feature", (2, 23, 16), "look_feature: expected shape"),
+        ("look_feature", (2, 24, 15), "look_features: expected shape"),
+        ("look_patches", (1, 24, 8, 96), "look_patches: expected shape"),
+    ],
+)
+def test_looks_that_do_not_fit_are_refused(scenes, tmp_path, name, shape, told):
+    write_dump(tmp_path / "a.h5", scenes[0])
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        del file[name], file.attrs["digest"], file["graph"].attrs["digest"]
+        file[name] = np.ones(shape, np.float16)
+    with pytest.raises(SceneError, match=told):
+        read_here(tmp_path / "a.h5")
+
+
+def test_new_features_leave_the_looks_of_the_old_ones_behind(scenes, tmp_path):
+    write_dump(tmp_path / "a.h5", scenes[0])
+    features = np.random.default_rng(0).random((24, 5)).astype(np.float16)
+    replace_features(tmp_path / "a.h5", tmp_path / "b.h5", features, {"extractor": "other"})
+    assert read_here(tmp_path / "b.h5").looks == 1
+
+
+@pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
+def test_every_visit_draws_a_look_that_its_four_views_share(scenes, kind):
+    world = make_world(scenes)
+    env = TransformedEnv(NavigationEnv(world, 50, seed=0), kind(world))
+    check_env_specs(env)
+    steps = env.rollout(6, break_when_any_done=False)
+    looks = steps["look"]
+    assert set(looks.unique().tolist()) == {0, 1, 2}
+    ahead = looks * 40 + steps["state"]
+    if kind is SurroundingViews:
+        assert torch.equal(steps["view_ids"], world.surrounding[steps["state"]] + 40 * looks.unsqueeze(-1))
+        assert torch.equal(steps["view_ids"][..., 0], ahead)
+    else:
+        assert torch.equal(steps["view_ids"][..., -1], ahead)
+    assert torch.equal(steps["goal_view_ids"] // 40, steps["goal_look"].unsqueeze(-1).expand(-1, -1, 4))
+    same = ~steps["next", "done"].squeeze(-1)[:, :-1]
+    assert torch.equal(steps["goal_look"][:, 1:][same], steps["goal_look"][:, :-1][same])
+
+
+def test_a_world_that_never_changes_draws_nothing_for_looks():
+    world = make_world([grid_scene(3, 2)])
+    env = NavigationEnv(world, 5, seed=0)
+    env.reset()
+    before = env.generator.get_state()
+    env.rand_step(env.reset())
+    env.generator.set_state(before)
+    assert "look" not in env.reset()
