@@ -1,6 +1,8 @@
 """Take, build, convert, encode and check scenes.
 
     python recipes/scenes.py thor scene=FloorPlan401 out=dumps/FloorPlan401.h5
+    python recipes/scenes.py vizdoom map=map01 out=freedoom_01.h5
+    python recipes/scenes.py miniworld env=FourRooms out=four_rooms.h5
     python recipes/scenes.py photos folder=my_office out=my_office.h5
     python recipes/scenes.py tour path=my_tour out=my_tour.h5
     python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
@@ -47,12 +49,15 @@ from dirl.config.scene_schemas import (
     ExportConfig,
     ImportConfig,
     InspectConfig,
+    MiniworldConfig,
     PhotosConfig,
     SampleConfig,
     ThorConfig,
     TourConfig,
+    VizdoomConfig,
 )
 from dirl.config.schemas import typed
+from dirl.envs.live import Simulator
 from dirl.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.rooms import build_room, read_description
@@ -65,8 +70,11 @@ from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
+from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import encoded_photos, read_photos
+from dirl.sources.simulators import take_scene
 from dirl.sources.thor import start_simulator, take_views
+from dirl.sources.vizdoom import VizDoom
 from dirl.tours import read_tour
 from dirl.tours.images import cut_views
 from dirl.tours.moves import tour_scene
@@ -90,6 +98,26 @@ def thor(options: ThorConfig) -> None:
         print(f"left out: {problem}")
     write_photos(folder, out, scene, "thor", (options.height, options.width), encoder)
     print(f"{folder} is no longer needed")
+
+
+def vizdoom(options: VizdoomConfig) -> None:
+    """Take a scene from a map of VizDoom."""
+    map_ = simulated_scene(options)
+    write_simulated(VizDoom(map_, wad=options.wad, height=options.height, width=options.width), options, "vizdoom")
+
+
+def miniworld(options: MiniworldConfig) -> None:
+    """Take a scene from an environment of MiniWorld."""
+    camera = {name: getattr(options, name) for name in ("seed", "height", "width", "field_of_view")}
+    write_simulated(MiniWorld(simulated_scene(options), **camera), options, "miniworld")
+
+
+def write_simulated(simulator: Simulator, options: VizdoomConfig | MiniworldConfig, source: str) -> None:
+    """A dump of the scene that a simulator has started with."""
+    out = new_file(options.out)
+    encoder = chosen_encoder(options)
+    scene, views = take_scene(simulator, source=source, step=options.step, turn=options.turn, most=options.places)
+    write_encoded(out, scene, views, encoder)
 
 
 def photos(options: PhotosConfig) -> None:
@@ -274,7 +302,9 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     print(f"\npictures: {folder}")
 
 
-def chosen_encoder(options: ThorConfig | PhotosConfig | TourConfig | BuildConfig) -> ViewEncoder | None:
+def chosen_encoder(
+    options: ThorConfig | VizdoomConfig | MiniworldConfig | PhotosConfig | TourConfig | BuildConfig,
+) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names."""
     return None if options.encoder is None else load_encoder(options.encoder, options.device)
 
@@ -286,6 +316,8 @@ def read_scene(name: str | None) -> Scene:
 
 COMMANDS: dict[str, Callable[[Any], None]] = {
     "thor": thor,
+    "vizdoom": vizdoom,
+    "miniworld": miniworld,
     "photos": photos,
     "tour": tour,
     "build": build,

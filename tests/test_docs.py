@@ -62,6 +62,7 @@ NOT_RUN = {
     "share.md": ["needs an account"],
     "rooms.md": [*["takes minutes"] * 3, "takes an hour", *["takes minutes"] * 2],
     "sweeps.md": ["needs launchers and clusters"],
+    "simulators.md": ["takes minutes"],
     "thor_dumps.md": ["needs the published dumps"],
 }
 """Why the blocks that a page declares as not run are not; what is added here must be a reason."""

@@ -72,7 +72,11 @@ def test_the_program_ends_with_one_line_or_with_the_work_done(room, here):
 
 @pytest.mark.parametrize(
     ("name", "says"),
-    [("inpect", "did you mean inspect?"), ("phtos", "did you mean photos?"), ("xyz", "choose from thor, photos")],
+    [
+        ("inpect", "did you mean inspect?"),
+        ("phtos", "did you mean photos?"),
+        ("xyz", "choose from thor, vizdoom"),
+    ],
 )
 def test_a_mistyped_command_is_told_its_neighbour(name, says):
     commands = dict.fromkeys(COMMANDS, "")
@@ -98,6 +102,8 @@ def test_a_mistyped_command_is_told_its_neighbour(name, says):
         ("import out=new.h5", "name a scene: scene=<a dump"),
         ("photos folder=. out=new.h5", "holds no states.csv"),
         ("thor out=new.h5", "name a scene of AI2-THOR"),
+        ("vizdoom out=new.h5", "name a map: map=map01"),
+        ("miniworld out=new.h5", "name an environment of MiniWorld: env=FourRooms"),
         ("thor scene=FloorPlan1 out=new.h5 step=0", "step=0.0: must be between 0.05 and 10"),
     ],
 )

@@ -2,12 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 from simulator import Simulator
 
+from dirl.envs.live import Pose, Simulated
 from dirl.scenes import SceneError
 from dirl.sources.photos import read_photos
-from dirl.sources.thor import start_simulator, take_views
+from dirl.sources.thor import Thor, start_simulator, take_views
 
 CELLS = [(-2, 1), (-1, 1), (0, 1), (-1, 2), (0, 2)]
 SETTINGS = {"scene": "FloorPlan1", "step": 0.5, "height": 300, "width": 400}
@@ -161,3 +163,16 @@ def test_the_controller_is_started_as_asked_and_its_failure_is_one_line(monkeypa
     assert asked == fixed | {"scene": "FloorPlan1"} | ({"platform": "the class"} if headless else {})
     with pytest.raises(SceneError, match=r"scene=FloorPlan0: AI2-THOR does not start \(ValueError: Scene 'Fl"):
         start_simulator("FloorPlan0", **settings)
+
+
+def test_it_is_walked_live():
+    world = Simulated(Thor(Simulator([(0, 0), (0, 1)]), "FloorPlan1"), step=0.5)
+    world.reset(Pose(0.0, 0.0, 90.0))
+    assert [world.step(action) for action in (0, 2, 0, 0)] == [False, True, True, False]  # towards a wall, left, on
+    assert np.allclose(world.pose, (0.0, 0.5, 0.0), atol=1e-5)
+    assert world.views()[:, -1, 0, 1].tolist() == [0, 60, 120, 180]  # the double's colour of each heading
+    assert np.allclose(world.pose, (0.0, 0.5, 0.0), atol=1e-5)
+    with pytest.raises(SceneError, match=r"FloorPlan1: .* put at 4\.00, 0\.00 m: Collided with: Sink_3"):
+        world.reset(Pose(4.0, 0.0, 0.0))
+    with pytest.raises(SceneError, match="FloorPlan1: AI2-THOR failed"):
+        Thor(Simulator([(0, 0)], crash_after=0), "FloorPlan1")

@@ -89,7 +89,7 @@ class Navigator:
         self.memory, self.recogniser = memory, recogniser or NCC()
         self.recall: Recall | None = None
         self.guide: Guide | None = None
-        self._encoder = encoder
+        self.encoder = encoder
         self._goal: Tensor | None = None
         self._views: Tensor | None = None
         self._state: tuple[Tensor, ...] | None = None
@@ -368,7 +368,7 @@ class Navigator:
     def _encode(self, images: Images, name: str) -> tuple[Tensor, bool]:
         """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
         pixels, count, batched = checked_images(images, name, sequential=self.sequential)
-        features = torch.as_tensor(self._encoder(pixels.to(self.device)))
+        features = torch.as_tensor(self.encoder(pixels.to(self.device)))
         if features.shape != (len(pixels), self.width) or not features.is_floating_point():
             raise NavigatorError(
                 f"the encoder returned {features.dtype} {list(features.shape)} for {len(pixels)} images; the "

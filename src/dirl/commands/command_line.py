@@ -26,10 +26,12 @@ from dirl.config.scene_schemas import (
     ExportConfig,
     ImportConfig,
     InspectConfig,
+    MiniworldConfig,
     PhotosConfig,
     SampleConfig,
     ThorConfig,
     TourConfig,
+    VizdoomConfig,
 )
 from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, ReportConfig, Schedule, TrainConfig
 from dirl.runs.exits import speaks
@@ -40,6 +42,8 @@ SCHEMAS = {
     "report": ReportConfig,
     "benchmark": BenchmarkConfig,
     "thor": ThorConfig,
+    "vizdoom": VizdoomConfig,
+    "miniworld": MiniworldConfig,
     "photos": PhotosConfig,
     "tour": TourConfig,
     "build": BuildConfig,

@@ -16,10 +16,12 @@ from dirl.config.scene_schemas import (
     ExportConfig,
     ImportConfig,
     InspectConfig,
+    MiniworldConfig,
     PhotosConfig,
     SampleConfig,
     ThorConfig,
     TourConfig,
+    VizdoomConfig,
 )
 from dirl.config.schemas import ConfigError, EvaluateConfig, ExperimentName, ReportConfig, TrainConfig
 
@@ -143,8 +145,12 @@ def named(value: str | None, wanted: str) -> str:
     return value
 
 
-def simulated_scene(options: ThorConfig) -> str:
-    """The scene of AI2-THOR that an option ``scene`` names."""
+def simulated_scene(options: ThorConfig | VizdoomConfig | MiniworldConfig) -> str:
+    """The simulator's scene that an option names."""
+    if isinstance(options, VizdoomConfig):
+        return named(options.map, "name a map: map=map01 to map32 of Freedoom 2, E1M1 to E4M9 of Freedoom 1")
+    if isinstance(options, MiniworldConfig):
+        return named(options.env, "name an environment of MiniWorld: env=FourRooms")
     return named(options.scene, "name a scene of AI2-THOR: scene=FloorPlan401")
 
 
@@ -211,6 +217,8 @@ CHECKS: dict[type, Callable[[Any, Sequence[str]], object]] = {
     EvaluateConfig: lambda options, _: checkpoint_file(options),
     ReportConfig: lambda options, _: reported_runs(options),
     ThorConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
+    VizdoomConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
+    MiniworldConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
     PhotosConfig: lambda options, _: photo_table(options),
     TourConfig: lambda options, _: (new_file(options.out), tour_path(options)),
     BuildConfig: lambda options, _: (new_file(options.out), room_description(options)),

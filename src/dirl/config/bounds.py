@@ -67,6 +67,7 @@ LIMITS: Mapping[str, Bounds] = {
     "repeats": Bounds(1),
     "goal": Bounds(0),
     "count": Bounds(1),
+    "places": Bounds(2),
     "step": Bounds(0.05, 10),
     "turn": Bounds(1, 360),
     "headings": Bounds(4, 36),

@@ -40,6 +40,39 @@ class PhotosConfig:
 
 
 @dataclass
+class VizdoomConfig:
+    """Everything ``recipes/scenes.py vizdoom`` takes."""
+
+    map: str | None = None
+    wad: str | None = None
+    out: str | None = None
+    step: float = MISSING
+    turn: float = MISSING
+    places: int | None = None
+    height: int = MISSING
+    width: int = MISSING
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
+class MiniworldConfig:
+    """Everything ``recipes/scenes.py miniworld`` takes."""
+
+    env: str | None = None
+    seed: int = MISSING
+    out: str | None = None
+    step: float = MISSING
+    turn: float = MISSING
+    places: int | None = None
+    height: int = MISSING
+    width: int = MISSING
+    field_of_view: float = MISSING
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
 class TourConfig:
     """Everything ``recipes/scenes.py tour`` takes."""
 
@@ -152,6 +185,8 @@ class InspectConfig:
 
 MEANINGS = {
     "thor": "take a scene from live AI2-THOR",
+    "vizdoom": "take a scene from a map of VizDoom",
+    "miniworld": "take a scene from an environment of MiniWorld",
     "photos": "make a scene from photographs of a real place",
     "tour": "make a scene from a 360-degree tour",
     "build": "build a synthetic room from its description",

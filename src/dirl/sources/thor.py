@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from dirl.envs.live import Pose
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import encode
 from dirl.sources.photos import write_table
@@ -75,6 +76,45 @@ def start_simulator(
         reason = " ".join(str(error).split())[:300]
         hint = "" if headless else "; on a machine without a display: headless=true"
         raise SceneError(f"scene={scene}: AI2-THOR does not start ({type(error).__name__}: {reason}){hint}") from None
+
+
+class Thor:
+    """A controller with the agent in a scene, such as ``FloorPlan401``, as a `dirl.envs.live.Simulator`."""
+
+    def __init__(self, controller: Simulator, scene: str) -> None:
+        self.name, self._controller = scene, controller
+        with _simulator_errors(scene):
+            self._agent = controller.step("GetReachablePositions").metadata["agent"]
+
+    @property
+    def pose(self) -> Pose:
+        """Where the agent is."""
+        at = self._agent["position"]
+        return Pose(at["x"], at["z"], self._agent["rotation"]["y"] % 360)
+
+    def push(self, metres: float) -> bool:
+        """Walk along the heading, backwards if negative; where blocked the agent stays where it was."""
+        with _simulator_errors(self.name):
+            event = self._controller.step("MoveAhead" if metres > 0 else "MoveBack", moveMagnitude=abs(metres))
+        self._agent = event.metadata["agent"]
+        return bool(event.metadata["lastActionSuccess"])
+
+    def look(self, heading: float) -> NDArray[np.uint8]:
+        """The view towards a heading."""
+        pose = self.pose
+        frame = np.array(self.place(pose._replace(heading=heading)).frame)
+        self.place(pose)
+        return frame
+
+    def place(self, pose: Pose) -> Any:
+        """Put the agent somewhere, `SceneError` where it cannot stand; returns AI2-THOR's event."""
+        position = {**self._agent["position"], "x": pose.x, "z": pose.z}
+        with _simulator_errors(self.name):
+            event, problem = _teleport(self._controller, position, pose.heading)
+        if problem:
+            raise SceneError(f"{self.name}: the agent cannot be put at {pose.x:.2f}, {pose.z:.2f} m: {problem}")
+        self._agent = event.metadata["agent"]
+        return event
 
 
 def take_views(simulator: Simulator, folder: Path, *, settings: Mapping[str, Any]) -> list[str]:
@@ -230,7 +270,7 @@ def _place_at(metadata: Mapping[str, Any], places: dict[str, Position], step: fl
     return ""
 
 
-def _teleport(simulator: Simulator, position: Position, heading: int) -> tuple[Any, str]:
+def _teleport(simulator: Simulator, position: Position, heading: float) -> tuple[Any, str]:
     """Teleport the agent; the event, and the reason for a failure (empty if there is none)."""
     turned = {"x": 0.0, "y": float(heading), "z": 0.0}
     event = simulator.step("Teleport", position=position, rotation=turned, horizon=0.0, standing=True)

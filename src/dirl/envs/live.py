@@ -1,0 +1,278 @@
+"""Worlds whose views are made when they are seen: a simulator, a robot's room, or a dump; and agents walked in them.
+
+A world is anything with the four members of `LiveWorld`. `Simulated` makes one of a simulator, `Dumped` of a scene, and
+`Noisy` lets the moves of another world go wrong.
+"""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dirl.agent.loading import Encoder
+from dirl.agent.navigator import Navigator
+from dirl.evaluation.episodes import Episodes
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, surrounding_states, turns_per_circle
+from dirl.scenes.scene import Scene, SceneError
+
+Image = NDArray[np.uint8]
+
+
+class Pose(NamedTuple):
+    """Where an agent is."""
+
+    x: float
+    """Metres."""
+    z: float
+    """Metres."""
+    heading: float
+    """Degrees clockwise from +z."""
+
+
+class LiveWorld(Protocol):
+    """A place to walk in."""
+
+    @property
+    def pose(self) -> Pose:
+        """Where the agent is."""
+
+    def reset(self, pose: Pose) -> None:
+        """Put the agent somewhere; `SceneError` where it cannot stand."""
+
+    def step(self, action: int, error: float = 0.0) -> bool:
+        """Take one of `dirl.scenes.ACTIONS`, with a turn by ``error`` degrees clockwise too many; whether it moved."""
+
+    def views(self) -> Image:
+        """What is ahead, to the right, behind and to the left: uint8 RGB ``[4, H, W, 3]``."""
+
+
+class Simulator(Protocol):
+    """What a simulator must be able to do."""
+
+    name: str
+    """Of the scene in it."""
+
+    @property
+    def pose(self) -> Pose:
+        """Where the agent is."""
+
+    def place(self, pose: Pose) -> None:
+        """Put the agent somewhere; `SceneError` if that fails."""
+
+    def push(self, metres: float) -> bool:
+        """Try to walk along the heading, backwards if negative; where blocked the agent stays where it was."""
+
+    def look(self, heading: float) -> Image:
+        """The view towards a heading, uint8 RGB ``[H, W, 3]``."""
+
+
+def stride(heading: float, step: float) -> float:
+    """The metres of a move along a heading on a grid: to the next place on an axis or a diagonal, else none."""
+    if round(heading) % 45:
+        return 0.0
+    return step if round(heading) % 90 == 0 else step * 2**0.5
+
+
+class Simulated:
+    """The world of a simulator: an agent that moves as in the dumps made of it.
+
+    Args:
+        simulator: see `Simulator`.
+        step: metres of a move along an axis.
+        turns: right turns in a full circle.
+    """
+
+    def __init__(self, simulator: Simulator, *, step: float, turns: int = 4) -> None:
+        self.simulator, self.metres, self.turn = simulator, step, 360 / turns
+        self.intended = simulator.pose.heading
+
+    @property
+    def pose(self) -> Pose:
+        """Where the agent is."""
+        return self.simulator.pose
+
+    def reset(self, pose: Pose) -> None:
+        """Put the agent somewhere."""
+        self.simulator.place(pose)
+        self.intended = pose.heading
+
+    def step(self, action: int, error: float = 0.0) -> bool:
+        """Take an action; whether the agent moved."""
+        if action in (AHEAD, BACK):
+            metres = stride(self.intended, self.metres)
+            return metres > 0 and self.simulator.push(metres if action == AHEAD else -metres)
+        turn = self.turn if action == RIGHT else -self.turn
+        x, z, heading = self.pose
+        self.intended = (self.intended + turn) % 360
+        self.simulator.place(Pose(x, z, (heading + turn + error) % 360))
+        return True
+
+    def views(self) -> Image:
+        """The four views around the agent."""
+        heading = self.pose.heading
+        return np.stack([self.simulator.look((heading + quarter) % 360) for quarter in (0, 90, 180, 270)])
+
+
+class Dumped:
+    """The world of a dump. Errors of turns add up, and the agent is in the state of the nearest heading.
+
+    Args:
+        scene: with views.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        if scene.views is None:
+            raise SceneError(f"{scene.origin}: holds no views to walk among")
+        self.scene, self._views = scene, scene.views
+        self._around = surrounding_states(scene.graph)
+        self._half = 180 / turns_per_circle(scene.graph)
+        self.state, self._off = 0, 0.0
+
+    @property
+    def pose(self) -> Pose:
+        """Where the agent is."""
+        return state_pose(self.scene, self.state)
+
+    def reset(self, pose: Pose) -> None:
+        """Put the agent into the state of a pose."""
+        near = np.abs(self.scene.positions - (pose.x, pose.z)).max(1) < 1e-3
+        turned = np.abs((self.scene.headings - pose.heading + 180) % 360 - 180) < 1
+        if not (near & turned).any():
+            raise SceneError(f"{self.scene.origin}: holds no state at {pose}")
+        self.state, self._off = int(np.argmax(near & turned)), 0.0
+
+    def step(self, action: int, error: float = 0.0) -> bool:
+        """Take an action; whether the agent moved."""
+        moved = self._follow(action)
+        self._off += error
+        while abs(self._off) > self._half:
+            self._follow(RIGHT if self._off > 0 else LEFT)
+            self._off -= 2 * self._half * np.sign(self._off)
+        return moved
+
+    def _follow(self, action: int) -> bool:
+        after = int(self.scene.graph[self.state, action])
+        moved, self.state = after not in (-1, self.state), after if after >= 0 else self.state
+        return moved
+
+    def views(self) -> Image:
+        """The four views around the agent."""
+        return np.stack([self._views[int(state)] for state in self._around[self.state]])
+
+
+class Noisy:
+    """A world in which moves go wrong.
+
+    Args:
+        world: which.
+        slip: the probability that an action has no effect.
+        turn_error: standard deviation of each turn, degrees.
+        seed: of the errors.
+    """
+
+    def __init__(self, world: LiveWorld, *, slip: float = 0.0, turn_error: float = 0.0, seed: int = 0) -> None:
+        self.world, self.slip, self.turn_error = world, slip, turn_error
+        self._draws = np.random.default_rng(seed)
+        self.reset, self.views = world.reset, world.views
+
+    @property
+    def pose(self) -> Pose:
+        """Where the agent is."""
+        return self.world.pose
+
+    def step(self, action: int, error: float = 0.0) -> bool:
+        """Take an action, unless the agent slips; whether it moved."""
+        if self._draws.random() < self.slip:
+            return False
+        if action in (RIGHT, LEFT):
+            error += self.turn_error * self._draws.standard_normal()
+        return self.world.step(action, error)
+
+
+class Remembered:
+    """An encoder that encodes each image once: ``navigator.encoder = Remembered(navigator.encoder)``.
+
+    Args:
+        encoder: images to features, see `dirl.agent.loading.Encoder`.
+    """
+
+    def __init__(self, encoder: Encoder) -> None:
+        self.encoder, self.known = encoder, dict[bytes, Tensor]()
+
+    def __call__(self, images: Tensor) -> Tensor:
+        """Features of images, uint8 ``[N, H, W, 3]``."""
+        keys = [image.numpy().tobytes() for image in images.cpu()]
+        new = {key: index for index, key in enumerate(keys) if key not in self.known}
+        if new:
+            self.known |= zip(new, torch.as_tensor(self.encoder(images[list(new.values())])), strict=True)
+        return torch.stack([self.known[key] for key in keys])
+
+
+def state_pose(scene: Scene, state: int) -> Pose:
+    """Where a state of a dump is."""
+    x, z = scene.positions[state].tolist()
+    return Pose(x, z, float(scene.headings[state]))
+
+
+def evaluate_live(
+    navigator: Navigator,
+    world: LiveWorld,
+    scene: Scene,
+    starts: tuple[Tensor, Tensor],
+    *,
+    max_steps: int = 100,
+    within: float | None = None,
+) -> Episodes:
+    """Walk a navigator in a world by its own `reset` and `act`, as a robot does, one episode from each start.
+
+    The agent has arrived where it stops within a distance of the goal, with a heading nearer to the goal's than to that
+    of a neighbouring state.
+
+    Args:
+        navigator: sees four views around it.
+        world: with the coordinates of the scene.
+        scene: says where goals and starts are, and how long shortest paths.
+        starts: goal states and start states, int64 ``[E]`` each; the ``goal_index`` of the result is the goal state.
+        max_steps: after so many an episode has failed.
+        within: metres; half of the shortest move of the scene if left out.
+    """
+    goal_state, start = (states.cpu() for states in starts)
+    turn = 360 / turns_per_circle(scene.graph)
+    within = _half_a_move(scene) if within is None else within
+    shortest = torch.from_numpy(scene.distances[start.numpy(), goal_state.numpy()].astype(np.int64))
+    found = Episodes(
+        goal_state,
+        start,
+        shortest,
+        torch.full_like(start, max_steps),
+        *(torch.zeros(len(start), dtype=torch.bool) for _ in range(3)),
+    )
+    for episode, (goal, first) in enumerate(zip(goal_state.tolist(), start.tolist(), strict=True)):
+        wanted = state_pose(scene, goal)
+        world.reset(wanted)
+        navigator.reset(world.views())
+        world.reset(state_pose(scene, first))
+        for step in range(max_steps + 1):
+            decision = navigator.act(world.views())
+            there = _arrived(world.pose, wanted, within, turn / 2)
+            if decision.stop:
+                found.success[episode], found.false_stop[episode] = there, not there
+                found.steps[episode] = step if there else max_steps
+                break
+            found.missed_stop[episode] |= there
+            if step < max_steps:
+                world.step(int(decision.action))
+    return found
+
+
+def _arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
+    turned = abs((pose.heading - wanted.heading + 180) % 360 - 180)
+    return bool(np.hypot(pose.x - wanted.x, pose.z - wanted.z) <= within and turned <= degrees)
+
+
+def _half_a_move(scene: Scene) -> float:
+    state, action = np.nonzero(scene.graph[:, [AHEAD, BACK]] >= 0)
+    after = scene.graph[state, np.array([AHEAD, BACK])[action]]
+    return float(np.linalg.norm(scene.positions[after] - scene.positions[state], axis=1).min()) / 2

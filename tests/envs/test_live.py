@@ -1,0 +1,141 @@
+"""Live worlds: their moves, what goes wrong in them, and a navigator walked in them by its own code."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from dirl.envs.live import Dumped, Noisy, Pose, Remembered, Simulated, evaluate_live, state_pose
+from dirl.scenes import load_scenes
+from dirl.scenes.scene import SceneError
+
+
+@pytest.fixture(scope="module")
+def room():
+    return load_scenes("bathroom_02")[0]
+
+
+class Expert:
+    """In the place of a navigator: it knows every view of a scene, and walks the shortest path."""
+
+    def __init__(self, scene, stops=True):
+        self.scene, self.stops = scene, stops
+        self.state_of = {scene.views[state].tobytes(): state for state in range(len(scene))}
+
+    def reset(self, views):
+        self.goal = self.state_of[views[0].tobytes()]
+
+    def act(self, views):
+        assert views.shape[0] == 4
+        state = self.state_of[views[0].tobytes()]
+        after = np.where(self.scene.graph[state] < 0, state, self.scene.graph[state])
+        action = int(np.argmin(self.scene.distances[after, self.goal]))
+        return SimpleNamespace(action=action, stop=self.stops and state == self.goal)
+
+
+def starts(room):
+    goals = torch.tensor(room.goals[:2]).repeat_interleave(3)
+    return goals, torch.tensor([0, 50, 100, 20, 90, 130])
+
+
+def test_an_expert_takes_the_shortest_path(room):
+    found = evaluate_live(Expert(room), Dumped(room), room, starts(room))
+    assert found.success.all()
+    assert found.steps.tolist() == found.shortest.tolist()
+    assert not (found.false_stop | found.missed_stop).any()
+
+
+def test_who_does_not_stop_misses_the_goal(room):
+    found = evaluate_live(Expert(room, stops=False), Dumped(room), room, starts(room), max_steps=40)
+    assert found.missed_stop.all()
+    assert not found.success.any()
+    assert found.steps.tolist() == [40] * 6
+
+
+def test_who_stops_elsewhere_has_not_arrived(room):
+    expert = Expert(room)
+    expert.act = lambda views: SimpleNamespace(action=0, stop=True)
+    found = evaluate_live(expert, Dumped(room), room, starts(room))
+    assert found.false_stop.all()
+    assert not found.success.any()
+
+
+def test_who_slips_takes_longer(room):
+    worlds = (Noisy(Dumped(room), slip=0.3, seed=seed) for seed in (1, 1, 2))
+    first, again, other = (evaluate_live(Expert(room), world, room, starts(room)) for world in worlds)
+    assert first.success.all()
+    assert (first.steps >= first.shortest).all()
+    assert first.steps.sum() > 1.15 * first.shortest.sum()
+    assert first.steps.tolist() == again.steps.tolist() != other.steps.tolist()
+
+
+def test_errors_of_turns_add_up_to_the_next_heading(room):
+    world = Dumped(room)
+    world.reset(state_pose(room, 0))
+    began = world.pose.heading
+    for _ in range(4):
+        world.step(1, error=10.0)
+    assert world.pose.heading == began  # 40 degrees too many are less than half a turn
+    for _ in range(4):
+        world.step(1, error=10.0)
+    assert (world.pose.heading - began) % 360 == 90
+    world.step(0, error=-50.0)
+    assert world.pose.heading == began
+
+
+def test_a_live_agent_turns_by_as_much_as_it_errs_and_goes_where_it_looks():
+    class Plane:
+        name, pose = "plane", None
+
+        def place(self, pose):
+            self.pose = pose
+
+        def push(self, metres):
+            x, z, heading = self.pose
+            at = x + metres * np.sin(np.radians(heading)), z + metres * np.cos(np.radians(heading))
+            self.pose = self.pose._replace(x=at[0], z=at[1])
+            return True
+
+        def look(self, heading):
+            return np.full((8, 8, 3), heading / 2, np.uint8)
+
+    plane = Plane()
+    plane.pose = Pose(0.0, 0.0, 0.0)
+    world = Simulated(plane, step=2.0, turns=8)
+    world.reset(Pose(1.0, 1.0, 0.0))
+    world.step(1)
+    assert np.allclose(world.pose, (1, 1, 45))
+    world.step(0)
+    assert np.allclose(world.pose, (3, 3, 45))  # to the next place askew
+    world.step(1, error=-5.0)
+    world.step(3)
+    assert np.allclose(world.pose, (3 - 2 * np.sin(np.radians(85)), 3 - 2 * np.cos(np.radians(85)), 85))
+    assert world.views()[:, 0, 0, 0].tolist() == [42, 87, 132, 177]
+    thirty = Simulated(plane, step=2.0, turns=12)
+    thirty.reset(Pose(0.0, 0.0, 30.0))
+    assert not thirty.step(0)  # no place is there
+    assert thirty.pose == (0, 0, 30)
+
+
+def test_a_scene_without_views_or_the_pose(room):
+    with pytest.raises(SceneError, match="holds no state at Pose"):
+        Dumped(room).reset(Pose(99.0, 0.0, 0.0))
+    with pytest.raises(SceneError, match="holds no views to walk among"):
+        Dumped(replace(room, views=None))
+
+
+def test_an_image_is_encoded_once():
+    asked = []
+
+    def encode(images):
+        asked.append(len(images))
+        return images.flatten(1).float()
+
+    encoder = Remembered(encode)
+    images = torch.arange(24, dtype=torch.uint8).reshape(4, 1, 2, 3)
+    twice = images[[0, 1, 0]]
+    assert (encoder(twice) == twice.flatten(1)).all()
+    assert (encoder(images) == images.flatten(1)).all()
+    assert asked == [2, 2]

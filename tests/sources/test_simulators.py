@@ -1,0 +1,149 @@
+"""Scenes from simulators: a grid that a double walks on, and the simulators themselves."""
+
+import os
+import signal
+import subprocess
+import sys
+from ctypes.util import find_library
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_walks import walk
+
+from dirl.envs.live import Pose
+from dirl.scenes import read_dump, write_dump
+from dirl.scenes.scene import SceneError
+from dirl.sources.miniworld import MiniWorld
+from dirl.sources.simulators import simulator_errors, take_scene
+from dirl.sources.vizdoom import VizDoom
+
+
+class Grid:
+    """A simulator whose agent walks on cells of a metre; a cell with ``one_way`` can be entered, but not left."""
+
+    name = "grid"
+
+    def __init__(self, cells, one_way=()):
+        self.cells, self.one_way, self.pose = set(cells), set(one_way), Pose(0.5, 0.5, 90.0)
+
+    def place(self, pose):
+        self.pose = pose
+
+    def push(self, metres):
+        radians = np.radians(self.pose.heading)
+        x, z = self.pose.x + metres * np.sin(radians), self.pose.z + metres * np.cos(radians)
+        here = (round(self.pose.x - 0.5), round(self.pose.z - 0.5))
+        there = (round(x - 0.5), round(z - 0.5))
+        if there not in self.cells or here in self.one_way:
+            return False
+        assert np.allclose((x - 0.5, z - 0.5), there), "a move that ends between places"
+        self.pose = Pose(x, z, self.pose.heading)
+        return True
+
+    def look(self, heading):
+        return np.full((16, 16, 3), heading / 360 * 255, np.uint8)
+
+
+@pytest.mark.parametrize(("turn", "diagonal"), [(90, False), (45, True), (30, False)])
+def test_places_are_those_that_can_be_walked_to_and_fro(turn, diagonal):
+    scene, views = take_scene(Grid([(0, 0), (1, 0), (1, 1), (0, -1)], [(0, -1)]), source="x", step=1.0, turn=turn)
+    turns = 360 // turn
+    assert {tuple(place) for place in scene.positions} == {(0.5, 0.5), (1.5, 0.5), (1.5, 1.5)}  # there is no way back
+    assert len(scene) == len(views) == 3 * turns
+    moves = {
+        (*scene.positions[state], scene.headings[state], *scene.positions[after])
+        for state, after in enumerate(scene.graph[:, 0])
+        if after >= 0
+    }
+    along = {(0.5, 0.5, 90, 1.5, 0.5), (1.5, 0.5, 270, 0.5, 0.5), (1.5, 0.5, 0, 1.5, 1.5), (1.5, 1.5, 180, 1.5, 0.5)}
+    askew = {(0.5, 0.5, 45, 1.5, 1.5), (1.5, 1.5, 225, 0.5, 0.5)}
+    assert moves == (along | askew if diagonal else along)
+    back = [(state, after) for state, after in enumerate(scene.graph[:, 3]) if after >= 0]
+    assert len(back) == len(moves)
+    assert all(scene.graph[after, 0] == state for state, after in back)
+
+
+def test_no_more_places_than_asked_for_and_the_nearest():
+    scene, _ = take_scene(Grid([(x, 0) for x in range(9)]), source="x", step=1.0, turn=90, most=3)
+    assert scene.positions[::4, 0].tolist() == [0.5, 1.5, 2.5]
+
+
+@pytest.mark.parametrize(
+    ("cells", "turn", "message"),
+    [
+        ([(0, 0)], 90, "no move of 1 m leads anywhere and back"),
+        ([(0, 0), (1, 0)], 50, "turn=50: a turn must go into 90"),
+    ],
+)
+def test_what_makes_no_scene_is_one_line(cells, turn, message):
+    with pytest.raises(SceneError, match=message):
+        take_scene(Grid(cells), source="x", step=1.0, turn=turn)
+
+
+def test_an_error_of_a_simulator_becomes_one_line():
+    line = r"^Unity failed \(KeyError: 'a b'\); run the command again$"
+    with pytest.raises(SceneError, match=line), simulator_errors("Unity"):
+        raise KeyError("a b")
+
+
+@pytest.fixture
+def miniworld():
+    if not find_spec("miniworld"):  # importing it opens a window, unless `MiniWorld` does
+        pytest.skip("the extra miniworld is not installed")
+    if not find_library("EGL"):
+        pytest.skip("the library EGL is missing (Debian: libegl1), without which nothing is drawn without a display")
+    return MiniWorld("MazeS3", seed=1, height=60, width=80)
+
+
+@pytest.fixture
+def doom():
+    pytest.importorskip("vizdoom", reason="the extra vizdoom is not installed")
+    return VizDoom("map01", height=60, width=80)
+
+
+@pytest.mark.parametrize(("kind", "step", "turn"), [("miniworld", 1.0, 90), ("miniworld", 1.0, 45), ("doom", 2.0, 90)])
+def test_a_walk_in_the_live_simulator_sees_the_views_of_its_dump(kind, step, turn, request, tmp_path):
+    simulator = request.getfixturevalue(kind)
+    scene, views = take_scene(simulator, source=kind, step=step, turn=turn)
+    write_dump(tmp_path / "live.h5", scene, views)
+    done = walk(simulator, read_dump(tmp_path / "live.h5"), step, 360 // turn, 60)
+    assert done.differ == 0
+    assert done.apart < 0.05
+    assert max(done.off) < 8
+    assert done.own >= 58
+
+
+def test_a_place_where_doom_puts_nobody(doom):
+    with pytest.raises(SceneError, match="cannot be put at 9000"):
+        doom.place(Pose(9000.0, 0.0, 0.0))
+
+
+def test_a_killed_doom_is_one_line(doom):
+    children = subprocess.run(
+        ["ps", "-o", "pid=,comm=", "--ppid", str(os.getpid())], capture_output=True, text=True, check=True
+    ).stdout
+    mine = [int(line.split()[0]) for line in children.splitlines() if "vizdoom" in line]
+    os.kill(mine[-1], signal.SIGKILL)
+    with pytest.raises(SceneError, match=r"^VizDoom failed \(.*\); run the command again$"):
+        take_scene(doom, source="vizdoom", step=2.0, turn=90)
+
+
+@pytest.mark.usefixtures("miniworld")
+def test_names_that_the_simulators_do_not_have(tmp_path):
+    pytest.importorskip("vizdoom", reason="the extra vizdoom is not installed")
+    with pytest.raises(SceneError, match=r"env=FourRoms: .*; did you mean FourRooms\?"):
+        MiniWorld("FourRoms")
+    with pytest.raises(SceneError, match=r"map=map99: freedoom2.wad holds no such map; it holds MAP01, "):
+        VizDoom("map99")
+    Path(tmp_path / "x.wad").write_bytes(b"no")
+    with pytest.raises(SceneError, match=r"x\.wad: not a readable WAD file"):
+        VizDoom("map01", wad=str(tmp_path / "x.wad"))
+
+
+@pytest.mark.parametrize(("module", "make"), [("vizdoom", VizDoom), ("miniworld.envs", MiniWorld)])
+def test_a_simulator_that_is_not_installed_is_one_line(module, make, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(SceneError, match=r"pip install 'dirl\[(vizdoom|miniworld)\]'"):
+        make("x")
