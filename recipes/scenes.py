@@ -57,7 +57,6 @@ from dirl.config.scene_schemas import (
     VizdoomConfig,
 )
 from dirl.config.schemas import typed
-from dirl.envs.live import Simulator
 from dirl.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.rooms import build_room, read_description
@@ -68,6 +67,7 @@ from dirl.scenes import Scene, load_scenes, write_dump
 from dirl.scenes.collection import Entry
 from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.io.write import replace_features
+from dirl.scenes.live import Simulator
 from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
 from dirl.sources.miniworld import MiniWorld

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dirl.envs.live import Dumped, Simulated, state_pose
+from dirl.scenes.live import Dumped, Simulated, state_pose
 
 
 class Walk(NamedTuple):

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from live_walks import walk
 
-from dirl.envs.live import Pose
 from dirl.scenes import read_dump, write_dump
+from dirl.scenes.live import Pose
 from dirl.scenes.scene import SceneError
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.simulators import simulator_errors, take_scene

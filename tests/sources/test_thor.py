@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulator import Simulator
 
-from dirl.envs.live import Pose, Simulated
 from dirl.scenes import SceneError
+from dirl.scenes.live import Pose, Simulated
 from dirl.sources.photos import read_photos
 from dirl.sources.thor import Thor, start_simulator, take_views
 

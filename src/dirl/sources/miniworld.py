@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.envs.live import Pose
+from dirl.scenes.live import Pose
 from dirl.scenes.scene import SceneError
 from dirl.sources.simulators import simulator_errors
 
@@ -21,7 +21,7 @@ STRIDE = 0.05
 
 
 class MiniWorld:
-    """An environment of MiniWorld as a `dirl.envs.live.Simulator`.
+    """An environment of MiniWorld as a `dirl.scenes.live.Simulator`.
 
     Coordinates are metres, x as in MiniWorld and z against it, so that headings grow clockwise.
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 import numpy as np
 from tqdm import tqdm
 
-from dirl.envs.live import Pose, Simulator, stride
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, shortest_distances
+from dirl.scenes.live import Pose, Simulator, stride
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 

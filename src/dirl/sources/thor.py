@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from dirl.envs.live import Pose
+from dirl.scenes.live import Pose
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import encode
 from dirl.sources.photos import write_table
@@ -79,7 +79,7 @@ def start_simulator(
 
 
 class Thor:
-    """A controller with the agent in a scene, such as ``FloorPlan401``, as a `dirl.envs.live.Simulator`."""
+    """A controller with the agent in a scene, such as ``FloorPlan401``, as a `dirl.scenes.live.Simulator`."""
 
     def __init__(self, controller: Simulator, scene: str) -> None:
         self.name, self._controller = scene, controller

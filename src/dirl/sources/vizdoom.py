@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from dirl.envs.live import Pose
+from dirl.scenes.live import Pose
 from dirl.scenes.scene import SceneError
 from dirl.sources.simulators import simulator_errors
 
@@ -36,7 +36,7 @@ SCENERY = {"Self", "Decoration", "Vegetation", "LightSource", "Gore", "Hazard", 
 
 
 class VizDoom:
-    """A map of VizDoom as a `dirl.envs.live.Simulator`; coordinates are those of the map, 32 units a metre.
+    """A map of VizDoom as a `dirl.scenes.live.Simulator`; coordinates are those of the map, 32 units a metre.
 
     Args:
         name: of the map: ``map01`` to ``map32`` are Freedoom 2's, ``E1M1`` to ``E4M9`` those of Freedoom 1.

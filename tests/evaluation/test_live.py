@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from dirl.envs.live import Dumped, Noisy, Pose, Remembered, Simulated, evaluate_live, state_pose
+from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.scenes import load_scenes
+from dirl.scenes.live import Dumped, Noisy, Pose, Simulated, state_pose
 from dirl.scenes.scene import SceneError
 
 

@@ -1,0 +1,93 @@
+"""A navigator walked in a live world by its own code, so that what is measured is what a robot runs."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dirl.agent.loading import Encoder
+from dirl.agent.navigator import Navigator
+from dirl.evaluation.episodes import Episodes
+from dirl.scenes.graph import AHEAD, BACK, turns_per_circle
+from dirl.scenes.live import LiveWorld, Pose, state_pose
+from dirl.scenes.scene import Scene
+
+
+class Remembered:
+    """An encoder that encodes each image once: ``navigator.encoder = Remembered(navigator.encoder)``.
+
+    Args:
+        encoder: images to features, see `dirl.agent.loading.Encoder`.
+    """
+
+    def __init__(self, encoder: Encoder) -> None:
+        self.encoder, self.known = encoder, dict[bytes, Tensor]()
+
+    def __call__(self, images: Tensor) -> Tensor:
+        """Features of images, uint8 ``[N, H, W, 3]``."""
+        keys = [image.numpy().tobytes() for image in images.cpu()]
+        new = {key: index for index, key in enumerate(keys) if key not in self.known}
+        if new:
+            self.known |= zip(new, torch.as_tensor(self.encoder(images[list(new.values())])), strict=True)
+        return torch.stack([self.known[key] for key in keys])
+
+
+def evaluate_live(
+    navigator: Navigator,
+    world: LiveWorld,
+    scene: Scene,
+    starts: tuple[Tensor, Tensor],
+    *,
+    max_steps: int = 100,
+    within: float | None = None,
+) -> Episodes:
+    """Walk a navigator in a world by its own `reset` and `act`, as a robot does, one episode from each start.
+
+    The agent has arrived where it stops within a distance of the goal, with a heading nearer to the goal's than to that
+    of a neighbouring state.
+
+    Args:
+        navigator: sees four views around it.
+        world: with the coordinates of the scene.
+        scene: says where goals and starts are, and how long shortest paths.
+        starts: goal states and start states, int64 ``[E]`` each; the ``goal_index`` of the result is the goal state.
+        max_steps: after so many an episode has failed.
+        within: metres; half of the shortest move of the scene if left out.
+    """
+    goal_state, start = (states.cpu() for states in starts)
+    turn = 360 / turns_per_circle(scene.graph)
+    within = _half_a_move(scene) if within is None else within
+    shortest = torch.from_numpy(scene.distances[start.numpy(), goal_state.numpy()].astype(np.int64))
+    found = Episodes(
+        goal_state,
+        start,
+        shortest,
+        torch.full_like(start, max_steps),
+        *(torch.zeros(len(start), dtype=torch.bool) for _ in range(3)),
+    )
+    for episode, (goal, first) in enumerate(zip(goal_state.tolist(), start.tolist(), strict=True)):
+        wanted = state_pose(scene, goal)
+        world.reset(wanted)
+        navigator.reset(world.views())
+        world.reset(state_pose(scene, first))
+        for step in range(max_steps + 1):
+            decision = navigator.act(world.views())
+            there = _arrived(world.pose, wanted, within, turn / 2)
+            if decision.stop:
+                found.success[episode], found.false_stop[episode] = there, not there
+                found.steps[episode] = step if there else max_steps
+                break
+            found.missed_stop[episode] |= there
+            if step < max_steps:
+                world.step(int(decision.action))
+    return found
+
+
+def _arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
+    turned = abs((pose.heading - wanted.heading + 180) % 360 - 180)
+    return bool(np.hypot(pose.x - wanted.x, pose.z - wanted.z) <= within and turned <= degrees)
+
+
+def _half_a_move(scene: Scene) -> float:
+    state, action = np.nonzero(scene.graph[:, [AHEAD, BACK]] >= 0)
+    after = scene.graph[state, np.array([AHEAD, BACK])[action]]
+    return float(np.linalg.norm(scene.positions[after] - scene.positions[state], axis=1).min()) / 2
