@@ -2,6 +2,7 @@
 
 import os
 import struct
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -82,6 +83,8 @@ class VizDoom:
         with simulator_errors("VizDoom"):
             game.init()
             self._clear()
+        with suppress(OSError):  # an empty folder that Doom leaves
+            Path("_vizdoom").rmdir()
 
         self._heading = self.pose_in_game()[2]
 
