@@ -21,6 +21,7 @@ COMPONENTS = (
     "encoder",
     "memory",
     "episodic_memory",
+    "recogniser",
     "heads",
     "policy",
     "expert",

@@ -4,13 +4,17 @@ import json
 
 import pytest
 import torch
-from commands import TINY, run_recipe
+from commands import TINY, run_recipe, train_config
 from rooms import grid_scene
 
+from dirl.agent.decisions import observe
 from dirl.config.schemas import ConfigError
+from dirl.envs import SurroundingViews
+from dirl.envs.transforms import front_only
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import write_dump
-from dirl.training.load import load_trained
+from dirl.training.build import build_world
+from dirl.training.load import learning_policy, load_trained
 
 SHAPES = {"left": (3, 2), "right": (2, 3)}
 
@@ -36,6 +40,27 @@ def test_a_policy_of_two_scenes_decides_by_the_layers_of_the_one_it_is_in(traine
     inside = whole.select(protocol.world.scene_of[whole.start] == protocol.world.names.index(name))
     for field in ("steps", "success", "shortest"):
         assert torch.equal(getattr(inside, field), getattr(part, field))
+
+
+class OnlyAhead(SurroundingViews):
+    """A transform of one's own that shows the view ahead, and hides the others."""
+
+    def begin(self, picture):
+        return front_only(super().begin(picture), self.pictures)
+
+
+@pytest.mark.parametrize("axes", ["principal", "features"])
+def test_a_cached_policy_sees_what_the_observation_shows_and_nothing_else(tmp_path, axes):
+    write_dump(tmp_path / "room.h5", grid_scene(3, 2, goals=(0, 5), feature_width=64))
+    found = []
+    for cache in ("auto", "off"):
+        config = train_config(f"scene={tmp_path / 'room.h5'}", f"network.cache={cache}", f"network.axes={axes}")
+        world = build_world(config)
+        observation = OnlyAhead(world)
+        policy = learning_policy(config, world, observation)
+        state, goal = torch.arange(24), torch.zeros(24, dtype=torch.int64)
+        found.append(policy(observe(world, observation, state, observation.begin(state), goal))["logits"])
+    torch.testing.assert_close(*found, atol=1e-5, rtol=0)
 
 
 def test_a_dump_that_has_moved_or_has_another_name_is_named_anew(trained, tmp_path):

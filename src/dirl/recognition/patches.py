@@ -42,7 +42,7 @@ class Patches(nn.Module):
         self,
         statistics: Literal["rooms", "place"] = "rooms",
         share: Annotated[float, Bounds(0, 1)] = 0.5,
-        views: Annotated[float, Bounds(-1, 1)] = 0.67,
+        views: Annotated[float, Bounds(-1, 1)] = 0.72,
         photo: Annotated[float, Bounds(-1, 1)] = 0.75,
         memory: Annotated[float, Bounds(-1, 1)] = 0.7,
     ) -> None:

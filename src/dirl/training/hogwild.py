@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from dirl.config.schemas import ConfigError, Precision, TrainConfig
-from dirl.models import caching, recurrent_keys
+from dirl.models import caching, plain_weights, recurrent_keys
 from dirl.objectives import TFRMSprop
 from dirl.training.build import (
     build_demonstrations,
@@ -50,6 +50,8 @@ class Shared:
     """Cleared to let the workers wait, as while their policy is tested, a ``multiprocessing.Event``."""
     stopped: Any
     """Ask the workers to end, a ``multiprocessing.Event``."""
+    initial: dict[str, Tensor] | None = None
+    """What a training with ``init`` began with, by name: statistics of the features and names of heads among it."""
 
 
 def share(policy: nn.Module, optimiser: Optimizer, frames: int) -> Shared:
@@ -116,6 +118,8 @@ def learn(config: TrainConfig, state: TrainState, total: int, record: Record, in
     if state.frames >= total:
         return
     shared = share(state.policy, state.optimiser, state.frames)
+    if config.init is not None:
+        shared.initial = {name: value.detach().clone() for name, value in plain_weights(state.policy).items()}
     for update in asynchronous_updates(config, shared, total, interrupted):
         record(update, waiting(shared, state.policy))
     fetch(shared, state.policy)
@@ -177,7 +181,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
     torch.set_num_threads(1)
     world = build_world(config)
     observation = build_observation(config, world)
-    options, common = config.reinforcement, learning_policy(config, world, observation)
+    options, common = config.reinforcement, learning_policy(config, world, observation, shared.initial)
     policy: Any = copy.deepcopy(common)
     for parameter, weight in zip(common.parameters(), shared.weights, strict=True):
         parameter.data = weight
