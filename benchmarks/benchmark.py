@@ -39,6 +39,10 @@ SLOW = 20
 """The loops of other libraries make so many times fewer updates than ours."""
 
 
+SMALL = 256
+"""Rows and columns of a small matrix."""
+
+
 @hydra.main(version_base="1.3", config_path="../conf", config_name="benchmark")
 def main(composed: DictConfig) -> None:
     """Measure, print the tables, write the file."""
@@ -96,7 +100,12 @@ def compare(name: str, config: TrainConfig, options: BenchmarkConfig, limit: flo
 
 
 def matrix_product_rate(dtype: torch.dtype, size: int = 2048, repeats: int = 10) -> float:
-    """Operations per second of a matrix product, the median of several."""
+    """Operations per second of a matrix product, the median of several; of small ones where large ones take seconds.
+
+    Some processors have no instructions for bfloat16, and take a hundred times as long.
+    """
+    if size > SMALL and 2 * size**3 / (small := matrix_product_rate(dtype, SMALL, repeats)) > 1:
+        return small
     a, b = torch.randn(2, size, size).to(dtype)
     seconds = []
     for _ in range(repeats):

@@ -4,6 +4,7 @@ import importlib
 import os
 import shutil
 import tempfile
+from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"  # here and in every program that a test starts: they are small, and side by side
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
@@ -16,6 +17,18 @@ from rooms import grid_scene, published_dump
 # The machine may be busy, so no example is timed; the same examples every time, so a red test stays red.
 settings.register_profile("dirl", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("dirl")
+
+
+QUICK = ("agent", "config", "envs", "evaluation", "files", "models", "objectives", "recognition", "training")
+"""Folders whose tests are run by ``pytest -m quick``, besides `test_layout.py`."""
+
+
+def pytest_collection_modifyitems(config, items):
+    """Mark the quick tests."""
+    for item in items:
+        inside = item.path.relative_to(Path(__file__).parent)
+        if inside.parts[0] in QUICK or inside.name == "test_layout.py":
+            item.add_marker("quick")
 
 
 @pytest.fixture

@@ -72,6 +72,8 @@ def base(recipe, files, tiny=()):
         "evaluate": [f"checkpoint={files / 'runs' / 'fast' / '0'}"],
         "report": ["experiment=table1", f"runs={files / 'runs'}", "out=report"],
         "thor": ["scene=FloorPlan401", "out=new.h5", *small],
+        "vizdoom": ["map=map01", "out=new.h5", "places=2", *small],
+        "miniworld": ["env=OneRoom", "out=new.h5", "places=2", *small],
         "photos": [f"folder={files / 'photos'}", "out=new.h5", *small],
         "tour": [f"path={files / 'tour'}", "out=new.h5", *small],
         "build": ["description=bathroom_02", "out=new.h5", *small, "fine=false", "workers=1"],

@@ -68,6 +68,9 @@ class NCC(nn.Module):
     reads_patches = False
     thresholds: Thresholds | None = None
 
+    def __init__(self) -> None:
+        super().__init__()
+
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
         """Itself: it has no statistics."""
         return self

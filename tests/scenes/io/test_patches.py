@@ -10,7 +10,7 @@ import pytest
 from rooms import grid_scene, read_here
 
 from dirl.scenes import SceneError, read_dump, write_dump
-from dirl.scenes.io.patches import locate_patches
+from dirl.scenes.io.patches import locate_mapped
 from dirl.scenes.io.write import replace_features
 
 PATCHES = np.random.default_rng(0).normal(size=(24, 8, 6)).astype(np.float16)
@@ -60,7 +60,7 @@ def test_patches_that_the_file_does_not_hold_are_refused(room, monkeypatch):
         cut = os.stat_result((0,) * 6 + (end - 1,) + (0,) * 3)
         monkeypatch.setattr(Path, "stat", lambda *_, **__: cut)
         with pytest.raises(SceneError, match="patches: the file ends before they do"):
-            locate_patches(file, room, 24)
+            locate_mapped(file, room, 24)
 
 
 def test_new_features_leave_patches_or_replace_them(room, tmp_path):
