@@ -1,8 +1,13 @@
 """Target-driven visual navigation by deep imitation reinforcement learning."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
+
+if TYPE_CHECKING:
+    from dirl.agent.navigator import Navigator
+
+__all__ = ["Navigator", "__version__"]
 
 # Entry points are strings, so that `import dirl` stays light.
 gymnasium.register(
@@ -11,6 +16,10 @@ gymnasium.register(
     vector_entry_point="dirl.envs.gymnasium:NavigationVector",
     max_episode_steps=200,
 )
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
 
 def __getattr__(name: str) -> Any:

@@ -127,6 +127,28 @@ def test_turns_are_given_by_the_caller_or_the_map(navigator):
         navigator.explore(known, turns=4)
 
 
+@pytest.mark.parametrize("turns", ["4", 4.0, True])
+def test_turns_are_an_integer(navigator, turns):
+    with pytest.raises(NavigatorError, match="expected an integer, as 4, 8 or 12"):
+        navigator.explore(turns=turns)
+
+
+@pytest.mark.parametrize("last_steps", ["x", float("nan"), -1, 2.5])
+def test_last_steps_are_a_count(navigator, explorer, world, last_steps):
+    with pytest.raises(NavigatorError, match=r"last_steps=.*: expected 0 or a positive integer"):
+        navigator.reset(images_of(world.surrounding[0]), graph=explorer.graph, last_steps=last_steps)
+
+
+def test_a_map_is_a_map_or_a_folder(navigator, world):
+    with pytest.raises(NavigatorError, match="graph=5: expected a map"):
+        navigator.reset(images_of(world.surrounding[0]), graph=5)
+
+
+def test_a_walk_sees_no_batch(navigator, world):
+    with pytest.raises(NavigatorError, match="no batch"):
+        navigator.explore(turns=4).see(images_of(world.surrounding[:2]))
+
+
 def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
     goal = images_of(world.surrounding[5])
     with pytest.raises(NavigatorError, match="the map is empty"):

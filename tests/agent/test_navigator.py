@@ -432,3 +432,8 @@ def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp
     found = navigator.act(images_of(world.surrounding[9])).scores.probabilities
     logits = answer(policy, world, observation, torch.tensor([9]), torch.tensor([0]))["logits"]
     torch.testing.assert_close(found, logits[0].softmax(-1))
+
+
+def test_the_package_shows_its_navigator():
+    assert "Navigator" in dir(dirl)
+    assert dirl.Navigator is Navigator

@@ -168,6 +168,10 @@ def guide_to(graph: ImageGraph | str | Path, goal_views: Tensor, last_steps: int
     Raises:
         NavigatorError: there is no such map, it is of another extractor, or it does not fit the features.
     """
+    if isinstance(last_steps, bool) or not isinstance(last_steps, int) or last_steps < 0:
+        raise NavigatorError(f"last_steps={last_steps!r}: expected 0 or a positive integer")
+    if not isinstance(graph, ImageGraph | str | Path):
+        raise NavigatorError(f"graph={graph!r}: expected a map, or the folder of a saved one")
     try:
         found = graph if isinstance(graph, ImageGraph) else load_graph(graph, extractor=extractor)
     except MapError as error:

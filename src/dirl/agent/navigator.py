@@ -286,6 +286,8 @@ class Navigator:
             MapError: turns that are no multiple of four.
         """
         self._check_alone(1)
+        if turns is not None and (isinstance(turns, bool) or not isinstance(turns, int)):
+            raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
         if graph is None:
             if turns is None:
                 raise NavigatorError("explore: say how many right turns make a full circle: turns=4, 8 or 12")
@@ -294,7 +296,12 @@ class Navigator:
             raise NavigatorError(f"turns={turns}: this map was made with turns={graph.turns}")
 
         def encode(images: Images) -> Tensor:
-            return self._pooled(self._encode(images, "images")[0][0])
+            views, batched = self._encode(images, "images")
+            if batched:
+                raise NavigatorError(
+                    "images: a walk is that of one walker; expected the four views [4, H, W, 3], no batch"
+                )
+            return self._pooled(views[0])
 
         return Explorer(encode, graph, self.facts["extractor"])
 
