@@ -98,6 +98,18 @@ def test_a_changed_place_is_missed_by_a_threshold_above_its_score():
     assert told["sr"] == 1
 
 
+def test_no_visit_has_the_look_of_the_goal():
+    """A stop that asks for the goal's own picture never comes; where there is one look it does."""
+    world = changing(noise=0.02)
+    exactly = TemplateStop(1 - 1e-5).arrived(world)
+    arguments = {"observation": SurroundingViews(world), "max_steps": 30}
+    assert metrics(run_episodes(expert(world), world, every_start(world), stop=exactly, **arguments))["sr"] == 0
+    still = make_world([grid_scene(3, 2, feature_width=64)])
+    arguments["observation"] = SurroundingViews(still)
+    stop = TemplateStop(1 - 1e-5)(still)
+    assert metrics(run_episodes(expert(still), still, every_start(still), stop=stop, **arguments))["sr"] == 1
+
+
 @pytest.mark.parametrize("memory", [EpisodicMemory(threshold=0.8), PlanningMemory(threshold=0.8)])
 def test_memories_work_in_a_world_that_changes_and_a_seed_decides_everything(memory):
     world = changing()

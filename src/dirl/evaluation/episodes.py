@@ -92,6 +92,8 @@ def run_episodes(
 ) -> Episodes:
     """One episode from each start. In a world that changes every visit and every goal has a look drawn for it.
 
+    The look of its goal is not drawn for the visits of an episode: no place looks to the bit as in the goal's views.
+
     This is no TorchRL rollout, for two reasons. Finished episodes leave the batch, which an ``EnvBase`` does not
     support. And a memoryless policy is evaluated once for all agents with the same observation and goal.
 
@@ -127,7 +129,8 @@ def run_episodes(
         scores = None if memory is None else VisitScores(recogniser or NCC(), world)
         # A memory of many episodes takes much space until they have ended.
         for walking in torch.arange(len(start), device=world.device).split(MANY if memory else max(1, len(start))):
-            ahead = drawn_looks(start[walking], len(world), world, generator)
+            goal_look = wanted[walking] // len(world.goals)
+            ahead = drawn_looks(start[walking], len(world), world, generator, goal_look)
             walk = _Walk(walking, start[walking], ahead, observation.begin(ahead))
             if memory is not None and scores is not None:
                 agents.recall = recalling(memory, WorldSight(scores, len(walking)))
@@ -146,11 +149,26 @@ def run_episodes(
     return episodes
 
 
-def drawn_looks(index: Tensor, count: int, world: World, generator: torch.Generator) -> Tensor:
-    """States or goals, int64 ``[B]`` below ``count``, each in a look drawn for it: ``look * count + index``."""
+def drawn_looks(
+    index: Tensor, count: int, world: World, generator: torch.Generator, besides: Tensor | None = None
+) -> Tensor:
+    """States or goals, int64 ``[B]`` below ``count``, each in a look drawn for it: ``look * count + index``.
+
+    Args:
+        index: the states or goals.
+        count: how many the world has.
+        world: with L looks.
+        generator: draws.
+        besides: looks that are not drawn, int64 ``[B]``: those of the goals, which shall not return to the bit.
+    """
     if world.looks == 1:
         return index
-    return index + count * torch.randint(world.looks, index.shape, generator=generator, device=index.device)
+    if besides is None:
+        look = torch.randint(world.looks, index.shape, generator=generator, device=index.device)
+    else:
+        others = torch.randint(1, world.looks, index.shape, generator=generator, device=index.device)
+        look = (besides + others) % world.looks
+    return index + count * look
 
 
 def _arrived(world: World, stop: Tensor | Arrived | None) -> Arrived:
@@ -232,7 +250,7 @@ def _take_step(walk: _Walk, agents: _Agents, episodes: Episodes, goals: Tensor, 
     wanted, world = goals[walk.episode], agents.world
     walk.action = agents.act(walk, wanted)
     walk.state = world.graph[walk.state, walk.action]
-    walk.ahead = drawn_looks(walk.state, len(world), world, agents.generator)
+    walk.ahead = drawn_looks(walk.state, len(world), world, agents.generator, wanted // len(world.goals))
     at_goal = walk.state == world.goals[episodes.goal_index[walk.episode]]
     stopped = agents.arrived(wanted, walk.ahead)
     episodes.success[walk.episode] = stopped & at_goal
