@@ -120,31 +120,46 @@ class PlanningMemory(nn.Module):
         )
         made.goal[at, here] = False  # the agent would have stopped
         if nodes:
-            _connect(made.after, walked.here, walked.action, here)
+            connect(made.after, walked.here, walked.action, here)
         return made
 
     def plan(self, walked: Walked) -> Tensor:
         """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
-        known, nodes = walked.after >= 0, walked.after.shape[1]
+        known = walked.after >= 0
         more = torch.full((len(ACTIONS),), self.repeated, device=walked.cost.device)
         more[[RIGHT, LEFT]] = self.turn
         seen = walked.goal.any(1)[:, None, None]
         step = torch.where(seen, torch.where(known, SURE, math.inf), walked.cost + more * known)
-        # By action first, which is five times as fast; an unknown outcome is a node of value zero behind the others.
-        step, target = (table.movedim(-1, 0).contiguous() for table in (step, torch.where(known, walked.after, nodes)))
-        value = F.pad(torch.where(walked.goal, 0.0, math.inf), (0, 1))
-        while True:
-            ways = torch.stack([value.gather(1, after) for after in target]).add_(step)
-            better = torch.where(walked.goal, 0.0, ways.amin(0))
-            if torch.equal(better, value[:, :-1]):
-                break
-            value[:, :-1] = better
+        found = cheapest(step, walked.after, walked.goal, walked.here)
         at = torch.arange(len(walked.here), device=walked.here.device)
-        found = ways[:, at, walked.here].T
         return -torch.where(found.isinf().all(-1, keepdim=True), walked.cost[at, walked.here], found)
 
 
-def _connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor) -> None:
+def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
+    """Cost of the cheapest way that begins with each action and ends at a goal or with an unknown outcome.
+
+    Args:
+        step: cost of each action at each node, float32 ``[B, N, 4]``.
+        after: the node that it leads to, int64 ``[B, N, 4]``; -1 where that is not known.
+        goal: nodes that are goals, bool ``[B, N]``.
+        here: where the agents are, int64 ``[B]``.
+
+    Returns:
+        float32 ``[B, 4]``; infinite where there is no such way.
+    """
+    # By action first, which is five times as fast; an unknown outcome is a node of value zero behind the others.
+    nodes = after.shape[1]
+    step, target = (table.movedim(-1, 0).contiguous() for table in (step, torch.where(after < 0, nodes, after)))
+    value = F.pad(torch.where(goal, 0.0, math.inf), (0, 1))
+    while True:
+        ways = torch.stack([value.gather(1, node) for node in target]).add_(step)
+        better = torch.where(goal, 0.0, ways.amin(0))
+        if torch.equal(better, value[:, :-1]):
+            return ways[:, torch.arange(len(here), device=here.device), here].T
+        value[:, :-1] = better
+
+
+def connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor) -> None:
     """Note in ``after`` what an action led to, and what follows from it for the opposite headings and actions."""
     at, opposite = torch.arange(len(here), device=here.device), torch.tensor(OPPOSITE, device=here.device)[action]
     moved, turned = here != before, (action == RIGHT) | (action == LEFT)

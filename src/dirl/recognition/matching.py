@@ -19,6 +19,9 @@ Arrived = Callable[[Tensor, Tensor], Tensor]
 """Of goals, by their place among a world's goals plus G times their look, and of what is seen ahead, by view id, int64
 ``[...]`` each: whether an agent stops there, bool ``[...]``."""
 
+Compared = Callable[[Tensor, Tensor], Tensor]
+"""The same, but the scores instead, float32 ``[...]``."""
+
 
 def template_vectors(features: Tensor, surrounding: Tensor, match: str) -> Tensor:
     """The compared vector of each state, scaled so that the product of two is their coefficient, float32 ``[N, D']``.
@@ -67,13 +70,13 @@ class TemplateStop:
 
     def arrived(self, world: World) -> Arrived:
         """The same in a world that changes, where it depends on the looks of the goal and of the visit."""
+        compared = self.compared(world)
+        return lambda wanted, picture: compared(wanted, picture) > self.threshold
+
+    def compared(self, world: World) -> Compared:
+        """The scores by which an agent would stop, for one that weighs them itself."""
         scores, states, goals = VisitScores(self.recogniser, world, self.match), len(world), len(world.goals)
-
-        def at(wanted: Tensor, picture: Tensor) -> Tensor:
-            goal = world.goals[wanted % goals] + wanted // goals * states
-            return scores(goal, picture) > self.threshold
-
-        return at
+        return lambda wanted, picture: scores(world.goals[wanted % goals] + wanted // goals * states, picture)
 
 
 def stop_errors(stop: Tensor, world: World) -> dict[str, float]:
