@@ -29,6 +29,7 @@ from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation.protocol import assess
 from dirl.files.atomic import write_json, write_text
+from dirl.models import LocalisingMemory
 from dirl.recognition.build import matching
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
@@ -101,6 +102,9 @@ def led_by_map(trained: Trained, steps_per_state: float, last_steps: int) -> Gui
 def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
     """The pages of the policy's greedy episodes, by file name, under the conditions of the evaluation."""
     config, policy, protocol = trained
+    memory = protocol.memory
+    if isinstance(memory, LocalisingMemory):
+        raise RunError("viewer: the page cannot localise; leave viewer out, or add episodic_memory=planning")
     led = policy if isinstance(policy, GuidedPolicy) else None
     return viewer_pages(
         policy,
@@ -110,7 +114,7 @@ def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
         stop=protocol.stop,
         max_steps=protocol.max_steps,
         title=run_title(facts),
-        memory=protocol.memory,
+        memory=memory,
         graphs=None if led is None else led.memory.graphs,
         last_steps=0 if led is None else led.last_steps,
     )

@@ -154,5 +154,7 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
 
 @pytest.mark.parametrize("options", [["memory=gru"], ["observation=sequential"]])
 def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path, options):
-    with pytest.raises(ConfigError, match=r"^episodic_memory=planning asks .*choose episodic_memory=counts or none$"):
+    with pytest.raises(
+        ConfigError, match=r"^episodic_memory: PlanningMemory asks .*choose episodic_memory=counts or none$"
+    ):
         make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=planning", *options, *SMALL)

@@ -23,13 +23,13 @@ from dirl.agent.loading import (
 )
 from dirl.agent.mapping import ImageGraph
 from dirl.agent.mapping.policy import LAST_STEPS
-from dirl.agent.recall import CameraSight, Memory, Recall, recalling
+from dirl.agent.recall import CameraSight, Localising, Memory, Recall, recalling
 from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, initial_state
+from dirl.models import FeatureTable, LocalisingMemory, initial_state
 from dirl.models.build import reads_patches
-from dirl.recognition.build import build_recogniser
+from dirl.recognition.build import build_recogniser, check_calibrated
 from dirl.recognition.matching import FRONT_THRESHOLD
 from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
@@ -138,7 +138,9 @@ class Navigator:
             given = {"confirmed": extractor is not None, "patches": reads_patches(config)}
             encoder = encoder_of_images(encoder, device, saved, str(checkpoint), **given)
         memory, recogniser = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
-        if memory is not None and recogniser.thresholds is not None:
+        if isinstance(memory, LocalisingMemory):
+            check_calibrated(recogniser)
+        elif memory is not None and recogniser.thresholds is not None:
             memory.threshold = recogniser.thresholds.memory
         if memory is not None and order[-1] == "now":
             raise NavigatorError(
@@ -242,7 +244,11 @@ class Navigator:
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
         self._state = tuple(after)
         matching = self._matching(views, matching)
-        if self.recall is not None:
+        stop = matching > self._threshold_now()
+        if isinstance(self.recall, Localising):
+            stop = self.recall.arrive(self._described(views), self._goal_odds(views), partial(self._facing, views))
+            logits = self.recall.plan()
+        elif self.recall is not None:
             policy = logits
             logits = self.recall.adjust(self._described(views), lambda: policy, partial(self._around, views))
         probabilities = logits.softmax(-1)
@@ -253,24 +259,36 @@ class Navigator:
         action = self._guided(action, views)
         if self.recall is not None:
             self.recall.acted(action)
-        stop = matching > self._threshold_now()
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
 
     def _around(self, views: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
         """See `dirl.agent.recall.Around`, of views ``[B, 4, D]``."""
+        logits, matching = self._asked(views, chosen)
+        return logits, chosen[:, None] & (matching > self._threshold_now())
+
+    def _facing(self, views: Tensor, chosen: Tensor) -> Tensor:
+        """The logits of `_asked` alone."""
+        return self._asked(views, chosen)[0]
+
+    def _asked(self, views: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
+        """The policy's logits and the matching of the chosen agents facing each view, ``[B, 4, 4]`` and ``[B, 4]``."""
         assert self._goal is not None
         agents = len(views)
-        logits, goal = views.new_zeros(agents, VIEWS, VIEWS), chosen.new_zeros(agents, VIEWS)
+        logits, matching = views.new_zeros(agents, VIEWS, VIEWS), views.new_zeros(agents, VIEWS)
         if chosen.any():
-            facing = torch.stack([views[chosen].roll(-turns, 1) for turns in range(VIEWS)], 1)
+            facing = _each_heading(views[chosen])
             wanted = self._goal.expand(agents, -1, -1)[chosen].repeat_interleave(VIEWS, 0)
-            asked, _, matching, *_ = self.policy(facing.flatten(0, 1), wanted)
+            asked, _, found, *_ = self.policy(facing, wanted)
             logits[chosen] = asked.unflatten(0, (-1, VIEWS))
-            matching = self._matching(facing.flatten(0, 1), matching)
-            goal[chosen] = matching.unflatten(0, (-1, VIEWS)) > self._threshold_now()
-        return logits, goal
+            matching[chosen] = self._matching(facing, found).unflatten(0, (-1, VIEWS))
+        return logits, matching
+
+    def _goal_odds(self, views: Tensor) -> Tensor:
+        """Log odds that the goal is seen facing each view of ``[B, 4, D]``, float32 ``[B, 4]``."""
+        facing = _each_heading(views)
+        return self._matching(facing, facing.new_zeros(len(facing))).unflatten(0, (-1, VIEWS))
 
     def explore(self, graph: ImageGraph | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
@@ -386,3 +404,8 @@ class Navigator:
         if not features.isfinite().all():
             raise NavigatorError("the encoder returned features that are not finite")
         return features.reshape(-1, count, self.width), batched
+
+
+def _each_heading(views: Tensor) -> Tensor:
+    """Views ``[B, 4, D]`` as agents see them that face each of the four, ``[4 B, 4, D]``."""
+    return torch.stack([views.roll(-turns, 1) for turns in range(VIEWS)], 1).flatten(0, 1)

@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from dirl.envs.transforms import VIEWS
-from dirl.models import EpisodicMemory, PlanningMemory
+from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory
+from dirl.models.localising import Places
 from dirl.recognition.recogniser import Recogniser
 from dirl.recognition.tables import VisitScores
 
-Memory = EpisodicMemory | PlanningMemory
+Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
 
 Around = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Of the chosen agents, bool ``[B]``, the policy's logits facing each of the four views, float32 ``[B, 4, 4]``, and
@@ -163,9 +164,52 @@ class Planning:
         self.sight.select(chosen)
 
 
-Recall = Counting | Planning
+class Localising:
+    """Agents with a `LocalisingMemory`, which decides where they stop too.
+
+    Args:
+        memory: localises and plans.
+        sight: empty; its recogniser gives log odds.
+    """
+
+    def __init__(self, memory: LocalisingMemory, sight: Sight) -> None:
+        self.memory, self.sight = memory, sight
+        self.places: Places | None = None
+
+    def arrive(self, visit: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Tensor:
+        """Take in what the agents see; whether they stop there, bool ``[B]``.
+
+        Args:
+            visit: what is seen, see `Sight.compare`.
+            goal: log odds that it is the goal, facing each of the four views, float32 ``[B, 4]``.
+            logits: of the chosen agents, those of the policy facing each view; see `LocalisingMemory.arrive`.
+        """
+        before = self.memory.begin(len(visit), visit.device) if self.places is None else self.places
+        self.places = self.memory.arrive(before, self.sight.compare(visit), goal, logits)
+        return self.memory.stops(self.places)
+
+    def plan(self) -> Tensor:
+        """The logits of the plan, float32 ``[B, 4]``."""
+        assert self.places is not None
+        return self.memory.plan(self.places)
+
+    def acted(self, action: Tensor) -> None:
+        """Note the actions that the agents take now, int64 ``[B]``."""
+        assert self.places is not None
+        self.places.action = action
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents, by mask or index."""
+        assert self.places is not None
+        self.places = self.places.select(chosen)
+        self.sight.select(chosen)
+
+
+Recall = Counting | Planning | Localising
 
 
 def recalling(memory: Memory, sight: Sight) -> Recall:
     """A memory at the start of episodes."""
+    if isinstance(memory, LocalisingMemory):
+        return Localising(memory, sight)
     return Planning(memory, sight) if isinstance(memory, PlanningMemory) else Counting(memory, sight)

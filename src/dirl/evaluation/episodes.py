@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from dirl.agent.decisions import Decide, deciding
-from dirl.agent.recall import Memory, Recall, WorldSight, recalling
+from dirl.agent.recall import Localising, Memory, Recall, WorldSight, recalling
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import RandomPolicy
 from dirl.models import frozen
@@ -134,6 +134,7 @@ def run_episodes(
             walk = _Walk(walking, start[walking], ahead, observation.begin(ahead))
             if memory is not None and scores is not None:
                 agents.recall = recalling(memory, WorldSight(scores, len(walking)))
+                agents.stop(walk, wanted[walking])  # no agent stops before its first step
             for step in range(1, max_steps + 1):
                 going = _take_step(walk, agents, episodes, wanted, step)
                 if watch is not None:
@@ -143,7 +144,6 @@ def run_episodes(
                 if not left:
                     break
                 if agents.recall is not None:
-                    agents.recall.acted(walk.action)
                     agents.recall.select(going)
                 walk = walk.going_on(observation, going)
     return episodes
@@ -220,29 +220,54 @@ class _Agents:
         """Their actions on the way to goals, see `Decide`; int64 ``[W]``."""
         if self.decide is None:
             return torch.randint(len(ACTIONS), wanted.shape, generator=self.generator, device=wanted.device)
-        if self.shown is not None:  # another goal, in the same look
-            goals = len(self.shown)
-            wanted = self.shown[wanted % goals] + wanted // goals * goals
+        wanted = self._shown(wanted)
         policy = partial(self.decide, walk.episode, walk.ahead, walk.view_ids, wanted)
         if self.recall is None:
             return choose(policy(), self.generator, greedy=self.greedy)
+        if isinstance(self.recall, Localising):
+            logits = self.recall.plan()
+        else:
+            visit = self._visit(walk)
+            logits = self.recall.adjust(visit, policy, partial(self._around, walk.episode, visit, wanted))
+        action = choose(logits, self.generator, greedy=self.greedy)
+        self.recall.acted(action)
+        return action
+
+    def stop(self, walk: _Walk, wanted: Tensor) -> Tensor:
+        """Which agents stop where they are now, bool ``[W]``."""
+        if not isinstance(self.recall, Localising):
+            return self.arrived(wanted, walk.ahead)
+        visit = self._visit(walk)
+        odds = self.arrived(wanted.unsqueeze(-1), visit)
+        return self.recall.arrive(visit, odds, partial(self._facing, walk.episode, visit, self._shown(wanted)))
+
+    def _visit(self, walk: _Walk) -> Tensor:
+        """The view ids around the agents, int64 ``[W, 4]``."""
         states = len(self.world)
-        visit = self.world.surrounding[walk.ahead % states] + (walk.ahead - walk.ahead % states).unsqueeze(-1)
-        around = partial(self._around, walk.episode, visit, wanted)
-        return choose(self.recall.adjust(visit, policy, around), self.generator, greedy=self.greedy)
+        return self.world.surrounding[walk.ahead % states] + (walk.ahead - walk.ahead % states).unsqueeze(-1)
+
+    def _shown(self, wanted: Tensor) -> Tensor:
+        """The goals that the policy is shown: others in a control, in the same look."""
+        if self.shown is None:
+            return wanted
+        goals = len(self.shown)
+        return self.shown[wanted % goals] + wanted // goals * goals
+
+    def _facing(self, episode: Tensor, visit: Tensor, wanted: Tensor, chosen: Tensor) -> Tensor:
+        """The policy's logits of the chosen agents, bool ``[W]``, facing each view; float32 ``[W, 4, 4]``."""
+        assert self.decide is not None
+        facing, headings = visit[chosen].flatten(), visit.shape[1]
+        there = [rows[chosen].repeat_interleave(headings) for rows in (episode, wanted)]
+        logits = torch.zeros((*visit.shape, len(ACTIONS)), device=visit.device)
+        asked = self.decide(there[0], facing, self.observation.begin(facing), there[1])
+        logits[chosen] = asked.view(-1, headings, len(ACTIONS))
+        return logits
 
     def _around(self, episode: Tensor, visit: Tensor, wanted: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
         """See `dirl.agent.recall.Around`; ``visit`` has the view ids around each agent, int64 ``[W, 4]``."""
-        headings = visit.shape[1]
-        facing = visit[chosen].flatten()
-        there = [rows[chosen].repeat_interleave(headings) for rows in (episode, wanted)]
-        logits = torch.zeros((*visit.shape, len(ACTIONS)), device=visit.device)
-        assert self.decide is not None
-        asked = self.decide(there[0], facing, self.observation.begin(facing), there[1])
-        logits[chosen] = asked.view(-1, headings, len(ACTIONS))
         goal = torch.zeros_like(visit, dtype=torch.bool)
-        goal[chosen] = self.arrived(there[1], facing).view(-1, headings)
-        return logits, goal
+        goal[chosen] = self.arrived(wanted[chosen].unsqueeze(-1), visit[chosen])
+        return self._facing(episode, visit, wanted, chosen), goal
 
 
 def _take_step(walk: _Walk, agents: _Agents, episodes: Episodes, goals: Tensor, step: int) -> Tensor:
@@ -252,7 +277,7 @@ def _take_step(walk: _Walk, agents: _Agents, episodes: Episodes, goals: Tensor, 
     walk.state = world.graph[walk.state, walk.action]
     walk.ahead = drawn_looks(walk.state, len(world), world, agents.generator, wanted // len(world.goals))
     at_goal = walk.state == world.goals[episodes.goal_index[walk.episode]]
-    stopped = agents.arrived(wanted, walk.ahead)
+    stopped = agents.stop(walk, wanted)
     episodes.success[walk.episode] = stopped & at_goal
     episodes.false_stop[walk.episode] = stopped & ~at_goal
     episodes.missed_stop[walk.episode] |= at_goal & ~stopped

@@ -15,6 +15,7 @@ from dirl.models.comparing import ComparingEncoder
 from dirl.models.episodic import EpisodicMemory, Trace
 from dirl.models.features import FeatureTable, feature_statistics, whitening
 from dirl.models.heads import ActorCriticHeads
+from dirl.models.localising import LocalisingMemory
 from dirl.models.planning import PlanningMemory, Walked
 from dirl.models.siamese import SiameseEncoder
 
@@ -25,6 +26,7 @@ __all__ = [
     "EpisodicMemory",
     "FeatureTable",
     "KeyedModule",
+    "LocalisingMemory",
     "PlanningMemory",
     "SiameseEncoder",
     "Trace",

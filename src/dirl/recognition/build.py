@@ -1,7 +1,7 @@
 """The recogniser of a configuration, and the stop by it."""
 
 from dirl.config.components import make
-from dirl.config.schemas import TrainConfig
+from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.recognition.matching import TemplateStop
 from dirl.recognition.recogniser import NCC, Recogniser
 
@@ -19,3 +19,12 @@ def build_recogniser(config: TrainConfig) -> Recogniser:
     """What the stop and the episodic memory recognise places by."""
     found: Recogniser | None = make("recogniser", config.recogniser, config.trust)
     return found or NCC()
+
+
+def check_calibrated(recogniser: Recogniser) -> None:
+    """Raise `ConfigError` unless the scores are log odds, as a `LocalisingMemory` needs them."""
+    if not recogniser.calibrated:
+        raise ConfigError(
+            f"episodic_memory=localising weighs log odds, and {type(recogniser).__name__} has none: "
+            "add recogniser=learned"
+        )

@@ -37,6 +37,7 @@ class Patches(nn.Module):
     """
 
     reads_patches = True
+    calibrated = False
 
     def __init__(
         self,

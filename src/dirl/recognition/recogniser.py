@@ -28,6 +28,9 @@ class Recogniser(Protocol):
     reads_patches: bool
     """Whether `describe` needs the patches of the views."""
 
+    calibrated: bool
+    """Whether its scores are log odds."""
+
     thresholds: Thresholds | None
     """Its own; None where the configuration of the stop and the memory gives them."""
 
@@ -66,6 +69,7 @@ class NCC(nn.Module):
     """Normalised cross-correlation of the pooled features of all views together (paper section 3.4, equation 13)."""
 
     reads_patches = False
+    calibrated = False
     thresholds: Thresholds | None = None
 
     def __init__(self) -> None:

@@ -13,9 +13,8 @@ from torch import Tensor, nn
 
 from dirl.agent.decisions import answers
 from dirl.agent.mapping import ImageGraph
-from dirl.agent.recall import Memory
 from dirl.envs import SurroundingViews
-from dirl.models import PlanningMemory, recurrent_keys
+from dirl.models import EpisodicMemory, PlanningMemory, recurrent_keys
 from dirl.recognition.matching import Arrived, TemplateStop
 from dirl.recognition.recogniser import NCC
 from dirl.recognition.tables import described_visits
@@ -34,7 +33,7 @@ def viewer_pages(
     stop: Tensor | Arrived | None,
     max_steps: int,
     title: str,
-    memory: Memory | None = None,
+    memory: EpisodicMemory | PlanningMemory | None = None,
     graphs: Sequence[ImageGraph] | None = None,
     last_steps: int = 0,
 ) -> dict[str, str]:
@@ -127,7 +126,7 @@ def _room(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _memory(memory: Memory, world: World, index: int) -> dict[str, Any]:
+def _memory(memory: EpisodicMemory | PlanningMemory, world: World, index: int) -> dict[str, Any]:
     """The data of an episodic memory that a page needs: options, and the states that look like each state."""
     visits = described_visits(NCC(), world, index)
     same = NCC().scores(visits, visits) > memory.threshold

@@ -17,10 +17,10 @@ from dirl.envs import NavigationEnv, Reward, SurroundingViews
 from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import PlanningMemory, recurrent_keys
+from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.models.build import reads_patches
 from dirl.objectives import ImitationLoss
-from dirl.recognition.build import build_recogniser, matching
+from dirl.recognition.build import build_recogniser, check_calibrated, matching
 from dirl.recognition.matching import Arrived
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
@@ -226,11 +226,13 @@ def build_protocol(
     """
     options = config.evaluation
     memory, recogniser = make("episodic_memory", config.episodic_memory, config.trust), build_recogniser(config)
-    if memory is not None and recogniser.thresholds is not None:
+    if isinstance(memory, LocalisingMemory):
+        check_calibrated(recogniser)
+    elif memory is not None and recogniser.thresholds is not None:
         memory.threshold = recogniser.thresholds.memory
-    if isinstance(memory, PlanningMemory) and (observation.history or config.memory[TARGET]):
+    if isinstance(memory, PlanningMemory | LocalisingMemory) and (observation.history or config.memory[TARGET]):
         raise ConfigError(
-            "episodic_memory=planning asks the policy what it would do facing the other views; with "
+            f"episodic_memory: {type(memory).__name__} asks the policy what it would do facing the other views; with "
             "observation=sequential or a memory it depends on earlier steps too: choose episodic_memory=counts or none"
         )
     if options.goals is not None:
@@ -241,7 +243,9 @@ def build_protocol(
         starts=every_start(world)
         if options.starts == Starts.every
         else sampled_starts(world, options.episodes_per_goal, config.seed),
-        stop=stop_table(config, config.stop.evaluation, world),
+        stop=matching(config).compared(world)
+        if isinstance(memory, LocalisingMemory)
+        else stop_table(config, config.stop.evaluation, world),
         max_steps=options.max_steps,
         seed=config.seed,
         memory=memory,

@@ -1,0 +1,223 @@
+"""An episodic memory that localises: a Bayes filter over the places of the episode, and a stop that compares them."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Annotated
+
+import torch
+from torch import Tensor, nn
+
+from dirl.config.bounds import Bounds
+from dirl.envs.transforms import VIEWS
+from dirl.models.planning import SURE, cheapest, connect
+from dirl.scenes import ACTIONS
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
+
+TURNED = {RIGHT: 1, LEFT: -1}
+MOVED = {AHEAD: 1, BACK: -1}
+DIRECTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+"""Displacement by a move ahead, facing as at the start, to the right of it, and so on."""
+
+
+@dataclass
+class Places:
+    """What B agents have seen and done in their present episodes of T visits; made by `LocalisingMemory.begin`.
+
+    A node is a place and one of the four headings there, as in `dirl.models.planning.Walked`. Each visit makes a place,
+    which stays unused where the agent is at an earlier one.
+    """
+
+    cost: Tensor
+    """Of each action at each node, float32 ``[B, 4 T, 4]``; infinite at unused places."""
+    after: Tensor
+    """The node that an action leads to, int64 ``[B, 4 T, 4]``; -1 where that is not known."""
+    node: Tensor
+    """Where each visit was, int64 ``[B, T]``."""
+    goal: Tensor
+    """Log odds of each visit that the goal is seen there, facing each of its four views, float32 ``[B, T, 4]``."""
+    position: Tensor
+    """Of each place, in moves to the right of and ahead of the start, int64 ``[B, T, 2]``."""
+    heading: Tensor
+    """Of the first view of each place, in right turns since the start, int64 ``[B, T]``."""
+    action: Tensor
+    """The last action, int64 ``[B]``; -1 at the start."""
+
+    @property
+    def here(self) -> Tensor:
+        """The present node, int64 ``[B]``."""
+        return self.node[:, -1]
+
+    def select(self, chosen: Tensor) -> "Places":
+        """Some of the agents, by mask or index."""
+        return Places(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+
+class LocalisingMemory(nn.Module):
+    """Plans as `PlanningMemory` does, where no place looks the same twice.
+
+    A single comparison of two visits is often wrong in such a place. So this memory is a Bayes filter. Its prior is the
+    motion: an action whose outcome is known leads there again, another one leads one move on, or is blocked. Its
+    evidence is the log odds of a calibrated recogniser, summed over the visits of a place. The most probable node is
+    taken.
+
+    The goal is searched in the same way. The agent stops where the evidence is clear. Around a place that is somewhat
+    like the goal it first tries all moves that it has not tried yet, since the goal's neighbours look like it. It stops
+    there if none of them is more like the goal.
+
+    Moves are assumed to be of one length, and turns of 90 degrees, up to ``slip``.
+
+    Args:
+        repeated: cost of a move whose outcome is known, in nats.
+        turn: cost of a turn.
+        blocked: prior probability that a move not tried yet is blocked.
+        slip: prior probability that an action leads anywhere else than expected.
+        sure: stop above these log odds.
+        seek: try all moves around a place above these log odds.
+        settle: stop above these where all moves around were tried.
+        least: log odds of a single comparison below this count as this, because a recogniser can be quite wrong.
+        independence: how much further visits of a place add: the mean of n log odds counts n to this power.
+    """
+
+    def __init__(
+        self,
+        repeated: Annotated[float, Bounds(0, 1000)] = 2.0,
+        turn: Annotated[float, Bounds(0.001, 1000)] = 0.1,
+        blocked: Annotated[float, Bounds(0.001, 0.999)] = 0.25,
+        slip: Annotated[float, Bounds(1e-9, 0.5)] = 0.02,
+        sure: float = 4.0,
+        seek: float = 0.0,
+        settle: float = 2.0,
+        least: float = -3.0,
+        independence: Annotated[float, Bounds(0, 1)] = 0.5,
+    ) -> None:
+        super().__init__()
+        self.repeated, self.turn, self.blocked, self.slip = repeated, turn, blocked, slip
+        self.sure, self.seek, self.settle = sure, seek, settle
+        self.least, self.independence = least, independence
+
+    def begin(self, agents: int, device: torch.device | str = "cpu") -> Places:
+        """What agents know at the start of their episodes: nothing."""
+
+        def none(*shape: int, dtype: torch.dtype = torch.int64) -> Tensor:
+            return torch.empty((agents, *shape), dtype=dtype, device=device)
+
+        return Places(
+            cost=none(0, len(ACTIONS), dtype=torch.float32),
+            after=none(0, len(ACTIONS)),
+            node=none(0),
+            goal=none(0, VIEWS, dtype=torch.float32),
+            position=none(0, 2),
+            heading=none(0),
+            action=torch.full((agents,), -1, device=device),
+        )
+
+    def arrive(self, places: Places, alike: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
+        """Add where the agents are now, and what their last action led to.
+
+        Args:
+            places: so far, T visits.
+            alike: log odds that this visit is of the place of an earlier one, facing each of its four views, float32
+                ``[B, T, 4]``.
+            goal: log odds that the goal is seen here facing each of the four views, float32 ``[B, 4]``.
+            logits: of the chosen agents, bool ``[B]``, those of the policy facing each of the four views, float32
+                ``[B, 4, 4]``; rows of others are not used.
+        """
+        agents, visits = places.node.shape
+        device = goal.device
+        new = VIEWS * visits
+        position, heading = self._expected(places)
+        here = torch.full((agents,), new, device=device)
+        if visits:
+            likely, unknown = self._posterior(places, alike, position, heading)
+            best, node = likely.max(1)
+            here = torch.where(best > unknown, node, here)
+        made = here == new
+        cost = torch.where(made[:, None, None], -logits(made).log_softmax(-1), math.inf)
+        headings = new + torch.arange(VIEWS, device=device)
+        after = torch.full((agents, VIEWS, len(ACTIONS)), -1, device=device)
+        after[:, :, RIGHT], after[:, :, LEFT] = headings.roll(-1), headings.roll(1)
+        arrived = Places(
+            cost=torch.cat([places.cost, cost], 1),
+            after=torch.cat([places.after, after], 1),
+            node=torch.cat([places.node, here[:, None]], 1),
+            goal=torch.cat([places.goal, goal[:, None]], 1),
+            position=torch.cat([places.position, position[:, None]], 1),
+            heading=torch.cat([places.heading, heading[:, None]], 1),
+            action=places.action,
+        )
+        if visits:
+            connect(arrived.after, places.here, places.action, here)
+        return arrived
+
+    def stops(self, places: Places) -> Tensor:
+        """Whether the agents stop where they are, bool ``[B]``."""
+        odds, best = self._evidence(places.goal, places).max(1)
+        tried = ~_exits(places).any(-1).gather(1, best[:, None] // VIEWS).squeeze(1)
+        return (best == places.here) & ((odds > self.sure) | (tried & (odds > self.settle)))
+
+    def plan(self, places: Places) -> Tensor:
+        """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
+        evidence, exits = self._evidence(places.goal, places), _exits(places)
+        open_places = exits.any(-1).repeat_interleave(VIEWS, 1)
+        odds, best = torch.where(open_places | (evidence > self.settle), evidence, -math.inf).max(1)
+        at = torch.arange(len(best), device=best.device)
+        around = (odds > self.seek) & (odds <= self.sure) & open_places[at, best]
+        wanted = torch.zeros_like(exits)
+        wanted[at, best // VIEWS] = exits[at, best // VIEWS] & around[:, None]
+        wanted = wanted.view(places.after.shape)
+        goal = torch.zeros_like(wanted[..., 0])
+        goal[at, best] = (odds > self.seek) & ~around & (best != places.here)
+        known = places.after >= 0
+        more = torch.full((len(ACTIONS),), self.repeated, device=best.device)
+        more[[RIGHT, LEFT]] = self.turn
+        # On the way to a goal that was seen, or around a place that is like it, an action more costs more than doubts.
+        nearest = torch.where(known | wanted, SURE + torch.where(wanted, places.cost / SURE, 0.0), math.inf)
+        seeking = (around | goal.any(1))[:, None, None]
+        found = cheapest(torch.where(seeking, nearest, places.cost + more * known), places.after, goal, places.here)
+        return -torch.where(found.isinf().all(-1, keepdim=True), places.cost[at, places.here], found)
+
+    def _expected(self, places: Places) -> tuple[Tensor, Tensor]:
+        """Position and heading by dead reckoning after the last action, int64 ``[B, 2]`` and ``[B]``."""
+        action = places.action
+        if not places.node.shape[1]:
+            return action.new_zeros(len(action), 2), torch.zeros_like(action)
+        at, place = torch.arange(len(action), device=action.device), places.here // VIEWS
+        turned, moved = (
+            torch.tensor([table.get(a, 0) for a in range(len(ACTIONS))], device=action.device)[action]
+            for table in (TURNED, MOVED)
+        )
+        heading = (places.heading[at, place] + places.here) % VIEWS
+        step = torch.tensor(DIRECTIONS, device=action.device)[heading] * moved[:, None]
+        # Of the first view of a place: the agent faces it when it arrives.
+        return places.position[at, place] + step, (heading + turned) % VIEWS
+
+    def _posterior(self, places: Places, alike: Tensor, position: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
+        """Log probability of each node and of a new place, up to a constant, float32 ``[B, 4 T]`` and ``[B]``."""
+        evidence = self._evidence(alike, places)
+        used, at = evidence > -math.inf, torch.arange(len(evidence), device=evidence.device)
+        outcome = places.after[at, places.here, places.action]
+        headings = places.heading[..., None] + torch.arange(VIEWS, device=heading.device)
+        there = (places.position == position[:, None]).all(-1)[..., None] & (headings % VIEWS == heading[:, None, None])
+        there = there.flatten(1) & used
+        tried = outcome >= 0
+        anywhere = torch.full_like(tried, self.slip, dtype=torch.float32)
+        prior = (anywhere / used.sum(1))[:, None].repeat(1, used.shape[1])
+        prior = torch.where(there & ~tried[:, None], 1 - self.blocked, prior)
+        prior[at, torch.where(tried, outcome, places.here)] = torch.where(tried, 1 - self.slip, self.blocked)
+        new = torch.where(tried | there.any(1), anywhere, 1 - self.blocked)
+        return prior.log() + evidence, new.log()
+
+    def _evidence(self, odds: Tensor, places: Places) -> Tensor:
+        """Log odds of visits facing each view, float32 ``[B, T, 4]``, as those of nodes, ``[B, 4 T]``."""
+        turned = (places.node[..., None] + torch.arange(VIEWS, device=odds.device)) % VIEWS
+        node = (places.node[..., None] // VIEWS * VIEWS + turned).flatten(1)
+        odds = odds.clamp(min=self.least)
+        total = odds.new_zeros(len(odds), places.cost.shape[1]).scatter_add(1, node, odds.flatten(1))
+        visits = torch.zeros_like(total).scatter_add(1, node, torch.ones_like(odds).flatten(1))
+        return torch.where(visits > 0, total * visits.clamp(min=1) ** (self.independence - 1), -math.inf)
+
+
+def _exits(places: Places) -> Tensor:
+    """Which actions at each place were not tried, bool ``[B, T, 16]`` by heading and action."""
+    return (places.after < 0).unflatten(1, (-1, VIEWS)).flatten(2)

@@ -1,0 +1,143 @@
+"""Training of the learned recogniser, in rooms in which every state has several looks."""
+
+from collections.abc import Callable
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+from tqdm import tqdm
+
+from dirl.evaluation.episodes import bar_interval
+from dirl.recognition import Learned
+from dirl.recognition.learned import COLUMNS
+from dirl.scenes import World
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
+from dirl.training.losses import set_learning_rate
+
+SAME, ANY = 0.4, 0.15
+"""Shares of the pairs: of the same state, and of any two states of a room; the others are of neighbours."""
+
+NEAR = (
+    (AHEAD,), (BACK,), (AHEAD, AHEAD), (BACK, BACK),
+    (RIGHT, AHEAD, LEFT), (LEFT, AHEAD, RIGHT), (RIGHT, AHEAD, LEFT),
+    (RIGHT, AHEAD, LEFT, AHEAD), (LEFT, AHEAD, RIGHT, AHEAD), (RIGHT, AHEAD, LEFT, BACK), (LEFT, AHEAD, RIGHT, BACK),
+    (RIGHT,), (LEFT,),
+)  # fmt: skip
+"""Actions to the states that are most like a state. A step aside looks most like an error of heading."""
+
+
+def learn_recogniser(
+    world: World,
+    network: Learned,
+    *,
+    steps: int = 8000,
+    batch_size: int = 256,
+    lr: float = 1e-3,
+    weight_decay: float = 0.05,
+    seed: int = 0,
+    watch: Callable[[int], None] | None = None,
+) -> None:
+    """Train a recogniser by cross-entropy on pairs of visits, with four views and with one as the reference.
+
+    Args:
+        world: of rooms, with patches and at least two looks.
+        network: without weights.
+        steps: of AdamW; the learning rate falls linearly to zero.
+        batch_size: pairs a step.
+        lr: the first learning rate.
+        weight_decay: of AdamW.
+        seed: of weights and pairs.
+        watch: called with the number of steps after each thousand.
+
+    Raises:
+        ValueError: the world has no patches, or one look.
+    """
+    if world.patches is None or world.looks < 2:
+        raise ValueError("training a recogniser needs rooms with patches and looks: scenes sample patches=true looks=2")
+    near = torch.stack([_after(world.graph, actions) for actions in NEAR], 1)
+    network.measure(world.features[: len(world)], world.patches[: len(world)])
+    parts = torch.arange(len(world.features)).split(4096)
+    whitened = [network.whiten(world.features[part], world.patches[part]) for part in parts]
+    pooled, patches = (torch.cat(part) for part in zip(*whitened, strict=True))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        optimiser = torch.optim.AdamW(network.train().parameters(), lr, weight_decay=weight_decay)
+        losses = torch.zeros(2)
+        for step in (bar := tqdm(range(steps), unit=" steps", mininterval=bar_interval())):
+            set_learning_rate(optimiser, lr * min(1, (step + 1) / 200) * (1 - step / steps))
+            seen, reference, same = _pairs(world, near, batch_size)
+            compared = network.compare(*(network.project(pooled[ids], patches[ids]) for ids in (seen, reference)))
+            both = torch.stack([network.of_columns(compared[:, :COLUMNS]), network.of_columns(compared)])
+            loss = F.binary_cross_entropy_with_logits(both, same.expand_as(both), reduction="none").mean(1)
+            optimiser.zero_grad()
+            loss.sum().backward()
+            optimiser.step()
+            losses = 0.99 * losses + 0.01 * loss.detach()
+            if (step + 1) % 1000 == 0:
+                bar.set_postfix_str("loss: photo {:.3f}, four views {:.4f}".format(*losses.tolist()))
+                if watch is not None:
+                    watch(step + 1)
+                    network.train()
+    network.eval()
+
+
+def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0) -> None:
+    """Fit slope and intercept of the log odds, by logistic regression in rooms that the network was not trained in.
+
+    The share of pairs of the same state is no evidence: its log odds are subtracted.
+
+    Args:
+        network: trained.
+        world: of other rooms, with patches and looks.
+        pairs: how many to draw, hard ones as in the training.
+        seed: of the pairs.
+    """
+    assert world.patches is not None
+    near = torch.stack([_after(world.graph, actions) for actions in NEAR], 1)
+    network.calibration.copy_(torch.tensor([[1.0, 0.0], [1.0, 0.0]]))
+    odds, truth = [], []
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        torch.manual_seed(seed)
+        for _ in range(pairs // 500):
+            seen, reference, same = _pairs(world, near, 500)
+            visits, goals = (network.describe(world.features[i], world.patches[i]) for i in (seen, reference))
+            odds.append(torch.stack([network.log_odds(visits, part) for part in (goals[:, :1], goals)]))
+            truth.append(same)
+    found, same = torch.cat(odds, 1), torch.cat(truth)
+    fitted = torch.tensor([[1.0, 0.0], [1.0, 0.0]], requires_grad=True)
+    optimiser = torch.optim.LBFGS([fitted], max_iter=100, line_search_fn="strong_wolfe")
+
+    def loss() -> Tensor:
+        optimiser.zero_grad()
+        calibrated = fitted[:, :1] * found + fitted[:, 1:]
+        value = F.binary_cross_entropy_with_logits(calibrated, same.expand_as(found))
+        value.backward()
+        return value
+
+    optimiser.step(loss)
+    network.calibration.copy_(fitted.detach())
+    network.calibration[:, 1] -= same.mean().logit()
+
+
+def _after(graph: Tensor, actions: tuple[int, ...]) -> Tensor:
+    """Where actions lead from each state, int64 ``[N]``."""
+    state = torch.arange(len(graph))
+    for action in actions:
+        state = graph[state, action]
+    return state
+
+
+def _pairs(world: World, near: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """View ids of visits and references, int64 ``[B, 4]`` each, and whether they are of the same state, float."""
+    states, looks = len(world), world.looks
+    first = torch.randint(states, (size,))
+    scene = world.scene_of[first]
+    sizes, offsets = torch.tensor([len(s) for s in world.scenes]), torch.tensor(world.offsets)
+    anywhere = offsets[scene] + (torch.rand(size) * sizes[scene]).long()
+    second = near[first, torch.randint(near.shape[1], (size,))]
+    kind = torch.rand(size)
+    second = torch.where(kind < SAME, first, torch.where(kind < SAME + ANY, anywhere, second))
+    look = torch.randint(looks, (size,))
+    again = (look + 1 + torch.randint(looks - 1, (size,))) % looks
+    seen = world.surrounding[first] + (look * states).unsqueeze(1)
+    return seen, world.surrounding[second] + (again * states).unsqueeze(1), (first == second).float()

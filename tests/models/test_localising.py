@@ -1,0 +1,123 @@
+"""The memory that localises: by motion where views say nothing, by views where motion is open."""
+
+import pytest
+import torch
+from policies import expert
+from rooms import grid_scene
+
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.protocol import metrics
+from dirl.models import LocalisingMemory
+from dirl.recognition import NCC
+from dirl.recognition.matching import TemplateStop
+from dirl.scenes import make_world
+
+AHEAD, RIGHT, LEFT, BACK = range(4)
+
+
+class Odds(NCC):
+    """Correlation as log odds: sure of what was made with little noise."""
+
+    calibrated = True
+
+    def __init__(self, scale=60.0):
+        super().__init__()
+        self.scale = scale
+
+    def scores(self, seen, references):
+        return self.scale * (super().scores(seen, references) - 0.8)
+
+
+def any_way(chosen):
+    return torch.zeros(len(chosen), 4, 4)
+
+
+def walk(memory, *steps, goal=()):
+    """One agent that takes actions; of each visit the log odds that it is the place of an earlier one, as it faced."""
+    places = memory.begin(1)
+    for visit, (action, alike) in enumerate(((-1, {}), *steps)):
+        places.action = torch.tensor([action])
+        odds = torch.zeros(1, visit, 4)
+        for earlier, value in alike.items():
+            odds[0, earlier] = torch.tensor([value, -9, -9, -9])
+        seen = torch.full((1, 4), -9.0)
+        for view, value in dict(goal).get(visit, {}).items():
+            seen[0, view] = value
+        places = memory.arrive(places, odds, seen, any_way)
+    return places
+
+
+def test_a_square_closes_by_motion_alone():
+    ahead_and_right = [(AHEAD, {}), (RIGHT, {})] * 4
+    places = walk(LocalisingMemory(), *ahead_and_right)
+    assert places.here.item() == 0
+    assert places.node[0].tolist()[1:3] == [4, 5]
+    assert (places.node[0] // 4).unique().tolist() == [0, 1, 3, 5]
+
+
+def test_a_blocked_move_is_known_by_what_is_seen():
+    moved = walk(LocalisingMemory(), (AHEAD, {0: -3.0}))
+    blocked = walk(LocalisingMemory(), (AHEAD, {0: 3.0}))
+    assert (moved.here.item(), blocked.here.item()) == (4, 0)
+    assert blocked.after[0, 0, AHEAD] == 0
+
+
+def test_motion_outweighs_a_look_that_errs_and_strong_evidence_a_slip():
+    there_and_back = walk(LocalisingMemory(), (AHEAD, {0: -3.0}), (BACK, {0: -2.0, 1: 1.0}))
+    assert there_and_back.here.item() == 0
+    slipped = walk(LocalisingMemory(), (AHEAD, {0: -3.0}), (BACK, {0: -9.0, 1: 9.0}))
+    assert slipped.here.item() == 4
+
+
+def test_visits_of_a_place_add_up():
+    memory = LocalisingMemory(sure=5.0)
+    once = walk(memory, goal={0: {0: 3.0}})
+    again = walk(memory, (RIGHT, {}), (LEFT, {}), goal={0: {0: 3.0}, 1: {3: 3.0}, 2: {0: 3.0}})
+    assert not memory.stops(once).item()
+    assert memory.stops(again).item()
+    assert not LocalisingMemory(sure=5.0, independence=0.0).stops(again).item()
+
+
+def test_what_is_somewhat_like_the_goal_is_left_to_see_its_neighbours_and_returned_to():
+    memory = LocalisingMemory(sure=5.0, seek=1.0, settle=2.0, independence=1.0)
+    places, facing, seen = memory.begin(1), 0, 0
+    position, actions = (0, 0), []
+    for visit in range(40):
+        odds = torch.full((1, 4), -9.0)
+        odds[0, -facing % 4] = 3.0 if position == (0, 0) and not seen else -9.0 if position != (0, 0) else 0.0
+        seen += position == (0, 0)
+        places = memory.arrive(places, torch.zeros(1, visit, 4), odds, any_way)
+        if memory.stops(places).item():
+            break
+        action = memory.plan(places).argmax().item()
+        actions.append(action)
+        places.action = torch.tensor([action])
+        facing += {RIGHT: 1, LEFT: -1}.get(action, 0)
+        step = {AHEAD: 1, BACK: -1}.get(action, 0)
+        x, z = ((0, 1), (1, 0), (0, -1), (-1, 0))[facing % 4]
+        position = (position[0] + step * x, position[1] + step * z)
+    assert position == (0, 0)
+    assert facing % 4 == 0
+    assert sum(action in (AHEAD, BACK) for action in actions) == 8  # four neighbours, there and back
+
+
+@pytest.mark.parametrize("match", ["views", "front"])
+def test_the_expert_arrives_and_a_policy_without_preference_finds_every_goal(match):
+    size = {"feature_width": 64, "patches": True, "looks": 2, "noise": 0.1}
+    world = make_world(
+        [grid_scene(4, 3, name="a", goals=(5, 30), **size), grid_scene(3, 3, name="b", goals=(7,), seed=1, **size)]
+    )
+    stop = TemplateStop(0.0, match, Odds()).compared(world)
+    arguments = {"observation": SurroundingViews(world), "stop": stop, "recogniser": Odds(), "max_steps": 100}
+    memory = LocalisingMemory()
+    found = metrics(run_episodes(expert(world), world, every_start(world), memory=memory, **arguments))
+    assert (found["sr"], found["false_stop_rate"]) == (1, 0)
+    assert found["spl"] > 0.95
+
+    class Anything(torch.nn.Module):
+        def forward(self, asked):
+            return asked.set("logits", torch.zeros(*asked.batch_size, 4))
+
+    found = metrics(run_episodes(Anything(), world, every_start(world), memory=memory, **arguments))
+    assert (found["sr"], found["false_stop_rate"]) == (1, 0)
