@@ -30,7 +30,7 @@ from dirl.config.schemas import EvaluateConfig, typed
 from dirl.evaluation.protocol import assess
 from dirl.files.atomic import write_json, write_text
 from dirl.models import LocalisingMemory
-from dirl.recognition.build import matching
+from dirl.recognition.build import build_recogniser, matching
 from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
@@ -69,8 +69,7 @@ def main(composed: DictConfig) -> None:
         if options.image_graph is not None:
             last_steps = LAST_STEPS if options.last_steps is None else options.last_steps
             trained = trained._replace(policy=led_by_map(trained, options.image_graph, last_steps))
-        own = trained.protocol.recogniser
-        if options.threshold is not None and own is not None and own.thresholds is not None:
+        if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:
             raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
         facts = describe(trained.config, trained.protocol.world)
         if packaged_agent(checkpoint) is not None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from odds import Odds
 from shown_goals import images_of, look_up, rooms, trained
 
 import dirl
@@ -15,10 +16,12 @@ from dirl.agent.decisions import observe
 from dirl.agent.navigator import NavigatorError
 from dirl.agent.onnx import export_onnx
 from dirl.backbones import ResNet50
+from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import EpisodicMemory, PlanningMemory, recurrent_keys
+from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.recognition.matching import TemplateStop
+from dirl.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 
 
@@ -92,6 +95,40 @@ def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path
             walked.append(int(state))
         assert walked == paths[episode]
         assert bool(navigator.act(images_of(world.surrounding[goal])).stop)
+
+
+@pytest.mark.parametrize("goal_view", ["surrounding", "front"])
+def test_a_navigator_localises_as_the_evaluation_does(tmp_path, goal_view, monkeypatch):
+    world, recogniser = rooms(), Odds()
+    monkeypatch.setattr("dirl.agent.navigator.build_recogniser", lambda _: recogniser)
+    policy, seen = trained(tmp_path, world, f"goal_view={goal_view}", "episodic_memory=localising")
+    starts = every_start(world)
+    match = "front" if goal_view == "front" else "views"
+    stop = TemplateStop(match=match, recogniser=recogniser).compared(world)
+    scores = VisitScores(recogniser, world)
+    protocol = EvaluationProtocol(
+        world, seen, starts, max_steps=25, memory=LocalisingMemory(), scores=scores, stop=stop
+    )
+    episodes, paths = protocol.trajectories(policy, starts)
+    assert episodes.success.any()
+    navigator = load(tmp_path, world)
+    for episode in range(len(paths)):
+        goal, state = int(world.goals[starts[0][episode]]), starts[1][episode]
+        navigator.reset(images_of(goal if goal_view == "front" else world.surrounding[goal]))
+        action, stopped, _ = navigator.act(images_of(world.surrounding[state]))
+        walked = [int(state)]
+        while len(walked) <= 25 and (len(walked) == 1 or not stopped):
+            state = world.graph[state, action]
+            walked.append(int(state))
+            action, stopped, _ = navigator.act(images_of(world.surrounding[state]))
+        assert walked == paths[episode]
+        assert stopped == bool(episodes.success[episode] | episodes.false_stop[episode])
+
+
+def test_a_memory_that_localises_needs_log_odds(tmp_path, world):
+    trained(tmp_path, world, "episodic_memory=localising")
+    with pytest.raises(ConfigError, match=r"^episodic_memory=localising weighs log odds, and NCC has none: "):
+        load(tmp_path, world)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from odds import Odds
 from policies import expert
 from rooms import grid_scene
 
@@ -9,24 +10,11 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start, run_episodes
 from dirl.evaluation.protocol import metrics
 from dirl.models import LocalisingMemory
-from dirl.recognition import NCC
 from dirl.recognition.matching import TemplateStop
+from dirl.recognition.tables import VisitScores
 from dirl.scenes import make_world
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
-
-
-class Odds(NCC):
-    """Correlation as log odds: sure of what was made with little noise."""
-
-    calibrated = True
-
-    def __init__(self, scale=60.0):
-        super().__init__()
-        self.scale = scale
-
-    def scores(self, seen, references):
-        return self.scale * (super().scores(seen, references) - 0.8)
 
 
 def any_way(chosen):
@@ -109,7 +97,12 @@ def test_the_expert_arrives_and_a_policy_without_preference_finds_every_goal(mat
         [grid_scene(4, 3, name="a", goals=(5, 30), **size), grid_scene(3, 3, name="b", goals=(7,), seed=1, **size)]
     )
     stop = TemplateStop(0.0, match, Odds()).compared(world)
-    arguments = {"observation": SurroundingViews(world), "stop": stop, "recogniser": Odds(), "max_steps": 100}
+    arguments = {
+        "observation": SurroundingViews(world),
+        "stop": stop,
+        "scores": VisitScores(Odds(), world),
+        "max_steps": 100,
+    }
     memory = LocalisingMemory()
     found = metrics(run_episodes(expert(world), world, every_start(world), memory=memory, **arguments))
     assert (found["sr"], found["false_stop_rate"]) == (1, 0)

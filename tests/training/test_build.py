@@ -158,3 +158,15 @@ def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path, options):
         ConfigError, match=r"^episodic_memory: PlanningMemory asks .*choose episodic_memory=counts or none$"
     ):
         make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=planning", *options, *SMALL)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([], r"^episodic_memory=localising weighs log odds, and NCC has none: add recogniser=learned$"),
+        (["recogniser=learned", "stop.evaluation=goal"], r"^stop.evaluation=goal: a LocalisingMemory stops by "),
+    ],
+)
+def test_a_memory_that_localises_weighs_log_odds_for_its_stop(tmp_path, options, message):
+    with pytest.raises(ConfigError, match=message):
+        make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=localising", *options, *SMALL)

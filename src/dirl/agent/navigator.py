@@ -287,8 +287,7 @@ class Navigator:
 
     def _goal_odds(self, views: Tensor) -> Tensor:
         """Log odds that the goal is seen facing each view of ``[B, 4, D]``, float32 ``[B, 4]``."""
-        facing = _each_heading(views)
-        return self._matching(facing, facing.new_zeros(len(facing))).unflatten(0, (-1, VIEWS))
+        return self._goal_scores(_each_heading(views)).unflatten(0, (-1, VIEWS))
 
     def explore(self, graph: ImageGraph | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
@@ -339,8 +338,10 @@ class Navigator:
 
     def _matching(self, views: Tensor, coefficient: Tensor) -> Tensor:
         """How much views ``[B, 4, D]`` look like the goal's, ``[B]``: the recogniser's score, or the correlation."""
-        if self.recogniser.thresholds is None:
-            return coefficient
+        return coefficient if self.recogniser.thresholds is None else self._goal_scores(views)
+
+    def _goal_scores(self, views: Tensor) -> Tensor:
+        """The recogniser's scores of views ``[B, 4, D]`` with those of the goal, ``[B]``."""
         assert self._goal is not None
         known = self._goal[:, :1] if self._is_photo() else self._goal
         goal = self._described(known).expand(len(self._goal) if len(self._goal) > 1 else len(views), -1, -1)

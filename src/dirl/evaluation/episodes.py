@@ -15,7 +15,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import RandomPolicy
 from dirl.models import frozen
 from dirl.recognition.matching import Arrived
-from dirl.recognition.recogniser import NCC, Recogniser
+from dirl.recognition.recogniser import NCC
 from dirl.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
 
@@ -86,7 +86,7 @@ def run_episodes(
     greedy: bool = True,
     seed: int = 0,
     memory: Memory | None = None,
-    recogniser: Recogniser | None = None,
+    scores: VisitScores | None = None,
     shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> Episodes:
@@ -108,7 +108,7 @@ def run_episodes(
         greedy: take the most probable action (of equal ones the first), else draw one.
         seed: of the draws.
         memory: changes logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`.
-        recogniser: by which the memory knows places; correlation if left out.
+        scores: by which the memory knows places; correlation if left out.
         shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
         watch: called after each step with the unfinished episodes and their states, int64 ``[W]`` each.
     """
@@ -126,7 +126,8 @@ def run_episodes(
         at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
         decide = None if at_random else deciding(policy, world, observation, len(start))
         agents = _Agents(decide, arrived, world, observation, generator, greedy, shown)
-        scores = None if memory is None else VisitScores(recogniser or NCC(), world)
+        if memory is not None and scores is None:
+            scores = VisitScores(NCC(), world)
         # A memory of many episodes takes much space until they have ended.
         for walking in torch.arange(len(start), device=world.device).split(MANY if memory else max(1, len(start))):
             goal_look = wanted[walking] // len(world.goals)

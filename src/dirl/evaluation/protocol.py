@@ -12,7 +12,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, run_episodes, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
 from dirl.recognition.matching import Arrived
-from dirl.recognition.recogniser import Recogniser
+from dirl.recognition.tables import VisitScores
 from dirl.scenes import World
 
 
@@ -33,7 +33,7 @@ class EvaluationProtocol:
     """Of drawn actions."""
     memory: Memory | None = None
     """Changes the policies' logits by what was done in the episode."""
-    recogniser: Recogniser | None = None
+    scores: VisitScores | None = None
     """By which the memory knows places; None = correlation."""
     shown: Tensor | None = None
     """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
@@ -61,7 +61,7 @@ class EvaluationProtocol:
         return run_episodes(policy, self.world, starts, greedy=greedy, watch=watch, **self._conditions()), paths
 
     def _conditions(self) -> dict[str, Any]:
-        names = ("observation", "stop", "max_steps", "seed", "memory", "recogniser", "shown")
+        names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "shown")
         return {name: getattr(self, name) for name in names}
 
 

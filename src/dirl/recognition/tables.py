@@ -10,7 +10,8 @@ from dirl.scenes import World
 class VisitScores:
     """The scores between every two visits of each scene of a world.
 
-    A visit is named by its first view id, ``look * N + state``: the other three follow from it.
+    A visit is named by its first view id, ``look * N + state``: the other three follow from it. All scores of
+    a reference are computed when it is first asked for.
 
     Args:
         recogniser: compares them.
@@ -18,21 +19,33 @@ class VisitScores:
         match: ``views``, all four of them, or ``front``, the one ahead.
     """
 
+    @torch.no_grad()
     def __init__(self, recogniser: Recogniser, world: World, match: str = "views") -> None:
-        blocks, row, column, size = [], [], [], 0
-        for index in range(len(world.scenes)):
-            visits = described_visits(recogniser, world, index)
-            blocks.append(in_blocks(recogniser, visits, matched(visits, match)).T.flatten())
-            column.append(torch.arange(len(visits), device=world.device))
-            row.append(size + len(visits) * column[-1])
-            size += len(visits) ** 2
+        self.recogniser, self.match = recogniser, match
+        self.visits = [described_visits(recogniser, world, index) for index in range(len(world.scenes))]
+        sizes = torch.tensor([len(visits) for visits in self.visits], device=world.device)
         order = torch.cat([world.pictures(index) for index in range(len(world.scenes))]).argsort()
-        self.table = torch.cat(blocks)
-        self.row, self.column = torch.cat(row)[order], torch.cat(column)[order]
+        self.scene = torch.arange(len(sizes), device=world.device).repeat_interleave(sizes)[order]
+        self.column = torch.cat([torch.arange(size, device=world.device) for size in sizes.tolist()])[order]
+        self.row = (sizes**2).cumsum(0)[self.scene] - sizes[self.scene] * (sizes[self.scene] - self.column)
+        self.table = torch.empty(int((sizes**2).sum()), device=world.device)
+        self.known = torch.zeros(len(order), dtype=torch.bool, device=world.device)
 
     def __call__(self, reference: Tensor, seen: Tensor) -> Tensor:
         """The scores of visits by their first view ids in one scene, int64 ``[...]`` each, broadcast; float32."""
+        asked = reference[~self.known[reference]]
+        if len(asked):
+            self._compute(asked.unique())
         return self.table[self.row[reference] + self.column[seen]]
+
+    @torch.no_grad()
+    def _compute(self, reference: Tensor) -> None:
+        """Fill the rows of references, int64 ``[A]``."""
+        for index in self.scene[reference].unique().tolist():
+            visits, rows = self.visits[index], reference[self.scene[reference] == index]
+            found = in_blocks(self.recogniser, visits, matched(visits[self.column[rows]], self.match)).T
+            self.table[self.row[rows][:, None] + torch.arange(len(visits), device=rows.device)] = found
+        self.known[reference] = True
 
 
 def described_visits(recogniser: Recogniser, world: World, index: int) -> Tensor:

@@ -21,7 +21,8 @@ from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.models.build import reads_patches
 from dirl.objectives import ImitationLoss
 from dirl.recognition.build import build_recogniser, check_calibrated, matching
-from dirl.recognition.matching import Arrived
+from dirl.recognition.matching import Arrived, Compared
+from dirl.recognition.tables import VisitScores
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.world import Goals
@@ -237,19 +238,23 @@ def build_protocol(
         )
     if options.goals is not None:
         world = world.with_goals(_some_goals(world, options.goals, config.seed))
+    if isinstance(memory, LocalisingMemory):
+        if config.stop.evaluation == Stop.goal:
+            raise ConfigError("stop.evaluation=goal: a LocalisingMemory stops by what it sees; use matching")
+        stop: Tensor | Arrived | Compared | None = matching(config).compared(world)
+    else:
+        stop = stop_table(config, config.stop.evaluation, world)
     return EvaluationProtocol(
         world,
         observation,
         starts=every_start(world)
         if options.starts == Starts.every
         else sampled_starts(world, options.episodes_per_goal, config.seed),
-        stop=matching(config).compared(world)
-        if isinstance(memory, LocalisingMemory)
-        else stop_table(config, config.stop.evaluation, world),
+        stop=stop,
         max_steps=options.max_steps,
         seed=config.seed,
         memory=memory,
-        recogniser=recogniser,
+        scores=None if memory is None else VisitScores(recogniser, world),
         held_out=build_protocol(config, world.with_goals(held_out), observation) if held_out else None,
     )
 
