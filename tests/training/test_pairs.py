@@ -53,6 +53,18 @@ def test_a_share_of_the_goals_is_shown_by_its_front_view(world):
     assert torch.equal(drawn["goal_view_ids"][~photo], world.surrounding[drawn["goal"][~photo]])
 
 
+def test_in_a_world_that_changes_goal_and_state_are_seen_in_two_looks():
+    world = make_world([grid_scene(goals=(0, 13), looks=2)])
+    states = len(world)
+    drawn = pairs(world, front_only=0.5).draw(2000)
+    look, goal_look = drawn["view_ids"][:, 0] // states, drawn["goal_view_ids"][:, 0] // states
+    assert (look != goal_look).all()
+    assert Counter(look.tolist()).keys() == Counter(goal_look.tolist()).keys() == {0, 1, 2}
+    assert torch.equal(drawn["view_ids"], world.surrounding[drawn["state"]] + look.unsqueeze(1) * states)
+    photo = drawn["goal_view_ids"][:, 1] == 3 * states
+    assert photo.float().mean() == pytest.approx(0.5, abs=0.05)
+
+
 def test_only_shown_states_are_drawn_and_counted(world):
     shown = shown_states(world, 0.25, "random", 0)
     some = pairs(world, shown=shown)

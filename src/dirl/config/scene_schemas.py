@@ -117,6 +117,7 @@ class ChangesConfig:
     exposure: float = MISSING
     white_balance: float = MISSING
     camera_height: float = MISSING
+    vary: float = MISSING
 
 
 @dataclass

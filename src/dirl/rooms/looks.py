@@ -13,6 +13,9 @@ from dirl.rooms.view import Renderer
 from dirl.scenes import SceneError
 from dirl.scenes.views import decode, encode
 
+LARGEST = {"position": 1.0, "heading": 45.0, "exposure": 1.0, "white_balance": 1.0, "camera_height": 1.0, "vary": 1.0}
+"""What a visit can be called."""
+
 
 @dataclass(frozen=True)
 class Changes:
@@ -24,6 +27,7 @@ class Changes:
         exposure: of the logarithm of the brightness; 0.05 is about 5 %.
         white_balance: of the logarithm of red and of blue.
         camera_height: metres.
+        vary: each look has all of these times a factor drawn from ``1 - vary`` to ``1 + vary``, for rooms to train in.
 
     Raises:
         SceneError: a negative one, or one beyond what a visit can be called.
@@ -34,12 +38,16 @@ class Changes:
     exposure: float = 0.15
     white_balance: float = 0.0
     camera_height: float = 0.0
+    vary: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            largest = {"heading": 45.0}.get(name, 1.0)
-            if not 0 <= value <= largest:
-                raise SceneError(f"changes.{name}={value:g}: must be 0 to {largest:g}")
+            if not 0 <= value <= LARGEST[name]:
+                raise SceneError(f"changes.{name}={value:g}: must be 0 to {LARGEST[name]:g}")
+
+    def times(self, factor: float) -> "Changes":
+        """All errors times a factor, at most the largest."""
+        return replace(self, **{name: min(LARGEST[name], factor * value) for name, value in vars(self).items()})
 
 
 def look_views(
@@ -66,6 +74,8 @@ def look_views(
         quality: of the views' WebP encoding.
     """
     rng = np.random.default_rng(seed)
+    if changes.vary:
+        changes = changes.times(float(rng.uniform(1 - changes.vary, 1 + changes.vary)))
     turns, places = len(way.headings), len(way.places)
     moved = rng.normal(0, 1, (places, 2)) * changes.position
     turned, raised = rng.normal(0, 1, (2, places)) * [[changes.heading], [changes.camera_height]]

@@ -18,7 +18,7 @@ class DrawnPairs:
     """The expert's actions for pairs of a state and a goal, sampled anew for every update.
 
     A table of all pairs grows with the square of the states. A draw takes a goal uniformly among all, then a state of
-    its scene.
+    its scene. In a world that changes the goal is seen in one look and the state in another, both drawn.
 
     Args:
         world: where to walk; its goals are those of the pairs.
@@ -60,7 +60,11 @@ class DrawnPairs:
         goal = world.goals[self._goals(size - old)]
         scene = world.scene_of[goal]
         state = self.states[self.first[scene] + (torch.rand(len(goal), device=device) * self.count[scene]).long()]
-        seen = {"view_ids": self.observation.begin(state), "goal_view_ids": self.observation.of_goal(goal)}
+        look, goal_look = self._looks(len(goal))
+        seen = {
+            "view_ids": self.observation.begin(state + look * len(world)),
+            "goal_view_ids": self.observation.of_goal(goal + goal_look * len(world)),
+        }
         rows = TensorDict({"state": state, "goal": goal, "scene": scene, **seen}, batch_size=[len(goal)])
         rows = label(self.expert, rows)
         if self.visited is not None:
@@ -68,8 +72,17 @@ class DrawnPairs:
         if self.front_only:
             photo = torch.rand((len(rows), 1), device=device) < self.front_only
             views = rows["goal_view_ids"]
-            rows["goal_view_ids"] = torch.where(photo, front_only(views, len(world)), views)
+            rows["goal_view_ids"] = torch.where(photo, front_only(views, self.observation.pictures), views)
         return rows
+
+    def _looks(self, size: int) -> tuple[Tensor, Tensor]:
+        """Two different looks each, int64 ``[size]``; twice the only one in a world that never changes."""
+        looks, device = self.world.looks, self.world.device
+        if looks == 1:
+            only = torch.zeros(size, dtype=torch.int64, device=device)
+            return only, only
+        look = torch.randint(looks, (size,), device=device)
+        return look, (look + torch.randint(1, looks, (size,), device=device)) % looks
 
     def _goals(self, size: int) -> Tensor:
         """Drawn places in the world's goals, int64 ``[size]``."""
