@@ -20,6 +20,7 @@ from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, recurrent_keys
+from dirl.recognition import NCC, Patches
 from dirl.recognition.matching import TemplateStop
 from dirl.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
@@ -129,6 +130,19 @@ def test_a_memory_that_localises_needs_log_odds(tmp_path, world):
     trained(tmp_path, world, "episodic_memory=localising")
     with pytest.raises(ConfigError, match=r"^episodic_memory=localising weighs log odds, and NCC has none: "):
         load(tmp_path, world)
+
+
+def test_memory_and_recogniser_of_a_navigator_can_be_chosen(tmp_path, world):
+    trained(tmp_path / "run", world)
+    own = tmp_path / "mine.yaml"
+    own.write_text("{_target_: dirl.recognition.NCC}\n")
+    navigator = load(tmp_path / "run", world, recogniser="patches", episodic_memory="planning")
+    assert (type(navigator.recogniser), type(navigator.memory)) == (Patches, PlanningMemory)
+    assert navigator.memory.threshold == navigator.recogniser.thresholds.memory
+    navigator = load(tmp_path / "run", world, recogniser=str(own))
+    assert (type(navigator.recogniser), navigator.memory) == (NCC, None)
+    with pytest.raises(ConfigError, match=r"^recogniser=other: choose from learned, ncc, patches, or a file of your"):
+        load(tmp_path / "run", world, recogniser="other")
 
 
 @pytest.fixture

@@ -100,3 +100,16 @@ def test_every_kind_of_neighbour_is_near():
         ends.add(state)
     assert middle not in ends
     assert len(ends) == len(set(NEAR))
+
+
+def test_weights_that_cannot_be_used_are_named(tmp_path):
+    file = tmp_path / "weights.pt"
+    with pytest.raises(ValueError, match=rf"^weights={file}: there is no such file$"):
+        Learned(weights=str(file))
+    file.write_bytes(b"junk")
+    with pytest.raises(ValueError, match=rf"^weights={file}: torch cannot read it as weights"):
+        Learned(weights=str(file))
+    for stored in (Learned(weights="", features=16).state_dict(), [1, 2], {"mean": 3}):
+        torch.save(stored, file)
+        with pytest.raises(ValueError, match=rf"^weights={file}: not of a network of these options"):
+            Learned(weights=str(file))

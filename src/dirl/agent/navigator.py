@@ -23,13 +23,14 @@ from dirl.agent.loading import (
 )
 from dirl.agent.mapping import ImageGraph
 from dirl.agent.mapping.policy import LAST_STEPS
-from dirl.agent.recall import CameraSight, Localising, Memory, Recall, recalling
+from dirl.agent.recall import CameraSight, Counting, Localising, Memory, Planning, Recall, recalling
+from dirl.config.choices import group_options
 from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, LocalisingMemory, initial_state
+from dirl.models import FeatureTable, initial_state
 from dirl.models.build import reads_patches
-from dirl.recognition.build import build_recogniser, check_calibrated
+from dirl.recognition.build import build_recogniser, suit
 from dirl.recognition.matching import FRONT_THRESHOLD
 from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
@@ -102,6 +103,8 @@ class Navigator:
         *,
         extractor: str | None = None,
         scene: str | None = None,
+        recogniser: str | None = None,
+        episodic_memory: str | None = None,
         device: str | torch.device = "cpu",
         trust: Collection[str] = (),
     ) -> "Navigator":
@@ -116,6 +119,9 @@ class Navigator:
                 dump may describe the same file of weights differently: if the texts differ, there is a warning
                 unless this argument confirms that they mean the same.
             scene: whose layers are used. Optional if there is only one scene or the layers are shared.
+            recogniser: as in ``evaluate.py``: ``ncc``, ``patches``, ``learned`` or a YAML file; that of the
+                checkpoint if left out.
+            episodic_memory: likewise: ``none``, ``counts``, ``planning``, ``localising`` or a YAML file.
             device: ``cpu`` or ``cuda``.
             trust: packages besides dirl whose classes the checkpoint's configuration may name.
 
@@ -126,7 +132,9 @@ class Navigator:
         if torch.device(device).type == "cuda" and not torch.cuda.is_available():
             raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
         saved = load_checkpoint(checkpoint)
-        config = read_config(saved["config"], str(checkpoint), trust=trust)
+        chosen = {"recogniser": recogniser, "episodic_memory": episodic_memory}
+        changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
+        config = read_config(saved["config"], str(checkpoint), changes, trust)
         check_encoder(encoder, extractor, saved, str(checkpoint))
         own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
         order = saved.get("views", own)  # checkpoints of older versions name none
@@ -137,17 +145,14 @@ class Navigator:
         if not callable(encoder):
             given = {"confirmed": extractor is not None, "patches": reads_patches(config)}
             encoder = encoder_of_images(encoder, device, saved, str(checkpoint), **given)
-        memory, recogniser = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
-        if isinstance(memory, LocalisingMemory):
-            check_calibrated(recogniser)
-        elif memory is not None and recogniser.thresholds is not None:
-            memory.threshold = recogniser.thresholds.memory
+        memory, recognises = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
+        suit(memory, recognises)
         if memory is not None and order[-1] == "now":
             raise NavigatorError(
                 f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
             )
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
-        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory, recogniser)
+        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory, recognises)
 
     @classmethod
     def from_pretrained(
@@ -243,12 +248,14 @@ class Navigator:
         state = self._recurrent_state(agents)
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
         self._state = tuple(after)
-        matching = self._matching(views, matching)
-        stop = matching > self._threshold_now()
         if isinstance(self.recall, Localising):
-            stop = self.recall.arrive(self._described(views), self._goal_odds(views), partial(self._facing, views))
-            logits = self.recall.plan()
-        elif self.recall is not None:
+            odds = self._goal_scores(_each_heading(views)).unflatten(0, (-1, VIEWS))
+            stop = self.recall.arrive(self._described(views), odds, lambda chosen: self._facing(views, chosen)[0])
+            matching, logits = odds[:, 0], self.recall.plan()
+        else:
+            matching = self._matching(views, matching)
+            stop = matching > self._threshold_now()
+        if isinstance(self.recall, Counting | Planning):
             policy = logits
             logits = self.recall.adjust(self._described(views), lambda: policy, partial(self._around, views))
         probabilities = logits.softmax(-1)
@@ -265,29 +272,23 @@ class Navigator:
 
     def _around(self, views: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
         """See `dirl.agent.recall.Around`, of views ``[B, 4, D]``."""
-        logits, matching = self._asked(views, chosen)
-        return logits, chosen[:, None] & (matching > self._threshold_now())
+        logits, coefficient = self._facing(views, chosen)
+        goal = chosen.new_zeros(len(views), VIEWS)
+        if chosen.any():
+            matching = self._matching(_each_heading(views[chosen]), coefficient[chosen].flatten())
+            goal[chosen] = matching.unflatten(0, (-1, VIEWS)) > self._threshold_now()
+        return logits, goal
 
-    def _facing(self, views: Tensor, chosen: Tensor) -> Tensor:
-        """The logits of `_asked` alone."""
-        return self._asked(views, chosen)[0]
-
-    def _asked(self, views: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        """The policy's logits and the matching of the chosen agents facing each view, ``[B, 4, 4]`` and ``[B, 4]``."""
+    def _facing(self, views: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
+        """The policy's logits of the chosen agents facing each view, ``[B, 4, 4]``, and its correlation, ``[B, 4]``."""
         assert self._goal is not None
         agents = len(views)
-        logits, matching = views.new_zeros(agents, VIEWS, VIEWS), views.new_zeros(agents, VIEWS)
+        logits, coefficient = views.new_zeros(agents, VIEWS, VIEWS), views.new_zeros(agents, VIEWS)
         if chosen.any():
-            facing = _each_heading(views[chosen])
             wanted = self._goal.expand(agents, -1, -1)[chosen].repeat_interleave(VIEWS, 0)
-            asked, _, found, *_ = self.policy(facing, wanted)
-            logits[chosen] = asked.unflatten(0, (-1, VIEWS))
-            matching[chosen] = self._matching(facing, found).unflatten(0, (-1, VIEWS))
-        return logits, matching
-
-    def _goal_odds(self, views: Tensor) -> Tensor:
-        """Log odds that the goal is seen facing each view of ``[B, 4, D]``, float32 ``[B, 4]``."""
-        return self._goal_scores(_each_heading(views)).unflatten(0, (-1, VIEWS))
+            asked, _, found, *_ = self.policy(_each_heading(views[chosen]), wanted)
+            logits[chosen], coefficient[chosen] = (part.unflatten(0, (-1, VIEWS)) for part in (asked, found))
+        return logits, coefficient
 
     def explore(self, graph: ImageGraph | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.

@@ -1,27 +1,51 @@
 """The choices of a group of ``conf/``, as options to change in a saved configuration."""
 
+from pathlib import Path
 from typing import Any
 
+import yaml  # PyYAML comes with OmegaConf
 from omegaconf import OmegaConf
 
+from dirl.config.components import TARGET
 from dirl.config.places import CONF
+from dirl.config.saved import MAX_CHARACTERS, plain_mapping
 from dirl.config.schemas import ConfigError, leaves
 
 
 def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
     """The options of a choice; None if nothing is chosen.
 
+    Args:
+        group: a folder of ``conf/``.
+        choice: the name of a file there, without ``.yaml``; or the path of a file of one's own, with ``.yaml``.
+
     Raises:
-        ConfigError: the group has no such choice.
+        ConfigError: the group has no such choice, or the file is none.
     """
     if choice is None:
         return None
+    if choice.endswith(".yaml"):
+        return _own_options(group, Path(choice))
     file = CONF / group / f"{choice}.yaml"
     choices = sorted(path.stem for path in file.parent.glob("*.yaml"))
     if choice not in choices:
-        raise ConfigError(f"{group}={choice}: choose from {', '.join(choices)}")
+        raise ConfigError(f"{group}={choice}: choose from {', '.join(choices)}, or a file of your own, with .yaml")
     options: Any = OmegaConf.to_container(OmegaConf.load(file))
     return dict(options)
+
+
+def _own_options(group: str, file: Path) -> dict[str, Any]:
+    if not file.is_file():
+        raise ConfigError(f"{group}={file}: there is no such file")
+    try:
+        with file.open("rb") as stream:
+            options = plain_mapping(stream.read(MAX_CHARACTERS + 1).decode())
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
+        reason = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+        raise ConfigError(f"{group}={file}: cannot be read as options: {reason}") from None
+    if TARGET not in options:
+        raise ConfigError(f"{group}={file}: has no {TARGET}, which names the class")
+    return options
 
 
 def goal_view_options(choice: str | None) -> dict[str, Any]:

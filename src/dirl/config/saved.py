@@ -63,7 +63,7 @@ def read_config(
         ConfigError: it is not one of this version, names an untrusted package, or a change is invalid.
     """
     try:
-        values = _plain(text)
+        values = plain_mapping(text)
         values = _upgraded(values) if isinstance(values.get("objective"), dict) else values
         values = {**_moved(values), "resume": None, "trust": list(trust)}
         for name, value in (changes or {}).items():
@@ -85,7 +85,7 @@ class _PlainLoader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def _plain(text: str) -> dict[str, Any]:
+def plain_mapping(text: str) -> dict[str, Any]:
     """YAML as plain values.
 
     Raises:

@@ -103,7 +103,7 @@ def run_episodes(
         starts: goal indices and start states, int64 ``[E]`` each, see `every_start`.
         observation: the transform that the policy was trained with.
         stop: where an agent stops, bool ``[P]``, see `World.pair`, or see `dirl.recognition.matching.Arrived`; at the
-            goal itself if left out.
+            goal itself if left out. With a `LocalisingMemory` its log odds, `dirl.recognition.matching.Compared`.
         max_steps: after so many steps an episode has failed.
         greedy: take the most probable action (of equal ones the first), else draw one.
         seed: of the draws.
@@ -151,7 +151,7 @@ def run_episodes(
 
 
 def drawn_looks(
-    index: Tensor, count: int, world: World, generator: torch.Generator, besides: Tensor | None = None
+    index: Tensor, count: int, world: World, generator: torch.Generator | None = None, besides: Tensor | None = None
 ) -> Tensor:
     """States or goals, int64 ``[B]`` below ``count``, each in a look drawn for it: ``look * count + index``.
 
@@ -159,7 +159,7 @@ def drawn_looks(
         index: the states or goals.
         count: how many the world has.
         world: with L looks.
-        generator: draws.
+        generator: draws; torch's own if left out.
         besides: looks that are not drawn, int64 ``[B]``: those of the goals, which shall not return to the bit.
     """
     if world.looks == 1:

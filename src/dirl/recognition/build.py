@@ -1,5 +1,7 @@
 """The recogniser of a configuration, and the stop by it."""
 
+from torch import nn
+
 from dirl.config.components import make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.recognition.matching import TemplateStop
@@ -21,10 +23,19 @@ def build_recogniser(config: TrainConfig) -> Recogniser:
     return found or NCC()
 
 
-def check_calibrated(recogniser: Recogniser) -> None:
-    """Raise `ConfigError` unless the scores are log odds, as a `LocalisingMemory` needs them."""
-    if not recogniser.calibrated:
-        raise ConfigError(
-            f"episodic_memory=localising weighs log odds, and {type(recogniser).__name__} has none: "
-            "add recogniser=learned"
-        )
+def suit(memory: nn.Module | None, recogniser: Recogniser) -> None:
+    """Give an episodic memory the threshold of its recogniser; one without a threshold weighs log odds itself.
+
+    Raises:
+        ConfigError: it does, and the recogniser's scores are no log odds.
+    """
+    if memory is None:
+        return
+    if not hasattr(memory, "threshold"):
+        if not recogniser.calibrated:
+            raise ConfigError(
+                f"episodic_memory=localising weighs log odds, and {type(recogniser).__name__} has none: "
+                "add recogniser=learned"
+            )
+    elif recogniser.thresholds is not None:
+        memory.threshold = recogniser.thresholds.memory  # type: ignore[assignment]

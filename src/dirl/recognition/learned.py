@@ -47,6 +47,9 @@ class Learned(nn.Module):
         dropout: of whitened features and patches, in training.
         features: pooled ones of a view, D.
         weights: a file of `state_dict`; those of the package if left out, none with ``""``.
+
+    Raises:
+        ValueError: the file of weights cannot be read, or is of another network.
     """
 
     reads_patches = True
@@ -78,7 +81,7 @@ class Learned(nn.Module):
             nn.Sequential(nn.Linear(2 * width + 1, 64), nn.ReLU(), nn.Linear(64, 1)) for _ in ("photo", "views")
         )
         if weights != "":
-            self.load_state_dict(torch.load(weights or WEIGHTS, weights_only=True))
+            self._read(Path(weights or WEIGHTS))
             self.eval()
 
     mean: Tensor
@@ -87,6 +90,19 @@ class Learned(nn.Module):
     patch_axes: Tensor
     calibration: Tensor
     """Slope and intercept for a photo, and for four views, float32 ``[2, 2]``: the network is too sure in new rooms."""
+
+    def _read(self, file: Path) -> None:
+        if not file.is_file():
+            raise ValueError(f"weights={file}: there is no such file")
+        try:
+            stored = torch.load(file, map_location="cpu", weights_only=True)
+        except Exception as error:  # what unpickling a broken file raises can be anything
+            raise ValueError(f"weights={file}: torch cannot read it as weights ({error!r:.200})") from None
+        try:
+            self.load_state_dict(stored)
+        except (RuntimeError, TypeError, AttributeError) as error:
+            reason = " ".join(str(error).split())[:300]
+            raise ValueError(f"weights={file}: not of a network of these options: {reason}") from None
 
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
         """Itself: it was trained for places never seen."""

@@ -20,7 +20,7 @@ from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.models.build import reads_patches
 from dirl.objectives import ImitationLoss
-from dirl.recognition.build import build_recogniser, check_calibrated, matching
+from dirl.recognition.build import build_recogniser, matching, suit
 from dirl.recognition.matching import Arrived, Compared
 from dirl.recognition.tables import VisitScores
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
@@ -227,10 +227,7 @@ def build_protocol(
     """
     options = config.evaluation
     memory, recogniser = make("episodic_memory", config.episodic_memory, config.trust), build_recogniser(config)
-    if isinstance(memory, LocalisingMemory):
-        check_calibrated(recogniser)
-    elif memory is not None and recogniser.thresholds is not None:
-        memory.threshold = recogniser.thresholds.memory
+    suit(memory, recogniser)
     if isinstance(memory, PlanningMemory | LocalisingMemory) and (observation.history or config.memory[TARGET]):
         raise ConfigError(
             f"episodic_memory: {type(memory).__name__} asks the policy what it would do facing the other views; with "

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import front_only
+from dirl.evaluation.episodes import drawn_looks
 from dirl.evaluation.experts import label, merge_demonstrations
 from dirl.scenes import World
 
@@ -60,11 +61,9 @@ class DrawnPairs:
         goal = world.goals[self._goals(size - old)]
         scene = world.scene_of[goal]
         state = self.states[self.first[scene] + (torch.rand(len(goal), device=device) * self.count[scene]).long()]
-        look, goal_look = self._looks(len(goal))
-        seen = {
-            "view_ids": self.observation.begin(state + look * len(world)),
-            "goal_view_ids": self.observation.of_goal(goal + goal_look * len(world)),
-        }
+        shown = drawn_looks(goal, len(world), world)
+        picture = drawn_looks(state, len(world), world, besides=shown // len(world))
+        seen = {"view_ids": self.observation.begin(picture), "goal_view_ids": self.observation.of_goal(shown)}
         rows = TensorDict({"state": state, "goal": goal, "scene": scene, **seen}, batch_size=[len(goal)])
         rows = label(self.expert, rows)
         if self.visited is not None:
@@ -74,15 +73,6 @@ class DrawnPairs:
             views = rows["goal_view_ids"]
             rows["goal_view_ids"] = torch.where(photo, front_only(views, self.observation.pictures), views)
         return rows
-
-    def _looks(self, size: int) -> tuple[Tensor, Tensor]:
-        """Two different looks each, int64 ``[size]``; twice the only one in a world that never changes."""
-        looks, device = self.world.looks, self.world.device
-        if looks == 1:
-            only = torch.zeros(size, dtype=torch.int64, device=device)
-            return only, only
-        look = torch.randint(looks, (size,), device=device)
-        return look, (look + torch.randint(1, looks, (size,), device=device)) % looks
 
     def _goals(self, size: int) -> Tensor:
         """Drawn places in the world's goals, int64 ``[size]``."""

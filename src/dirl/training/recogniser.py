@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from tqdm import tqdm
 
-from dirl.evaluation.episodes import bar_interval
+from dirl.evaluation.episodes import bar_interval, drawn_looks
 from dirl.recognition import Learned
 from dirl.recognition.learned import COLUMNS
 from dirl.scenes import World
@@ -56,8 +56,8 @@ def learn_recogniser(
         raise ValueError("training a recogniser needs rooms with patches and looks: scenes sample patches=true looks=2")
     near = torch.stack([_after(world.graph, actions) for actions in NEAR], 1)
     network.measure(world.features[: len(world)], world.patches[: len(world)])
-    parts = torch.arange(len(world.features)).split(4096)
-    whitened = [network.whiten(world.features[part], world.patches[part]) for part in parts]
+    parts = zip(world.features.split(4096), world.patches.split(4096), strict=True)
+    whitened = [network.whiten(*part) for part in parts]
     pooled, patches = (torch.cat(part) for part in zip(*whitened, strict=True))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -129,7 +129,7 @@ def _after(graph: Tensor, actions: tuple[int, ...]) -> Tensor:
 
 def _pairs(world: World, near: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
     """View ids of visits and references, int64 ``[B, 4]`` each, and whether they are of the same state, float."""
-    states, looks = len(world), world.looks
+    states = len(world)
     first = torch.randint(states, (size,))
     scene = world.scene_of[first]
     sizes, offsets = torch.tensor([len(s) for s in world.scenes]), torch.tensor(world.offsets)
@@ -137,7 +137,9 @@ def _pairs(world: World, near: Tensor, size: int) -> tuple[Tensor, Tensor, Tenso
     second = near[first, torch.randint(near.shape[1], (size,))]
     kind = torch.rand(size)
     second = torch.where(kind < SAME, first, torch.where(kind < SAME + ANY, anywhere, second))
-    look = torch.randint(looks, (size,))
-    again = (look + 1 + torch.randint(looks - 1, (size,))) % looks
-    seen = world.surrounding[first] + (look * states).unsqueeze(1)
-    return seen, world.surrounding[second] + (again * states).unsqueeze(1), (first == second).float()
+    seen = drawn_looks(first, states, world)
+    again = drawn_looks(second, states, world, besides=seen // states)
+    visit, reference = (
+        world.surrounding[picture % states] + (picture // states * states).unsqueeze(1) for picture in (seen, again)
+    )
+    return visit, reference, (first == second).float()
