@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from odds import Odds
+from rooms import grid_scene
 from shown_goals import images_of, look_up, rooms, trained
 
 import dirl
@@ -24,6 +25,7 @@ from dirl.recognition import NCC, Patches
 from dirl.recognition.matching import TemplateStop
 from dirl.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
+from dirl.scenes import make_world
 
 
 def answer(policy, world, observation, state, goal_index):
@@ -143,6 +145,44 @@ def test_memory_and_recogniser_of_a_navigator_can_be_chosen(tmp_path, world):
     assert (type(navigator.recogniser), navigator.memory) == (NCC, None)
     with pytest.raises(ConfigError, match=r"^recogniser=other: choose from learned, ncc, patches, or a file of your"):
         load(tmp_path / "run", world, recogniser="other")
+
+
+@pytest.mark.parametrize("turns", [8, 12])
+def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, turns):
+    world = make_world([grid_scene(3, 2, headings=turns, goals=(9,), blocked=[(0, 1)])])
+    policy, seen = trained(tmp_path, world, "episodic_memory=planning")
+    starts = every_start(world)
+    stop = TemplateStop(0.9)(world)
+    protocol = EvaluationProtocol(world, seen, starts, max_steps=25, memory=PlanningMemory(), stop=stop)
+    _, paths = protocol.trajectories(policy, starts)
+    navigator = load(tmp_path, world, turns=turns)
+    for episode, path in enumerate(paths):
+        navigator.reset(images_of(world.surrounding[world.goals[0]]))
+        walked = [int(starts[1][episode])]
+        while walked[-1] != int(world.goals[0]) and len(walked) <= 25:
+            walked.append(int(world.graph[walked[-1], navigator.act(images_of(world.surrounding[walked[-1]])).action]))
+        assert walked == path
+
+
+@pytest.mark.parametrize("turns", [0, 6, True, "4", -4])
+def test_turns_of_a_navigator_are_a_multiple_of_four(run, world, turns):
+    with pytest.raises(NavigatorError, match=rf"^turns={turns!r}: expected an integer, as 4, 8 or 12$"):
+        load(run, world, turns=turns)
+
+
+def test_a_memory_that_localises_refuses_smaller_turns(tmp_path, world):
+    trained(tmp_path, world, "episodic_memory=localising")
+    with pytest.raises(NavigatorError, match=r"^turns=8: episodic_memory=localising needs turns of 90 degrees"):
+        load(tmp_path, world, turns=8, recogniser="learned")
+
+
+@pytest.mark.parametrize("memory", ["counts", "planning"])
+def test_a_navigator_with_a_memory_counts_its_agents(run, world, memory):
+    navigator = load(run, world, episodic_memory=memory)
+    navigator.reset(images_of(world.surrounding[0]))
+    navigator.act(images_of(world.surrounding[torch.tensor([1, 2, 3])]))
+    with pytest.raises(NavigatorError, match=r"^images of 2 agents after those of 3; call reset first$"):
+        navigator.act(images_of(world.surrounding[torch.tensor([1, 2])]))
 
 
 @pytest.fixture

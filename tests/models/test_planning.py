@@ -8,6 +8,9 @@ from dirl.models import PlanningMemory
 from dirl.models.planning import SURE
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
+QUARTERS = torch.tensor([4])
+"""Turns in a full circle of one agent."""
+
 NOWHERE = torch.zeros(1, 4, dtype=torch.bool)
 LIKES_ROOM = torch.tensor([[[4.0, 0.0, 0.0, 1.0], [3.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 4.0], [0.0, 0.0, 0.0, 3.0]]])
 """Of one agent, facing each of four views: the first way is best, then the one on the right."""
@@ -20,7 +23,7 @@ def at(walked, node=None):
 
 def walk(memory, *steps):
     """What one agent knows that took an action and came to a known node, or to a new place if None."""
-    walked = memory.arrive(memory.begin(1), at(memory.begin(1)), LIKES_ROOM, NOWHERE)
+    walked = memory.arrive(memory.begin(QUARTERS), at(memory.begin(QUARTERS)), LIKES_ROOM, NOWHERE)
     for action, node in steps:
         walked.action = torch.tensor([action])
         walked = memory.arrive(walked, at(walked, node), LIKES_ROOM, NOWHERE)
@@ -87,7 +90,7 @@ def test_a_turn_by_less_than_a_right_angle_is_learnt():
 def test_a_goal_that_was_seen_is_walked_to_and_not_where_the_agent_did_not_stop():
     memory = PlanningMemory()
     seen = torch.tensor([[True, False, True, False]])
-    walked = memory.arrive(memory.begin(1), at(memory.begin(1)), LIKES_ROOM, seen)
+    walked = memory.arrive(memory.begin(QUARTERS), at(memory.begin(QUARTERS)), LIKES_ROOM, seen)
     assert walked.goal.tolist() == [[False, False, True, False]]
     assert memory.plan(walked).tolist() == [[-math.inf, -2 * SURE, -2 * SURE, -math.inf]]
     walked.action = torch.tensor([RIGHT])
@@ -98,7 +101,7 @@ def test_agents_are_planned_for_one_by_one():
     memory = PlanningMemory()
     walks = [((AHEAD, None), (BACK, 0)), ((RIGHT, 1), (AHEAD, None)), ((AHEAD, 0), (AHEAD, 0))]
     alone = [walk(memory, *steps) for steps in walks]
-    together = memory.begin(3)
+    together = memory.begin(QUARTERS.repeat(3))
     empty = torch.zeros(3, 0, dtype=torch.bool)
     together = memory.arrive(together, empty, LIKES_ROOM.expand(3, -1, -1), NOWHERE.expand(3, -1))
     for step in range(2):
@@ -123,3 +126,36 @@ def test_a_step_to_a_known_place_adds_none():
     assert walked.here.tolist() == [0]
     assert walked.used.tolist() == [8 * [True] + 4 * [False]]
     assert walked.goal.tolist() == [12 * [False]]
+
+
+def test_smaller_turns_are_not_known_until_one_was_taken_and_then_they_are_from_all_four_views():
+    """Turns of 45 degrees: right, back, and right twice, which leads to the next view of the first place."""
+    memory = PlanningMemory()
+    walked = memory.begin(torch.tensor([8]))
+    walked = memory.arrive(walked, at(walked), LIKES_ROOM, NOWHERE)
+    assert (walked.after == -1).all()
+    for action, node in ((RIGHT, None), (LEFT, 0), (RIGHT, 4), (RIGHT, 1)):
+        walked.action = torch.tensor([action])
+        walked = memory.arrive(walked, at(walked, node), LIKES_ROOM, NOWHERE)
+    after = walked.after[0]
+    assert after[:4, RIGHT].tolist() == [4, 5, 6, 7]
+    assert after[4:8, LEFT].tolist() == [0, 1, 2, 3]
+    assert after[4:8, RIGHT].tolist() == [1, 2, 3, 0]
+    assert after[:4, LEFT].tolist() == [7, 4, 5, 6]
+    assert (after[:, [AHEAD, BACK]] == -1).all()
+
+
+@pytest.mark.parametrize("turns", [8, 12])
+@pytest.mark.parametrize(("view", "action", "way"), [(1, RIGHT, 1), (3, LEFT, 1), (2, RIGHT, 2)])
+def test_at_the_place_of_the_goal_an_agent_turns_until_it_faces_it_however_small_the_turns(turns, view, action, way):
+    memory, seen, nothing = PlanningMemory(), NOWHERE.clone(), NOWHERE
+    seen[0, view] = True
+    walked = memory.begin(torch.tensor([turns]))
+    walked = memory.arrive(walked, at(walked), LIKES_ROOM, seen)
+    for turn in range(1, way * turns // 4):
+        assert memory.plan(walked)[0].argmax() == action
+        walked.action = torch.tensor([action])
+        further = turn % (turns // 4)  # of those between the first view and the second; they were seen before that
+        known = None if turn < turns // 4 else (view // 2 if further == 0 else 4 * further + 1)
+        walked = memory.arrive(walked, at(walked, known), LIKES_ROOM, nothing)
+    assert memory.plan(walked)[0].argmax() == action

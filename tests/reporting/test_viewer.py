@@ -57,11 +57,11 @@ def room_of(config):
     return Room(config, world, policy, build_protocol(config, world, observation))
 
 
-def small_room(folder, *options):
+def small_room(folder, *options, headings=4):
     """A small room with views, and an untrained network."""
-    scene = grid_scene(4, 3, goals=(0, 13), blocked=[(1, 1)])
+    scene = grid_scene(4, 3, headings=headings, goals=(0, 13), blocked=[(1, 1)])
     file = folder / "room.h5"
-    write_dump(file, scene, [encode(np.full((6, 8, 3), 5 * state, np.uint8)) for state in range(len(scene))])
+    write_dump(file, scene, [encode(np.full((6, 8, 3), 5 * state % 256, np.uint8)) for state in range(len(scene))])
     limits = [f"evaluation.max_steps={LIMIT}", "encoder.width=64", "heads.width=64", "seed=1"]
     return room_of(train_config(f"scene={file}", *limits, *options))
 
@@ -214,18 +214,28 @@ def choose(tab, goal_index, start):
 
 
 @pytest.mark.parametrize(
-    ("options", "trained", "ends"),
+    ("options", "headings", "trained", "ends"),
     [
-        (["imitation.fraction=1"], True, {"Stopped"}),
-        (["stop.threshold=0.02"], False, {"Stopped", "False", "Failed:"}),
-        (["stop.evaluation=goal"], False, {"Stopped", "Failed:"}),
-        (["goal_view=front", "episodic_memory=counts"], False, {"Stopped", "Failed:"}),
-        (["goal_view=front", "episodic_memory=planning"], False, {"Stopped"}),
+        (["imitation.fraction=1"], 4, True, {"Stopped"}),
+        (["stop.threshold=0.02"], 4, False, {"Stopped", "False", "Failed:"}),
+        (["stop.evaluation=goal"], 4, False, {"Stopped", "Failed:"}),
+        (["goal_view=front", "episodic_memory=counts"], 4, False, {"Stopped", "Failed:"}),
+        (["goal_view=front", "episodic_memory=planning"], 4, False, {"Stopped"}),
+        (["episodic_memory=planning"], 8, False, {"Stopped", "Failed:"}),
+        (["episodic_memory=planning"], 12, False, {"Stopped", "Failed:"}),
     ],
-    ids=["trained", "false stops", "stopped by the environment", "one photo and a memory", "a plan"],
+    ids=[
+        "trained",
+        "false stops",
+        "stopped by the environment",
+        "one photo and a memory",
+        "a plan",
+        "a plan with turns of 45 degrees",
+        "a plan with turns of 30 degrees",
+    ],
 )
-def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page, options, trained, ends):
-    room = small_room(tmp_path, *options)
+def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page, options, headings, trained, ends):
+    room = small_room(tmp_path, *options, headings=headings)
     if trained:
         clone(room, tmp_path)
     goal_index, start = every_start(room.world)

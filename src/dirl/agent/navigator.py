@@ -28,7 +28,7 @@ from dirl.config.choices import group_options
 from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, initial_state
+from dirl.models import FeatureTable, LocalisingMemory, initial_state
 from dirl.models.build import reads_patches
 from dirl.recognition.build import build_recogniser, suit
 from dirl.recognition.matching import FRONT_THRESHOLD
@@ -70,6 +70,10 @@ class Navigator:
         facts: ``scene`` and ``extractor``, written to the metadata of exported files.
         memory: of what was done in an episode, or None.
         recogniser: by which the goal and known places are recognised; correlation if left out.
+        turns: right turns of the agent in a full circle: 4 if a turn is 90 degrees, 12 if it is 30.
+
+    Raises:
+        NavigatorError: ``turns`` that the memory cannot plan with.
     """
 
     def __init__(
@@ -81,17 +85,22 @@ class Navigator:
         facts: dict[str, str],
         memory: Memory | None = None,
         recogniser: Recogniser | None = None,
+        turns: int = VIEWS,
     ) -> None:
+        check_turns(turns)
+        if isinstance(memory, LocalisingMemory) and turns != VIEWS:
+            raise NavigatorError(f"turns={turns}: episodic_memory=localising needs turns of 90 degrees; use planning")
         self.policy = policy
         self.view_order = view_order
         self.sequential = view_order[-1] == "now"
         self.threshold = threshold
         self.facts = facts
-        self.memory, self.recogniser = memory, recogniser or NCC()
+        self.memory, self.recogniser, self.turns = memory, recogniser or NCC(), turns
         self.recall: Recall | None = None
         self.guide: Guide | None = None
         self.encoder = encoder
         self._goal: Tensor | None = None
+        self._agents: int | None = None
         self._views: Tensor | None = None
         self._state: tuple[Tensor, ...] | None = None
 
@@ -105,6 +114,7 @@ class Navigator:
         scene: str | None = None,
         recogniser: str | None = None,
         episodic_memory: str | None = None,
+        turns: int = VIEWS,
         device: str | torch.device = "cpu",
         trust: Collection[str] = (),
     ) -> "Navigator":
@@ -122,11 +132,13 @@ class Navigator:
             recogniser: as in ``evaluate.py``: ``ncc``, ``patches``, ``learned`` or a YAML file; that of the
                 checkpoint if left out.
             episodic_memory: likewise: ``none``, ``counts``, ``planning``, ``localising`` or a YAML file.
+            turns: right turns of the robot in a full circle; a memory that plans needs to know.
             device: ``cpu`` or ``cuda``.
             trust: packages besides dirl whose classes the checkpoint's configuration may name.
 
         Raises:
-            NavigatorError: another extractor, an unknown scene or device, or weights that do not fit the network.
+            NavigatorError: another extractor, an unknown scene or device, or weights that do not fit the network; or
+                turns that are no multiple of four.
             ValueError: there is no such checkpoint, or no such encoder.
         """
         if torch.device(device).type == "cuda" and not torch.cuda.is_available():
@@ -152,7 +164,7 @@ class Navigator:
                 f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
             )
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
-        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory, recognises)
+        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory, recognises, turns)
 
     @classmethod
     def from_pretrained(
@@ -221,8 +233,9 @@ class Navigator:
         elif views.shape[1] == 1:  # what is not known of a goal is zeros
             views = F.pad(views, (0, 0, 0, VIEWS - 1))
         self._goal = views
-        self._views = self._state = None
-        self.recall = None if self.memory is None else recalling(self.memory, CameraSight(self.recogniser))
+        self._agents = self._views = self._state = None
+        turns = torch.tensor([self.turns], device=self.device)
+        self.recall = None if self.memory is None else recalling(self.memory, CameraSight(self.recogniser), turns)
 
     @torch.no_grad()
     def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
@@ -244,6 +257,9 @@ class Navigator:
             raise NavigatorError(
                 f"images of {agents} agents for {goals} goals; give each agent a goal, or all the same"
             )
+        if self._agents not in (None, agents):
+            raise NavigatorError(f"images of {agents} agents after those of {self._agents}; call reset first")
+        self._agents = agents
         views = self._remember(views)
         state = self._recurrent_state(agents)
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
@@ -299,13 +315,12 @@ class Navigator:
                 the training's may be another one, and with a wrong one the map is wrong.
 
         Raises:
-            NavigatorError: the policy sees the last four views, not those around it; or no turns are given, or others
-                than the map's.
-            MapError: turns that are no multiple of four.
+            NavigatorError: the policy sees the last four views, not those around it; or no turns are given, a number
+                that is no multiple of four, or another one than the map's.
         """
         self._check_alone(1)
-        if turns is not None and (isinstance(turns, bool) or not isinstance(turns, int)):
-            raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
+        if turns is not None:
+            check_turns(turns)
         if graph is None:
             if turns is None:
                 raise NavigatorError("explore: say how many right turns make a full circle: turns=4, 8 or 12")
@@ -376,8 +391,6 @@ class Navigator:
     def _recurrent_state(self, agents: int) -> tuple[Tensor, ...]:
         if self._state is None:
             return tuple(initial_state(self.policy.policy, agents, self.device).values())
-        if self._state and len(self._state[0]) != agents:
-            raise NavigatorError(f"images of {agents} agents after those of {len(self._state[0])}; call reset first")
         return self._state
 
     def _remember(self, views: Tensor) -> Tensor:
@@ -386,8 +399,6 @@ class Navigator:
             return views
         if self._views is None:
             self._views = views.expand(-1, VIEWS, -1)
-        elif len(views) != len(self._views):
-            raise NavigatorError(f"images of {len(views)} agents after those of {len(self._views)}; call reset first")
         else:
             self._views = torch.cat([self._views[:, 1:], views], 1)
         return self._views
@@ -406,6 +417,12 @@ class Navigator:
         if not features.isfinite().all():
             raise NavigatorError("the encoder returned features that are not finite")
         return features.reshape(-1, count, self.width), batched
+
+
+def check_turns(turns: int) -> None:
+    """Raise `NavigatorError` unless so many turns make a full circle and pass the four views."""
+    if isinstance(turns, bool) or not isinstance(turns, int) or turns < VIEWS or turns % VIEWS:
+        raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
 
 
 def _each_heading(views: Tensor) -> Tensor:

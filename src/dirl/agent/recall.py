@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from dirl.envs.transforms import VIEWS
-from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory
+from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, Walked
 from dirl.models.localising import Places
 from dirl.recognition.recogniser import Recogniser
 from dirl.recognition.tables import VisitScores
@@ -132,12 +132,12 @@ class Planning:
     Args:
         memory: plans.
         sight: empty.
+        turns: in a full circle, int64 ``[B]``, or ``[1]`` if all agents have the same.
     """
 
-    def __init__(self, memory: PlanningMemory, sight: Sight) -> None:
-        self.memory, self.sight = memory, sight
-        self.walked = memory.begin(0)
-        self.visits = 0
+    def __init__(self, memory: PlanningMemory, sight: Sight, turns: Tensor) -> None:
+        self.memory, self.sight, self.turns = memory, sight, turns
+        self.walked: Walked | None = None
 
     def adjust(self, visit: Tensor, logits: Callable[[], Tensor], around: Around) -> Tensor:
         """The logits of the plan, float32 ``[B, 4]``; see `Counting.adjust`.
@@ -147,19 +147,19 @@ class Planning:
             logits: not used: those of the policy facing ahead are among ``around``.
             around: asks the policy at places that are new.
         """
-        if not self.visits:
-            self.walked = self.memory.begin(len(visit), visit.device)
-        self.visits += 1
-        same = (self.sight.compare(visit).flatten(1) > self.memory.threshold) & self.walked.used
-        self.walked = self.memory.arrive(self.walked, same, *around(~same.any(1)))
+        walked = self.memory.begin(self.turns.expand(len(visit))) if self.walked is None else self.walked
+        same = (self.sight.compare(visit).flatten(1) > self.memory.threshold) & walked.used
+        self.walked = self.memory.arrive(walked, same, *around(~same.any(1)))
         return self.memory.plan(self.walked)
 
     def acted(self, action: Tensor) -> None:
         """Note the actions that the agents take now, int64 ``[B]``."""
+        assert self.walked is not None
         self.walked.action = action
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents, by mask or index."""
+        assert self.walked is not None
         self.walked = self.walked.select(chosen)
         self.sight.select(chosen)
 
@@ -208,8 +208,8 @@ class Localising:
 Recall = Counting | Planning | Localising
 
 
-def recalling(memory: Memory, sight: Sight) -> Recall:
-    """A memory at the start of episodes."""
+def recalling(memory: Memory, sight: Sight, turns: Tensor) -> Recall:
+    """A memory at the start of B episodes, of agents with so many turns in a full circle, int64 ``[B]`` or ``[1]``."""
     if isinstance(memory, LocalisingMemory):
         return Localising(memory, sight)
-    return Planning(memory, sight) if isinstance(memory, PlanningMemory) else Counting(memory, sight)
+    return Planning(memory, sight, turns) if isinstance(memory, PlanningMemory) else Counting(memory, sight)

@@ -134,7 +134,9 @@ def run_episodes(
             ahead = drawn_looks(start[walking], len(world), world, generator, goal_look)
             walk = _Walk(walking, start[walking], ahead, observation.begin(ahead))
             if memory is not None and scores is not None:
-                agents.recall = recalling(memory, WorldSight(scores, len(walking)))
+                agents.recall = recalling(
+                    memory, WorldSight(scores, len(walking)), world.turns[world.scene_of[start[walking]]]
+                )
                 agents.stop(walk, wanted[walking])  # no agent stops before its first step
             for step in range(1, max_steps + 1):
                 going = _take_step(walk, agents, episodes, wanted, step)

@@ -31,12 +31,16 @@ class Walked:
     """Of each action at each node, float32 ``[B, N, 4]``; infinite at unused places."""
     after: Tensor
     """The node that an action leads to, int64 ``[B, N, 4]``; -1 where that is not known."""
+    ring: Tensor
+    """The next node that was seen to the right and to the left of each at its place, in the form of ``after``."""
     goal: Tensor
     """Whether a node looks like the goal and the agent has not stood there, bool ``[B, N]``."""
     here: Tensor
     """The present node, int64 ``[B]``; -1 at the start."""
     action: Tensor
     """The last action, int64 ``[B]``; -1 at the start."""
+    quarter: Tensor
+    """Whether a turn is a quarter of a circle, so that it leads to another of the four views, bool ``[B]``."""
 
     @property
     def used(self) -> Tensor:
@@ -59,8 +63,9 @@ class PlanningMemory(nn.Module):
     promising exit of all places instead, over the known way.
 
     At each place the policy is asked for all four headings, as the four views around the agent are those around it
-    after a turn too. That a turn leads from one to the next is assumed, and corrected where it does not. Moves
-    count in both directions.
+    after a turn too. That a turn of 90 degrees leads from one to the next is assumed, and corrected where it does not.
+    A smaller turn leads to four other views, which lie between them: where one has led, so do turns from the other
+    three. Moves count in both directions.
 
     `EpisodicMemory` lowers logits where the agent stands, and knows nothing of other places. Both are used in
     evaluation, in the viewer and in a `dirl.Navigator`, but not in training. The policy must depend on the
@@ -81,15 +86,18 @@ class PlanningMemory(nn.Module):
         super().__init__()
         self.repeated, self.turn, self.threshold = repeated, turn, threshold
 
-    def begin(self, agents: int, device: torch.device | str = "cpu") -> Walked:
-        """What agents know at the start of their episodes: nothing."""
+    def begin(self, turns: Tensor) -> Walked:
+        """What agents know at the start of their episodes: how many turns a full circle has, int64 ``[B]``."""
+        agents, device = len(turns), turns.device
         nowhere = torch.full((agents,), -1, device=device)
         return Walked(
             cost=torch.empty((agents, 0, len(ACTIONS)), device=device),
             after=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.int64, device=device),
+            ring=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.int64, device=device),
             goal=torch.empty((agents, 0), dtype=torch.bool, device=device),
             here=nowhere,
             action=nowhere,
+            quarter=turns == VIEWS,
         )
 
     def arrive(self, walked: Walked, same: Tensor, logits: Tensor, goal: Tensor) -> Walked:
@@ -108,29 +116,35 @@ class PlanningMemory(nn.Module):
         new = nodes + torch.arange(VIEWS, device=device)
         here = torch.where(known, same.int().argmax(1) if nodes else nodes, nodes)
         cost = torch.where(known[:, None, None], math.inf, -logits.log_softmax(-1))
-        after = torch.full((agents, VIEWS, len(ACTIONS)), -1, device=device)
-        after[:, :, RIGHT], after[:, :, LEFT] = new.roll(-1), new.roll(1)
+        ring = torch.full((agents, VIEWS, len(ACTIONS)), -1, device=device)
+        ring[:, :, RIGHT], ring[:, :, LEFT] = new.roll(-1), new.roll(1)
+        after = torch.where(walked.quarter[:, None, None], ring, -1)
         at = torch.arange(agents, device=device)
         made = Walked(
             cost=torch.cat([walked.cost, cost], 1),
             after=torch.cat([walked.after, after], 1),
+            ring=torch.cat([walked.ring, ring], 1),
             goal=torch.cat([walked.goal, goal & ~known[:, None]], 1),
             here=here,
             action=walked.action,
+            quarter=walked.quarter,
         )
         made.goal[at, here] = False  # the agent would have stopped
         if nodes:
             connect(made.after, walked.here, walked.action, here)
+            _connect_turns(made, walked.here)
         return made
 
     def plan(self, walked: Walked) -> Tensor:
         """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
-        known = walked.after >= 0
+        seen = walked.goal.any(1)[:, None, None]
+        # To a goal that was seen there is a way: at its place the agent turns until it faces it.
+        after = torch.where(seen & (walked.after < 0), walked.ring, walked.after)
+        known = after >= 0
         more = torch.full((len(ACTIONS),), self.repeated, device=walked.cost.device)
         more[[RIGHT, LEFT]] = self.turn
-        seen = walked.goal.any(1)[:, None, None]
         step = torch.where(seen, torch.where(known, SURE, math.inf), walked.cost + more * known)
-        found = cheapest(step, walked.after, walked.goal, walked.here)
+        found = cheapest(step, after, walked.goal, walked.here)
         at = torch.arange(len(walked.here), device=walked.here.device)
         return -torch.where(found.isinf().all(-1, keepdim=True), walked.cost[at, walked.here], found)
 
@@ -166,12 +180,27 @@ def connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor) -> None
     after[at, before, action] = here
     after[at[moved], here[moved], opposite[moved]] = before[moved]
     # Ahead is back for who faces the other way.
-    around = at[~turned], _turned_around(before)[~turned], opposite[~turned]
-    after[around] = _turned_around(here)[~turned]
+    around = at[~turned], _turned(before)[~turned], opposite[~turned]
+    after[around] = _turned(here)[~turned]
     both = moved & ~turned
-    after[at[both], _turned_around(here)[both], action[both]] = _turned_around(before)[both]
+    after[at[both], _turned(here)[both], action[both]] = _turned(before)[both]
 
 
-def _turned_around(node: Tensor) -> Tensor:
-    """The same place, facing the other way."""
-    return node - node % VIEWS + (node + VIEWS // 2) % VIEWS
+def _connect_turns(made: Walked, before: Tensor) -> None:
+    """Note what a turn by less than 90 degrees, from nodes int64 ``[B]``, means for the other three views there."""
+    turned = ((made.action == RIGHT) | (made.action == LEFT)) & (made.here != before) & ~made.quarter
+    at = torch.nonzero(turned)[:, 0]
+    action, new = made.action[at], made.here[at] >= made.ring.shape[1] - VIEWS
+    opposite = torch.tensor(OPPOSITE, device=at.device)[action]
+    for right in range(VIEWS):
+        start, end = _turned(before[at], right), _turned(made.here[at], right)
+        made.after[at, start, action], made.after[at, end, opposite] = end, start
+        beyond = made.ring[at, start, action]  # what was seen now lies between
+        made.ring[at[new], end[new], action[new]] = beyond[new]
+        made.ring[at[new], beyond[new], opposite[new]] = end[new]
+        made.ring[at, start, action], made.ring[at, end, opposite] = end, start
+
+
+def _turned(node: Tensor, right: int = VIEWS // 2) -> Tensor:
+    """The same place, facing the view that lies so many quarters of a circle to the right; the opposite if left out."""
+    return node - node % VIEWS + (node + right) % VIEWS

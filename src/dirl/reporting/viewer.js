@@ -29,6 +29,7 @@ function counted(m) {
 // The same as dirl.models.PlanningMemory: minus the cost of the cheapest way to an action that was not tried.
 function planned(m) {
   const { nodes, here } = walkedNodes(), seen = nodes.some((node) => node.goal);
+  if (seen) nodes.forEach((node) => { node.after = node.after.map((to, action) => to < 0 ? node.ring[action] : to); });
   const step = (node, action) => seen ? (node.after[action] < 0 ? Infinity : SURE)
     : node.cost[action] + (node.after[action] < 0 ? 0 : action % 3 ? m.turn : m.repeated);
   let values = nodes.map((node) => node.goal ? 0 : Infinity), before, ways;
@@ -40,16 +41,20 @@ function planned(m) {
   return (ways[here].every((way) => way === Infinity) ? nodes[here].cost : ways[here]).map((way) => -way);
 }
 function walkedNodes() {  // four for each place of the episode, one for each heading, clockwise
-  const nodes = [], around = (node) => node - node % 4 + (node + 2) % 4;
+  const nodes = [], turned = (node, right) => node - node % 4 + (node + right) % 4, around = (node) => turned(node, 2);
   let before = -1, here = -1;
   for (let i = 0; i <= at; i++) {
     here = nodes.findIndex((node) => looksLike(node.state, path[i]));
-    if (here < 0) {
+    const isNew = here < 0;
+    if (isNew) {
       here = nodes.length;
-      D.surrounding[path[i]].forEach((state, turns) => nodes.push({
-        state, goal: goal.stops.has(state), cost: probabilities(logitsAt(state)).map((p) => -Math.log(p)),
-        after: [-1, here + (turns + 1) % 4, here + (turns + 3) % 4, -1],
-      }));
+      D.surrounding[path[i]].forEach((state, heading) => {
+        const ring = [-1, here + (heading + 1) % 4, here + (heading + 3) % 4, -1];
+        nodes.push({
+          state, goal: goal.stops.has(state), cost: probabilities(logitsAt(state)).map((p) => -Math.log(p)),
+          ring, after: D.turns === 4 ? [...ring] : [-1, -1, -1, -1],
+        });
+      });
     }
     nodes[here].goal = false;
     const action = taken[i], moved = here !== before;
@@ -60,6 +65,14 @@ function walkedNodes() {  // four for each place of the episode, one for each he
     if (i && action % 3 === 0) {  // ahead is back for who faces the other way
       nodes[around(before)].after[OPPOSITE[action]] = around(here);
       if (moved) nodes[around(here)].after[action] = around(before);
+    }
+    if (i && action % 3 && moved && D.turns !== 4) {  // so do turns from the other three views
+      for (let right = 0; right < 4; right++) {
+        const start = turned(before, right), end = turned(here, right), beyond = nodes[start].ring[action];
+        if (isNew) [nodes[end].ring[action], nodes[beyond].ring[OPPOSITE[action]]] = [beyond, end];
+        nodes[start].after[action] = nodes[start].ring[action] = end;
+        nodes[end].after[OPPOSITE[action]] = nodes[end].ring[OPPOSITE[action]] = start;
+      }
     }
     before = here;
   }

@@ -20,7 +20,7 @@ from dirl.recognition.recogniser import NCC
 from dirl.recognition.tables import described_visits
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
-from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, turns_per_circle
 from dirl.scenes.views import encode
 
 
@@ -118,6 +118,7 @@ def _room(scene: Scene) -> dict[str, Any]:
         "scene": scene.name,
         "graph": scene.graph.tolist(),
         "surrounding": scene.surrounding.tolist(),
+        "turns": turns_per_circle(scene.graph),
         "positions": scene.positions.round(4).tolist(),
         "directions": heading_directions(scene).round(4).tolist(),
         "side": round(step_length(scene), 4),

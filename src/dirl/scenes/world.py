@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dirl.scenes.graph import shortest_distances
+from dirl.scenes.graph import shortest_distances, turns_per_circle
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError, check_goals_differ
 
@@ -35,6 +35,8 @@ class World:
     """What each part of each view shows, float16 ``[L * N, cells, channels]``; None if a scene has none."""
     scene_of: Tensor
     """The scene of each state, int64 ``[N]``."""
+    turns: Tensor
+    """The right turns in a full circle of each scene, int64 ``[S]``: 4 if a turn is 90 degrees, 12 if it is 30."""
     goals: Tensor
     """The goal states, int64 ``[G]``."""
     distances: Tensor
@@ -180,6 +182,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         features=torch.from_numpy(features),
         patches=_patches(scenes, looks),
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
+        turns=torch.tensor([turns_per_circle(scene.graph) for scene in scenes]),
         **_goal_tables(scenes, offsets, chosen),
     )
 

@@ -14,6 +14,7 @@ from dirl.backbones.again import encoded_as
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
 from dirl.envs import NavigationEnv, Reward, SurroundingViews
+from dirl.envs.transforms import VIEWS
 from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
@@ -236,6 +237,12 @@ def build_protocol(
     if options.goals is not None:
         world = world.with_goals(_some_goals(world, options.goals, config.seed))
     if isinstance(memory, LocalisingMemory):
+        other = torch.nonzero(world.turns != VIEWS).flatten().tolist()
+        if other:
+            raise ConfigError(
+                f"episodic_memory=localising needs turns of 90 degrees, and {world.names[other[0]]} has turns of "
+                f"{360 // int(world.turns[other[0]])}; use planning"
+            )
         if config.stop.evaluation == Stop.goal:
             raise ConfigError("stop.evaluation=goal: a LocalisingMemory stops by what it sees; use matching")
         stop: Tensor | Arrived | Compared | None = matching(config).compared(world)
