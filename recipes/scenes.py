@@ -139,7 +139,7 @@ def write_photos(
 def tour(options: TourConfig) -> None:
     """Make a dump from a 360-degree tour."""
     out = new_file(options.out)
-    found = read_tour(tour_path(options), reach=options.reach)
+    found = read_tour(tour_path(options), reach=options.reach, skip=options.skip)
     chosen = {name: getattr(options, name) for name in ("headings", "tolerance", "step", "name")}
     made = tour_scene(found, **chosen)
     encoder = chosen_encoder(options)

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from tours import grid_truth, tour_of, turned
 
 from dirl.recognition.diagnostics import inspect_scene
@@ -52,17 +54,50 @@ def test_given_positions_and_headings_are_kept():
     assert np.allclose(made.yaws[1] % 360, [300, 30, 120, 210])
 
 
-def test_links_that_no_heading_shows_are_counted():
+def test_links_side_by_side_are_all_shown():
     truth = grid_truth(3, 1)
     links = [*truth.links, (0, 2, 100.0), (2, 0, 280.0)]  # beside the link at 90 degrees
     made = tour_scene(tour_of(replace(truth, links=links)), headings=8)
-    (note,) = told(made, "shown by no heading")
+    assert not told(made, "shown by no heading")
+    ahead = made.scene.graph[:, AHEAD].reshape(3, 8)
+    assert set(ahead[0][ahead[0] >= 0] // 8) == {1, 2}
+    assert set(ahead[2][ahead[2] >= 0] // 8) == {0, 1}
+    strict = tour_scene(tour_of(replace(truth, links=links)), headings=8, tolerance=22.5)
+    (note,) = told(strict, "shown by no heading")
     assert note == "2 of 6 links are shown by no heading, the first: 'place_0' to 'place_2'"
-    all_shown = tour_scene(tour_of(replace(truth, links=links)), headings=36, tolerance=5)
-    assert not told(all_shown, "shown by no heading")
     crooked = [(i, j, d + 20 * j) for i, j, d in truth.links]
     with pytest.raises(SceneError, match="no heading shows any of the 4 links"):
         tour_scene(tour_of(replace(truth, links=crooked)), headings=4, tolerance=0)
+
+
+def star(angles):
+    """A hall whose doors are at these angles; behind each is a room with a door back."""
+    truth = grid_truth(len(angles) + 1, 1)
+    return replace(
+        truth, links=[(0, i, a) for i, a in enumerate(angles, 1)] + [(i, 0, a + 180) for i, a in enumerate(angles, 1)]
+    )
+
+
+@given(st.lists(st.floats(0, 359), min_size=1, max_size=12))
+@settings(max_examples=60, deadline=None)
+def test_the_rooms_that_a_crowded_hall_shows_and_those_that_it_hides_are_all_of_them(angles):
+    made = tour_scene(tour_of(star(angles)), headings=8)
+    ahead = made.scene.graph[:8, AHEAD]
+    shown = set((ahead[ahead >= 0] // 8).tolist())
+    hidden = set(range(1, len(angles) + 1)) - shown
+    (note,) = told(made, "can be reached from each other") if hidden else ("",)
+    assert all((f"'place_{room}'" in note) == (room in hidden) for room in range(1, len(angles) + 1))
+    if len(angles) <= 4:  # there are always so many headings within 90 degrees
+        assert not hidden
+    back = made.scene.graph[:8, BACK]
+    assert (back // 8 == np.roll(ahead // 8, 4)).all()
+
+
+def test_rooms_are_lost_where_there_are_more_doors_than_headings():
+    made = tour_scene(tour_of(star([0, 20, 40, 60, 80])), headings=4)
+    (note,) = told(made, "can be reached from each other")
+    assert note.startswith("3 of 6 panoramas can be reached from each other (6 by all links); not among them: 'place_")
+    assert not told(tour_scene(tour_of(star([0, 20, 40, 60, 80])), headings=8), "can be reached")
 
 
 def test_what_cannot_be_aligned_is_named():

@@ -79,6 +79,7 @@ class TourConfig:
     path: str | None = None
     out: str | None = None
     name: str | None = None
+    skip: list[str] = field(default_factory=list)
     headings: int = MISSING
     tolerance: float | None = None
     step: float = MISSING

@@ -2,6 +2,8 @@
 
 import io
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,6 +99,17 @@ def decode(data: bytes) -> NDArray[np.uint8]:
     return np.asarray(open_image(data, MAX_PIXELS).convert("RGB"))
 
 
+@contextmanager
+def _any_size() -> Iterator[None]:
+    """Within, Pillow has no limit of its own: panoramas are larger than it takes a photograph to be."""
+    before = Image.MAX_IMAGE_PIXELS
+    Image.MAX_IMAGE_PIXELS = None
+    try:
+        yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
+
+
 def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Image:
     """The image in the bytes of a file in one of `FORMATS`.
 
@@ -109,8 +122,8 @@ def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Imag
         ImageError: it is none, cannot be decoded, or declares more than ``max_pixels``.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of many pixels, which are counted here, and of odd metadata
+        with warnings.catch_warnings(), _any_size():
+            warnings.simplefilter("ignore")  # of odd metadata
             image = Image.open(io.BytesIO(data), formats=FORMATS)
             if image.width * image.height > max_pixels:
                 raise ImageError(f"{image.width}x{image.height} pixels are more than {max_pixels}")

@@ -1,10 +1,13 @@
 """Tours of krpano: ``tour.xml`` with a ``<scene>`` for each panorama; spheres, cube faces or tiles at several sizes.
 
 Angles are degrees, clockwise from the middle of the front face. Scripts in the file are not run, includes not followed.
+Names of scenes are not case-sensitive: MakeVTour itself writes ``name="scene_Hall"`` and ``linkedscene="scene_hall"``.
 """
 
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from xml.parsers import expat
 
@@ -13,13 +16,16 @@ from dirl.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, Equirectangul
 from dirl.tours.tour import Link, Panorama, Tour, inside, make_tour, number, tour_text
 
 
-def read_krpano(file: Path) -> Tour:
-    """The tour that a ``tour.xml`` describes.
+def read_krpano(file: Path, skip: Collection[str] = ()) -> Tour:
+    """The tour that a ``tour.xml`` describes, but for the panoramas in ``skip``.
 
     Raises:
         SceneError: it is invalid, or an image is missing.
     """
-    scenes = list(_root(file).iter("scene"))
+    root = _root(file)
+    if root.tag == "encrypted":
+        raise SceneError(f"{file}: is encrypted; make the tour again with encrypt=false, or ask its author for the XML")
+    scenes = list(root.iter("scene"))
     unlinked = sum(
         "loadscene" in spot.get("onclick", "") and not spot.get("linkedscene")
         for one in scenes
@@ -30,8 +36,16 @@ def read_krpano(file: Path) -> Tour:
         if unlinked
         else []
     )
-    panoramas = [_panorama(scene, index, file) for index, scene in enumerate(scenes)]
-    return make_tour(file.resolve().parent.name, panoramas, file, notes)
+    names: dict[str, str] = {}
+    for scene in scenes:
+        name = scene.get("name", "")
+        if name.lower() in names:
+            raise SceneError(f"{file}: two scenes have the name '{name}', in which case does not count")
+        names[name.lower()] = name
+    panoramas = [_panorama(scene, index, file, names) for index, scene in enumerate(scenes)]
+    if not any(panorama.heading for panorama in panoramas):  # MakeVTour writes 0.0 where nothing is known
+        panoramas = [replace(panorama, heading=None) for panorama in panoramas]
+    return make_tour(file.resolve().parent.name, panoramas, file, notes, skip)
 
 
 def _root(file: Path) -> ET.Element:
@@ -52,13 +66,13 @@ def _root(file: Path) -> ET.Element:
         raise SceneError(f"{file}: is not XML ({error})") from None
 
 
-def _panorama(scene: ET.Element, index: int, file: Path) -> Panorama:
+def _panorama(scene: ET.Element, index: int, file: Path, names: Mapping[str, str]) -> Panorama:
     name = scene.get("name", "")
     where = f"{file}: scene '{name or index}'"
     if not name:
         raise SceneError(f"{where}: has no name")
     links = [
-        Link(target, number(spot.get("ath"), f"{where}: ath"))
+        Link(names.get(target.lower(), target), number(spot.get("ath"), f"{where}: ath"))
         for spot in scene.iter("hotspot")
         if (target := spot.get("linkedscene"))
     ]

@@ -1,11 +1,11 @@
 """Tours of the Marzipano Tool: ``data.js`` and ``tiles/<scene>/<level>/<face>/<row>/<column>.jpg``.
 
-``data.js`` assigns an object to a variable; the object is read as JSON, no code is run. Angles are radians, clockwise.
+``data.js`` assigns an object to a variable; the object is read as JSON5, no code is run. Angles are radians, clockwise.
 """
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,14 @@ from dirl.tours.tour import (
     tour_text,
 )
 
-ASSIGNMENT = re.compile(r"\s*(?:var|let|const)\s+[A-Za-z_]\w*\s*=\s*(?=\{)")
+COMMENT = r"(?:\s|//[^\n]*\n|/\*.*?\*/)*"
+ASSIGNMENT = re.compile(
+    rf"{COMMENT}(?:['\"]use strict['\"];?{COMMENT})?(?:var|let|const)\s+[A-Za-z_]\w*\s*={COMMENT}(?=\{{)", re.DOTALL
+)
 
 
-def read_marzipano(file: Path) -> Tour:
-    """The tour that a ``data.js`` describes.
+def read_marzipano(file: Path, skip: Collection[str] = ()) -> Tour:
+    """The tour that a ``data.js`` describes, but for the panoramas in ``skip``.
 
     Raises:
         SceneError: it is invalid, or a tile is missing.
@@ -37,9 +40,9 @@ def read_marzipano(file: Path) -> Tour:
     assigned = ASSIGNMENT.match(text)
     if assigned is None:
         raise SceneError(f"{file}: expected 'var APP_DATA = {{...}};', as the Marzipano Tool writes it")
-    data = read_json(text[assigned.end() :].rstrip().removesuffix(";"), file)
+    data = read_json(text[assigned.end() :], file)
     panoramas = [_panorama(scene, index, file) for index, scene in enumerate(entries(data, "scenes", str(file)))]
-    return make_tour(str(data.get("name") or file.resolve().parent.name), panoramas, file)
+    return make_tour(str(data.get("name") or file.resolve().parent.name), panoramas, file, skip=skip)
 
 
 def _panorama(scene: Mapping[str, Any], index: int, file: Path) -> Panorama:

@@ -1,21 +1,19 @@
 """From a tour to a scene: aligned headings, moves along links, a map."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
+from dirl.scenes.graph import IntArray
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 from dirl.tours.alignment import Alignment, align, wrap
+from dirl.tours.links import about_links, follow_links, link_ends, named
 from dirl.tours.tour import Tour
 
 Array = NDArray[np.float64]
-
-NAMED = 5
-"""Panoramas that a line names at most, where it does not name all."""
 
 AGREE = 1.0
 """Degrees that stated headings may differ from those of the links without a note."""
@@ -43,13 +41,13 @@ def tour_scene(
 ) -> Converted:
     """The scene of a tour.
 
-    A move ahead leads along the link that is nearest to the heading, if it is within the tolerance; a move back along
-    the one that is nearest to the opposite. Both keep the heading.
+    Each link has a heading of its own, see `dirl.tours.links.follow_links`, along which a move ahead leads. A move back
+    leads along the link of the opposite heading. Both keep the heading.
 
     Args:
         tour: see `dirl.tours.read_tour`.
         headings: of each panorama, a multiple of four.
-        tolerance: degrees; half a turn if left out.
+        tolerance: degrees that a link may lie aside of a heading that shows it; 90 if left out.
         step: metres that a link is long on the map, where the tour gives no positions.
         name: of the scene; the tour's if left out.
 
@@ -61,7 +59,6 @@ def tour_scene(
     name = _scene_name(name or tour.name)
     check_name(name, tour.origin)
     turn = 360 / headings
-    tolerance = turn / 2 if tolerance is None else tolerance
     aligned = align(tour)
     if not any(panorama.links for panorama in tour.panoramas):
         raise SceneError(
@@ -70,7 +67,8 @@ def tour_scene(
         )
     middles, along = _directions(tour, aligned, turn)
     facing = np.float64(_zero(along, turn)) + turn * np.arange(headings, dtype=np.float64)
-    graph, shown = _graph(tour, along, facing, tolerance)
+    graph, off = follow_links(tour, along, facing, tolerance)
+    shown = np.isfinite(off)
     if not shown.any():
         raise SceneError(
             f"{tour.origin}: no heading shows any of the {len(shown)} links; give more headings or tolerance"
@@ -87,7 +85,7 @@ def tour_scene(
         origin=tour.origin,
     )
     contrary = _contrary(tour, middles)
-    notes = [*tour.notes, *_about(tour, aligned, shown), *contrary, *_about_positions(tour, step)]
+    notes = [*tour.notes, *_about(tour, aligned), *about_links(tour, off), *contrary, *_about_positions(tour, step)]
     return Converted(scene, wrap(facing - middles[:, None]), notes, layout)
 
 
@@ -97,21 +95,13 @@ def _scene_name(text: str) -> str:
     return kept.encode()[:100].decode(errors="ignore").strip() or "tour"
 
 
-def _links(tour: Tour) -> tuple[IntArray, Array]:
-    """Start and end of every link, int64 ``[L, 2]``, and its yaw, float64 ``[L]``."""
-    number = {panorama.id: index for index, panorama in enumerate(tour.panoramas)}
-    found = [(number[one.id], number[link.target], link.yaw) for one in tour.panoramas for link in one.links]
-    table = np.array(found, float).reshape(-1, 3)
-    return table[:, :2].astype(np.int64), table[:, 2]
-
-
 def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Array]:
     """Where the middle of each panorama and each link look on the map, degrees clockwise.
 
     The zero of each part is the one of its stated headings that agrees best with the others; where none is stated, the
     one that has most links along a heading of the agent.
     """
-    ends, yaws = _links(tour)
+    ends, yaws = link_ends(tour)
     known, stated = _stated(tour)
     middles = aligned.headings.copy()
     for part in range(int(aligned.part.max()) + 1):
@@ -151,35 +141,12 @@ def _zero(along: Array, turn: float) -> float:
     return float(np.degrees(np.angle(mean)) * turn / 360) if abs(mean) > 1e-9 else 0.0
 
 
-def _graph(tour: Tour, along: Array, facing: Array, tolerance: float) -> tuple[IntArray, NDArray[np.bool_]]:
-    """Next states, int64 ``[P * K, 4]``, and which links a move ahead follows, bool ``[L]``."""
-    ends, _ = _links(tour)
-    count, states = len(facing), np.arange(len(tour.panoramas) * len(facing))
-    graph = np.full((len(states), len(ACTIONS)), -1, np.int64)
-    first, heading = states - states % count, states % count
-    graph[:, RIGHT], graph[:, LEFT] = first + (heading + 1) % count, first + (heading - 1) % count
-    shown = np.zeros(len(ends), bool)
-    for panorama in range(len(tour.panoramas)):
-        mine = np.flatnonzero(ends[:, 0] == panorama)
-        if not len(mine):
-            continue
-        for action, opposite in ((AHEAD, 0), (BACK, 180)):
-            off = np.abs(wrap(along[mine][None] - facing[:, None] - opposite)).round(6)
-            nearest = off.argmin(1)
-            follows = np.flatnonzero(off.min(1) <= tolerance + 1e-6)
-            chosen = mine[nearest[follows]]
-            graph[count * panorama + follows, action] = count * ends[chosen, 1] + follows
-            if action == AHEAD:
-                shown[chosen] = True
-    return graph, shown
-
-
 def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
     """Positions at which every link is one step long in its direction, as nearly as they can be, float64 ``[P, 2]``.
 
     Parts that are not linked both ways with each other stand side by side.
     """
-    ends, _ = _links(tour)
+    ends, _ = link_ends(tour)
     ends, along = ends[part[ends[:, 0]] == part[ends[:, 1]]], along[part[ends[:, 0]] == part[ends[:, 1]]]
     way = step * np.stack([np.sin(np.radians(along)), np.cos(np.radians(along))], 1)
     count = len(tour.panoramas)
@@ -199,10 +166,9 @@ def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
     return np.asarray(places, np.float64)
 
 
-def _about(tour: Tour, aligned: Alignment, shown: NDArray[np.bool_]) -> Iterator[str]:
+def _about(tour: Tour, aligned: Alignment) -> Iterator[str]:
     """The notes on links and headings."""
     ids = [panorama.id for panorama in tour.panoramas]
-    ends, _ = _links(tour)
     if len(aligned.loops):
         median, worst = np.median(aligned.loops), aligned.loops.max()
         error = f"a median error of {median:.1f} degrees, at most {worst:.1f}"
@@ -218,19 +184,15 @@ def _about(tour: Tour, aligned: Alignment, shown: NDArray[np.bool_]) -> Iterator
     yield from _about_parts(tour, aligned.part)
     lonely = [ids[index] for index in aligned.unchecked if aligned.part[index] == 0]
     if lonely and len(aligned.loops):
-        yield f"{len(lonely)} panoramas are on no loop, nothing checks their headings: {_named(lonely)}"
+        yield f"{len(lonely)} panoramas are on no loop, nothing checks their headings: {named(lonely)}"
     if aligned.one_way:
         i, j = aligned.one_way[0]
         yield f"{len(aligned.one_way)} links lead one way only, the first: '{ids[i]}' to '{ids[j]}'"
-    hidden = np.flatnonzero(~shown)
-    if len(hidden):
-        i, j = ends[hidden[0]]
-        yield f"{len(hidden)} of {len(ends)} links are shown by no heading, the first: '{ids[i]}' to '{ids[j]}'"
 
 
 def _about_parts(tour: Tour, part: NDArray[np.int64]) -> Iterator[str]:
     """The notes on parts that are not joined with the largest by links both ways; all their panoramas are named."""
-    ends, _ = _links(tour)
+    ends, _ = link_ends(tour)
     parts = part[ends]
     touched = set(parts[parts[:, 0] != parts[:, 1]].flatten().tolist())
     stated = set(part[_stated(tour)[0]].tolist())
@@ -261,8 +223,3 @@ def _about_positions(tour: Tour, step: float) -> Iterator[str]:
     if known < count:
         about = f"known of {known} of {count} panoramas only, so they are not used" if known else "not known"
         yield f"positions are {about}: the map is a layout in which each link is {step:g} m long"
-
-
-def _named(ids: Sequence[str]) -> str:
-    shown = ", ".join(f"'{one}'" for one in ids[:NAMED])
-    return shown + (" and others" if len(ids) > NAMED else "")

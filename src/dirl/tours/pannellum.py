@@ -1,9 +1,11 @@
-"""Tours of Pannellum: a JSON configuration with ``scenes``, each an equirectangular image, a cube or a tiled cube.
+"""Tours of Pannellum: a configuration with ``scenes``, each an equirectangular image, a cube or a tiled cube.
 
-Angles are degrees, clockwise from the middle of the image.
+It is a JSON file, or an object in JavaScript or in a script of a page; no code is run. Angles are degrees, clockwise
+from the middle of the image.
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +24,46 @@ from dirl.tours.tour import (
     tour_text,
 )
 
+SCENES = re.compile(r"""(?:"scenes"|'scenes'|\bscenes)\s*:""")
+"""What the configuration of a tour has, and little else."""
 
-def read_pannellum(file: Path) -> Tour:
-    """The tour that a JSON configuration describes.
+MOST_OBJECTS = 100
+"""That may begin before the scenes in the same text and be no configuration."""
+
+
+def read_pannellum(file: Path, skip: Collection[str] = ()) -> Tour:
+    """The tour that a configuration describes, but for the panoramas in ``skip``.
 
     Raises:
         SceneError: it is invalid, or an image is missing.
     """
-    data = read_json(tour_text(file), file)
+    text = tour_text(file)
+    data = read_json(text, file) if text.lstrip().startswith("{") else _within(text, file)
     common = data.get("default")
     common = common if isinstance(common, Mapping) else {}
     scenes = entry(data, "scenes", dict, str(file))
     panoramas = [_panorama(name, {**common, **_object(scene, name, file)}, file) for name, scene in scenes.items()]
-    return make_tour(str(common.get("title") or file.resolve().parent.name), panoramas, file)
+    return make_tour(str(common.get("title") or file.resolve().parent.name), panoramas, file, skip=skip)
+
+
+def _within(text: str, file: Path) -> dict[str, Any]:
+    """The configuration in a page or a script: the smallest object with scenes.
+
+    Raises:
+        SceneError: there is none.
+    """
+    why = SceneError(f"{file}: has no object with 'scenes', as pannellum.viewer(...) takes it")
+    for scenes in SCENES.finditer(text):
+        begins = [match.start() for match in re.finditer("{", text[: scenes.start()])]
+        for begin in begins[: -MOST_OBJECTS - 1 : -1]:
+            try:
+                found = read_json(text[begin:], file)
+            except SceneError as error:
+                why = error
+                continue
+            if "scenes" in found:
+                return found
+    raise why
 
 
 def _object(scene: Any, name: str, file: Path) -> Mapping[str, Any]:

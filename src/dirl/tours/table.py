@@ -11,6 +11,7 @@
 """
 
 import csv
+from collections.abc import Collection
 from pathlib import Path
 
 from dirl.scenes.scene import SceneError
@@ -22,7 +23,7 @@ LINKS, PLACES = "links.csv", "panoramas.csv"
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp")
 
 
-def read_table(file: Path) -> Tour:
+def read_table(file: Path, skip: Collection[str] = ()) -> Tour:
     """The tour of a folder with ``links.csv``: its linked images, in the order of their names.
 
     Raises:
@@ -45,7 +46,7 @@ def read_table(file: Path) -> Tour:
         panoramas.append(Panorama(name, image, tuple(of_image), position, heading))
     lonely = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.name not in links)
     notes = [f"{len(lonely)} images have no link and are left out, the first: {lonely[0]}"] if lonely else []
-    return make_tour(folder.resolve().name, panoramas, file, notes)
+    return make_tour(folder.resolve().name, panoramas, file, notes, skip)
 
 
 def _rows(file: Path, columns: tuple[str, ...]) -> list[tuple[str, dict[str, str]]]:

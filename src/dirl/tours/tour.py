@@ -1,11 +1,13 @@
 """A tour: panoramas, and links that say in which direction another one stands."""
 
-import json
+import difflib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
+
+import pyjson5
 
 from dirl.files.texts import read_text
 from dirl.scenes.scene import SceneError
@@ -13,6 +15,12 @@ from dirl.tours.images import Cube, Equirectangular
 
 MOST_PANORAMAS = 2_000
 """Of a tour; headings and layout are solved for all of them together."""
+
+MOST_SKIPPED = 20
+"""Panoramas without files that an error names."""
+
+MOST_DEPTH = 100
+"""Of objects in objects."""
 
 MOST_TEXT = 32 * 2**20
 """Bytes of the file that describes a tour."""
@@ -68,15 +76,33 @@ class Tour:
     origin: str
 
 
-def make_tour(name: str, panoramas: Iterable[Panorama], origin: Path, notes: Iterable[str] = ()) -> Tour:
+def make_tour(
+    name: str,
+    panoramas: Iterable[Panorama],
+    origin: Path,
+    notes: Iterable[str] = (),
+    skip: Collection[str] = (),
+) -> Tour:
     """A checked tour. Links that lead nowhere, to where they start, or twice to one place are left out, and noted.
 
+    Args:
+        name: of the tour.
+        panoramas: what a reader found.
+        origin: the file, named in errors.
+        notes: of the reader.
+        skip: ids of panoramas that are left out.
+
     Raises:
-        SceneError: no panoramas, too many, two of one id, or a file of an image that does not exist.
+        SceneError: no panoramas, too many, two of one id, a file of an image that does not exist; or nothing to skip.
     """
-    found = list(panoramas)
+    every = list(panoramas)
+    found = [panorama for panorama in every if panorama.id not in skip]
+    for unknown in sorted(set(skip) - {panorama.id for panorama in every}):
+        near = difflib.get_close_matches(unknown, [panorama.id for panorama in every], 1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise SceneError(f"{origin}: skip: there is no panorama '{unknown}'{hint}")
     if not found:
-        raise SceneError(f"{origin}: names no panoramas")
+        raise SceneError(f"{origin}: names no panoramas" + (" but those to skip" if every else ""))
     if len(found) > MOST_PANORAMAS:
         raise SceneError(f"{origin}: {len(found)} panoramas; at most {MOST_PANORAMAS} are read")
     ids: set[str] = set()
@@ -84,14 +110,23 @@ def make_tour(name: str, panoramas: Iterable[Panorama], origin: Path, notes: Ite
         if panorama.id in ids:
             raise SceneError(f"{origin}: two panoramas have the id '{panorama.id}'")
         ids.add(panorama.id)
-    missing = [(panorama.id, file) for panorama in found for file in panorama.image.files() if not file.is_file()]
+    missing = [(panorama.id, file) for panorama in found for file in panorama.image.files() if not _is_file(file)]
     if missing:
         more = f" ({len(missing)} files are missing in all)" if len(missing) > 1 else ""
-        raise SceneError(f"{origin}: panorama '{missing[0][0]}': there is no file {missing[0][1]}{more}")
+        without = list(dict.fromkeys(one for one, _ in missing))
+        skipping = f"; without these panoramas: 'skip=[{','.join(without)}]'" if len(without) <= MOST_SKIPPED else ""
+        raise SceneError(f"{origin}: panorama '{missing[0][0]}': there is no file {missing[0][1]}{more}{skipping}")
     dropped: dict[str, list[str]] = {}
     kept = [replace(panorama, links=tuple(_kept(panorama, ids, dropped))) for panorama in found]
     lines = (f"{len(all_)} links {why} are left out, the first: {all_[0]}" for why, all_ in dropped.items())
     return Tour(name, tuple(kept), (*notes, *lines), str(origin))
+
+
+def _is_file(file: Path) -> bool:
+    try:
+        return file.is_file()
+    except OSError:  # a name that is too long for a file
+        return False
 
 
 def _kept(panorama: Panorama, ids: set[str], dropped: dict[str, list[str]]) -> Iterator[Link]:
@@ -112,17 +147,19 @@ def _kept(panorama: Panorama, ids: set[str], dropped: dict[str, list[str]]) -> I
 
 
 def read_json(text: str, where: Path) -> dict[str, Any]:
-    """The JSON object of a text.
+    """The object that a text begins with: JSON, or a JavaScript literal with comments, bare keys and trailing commas.
+
+    No code is run: a literal that calls a function or names a variable is refused. What follows the object is ignored.
 
     Raises:
         SceneError: it is none.
     """
     try:
-        found = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise SceneError(f"{where}: is not JSON ({error})") from None
+        found = pyjson5.decode(text, MOST_DEPTH, True)
+    except pyjson5.Json5Exception as error:
+        raise SceneError(f"{where}: is no JSON, and no object of JavaScript without code ({error.args[0]})") from None
     if not isinstance(found, dict):
-        raise SceneError(f"{where}: expected a JSON object")
+        raise SceneError(f"{where}: expected an object, {{...}}")
     return found
 
 
@@ -191,6 +228,8 @@ def inside(folder: Path, name: Any, where: str) -> Path:
     if "://" in text or text.startswith("//"):
         raise SceneError(f"{where}: '{name[:100]}' is on the web; nothing is downloaded, fetch the tour's files first")
     path = PurePosixPath(text)
+    if not path.parts:
+        raise SceneError(f"{where}: expected the name of a file, found {name[:50]!r}")
     if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
         raise SceneError(f"{where}: '{name[:100]}' lies outside the tour's folder")
     return folder / path

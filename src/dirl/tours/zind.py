@@ -8,7 +8,7 @@ Floors are not linked with each other; on the map they are drawn side by side.
 Coordinates of the file run to the left and ahead of a panorama's middle; maps of dirl run to the right, metres.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import permutations
 from pathlib import Path
@@ -39,12 +39,13 @@ class _Floor:
     gaps: list[Array] = field(default_factory=list)
 
 
-def read_zind(file: Path, reach: float = REACH) -> Tour:
+def read_zind(file: Path, reach: float = REACH, skip: Collection[str] = ()) -> Tour:
     """The tour that a ``zind_data.json`` describes.
 
     Args:
         file: its path.
         reach: metres between linked panoramas at most.
+        skip: ids of panoramas that are left out.
 
     Raises:
         SceneError: it is invalid, or an image is missing.
@@ -67,7 +68,7 @@ def read_zind(file: Path, reach: float = REACH) -> Tour:
             shift = 0.0
         edge = max(across) + shift if across else edge
         panoramas += _linked(floor, reach, shift)
-    return make_tour(file.resolve().parent.name, panoramas, file, notes)
+    return make_tour(file.resolve().parent.name, panoramas, file, notes, skip)
 
 
 def _read_floor(rooms: Any, metres: float, name: str, file: Path) -> _Floor:
