@@ -119,8 +119,9 @@ def train(composed: DictConfig, folder: Path, *, alone: bool) -> dict[str, Any]:
         protocol = build_protocol(run.config, world, observation, goals.held_out)
         state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None
         run.begin(world, observation.order)
-    for name, count in goals.left_out.items():
-        print(f"{name}: {count} states are no goals, because not every state can reach them")
+    for name, states in goals.left_out.items():
+        shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
+        print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
     with one_line_exits(run.how_to_go_on) if alone else nullcontext(), one_line_errors() if alone else nullcontext():
         return run_stages(run, policy, demos, state, protocol)
 

@@ -1,5 +1,7 @@
 """Goals by rule, and places held out of the training."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -63,7 +65,28 @@ def test_states_that_not_all_others_reach_are_no_goals():
     reached_from = (hall.distances >= 0).sum(0)
     assert reached_from.min() < reached_from.max()
     assert states(chosen).tolist() == np.flatnonzero(reached_from == reached_from.max()).tolist()
-    assert chosen.left_out == {"grid": 32 - len(states(chosen))}
+    assert chosen.left_out == {"grid": tuple(np.flatnonzero(reached_from < reached_from.max()).tolist())}
+
+
+def with_a_sink(hall):
+    """The same scene with a further place that its first state leads to, and that has no way back."""
+    graph = np.concatenate(
+        [hall.graph, len(hall) + np.array([[-1, 1, 3, -1], [-1, 2, 0, -1], [-1, 3, 1, -1], [-1, 0, 2, -1]])]
+    )
+    graph[len(hall) :, [0, 3]] = -1
+    graph[0, 3] = len(hall)
+    grown = {name: np.concatenate([getattr(hall, name), getattr(hall, name)[:4]]) for name in ("positions", "headings")}
+    features = np.random.default_rng(1).random((len(graph), hall.features.shape[1]), np.float32)
+    return replace(hall, graph=graph, features=features, **grown)
+
+
+def test_a_place_that_one_cannot_leave_takes_no_goals_from_the_others():
+    hall = with_a_sink(grid_scene(width=3, depth=2, name="grid", goals=(5,)))
+    assert (hall.distances[24:, :24] < 0).all()
+    chosen = choose_goals([hall], "all", hold_out=0.3, seed=1)
+    assert not chosen.left_out
+    assert len(chosen.held_out["grid"]) == 8  # two of seven places
+    assert len(states(chosen)) == 28 - 8
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from dirl.scenes.graph import IntArray, is_connected, places
 from dirl.scenes.scene import Scene, SceneError
@@ -19,8 +21,8 @@ class ChosenGoals(NamedTuple):
     """As `dirl.scenes.make_world` takes them."""
     held_out: dict[str, tuple[int, ...]]
     """Those of the places held out, by scene; empty if none are."""
-    left_out: dict[str, int]
-    """How many states of each scene are no goals because some states cannot reach them; scenes without are left out."""
+    left_out: dict[str, tuple[int, ...]]
+    """The states of each scene that are no goals because most states cannot reach them; scenes without are left out."""
 
 
 def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 0.0, seed: int = 0) -> ChosenGoals:
@@ -59,16 +61,21 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
         if hold_out:
             held_out[scene.name] = _states(scene, held & reached, f", hold_out={hold_out:g}")
         if not reached.all():
-            left_out[scene.name] = int((~reached).sum())
+            left_out[scene.name] = tuple(np.flatnonzero(~reached).tolist())
     return ChosenGoals(trained, held_out, left_out)
 
 
 def well_reached(scene: Scene) -> np.ndarray:
-    """Whether a state is reached by as many states as any other, bool ``[N]``: true for all in a connected scene."""
+    """Whether a state can be reached from the largest part of the scene, bool ``[N]``: true in a connected scene.
+
+    All states of a part can be reached from each other. A dead end that has no way out takes no goals from others.
+    """
     if is_connected(scene.graph):  # which is known long before all distances are
         return np.ones(len(scene), bool)
-    reached_from = (scene.distances >= 0).sum(0)
-    return reached_from == reached_from.max()
+    start, action = np.nonzero(scene.graph >= 0)
+    moves = csr_array((np.ones(len(start)), (start, scene.graph[start, action])), shape=(len(scene), len(scene)))
+    part = connected_components(moves, directed=True, connection="strong")[1]
+    return np.asarray((scene.distances >= 0).sum(0) >= np.bincount(part).max())
 
 
 def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
