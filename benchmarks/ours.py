@@ -25,6 +25,7 @@ from dirl.training.build import (
     build_protocol,
     build_world,
 )
+from dirl.training.job import begin
 from dirl.training.load import learning_policy
 from dirl.training.rollout import collect
 
@@ -32,7 +33,7 @@ ROOT = Path(__file__).resolve().parent.parent
 CONF = ROOT / "conf"
 
 sys.path.insert(0, str(ROOT / "recipes"))
-from train import begin, imitate, reinforce  # noqa: E402
+from train import imitate, reinforce  # noqa: E402
 
 __all__ = ["evaluation_seconds", "learning", "operations_per_frame", "peak_memory_mb", "rollout", "trained", "training"]
 

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import pytest
 import torch
 from commands import ROOT, room_file, train_config
+from parts import Loop
 from tensordict import TensorDict
-from train import begin, learn
+from train import learn
 
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.experts import ShortestPathExpert
@@ -25,6 +26,7 @@ from dirl.training.build import (
     build_world,
     trained_parameters,
 )
+from dirl.training.job import begin
 from dirl.training.load import learning_policy
 from dirl.training.losses import ScheduledLoss
 
@@ -73,16 +75,9 @@ def parts(tmp_path):
 
 def train(config, state, total, until=None):
     """Train until there are so many frames; what the updates told."""
-    told, stop = [], []
-
-    def record(update, _):
-        state.count(update)
-        told.append(update.values)
-        if until is not None and state.frames >= until:
-            stop.append(1)
-
-    learn(config, state, total, record, stop)
-    return told
+    loop = Loop(state, total, lambda state: until is not None and state.frames >= until)
+    learn(config, state, loop)
+    return loop.told
 
 
 def test_each_swap_takes_one_python_file_and_one_yaml_file_at_most():

@@ -1,14 +1,16 @@
 """What ``recipes/train.py`` makes of a configuration, for tests that use its stages."""
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import torch
 from commands import train_config
-from train import begin, imitate, reinforce
+from train import imitate, reinforce
 
 from dirl.models import plain_weights
 from dirl.runs.folder import Run
 from dirl.training.build import build_demonstrations, build_losses, build_observation, build_protocol, build_world
+from dirl.training.job import begin
 from dirl.training.load import learning_policy
 
 
@@ -50,3 +52,26 @@ def train_in(folder, parts):
     parts.policy.restore()
     run.finish({"frames": result["frames"], "network": plain_weights(parts.policy)}, {})
     return result
+
+
+class Loop:
+    """As `dirl.training.loops.Updates` without a run: updates until so many frames, or a state that is ``enough``."""
+
+    def __init__(self, state, total, enough=lambda _: False):
+        self.state, self.total, self.enough = state, total, enough
+        self.stop, self.told = [], []
+
+    @property
+    def goes_on(self):
+        return self.state.frames < self.total and not self.stop
+
+    @property
+    def left(self):
+        return 1 - self.state.frames / self.total
+
+    def record(self, update, paused=None):
+        with paused or nullcontext():
+            self.state.count(update)
+        self.told.append(update.values)
+        if self.enough(self.state):
+            self.stop.append(1)

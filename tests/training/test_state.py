@@ -5,7 +5,7 @@ import io
 import pytest
 import torch
 from commands import room_file
-from parts import make_parts, train_state
+from parts import Loop, make_parts, train_state
 from tensordict import TensorDict
 from torch import nn
 from train import imitate, learn
@@ -29,11 +29,7 @@ KINDS = {
 def walk(parts, state, frames):
     """Updates until so many frames, as the recipe does them."""
 
-    def record(update, paused):
-        with paused:
-            state.count(update)
-
-    learn(parts.config, state, frames, record, [])
+    learn(parts.config, state, Loop(state, frames))
 
 
 def through_a_file(saved):
@@ -52,12 +48,11 @@ def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
     torch.manual_seed(0)
     state = train_state(whole)
 
-    def record(update, paused):
-        state.count(update)
-        if len(stop) == 0 and state.frames >= 120:
+    def save_once(state):
+        if not stop and state.frames >= 120:
             stop.append(through_a_file(state.state_dict()))
 
-    learn(whole.config, state, 300, record, [])
+    learn(whole.config, state, Loop(state, 300, save_once))
     torch.manual_seed(99)
     resumed = train_state(second)
     resumed.load_state_dict(stop[0])

@@ -32,9 +32,10 @@ from dirl.training.build import (
     build_world,
 )
 from dirl.training.load import learning_policy
+from dirl.training.loops import Updates
 from dirl.training.losses import Advantages, clip_gradients, minibatches, set_learning_rate, total_loss
 from dirl.training.rollout import Update, collect, summarise
-from dirl.training.state import Record, TrainState
+from dirl.training.state import TrainState
 
 
 @dataclass
@@ -113,15 +114,15 @@ def waiting(shared: Shared, policy: nn.Module) -> Iterator[None]:
         shared.going.set()
 
 
-def learn(config: TrainConfig, state: TrainState, total: int, record: Record, interrupted: Sequence[int]) -> None:
-    """Train with several workers until ``total`` frames are done, or ``interrupted`` is not empty."""
-    if state.frames >= total:
+def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
+    """Train with several workers, as long as the loop goes on."""
+    if not loop.goes_on:
         return
     shared = share(state.policy, state.optimiser, state.frames)
     if config.init is not None:
         shared.initial = {name: value.detach().clone() for name, value in plain_weights(state.policy).items()}
-    for update in asynchronous_updates(config, shared, total, interrupted):
-        record(update, waiting(shared, state.policy))
+    for update in asynchronous_updates(config, shared, loop.total, loop.stop):
+        loop.record(update, waiting(shared, state.policy))
     fetch(shared, state.policy)
 
 

@@ -2,8 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,9 +19,6 @@ from dirl.runs.folder import Run
 from dirl.runs.states import check_imitation
 from dirl.training.losses import Losses
 from dirl.training.rollout import Update
-
-Record = Callable[[Update, AbstractContextManager[None]], None]
-"""Counts an update, and writes, evaluates and saves where it is time to, the latter two within the context."""
 
 
 @dataclass

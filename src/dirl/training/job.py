@@ -1,0 +1,140 @@
+"""A run from its configuration to its summary: components, folder, resumption, errors, ranks; its stages are given."""
+
+import json
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+
+from dirl.commands.command_line import job_errors, one_line_errors
+from dirl.config.components import check_components
+from dirl.config.schemas import typed
+from dirl.evaluation.protocol import EvaluationProtocol, mean_shortest
+from dirl.evaluation.stability import EpisodeMeter
+from dirl.models import count_parameters
+from dirl.reporting import run_title
+from dirl.runs import ranks
+from dirl.runs.exits import one_line_exits
+from dirl.runs.folder import Run, open_run
+from dirl.runs.states import check_training
+from dirl.training.build import (
+    build_demonstrations,
+    build_env,
+    build_goals,
+    build_losses,
+    build_observation,
+    build_optimiser,
+    build_protocol,
+    build_world,
+    describe,
+)
+from dirl.training.conclusion import conclude, conclude_untrained
+from dirl.training.initial import initial_weights, with_architecture
+from dirl.training.load import learning_policy
+from dirl.training.losses import Losses
+from dirl.training.pairs import Demonstrations
+from dirl.training.state import TrainState, in_imitation
+
+
+@dataclass
+class Components:
+    """What a configuration is made into."""
+
+    policy: Any
+    """See `dirl.models.ActorCritic`."""
+    demos: Demonstrations
+    protocol: EvaluationProtocol
+    """Where and how the policy is evaluated; its world and observation are those of the training."""
+    state: TrainState | None
+    """Of the reinforcement; None if the run has none."""
+
+
+Stages = Callable[[Run, Components], dict[str, Any]]
+"""Trains the policy; returns what the summary says of it."""
+
+
+def run_job(composed: DictConfig, hydra: Any, stages: Stages) -> dict[str, Any]:
+    """Run one job of Hydra: alone, or of a sweep, in which an error fails the job and the others run.
+
+    Args:
+        composed: the configuration.
+        hydra: of the job, ``HydraConfig.get()``.
+        stages: the training.
+
+    Returns:
+        The summary.
+    """
+    folder = Path(hydra.runtime.output_dir)
+    folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
+    if hydra.mode.name == "MULTIRUN":
+        with job_errors(folder):
+            return _run(composed, folder, hydra.overrides.task, stages, alone=False)
+    return _run(composed, folder, hydra.overrides.task, stages, alone=True)
+
+
+def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool) -> dict[str, Any]:
+    """Build the components before anything is written; then run the stages."""
+    # Without the inner one Hydra would say something of its own about an error of the machine.
+    with one_line_exits() if alone else nullcontext(), one_line_errors(folder) if alone else nullcontext():
+        config, initial = with_architecture(typed(composed), overrides)
+        check_components(config, config.trust)
+        ranks.join(config, alone=alone)
+        run = open_run(config, folder, overrides)
+        if ranks.from_first(lambda: run.finished):
+            print(f"finished before: {run.folder}")
+            summary: dict[str, Any] = ranks.from_first(lambda: json.loads((run.folder / "summary.json").read_text()))
+            return summary
+        components = _components(run, initial)
+        run.begin(components.protocol.world, components.protocol.observation.order)
+    with one_line_exits(run.how_to_go_on) if alone else nullcontext(), one_line_errors() if alone else nullcontext():
+        return _train(run, components, stages)
+
+
+def _components(run: Run, initial: Any) -> Components:
+    """Everything that the configuration asks for, with the weights that the run begins or goes on with."""
+    world = build_world(run.config)
+    observation = build_observation(run.config, world)
+    weights = initial_weights(run.config, world, run.saved or initial)
+    policy = learning_policy(run.config, world, observation, weights)
+    ranks.agree(policy)
+    demos = build_demonstrations(run.config, world, observation)
+    losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
+    goals = build_goals(run.config, world.scenes)
+    protocol = build_protocol(run.config, world, observation, goals.held_out)
+    reinforced = losses is not None and losses.on_rollouts
+    state = begin(run, policy, losses, protocol) if losses is not None and reinforced else None
+    for name, states in goals.left_out.items():
+        shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
+        print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
+    return Components(policy, demos, protocol, state)
+
+
+def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
+    """The state of a reinforcement before its first update, or from the checkpoint that the run continues."""
+    optimiser = build_optimiser(run.config, policy, losses)
+    agents = ranks.share_of_agents(run.config, len(protocol.world.scenes))
+    seed = ranks.own_seed(run.config.seed)
+    env = build_env(run.config, protocol.world, protocol.observation, policy, agents=agents, seed=seed)
+    meter = EpisodeMeter(mean_shortest(protocol.world))
+    state = TrainState(policy, losses, optimiser, env, env.reset(), meter)
+    if run.saved is not None and not in_imitation(run):
+        check_training(run.saved, state.state_dict(), env, optimiser, str(run.folder))
+        state.load_state_dict(run.saved)
+    return state
+
+
+def _train(run: Run, components: Components, stages: Stages) -> dict[str, Any]:
+    """Run the stages; evaluate, and write the summary. A policy that learns nothing is evaluated only."""
+    policy, protocol = components.policy, components.protocol
+    if run.saved is None:
+        torch.manual_seed(ranks.own_seed(run.config.seed))
+    facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)}
+    print(f"{run_title(facts)}: {run.folder}")
+    if not count_parameters(policy):
+        return ranks.from_first(lambda: conclude_untrained(run, policy, protocol, facts))
+    trained = stages(run, components)
+    return ranks.from_first(lambda: conclude(run, policy, protocol, facts | trained))

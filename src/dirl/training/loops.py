@@ -1,0 +1,158 @@
+"""What the loops of ``recipes/train.py`` leave out: progress, interrupts, metrics, checkpoints, evaluation, ranks.
+
+A loop is used within its context, whose end stops the program if a signal came meanwhile:
+
+    with updates(run, state, protocol) as loop:
+        while loop.goes_on:
+            ...  # collect, losses, backward, clip, step
+            loop.record(update)
+"""
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
+from typing import Any
+
+from torch import nn
+from tqdm import tqdm
+
+from dirl.evaluation.episodes import bar_interval
+from dirl.evaluation.protocol import EvaluationProtocol, metrics
+from dirl.runs import ranks
+from dirl.runs.exits import interruptible, leave
+from dirl.runs.folder import Run
+from dirl.training.progress import due, is_done
+from dirl.training.rollout import Update, together
+from dirl.training.state import ImitationState, TrainState
+
+ROWS = 200
+"""Rows of reinforcement.csv, evenly spread over the training."""
+
+
+@dataclass
+class ImitationSteps:
+    """The steps of an imitation; made by `imitation_steps`."""
+
+    run: Run
+    state: ImitationState
+    last: int
+    bar: Any
+    asked: list[int]
+    saves: bool
+    stop: list[int] = field(default_factory=list)
+    """Signals that ask the loop to end."""
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether there are steps left to do."""
+        learnt = self.state.loss < self.run.config.imitation.loss_threshold
+        return self.state.step < self.last and not learnt and not self.stop
+
+    def record(self, loss: float, accuracy: float, rows: int) -> None:
+        """Count a step of so many rows; write its metrics, save when it is time to."""
+        parts, self.stop, save = ranks.tell((loss, accuracy, rows), self.asked, self.run.save_due())
+        self.state.count(parts)
+        step, loss, accuracy = self.state.step, self.state.loss, self.state.accuracy
+        self.run.write("imitation", step, {"step": step, "loss": loss, "accuracy": accuracy})
+        self.bar.update()
+        if (save or self.stop) and self.saves:
+            self.run.save(self.state.state_dict())
+
+
+@contextmanager
+def imitation_steps(run: Run, state: ImitationState, first: int) -> Iterator[ImitationSteps]:
+    """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved."""
+    count, hidden = run.config.imitation.max_steps, not run.config.imitation.drawn or ranks.rank() > 0
+    options: dict[str, Any] = {"unit": " steps", "mininterval": bar_interval(), "disable": hidden}
+    with interruptible() as asked, tqdm(total=count, initial=state.step - first, **options) as bar:
+        steps = ImitationSteps(run, state, first + count, bar, asked, saves=not first)
+        yield steps
+    if steps.stop:
+        leave("interrupted", 128 + steps.stop[0], run.how_to_go_on)
+
+
+@dataclass
+class Updates:
+    """The updates of a reinforcement; made by `updates`."""
+
+    run: Run
+    state: TrainState
+    protocol: EvaluationProtocol
+    total: int
+    """Frames of the whole training."""
+    bar: Any
+    asked: list[int]
+    stop: list[int] = field(default_factory=list)
+    """Signals that ask the loop to end, or 0 where the training is done before all frames are."""
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether there are updates left to do."""
+        return self.state.frames < self.total and not self.stop
+
+    @property
+    def left(self) -> float:
+        """The share of the training that is left, 1 to 0."""
+        return 1 - self.state.frames / self.total
+
+    @property
+    def done(self) -> bool:
+        """Whether the training is over."""
+        return is_done(self.run.config, self.state.meter, self.state.frames, self.total)
+
+    def record(self, update: Update, paused: AbstractContextManager[None] | None = None) -> None:
+        """Count an update; write, evaluate and save when they are due, the latter two within ``paused``."""
+        parts, signals, save = ranks.tell(update, self.asked, self.run.save_due())
+        self.stop.extend(signals)
+        update, before = together(parts), self.state.frames
+        self.state.count(update)
+        frames, meter = self.state.frames, self.state.meter
+        if due(before, frames, self.total, ROWS):
+            seconds = self.state.seconds
+            row = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
+            row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
+            self.run.write("reinforcement", frames, row | update.values)
+        evaluates = due(before, frames, self.total, self.run.config.evaluation.times)
+        saves = save or self.done
+        if evaluates or saves:
+            with paused or nullcontext():
+                if evaluates:
+                    write_evaluation(self.run, self.state.policy, self.protocol, frames)
+                if saves:
+                    self.run.save(self.state.state_dict())
+        self.state.start_clock()
+        self.bar.update(update.frames)
+        self.bar.set_postfix_str(f"ATL {meter.atl:.1f}", refresh=False)
+        if self.done:
+            self.stop.append(0)
+
+
+@contextmanager
+def updates(run: Run, state: TrainState, protocol: EvaluationProtocol) -> Iterator[Updates]:
+    """The updates of a reinforcement, from its present state on."""
+    total = run.config.reinforcement.frames_per_scene * len(protocol.world.scenes)
+    options: dict[str, Any] = {"unit": " frames", "unit_scale": True, "mininterval": bar_interval()}
+    hidden = ranks.rank() > 0
+    with interruptible() as asked, tqdm(total=total, initial=state.frames, disable=hidden, **options) as bar:
+        loop = Updates(run, state, protocol, total, bar, asked)
+        if loop.done:
+            loop.stop.append(0)
+        state.start_clock()
+        yield loop
+        if loop.stop and not loop.done:
+            run.save(state.state_dict())
+            bar.close()
+            leave("interrupted", 128 + loop.stop[0], run.how_to_go_on)
+
+
+def write_evaluation(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:
+    """Evaluate the policy as it is, greedily, and write a row of ``evaluation.csv``; in rank 0."""
+
+    def row() -> dict[str, float | int]:
+        found = {"frames": frames, **metrics(protocol.run(policy))}
+        if protocol.held_out is not None:
+            apart = metrics(protocol.held_out.run(policy))
+            found |= {f"held_out_{key}": apart[key] for key in ("sr", "spl")}
+        return found
+
+    run.write("evaluation", frames, ranks.from_first(row))
