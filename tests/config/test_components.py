@@ -9,7 +9,7 @@ from commands import train_config
 from torch import nn
 
 from dirl.config.bounds import Bounds
-from dirl.config.components import check_components, components, find_class, make, schedules
+from dirl.config.components import check_components, components, find_class, make, packages_to_trust, schedules
 from dirl.config.schemas import ConfigError, Schedule
 from dirl.config.signatures import class_parameters
 from dirl.models import SiameseEncoder
@@ -189,3 +189,17 @@ def test_schedules_are_weights_and_what_has_a_start_and_an_end():
     assert schedules("losses.mine", {"_target_": "x.Y"}) == {"weight": Schedule(1.0, 1.0)}
     for wrong in ("much", float("inf"), None):
         assert "losses.mine.weight=" in refusal(schedules, "losses.mine", {"weight": wrong})
+
+
+def test_the_packages_that_a_configuration_needs_trusted_are_named():
+    config = train_config()
+    assert packages_to_trust(config) == []
+    config.encoder = {"_target_": "mine.deep.Encoder"}
+    config.losses["gail"] = {"_target_": "theirs.GAIL"}
+    config.optimiser = {"_target_": "torch.optim.Adam"}
+    assert packages_to_trust(config) == ["mine", "theirs"]
+
+
+def test_a_transform_that_cannot_say_what_is_seen_of_a_state_is_refused():
+    says = refusal(find_class, "observation", "torchrl.envs.transforms.StepCounter")
+    assert "must be a subclass of dirl.envs.transforms.SurroundingViews" in says

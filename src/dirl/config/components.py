@@ -51,7 +51,11 @@ PUBLIC = frozenset(
 
 
 MODULE = "torch.nn.modules.module.Module"
-BASES = {"optimiser": "torch.optim.optimizer.Optimizer"}
+BASES = {
+    "optimiser": "torch.optim.optimizer.Optimizer",
+    # Experts, drawn pairs, caches and matching ask a transform what is seen of a state, not the environment alone.
+    "observation": "dirl.envs.transforms.SurroundingViews",
+}
 """What the classes of a group are, if not a `MODULE`; by name, so that this module does not import torch."""
 
 
@@ -79,6 +83,12 @@ def components(config: Any) -> dict[str, dict[str, Any]]:
 def named_packages(config: Any) -> set[str]:
     """The packages whose classes a configuration names."""
     return {str(options[TARGET]).partition(".")[0] for options in components(config).values()}
+
+
+def packages_to_trust(config: Any) -> list[str]:
+    """The packages that must be trusted to read the configuration from a file, see `find_class`."""
+    targets = [str(options[TARGET]) for options in components(config).values()]
+    return sorted({target.partition(".")[0] for target in targets if target not in PUBLIC} - {"dirl"})
 
 
 def check_components(config: Any, trust: Collection[str] | None = None) -> None:

@@ -4,6 +4,8 @@ from typing import Any
 
 from torch import nn
 
+from dirl.config.components import packages_to_trust
+from dirl.config.places import command
 from dirl.evaluation.protocol import EvaluationProtocol, assess
 from dirl.models import plain_weights
 from dirl.recognition.build import matching
@@ -39,4 +41,6 @@ def conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[
         draw_scene(policy, protocol, index, run.folder, matching=matching(run.config), facts=summary)
     run.clean_up(summary)
     print(f"pictures, metrics and weights: {run.folder}")
+    if outside := packages_to_trust(run.config):
+        print(f"evaluate it with: {command('evaluate')} checkpoint={run.folder} trust=[{','.join(outside)}]")
     return summary

@@ -12,7 +12,7 @@ def few_states():
 
 def columns(policy, surrounding):
     policy.cache(surrounding, principal=True)
-    return policy.encoder.embedding.in_features
+    return policy.encoder.embedding.weight.shape[1]
 
 
 def test_no_more_columns_than_the_features_span():
@@ -22,7 +22,7 @@ def test_no_more_columns_than_the_features_span():
     few = few_states()
     assert columns(few, FEW) == 3
     few.restore()
-    assert few.encoder.embedding.in_features == 4 * FEATURES
+    assert few.encoder.embedding.weight.shape[1] == 4 * FEATURES
     assert columns(few, None) == 4 * 3
 
 

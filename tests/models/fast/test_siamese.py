@@ -51,6 +51,8 @@ def test_cached_it_computes_the_same(surrounding, principal, late, monkeypatch):
     torch.testing.assert_close(policy.plain_state_dict(), expected.state_dict())
     with policy.cached.frozen(), torch.no_grad():
         torch.testing.assert_close(policy.cached(given, goal_views), wanted)
+    # Who computes features of their own, as a loss on images does, calls the encoder itself.
+    torch.testing.assert_close(plain(policy, views, goal_views), wanted)
 
 
 def test_each_distinct_row_is_embedded_once(policy):

@@ -24,7 +24,7 @@ class CachedSiamese(CachedEncoder):
     - In principal axes the embedding has a column for each axis instead of each feature, see `PrincipalAxes`.
 
     Args:
-        encoder: to wrap. With ``principal`` its embedding becomes a layer on coordinates until `restore`.
+        encoder: to wrap. With ``principal`` its embedding becomes an `AxesLinear` until `restore`.
         table: as for `CachedEncoder`.
         surrounding: as for `CachedEncoder`.
         front: as for `CachedEncoder`.
@@ -48,7 +48,8 @@ class CachedSiamese(CachedEncoder):
                 hidden = surrounding is not None and bool((surrounding == len(table)).any())  # views that are not shown
                 rows = table.table if hidden else table.known
                 self.axes = PrincipalAxes(rows, surrounding, encoder.embedding.weight)
-                encoder.embedding = _linear(self.axes.narrow(encoder.embedding.weight), encoder.embedding.bias)
+                layer = AxesLinear(self.axes, encoder.embedding.weight, encoder.embedding.bias)
+                encoder.embedding = layer  # type: ignore[assignment]
 
     @torch.no_grad()
     def restore(self) -> None:
@@ -93,7 +94,8 @@ class CachedSiamese(CachedEncoder):
         """The embedding before the ReLU, float32 ``[R, width]``, of keys int64 ``[R]``."""
         encoder, views = self._wrapped[0], self._views(keys)
         if self._projected is None:
-            embedded: Tensor = encoder.embedding(self._inputs(views))
+            layer = encoder.embedding if self.axes is None else encoder.embedding.of_coordinates
+            embedded: Tensor = layer(self._inputs(views))
             return embedded
         slots = self._projected.shape[1]
         return (
@@ -120,6 +122,30 @@ class CachedSiamese(CachedEncoder):
             yield
         finally:
             self._projected = None
+
+
+class AxesLinear(nn.Module):
+    """A linear layer on features whose weight is learnt in principal axes.
+
+    Args:
+        axes: into which the weight is converted.
+        weight: on features, float32 ``[F, 4 * D]``.
+        bias: float32 ``[F]``.
+    """
+
+    def __init__(self, axes: PrincipalAxes, weight: Tensor, bias: Tensor) -> None:
+        super().__init__()
+        self._axes = (axes,)  # in a tuple, so that they are no submodule of the layer too
+        self.weight = nn.Parameter(axes.narrow(weight.detach()))
+        self.bias = nn.Parameter(bias.detach())
+
+    def of_coordinates(self, coordinates: Tensor) -> Tensor:
+        """What `forward` computes, of coordinates in the axes, float32 ``[..., slots * R]``."""
+        return F.linear(coordinates, self.weight, self.bias)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Features, float32 ``[..., 4 * D]``, to ``[..., F]``; slow, for whoever calls the encoder itself."""
+        return F.linear(features, self._axes[0].widen(self.weight), self.bias)
 
 
 class KnownLinear(torch.autograd.Function):
