@@ -144,7 +144,7 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
         set_learning_rate(optimiser, rate * loop.left)
         with caching(policy), torch.autocast(state.env.device.type, torch.bfloat16, enabled=bfloat16):
             batch, state.agents = collect(state.env, operator, state.agents, options.n_steps)
-            batch = advantages(batch)
+            batch = advantages(state.losses.rewarded(batch))
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
                 losses = state.losses(part, loop.left)
                 optimiser.zero_grad()

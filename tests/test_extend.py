@@ -29,12 +29,14 @@ from dirl.training.build import (
 from dirl.training.job import begin
 from dirl.training.load import learning_policy
 from dirl.training.losses import ScheduledLoss
+from dirl.training.rollout import collect
 
 PAGE = (ROOT / "docs" / "howto" / "extend.md").read_text()
 FILES = dict(re.findall(r"^```\{code-block\} python\n:caption: (\S+)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
 SMALL = ["encoder.width=32", "heads.width=32", "evaluation.times=0", "reinforcement.agents_per_scene=32"]
 SAC = ["network.cache=off", "objective=none", "losses=[]", "imitation.fraction=0", "reinforcement.n_steps=1"]
 SAC += ["++losses.sac={_target_:discrete_sac.DiscreteSAC,width:32,batch_size:128,capacity:2000}"]
+GAIL = ["losses=[]", "++losses.gail={_target_:gail.GAILLoss,width:32}", "imitation.fraction=1"]
 INVERSE = ["++losses.inverse={_target_:inverse_dynamics.InverseDynamicsLoss,width:32,weight:1.0}"]
 
 
@@ -81,9 +83,9 @@ def train(config, state, total, until=None):
 
 
 def test_each_swap_takes_one_python_file_and_one_yaml_file_at_most():
-    assert sorted(FILES) == ["attention.py", "discrete_sac.py", "inverse_dynamics.py", "noisy.py"]
+    assert sorted(FILES) == ["attention.py", "discrete_sac.py", "gail.py", "inverse_dynamics.py", "noisy.py"]
     yaml = re.findall(r"^:caption: (\S+\.yaml)$", PAGE, re.MULTILINE)
-    assert len(yaml) == len(set(yaml)) == 5
+    assert len(yaml) == len(set(yaml)) == 6
 
 
 @pytest.fixture
@@ -162,6 +164,26 @@ def test_inverse_dynamics_is_learnt(parts):
     told = train(config, state, total=12_000)
     assert told[0]["inverse_accuracy"] < 0.5
     assert sum(values["inverse_accuracy"] for values in told[-20:]) / 20 > 0.7
+
+
+def test_a_discriminator_gives_the_reward_before_advantages_are_computed(parts):
+    config, protocol, state = parts(*GAIL, "reinforcement.n_steps=5", "optimiser.lr=3e-3")
+    before = metrics(protocol.run(state.policy))
+    batch, _ = collect(state.env, state.policy.operator(), state.agents, 5)
+    rewarded = state.losses.rewarded(batch.clone())
+    assert (rewarded["next", "reward"] < 0).all()
+    assert rewarded["next", "reward"].shape == batch["next", "reward"].shape
+    assert "hidden" not in rewarded.keys()  # noqa: SIM118, of a TensorDict
+    told = train(config, state, total=40_000)
+    assert {"loss_gail", "gail_accuracy"} <= told[0].keys()
+    assert metrics(protocol.run(state.policy))["spl"] > 4 * before["spl"]
+
+
+def test_a_loss_that_compares_needs_demonstrations(parts):
+    with pytest.raises(
+        ConfigError, match=r"^losses\.gail: GAILLoss reads demonstrations; use imitation.fraction above 0"
+    ):
+        parts(*GAIL, "imitation.fraction=0")
 
 
 @pytest.mark.parametrize("options", [SAC, [*INVERSE, "memory=gru", "memory.hidden_size=16"]], ids=["sac", "gru"])

@@ -173,6 +173,10 @@ def build_losses(config: TrainConfig, policy: Any, world: World, demos: Demonstr
             _check_loss(name, module, policy, config.reinforcement.workers)
             loss = ScheduledLoss(module.to(world.device), changing)
             weight = changing["weight"]
+            if loss.compares and not len(demos):
+                raise ConfigError(
+                    f"{name}: {type(module).__name__} reads demonstrations; use imitation.fraction above 0"
+                )
             if not loss.on_demonstrations or (len(demos) and (weight.start or weight.end)):
                 found[name.removeprefix("losses.")] = loss
     # Of equal losses those on demonstrations come last, whatever the order of the configuration.

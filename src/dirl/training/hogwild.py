@@ -209,7 +209,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
         fetch(shared, policy)
         with caching(policy), torch.autocast("cpu", torch.bfloat16, enabled=config.precision == Precision.bfloat16):
             batch, agents = collect(env, operator, agents, options.n_steps)
-            batch = advantages(batch)
+            batch = advantages(compute_losses.rewarded(batch))
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
                 losses = compute_losses(part, left)
                 policy.zero_grad()

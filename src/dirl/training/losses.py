@@ -1,5 +1,6 @@
 """The losses of an update: one pass through the trunk, then every loss on the heads."""
 
+import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,7 @@ from dirl.runs import ranks
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 EXPERT = {"expert_action", "optimal_actions"}
-"""A loss that reads one of these keys is computed on demonstrations; every other one on rollouts."""
+"""A loss that reads one of these keys is computed on demonstrations; every other one on rollouts, or on both."""
 
 FULL_BATCH = 20_000
 """Demonstrations that an update learns from all together, unless ``imitation.batch_size`` says otherwise."""
@@ -41,6 +42,11 @@ class ScheduledLoss:
     def on_demonstrations(self) -> bool:
         """Whether it is computed on demonstrations."""
         return not EXPERT.isdisjoint(self.module.in_keys)
+
+    @property
+    def compares(self) -> bool:
+        """Whether it is computed on rollouts and demonstrations together: ``forward(batch, demonstrations)``."""
+        return "demonstrations" in inspect.signature(self.module.forward).parameters
 
     def set_schedules(self, left: float) -> None:
         """Set the module's attributes for a share ``left`` of the training, 1 to 0, that is still to come."""
@@ -91,12 +97,13 @@ class Losses(nn.Module):
         Returns:
             ``loss_*`` entries, scalars that carry gradients, and what else the losses report.
         """
-        demonstrated = any(loss.on_demonstrations for loss in self.losses.values())
+        demonstrated = any(loss.on_demonstrations or loss.compares for loss in self.losses.values())
         batch, rows = self._with_hidden(batch, self.draw() if demonstrated else None)
         result = TensorDict()
         for name, loss in self.losses.items():
             loss.set_schedules(left)
-            values = loss.module(rows if loss.on_demonstrations else batch)
+            inputs = (batch, rows) if loss.compares else (rows,) if loss.on_demonstrations else (batch,)
+            values = loss.module(*inputs)
             if twice := set(values.keys()) & set(result.keys()):
                 raise ConfigError(f"losses.{name}: writes {min(twice)}, as another loss does")
             terms = {key for key in values.keys() if key.startswith("loss_")}  # noqa: SIM118, of a TensorDict
@@ -105,6 +112,19 @@ class Losses(nn.Module):
             weight = loss.schedules["weight"](left)
             result.update({key: weight * value if key in terms else value for key, value in values.items()})
         return result
+
+    @torch.no_grad()
+    def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
+        """A rollout, ``[B, T]``, with the reward of the losses that define one, as a discriminator does.
+
+        Their ``reward`` reads the rollout with ``hidden`` and returns the reward of each step, float32 ``[B, T, 1]``.
+        """
+        for loss in self.losses.values():
+            if hasattr(loss.module, "reward"):
+                with set_recurrent_mode(bool(self.recurrent)):
+                    seen = self.trunk(batch.copy())
+                batch["next", "reward"] = loss.module.reward(seen)
+        return batch
 
     def _with_hidden(
         self, batch: TensorDictBase, rows: TensorDictBase | None
