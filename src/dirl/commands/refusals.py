@@ -4,6 +4,7 @@ The recipes call the functions below for what they take; `check_values` calls th
 """
 
 import os
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -94,7 +95,8 @@ def checkpoint_file(options: EvaluateConfig) -> str:
     """The checkpoint to evaluate, as the user names it.
 
     Raises:
-        RunError: none is named, there is none, ``out`` exists, or ``last_steps`` is given without a map.
+        RunError: none is named, there is none, or ``last_steps`` is given without a map.
+        ConfigError: ``out`` exists, or cannot be written.
     """
     from dirl.runs.checks import RunError
     from dirl.runs.finding import find_checkpoint
@@ -103,8 +105,8 @@ def checkpoint_file(options: EvaluateConfig) -> str:
         raise RunError("name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>")
     if options.last_steps is not None and options.image_graph is None:
         raise RunError(f"last_steps={options.last_steps}: only where a map leads; give image_graph=2 too")
-    if options.out is not None and Path(options.out).exists():
-        raise RunError(f"out={options.out}: this file exists already; it is not overwritten")
+    if options.out is not None:
+        new_file(options.out, ending="")
     find_checkpoint(options.checkpoint)
     return options.checkpoint
 
@@ -127,14 +129,20 @@ def reported_runs(options: ReportConfig) -> tuple[Path, str]:
 
 
 def new_file(name: str | None, ending: str = ".h5") -> Path:
-    """Where to write. What is there already is not overwritten."""
+    """Where to write. What is there already is not overwritten, and a folder that cannot be written to is refused."""
     if name is None:
         raise ConfigError(f"say where to write: out=<a new file{ending and f' ({ending})'}>")
     path = Path(name)
     if ending and path.suffix != ending:
         raise ConfigError(f"out={name}: the name must end in {ending}")
-    if path.exists():
-        raise ConfigError(f"out={name}: this file exists already; it is not overwritten")
+    try:
+        if path.exists():
+            raise ConfigError(f"out={name}: this file exists already; it is not overwritten")
+        above = next(folder for folder in path.absolute().parents if folder.exists())
+        with tempfile.TemporaryFile(dir=above):
+            pass
+    except OSError as error:
+        raise ConfigError(f"out={name}: cannot be written ({error.strerror})") from None
     return path
 
 

@@ -294,5 +294,6 @@ def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = 
     wanted = {key: value for key, value in offered.items() if key in parameters}
     try:
         return cls(**given, **wanted)
-    except (TypeError, ValueError, AssertionError) as error:  # torch asserts what its layers are given
+    # torch asserts what its layers are given, and its optimisers index lists that may be short.
+    except (TypeError, ValueError, AssertionError, IndexError, RuntimeError) as error:
         raise ConfigError(f"{name}: {cls.__name__} refuses its options: {error}") from None

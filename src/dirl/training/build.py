@@ -141,6 +141,8 @@ def _towards(config: TrainConfig, world: World, rule: str) -> World:
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
     """The expert that labels states with actions."""
     made: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
+    if "expert_action" not in getattr(made, "out_keys", ()):
+        raise ConfigError(f"expert: {type(made).__name__} is no expert: it writes no expert_action (out_keys)")
     return made
 
 

@@ -8,6 +8,7 @@ A loop is used within its context, whose end stops the program if a signal came 
             loop.record(update)
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ from tqdm import tqdm
 from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.runs import ranks
+from dirl.runs.checks import RunError
 from dirl.runs.exits import interruptible, leave
 from dirl.runs.folder import Run
 from dirl.training.progress import due, is_done
@@ -49,7 +51,15 @@ class ImitationSteps:
         return self.state.step < self.last and not learnt and not self.stop
 
     def record(self, loss: float, accuracy: float, rows: int) -> None:
-        """Count a step of so many rows; write its metrics, save when it is time to."""
+        """Count a step of so many rows; write its metrics, save when it is time to.
+
+        Raises:
+            RunError: the loss is not finite. The checkpoints before are not touched.
+        """
+        if not math.isfinite(loss):
+            raise RunError(
+                f"the imitation has diverged: a loss of {loss} at step {self.state.step}; lower imitation.lr"
+            )
         parts, self.stop, save = ranks.tell((loss, accuracy, rows), self.asked, self.run.save_due())
         self.state.count(parts)
         step, loss, accuracy = self.state.step, self.state.loss, self.state.accuracy
@@ -138,11 +148,29 @@ def updates(run: Run, state: TrainState, protocol: EvaluationProtocol) -> Iterat
         if loop.done:
             loop.stop.append(0)
         state.start_clock()
-        yield loop
+        with _noticing_divergence():
+            yield loop
         if loop.stop and not loop.done:
             run.save(state.state_dict())
             bar.close()
             leave("interrupted", 128 + loop.stop[0], run.how_to_go_on)
+
+
+@contextmanager
+def _noticing_divergence() -> Iterator[None]:
+    """Within this context torch's refusal to draw actions by logits that are not finite is told as what it means.
+
+    Raises:
+        RunError: the policy has diverged. The checkpoints before are not touched.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        if "probability tensor contains" not in str(error):
+            raise
+        raise RunError(
+            "the policy has diverged, its logits are not finite: lower optimiser.lr or reward.scale"
+        ) from None
 
 
 def write_evaluation(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:
