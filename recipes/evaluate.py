@@ -14,6 +14,7 @@ if __name__ == "__main__":
     start("evaluate")  # answers help and refuses options, before the imports below take their time
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ from dirl.commands.refusals import checkpoint_file
 from dirl.config.choices import goal_view_options, group_options
 from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, typed
-from dirl.evaluation.protocol import assess
+from dirl.evaluation.episodes import sampled_starts
+from dirl.evaluation.protocol import EvaluationProtocol, assess
 from dirl.files.atomic import write_json, write_text
 from dirl.models import LocalisingMemory
 from dirl.recognition.build import build_recogniser, matching
@@ -37,6 +39,9 @@ from dirl.runs.checks import RunError
 from dirl.runs.finding import packaged_agent
 from dirl.training.build import describe
 from dirl.training.load import Trained, load_trained
+
+MOST_EPISODES = 20_000
+"""Of an evaluation for which no starts are asked for."""
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF / "evaluate"), config_name="evaluate")
@@ -66,6 +71,8 @@ def main(composed: DictConfig) -> None:
         given = {name: value for name, value in changes.items() if value is not None}
         changes = {**goal_view_options(options.goal_view), **given}
         trained = load_trained(saved, checkpoint, changes, options.trust or [])
+        if options.starts is None:
+            trained = trained._replace(protocol=few_enough(trained.protocol))
         if options.image_graph is not None:
             last_steps = LAST_STEPS if options.last_steps is None else options.last_steps
             trained = trained._replace(policy=led_by_map(trained, options.image_graph, last_steps))
@@ -89,6 +96,16 @@ def main(composed: DictConfig) -> None:
             replaced = " (in place of the one before)" if file.exists() else ""
             write_text(file, page)
             print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+
+
+def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
+    """The protocol; with drawn starts where every start makes more than `MOST_EPISODES`, which takes long."""
+    count, goals = len(protocol.starts[0]), len(protocol.world.goals)
+    each = max(1, MOST_EPISODES // goals)
+    if count <= MOST_EPISODES or count <= goals * each:
+        return protocol
+    print(f"{count} episodes from every start would take long: {each} starts of each goal are drawn (or starts=every)")
+    return replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
 
 
 def led_by_map(trained: Trained, steps_per_state: float, last_steps: int) -> GuidedPolicy:

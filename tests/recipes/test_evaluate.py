@@ -1,0 +1,27 @@
+"""The recipe that evaluates: how many episodes it walks."""
+
+import evaluate
+import pytest
+import torch
+from rooms import grid_scene
+
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import every_start
+from dirl.evaluation.protocol import EvaluationProtocol
+from dirl.scenes import make_world
+
+
+@pytest.mark.parametrize(("most", "each"), [(10_000, None), (24 * 23 - 1, 22), (100, 4), (3, 1)])
+def test_where_every_start_makes_too_many_episodes_some_are_drawn(monkeypatch, capsys, most, each):
+    monkeypatch.setattr(evaluate, "MOST_EPISODES", most)
+    world = make_world([grid_scene(3, 2)], range(24))
+    protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), stop=None, max_steps=9, seed=3)
+    goal_index, start = evaluate.few_enough(protocol).starts
+    if each is None:
+        assert (goal_index, start) == protocol.starts
+        assert capsys.readouterr().out == ""
+    else:
+        assert torch.equal(goal_index.bincount(), torch.full((24,), each))
+        assert (start != world.goals[goal_index]).all()
+        told = capsys.readouterr().out
+        assert told.startswith(f"552 episodes from every start would take long: {each} starts of each goal are drawn")
