@@ -26,10 +26,11 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+import numpy as np
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from dirl.backbones import ViewEncoder, encode_scene, encode_views, load_encoder
+from dirl.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.backbones.patches import patch_attributes
 from dirl.commands.command_line import one_line_errors
 from dirl.commands.refusals import (
@@ -63,7 +64,7 @@ from dirl.rooms import build_room, read_description
 from dirl.rooms.collect import RoomSettings, make_rooms, missing_rooms
 from dirl.rooms.looks import Changes
 from dirl.rooms.sheet import draw_sheet, preview
-from dirl.scenes import Scene, load_scenes, write_dump
+from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
 from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.io.write import replace_features
@@ -132,6 +133,8 @@ def write_photos(
 ) -> None:
     """A dump from a folder with ``states.csv``, with features if there is an encoder."""
     scene, images = read_photos(folder, name=name, source=source)
+    if len(images) > len(scene) and encoder is None:
+        raise SceneError(f"{folder}: of further shots only features are stored; give an encoder")
     views = list(tqdm(encoded_photos(images, *shape), total=len(images), desc="images", disable=None))
     write_encoded(out, scene, views, encoder)
 
@@ -161,14 +164,29 @@ def write_encoded(
     encoder: ViewEncoder | None,
     attributes: dict[str, Any] | None = None,
 ) -> None:
-    """A dump of a scene with its views, and with features if there is an encoder."""
+    """A dump of a scene with its views, and with features if there is an encoder; of further looks with those alone."""
+    states, about, about_patches = len(scene), {}, {}
     if encoder is not None:
-        features = encode_views(encoder, map(decode, views), len(views), scene.origin)
-        scene = replace(scene, features=features, extractor=encoder.extractor)
-    about = None if encoder is None else dict(encoder.attributes)
-    write_dump(out, scene, views, attributes=attributes, feature_attributes=about)
+        features, patches = encode_all(encoder, map(decode, views), len(views), scene.origin)
+        scene = replace(
+            scene,
+            extractor=encoder.extractor,
+            features=features[:states],
+            patches=None if patches is None else patches[:states],
+            look_features=_looks(features.astype(np.float16), states),
+            look_patches=None if patches is None else _looks(patches, states),
+        )
+        about, about_patches = dict(encoder.attributes), {} if patches is None else patch_attributes()
+    write_dump(
+        out, scene, views[:states], attributes=attributes, feature_attributes=about, patch_attributes=about_patches
+    )
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
     print("no features yet; see the command encode" if encoder is None else f"extractor: {encoder.extractor}")
+
+
+def _looks(values: np.ndarray, states: int) -> np.ndarray | None:
+    """Of values ``[(K + 1) N, ...]`` of N states those of the K further looks, ``[K, N, ...]``; None without any."""
+    return values[states:].reshape(-1, states, *values.shape[1:]) if len(values) > states else None
 
 
 def build(options: BuildConfig) -> None:
@@ -306,7 +324,8 @@ def chosen_encoder(
     options: ThorConfig | VizdoomConfig | MiniworldConfig | PhotosConfig | TourConfig | BuildConfig,
 ) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names."""
-    return None if options.encoder is None else load_encoder(options.encoder, options.device)
+    patches = isinstance(options, PhotosConfig | TourConfig) and options.patches
+    return None if options.encoder is None else load_encoder(options.encoder, options.device, patches=patches)
 
 
 def read_scene(name: str | None) -> Scene:

@@ -22,7 +22,7 @@ from dirl.config.scene_schemas import MEANINGS
 from dirl.config.schemas import ConfigError, Match, typed
 from dirl.recognition.diagnostics import inspect_scene
 from dirl.rooms.checks import far_apart
-from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
+from dirl.scenes import SceneError, load_scenes, make_world, read_dump, write_dump
 from dirl.scenes.views import encode
 
 
@@ -49,6 +49,25 @@ def run(line):
     with initialize_config_dir(str(ROOT / "conf" / "scenes"), version_base="1.3"):
         options = typed(compose(command, arguments))
     COMMANDS[command](options)
+
+
+def test_photographs_with_further_shots_become_a_place_that_changes(here, capsys):
+    (here / "office").mkdir()
+    rng, lines = np.random.default_rng(0), ["image,location,heading,x,z,ahead,goal,shot"]
+    for shot in ("", "1", "2"):
+        for turn in range(4):
+            name = f"{turn}_{shot}.png"
+            Image.fromarray(rng.integers(0, 256, (30, 40, 3), np.uint8)).save(here / "office" / name)
+            lines.append(f"{name},desk,{90 * turn},0,0,,{'' if turn or shot else 'yes'},{shot}")
+    (here / "office" / "states.csv").write_text("\n".join(lines))
+    with pytest.raises(SceneError, match="of further shots only features are stored; give an encoder"):
+        run("photos folder=office out=office.h5 height=30 width=40 encoder=null")
+    run("photos folder=office out=office.h5 height=30 width=40 encoder=resnet50_small patches=true")
+    assert "office.h5: 4 states (source: photos)" in capsys.readouterr().out
+    world = make_world(load_scenes("office.h5"))
+    assert (len(world), world.looks, world.patches.shape) == (4, 3, (12, 8, 96))
+    similar = torch.nn.functional.normalize(world.features) @ torch.nn.functional.normalize(world.features).T
+    assert (similar - torch.eye(12) < 0.9999).all()  # each picture has features of its own
 
 
 def test_help_lists_the_commands_and_each_has_its_own(tmp_path):

@@ -238,3 +238,44 @@ def test_views_twice_as_wide_as_high_may_be_asked_for(tmp_path):
 def test_a_name_that_will_not_do_is_refused_before_an_image_is_read(tmp_path, name):
     with pytest.raises(SceneError, match="a scene cannot be called"):
         read_photos(folder_of(tmp_path, corridor()), name=name)
+
+
+def shots(lines, count):
+    """Further shots of every row, in an order of their own."""
+    cells = [line.split(",") for line in lines]
+    again = [[f"{n}_{image}", *rest[:-1], "", str(n)] for n in range(1, count + 1) for image, *rest in reversed(cells)]
+    return [*(f"{line}," for line in lines), *(",".join(row) for row in again)]
+
+
+def test_further_shots_of_a_place_are_looks(tmp_path):
+    folder = folder_of(tmp_path, shots(corridor(), 2), f"{HEADER},shot")
+    scene, images = read_photos(folder)
+    once, first = read_photos(folder_of(tmp_path, corridor()))
+    assert (scene.graph == once.graph).all()
+    assert [image.name for image in images] == [
+        f"{prefix}{image.name}" for prefix in ("", "1_", "2_") for image in first
+    ]
+
+
+SHOTS = shots(corridor(), 1)
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        (SHOTS[:-1], "line 2: 'hall' has no image of shot 1 with heading 0; a shot is a visit to every place"),
+        ([*SHOTS, SHOTS[-1]], "line 18: shot 1: 'hall' has two images with heading 0"),
+        (
+            [*SHOTS, SHOTS[-1].replace(",0,0,0,", ",45,0,0,")],
+            "line 18: shot 1: 'hall' has no first image with heading 45",
+        ),
+        ([*SHOTS[:-1], SHOTS[-1].replace(",,1", ",door,1")], "line 17: ahead: stands in the row of the first shot"),
+        (
+            [*SHOTS[:-1], SHOTS[-1].replace(",,1", ",,-1")],
+            "line 17: shot: expected a whole number or nothing, found '-1'",
+        ),
+    ],
+)
+def test_shots_that_are_no_visit_to_every_place_are_refused(tmp_path, lines, says):
+    with pytest.raises(SceneError, match=says):
+        read_photos(folder_of(tmp_path, lines, f"{HEADER},shot"))

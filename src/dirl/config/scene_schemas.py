@@ -36,6 +36,7 @@ class PhotosConfig:
     height: int = MISSING
     width: int = MISSING
     encoder: str | None = None
+    patches: bool = MISSING
     device: Device = MISSING
 
 
@@ -89,6 +90,7 @@ class TourConfig:
     field_of_view: float = MISSING
     pitch: float = MISSING
     encoder: str | None = None
+    patches: bool = MISSING
     device: Device = MISSING
 
 

@@ -11,7 +11,9 @@
 | ``ahead`` | the location that a move ahead leads to, with the same heading; empty = blocked |
 | ``back`` | the same for a move back; the column may be missing: then back undoes ahead |
 | ``goal`` | ``yes`` where the image is a goal; the column may be missing |
+| ``shot`` | 1, 2, ... for further images of the same place and heading, one number a visit; empty for the first |
 
+Further shots are looks of a place that changes: their other columns but place, heading and position stay empty.
 Every location has the same number of headings, a multiple of four, evenly spread: 4 of 90 degrees, 8 of 45, 12 of 30.
 A right turn is the next heading clockwise.
 """
@@ -19,7 +21,7 @@ A right turn is the next heading clockwise.
 import csv
 import difflib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -35,7 +37,7 @@ from dirl.scenes.views import FORMATS, ImageError, encode, open_image
 
 TABLE = "states.csv"
 REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
-OPTIONAL = ("back", "goal")
+OPTIONAL = ("back", "goal", "shot")
 
 TOLERANCE = 1.0
 """Degrees that a heading may be off."""
@@ -60,12 +62,15 @@ class Row:
     moves: tuple[str, str | None]
     """The locations ahead and back, empty = blocked; None = back is not said."""
     goal: bool
+    shot: int
+    """0 for the first image of a place and heading."""
 
 
 def read_photos(folder: str | Path, *, name: str | None = None, source: str = "photos") -> tuple[Scene, list[Path]]:
     """A scene without views and features from a folder, and the image of each of its states.
 
-    States are numbered by location, in the order of the table, and then by heading.
+    States are numbered by location, in the order of the table, and then by heading. With K further shots of each state
+    there are (K + 1) N images, shot by shot.
 
     Args:
         folder: holds ``states.csv`` and the images.
@@ -77,7 +82,8 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
     """
     folder = Path(folder)
     name = name or folder.resolve().name
-    rows = _read_table(folder)
+    table = _read_table(folder)
+    rows = [row for row in table if not row.shot]
     check_name(name, str(folder))
     places: dict[str, list[Row]] = {}
     for row in rows:
@@ -96,7 +102,39 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
         extractor="none",
         origin=str(folder / TABLE),
     )
-    return scene, [row.image for row in states]
+    return scene, [row.image for row in states] + _further_shots(states, [row for row in table if row.shot])
+
+
+def _further_shots(states: Sequence[Row], rows: Sequence[Row]) -> list[Path]:
+    """The images of the shots after the first, shot by shot, each in the order of the states.
+
+    Raises:
+        SceneError: one is of no state, there twice, or missing.
+    """
+    found: dict[tuple[int, int], Path] = {}
+    for row in rows:
+        off = [(row.heading - one.heading + 180) % 360 - 180 for one in states]
+        same = [
+            state for state, one in enumerate(states) if one.location == row.location and abs(off[state]) <= TOLERANCE
+        ]
+        if not same:
+            raise SceneError(
+                f"{row.where}: shot {row.shot}: '{row.location}' has no first image with heading {row.heading:g}"
+            )
+        if (row.shot, same[0]) in found:
+            raise SceneError(
+                f"{row.where}: shot {row.shot}: '{row.location}' has two images with heading {row.heading:g}"
+            )
+        found[row.shot, same[0]] = row.image
+    shots = sorted({shot for shot, _ in found})
+    for shot in shots:
+        for state, one in enumerate(states):
+            if (shot, state) not in found:
+                raise SceneError(
+                    f"{one.where}: '{one.location}' has no image of shot {shot} with heading {one.heading:g}; a shot "
+                    "is a visit to every place, which sees all headings"
+                )
+    return [found[shot, state] for shot in shots for state in range(len(states))]
 
 
 def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[bytes]:
@@ -208,7 +246,19 @@ def _row(columns: Sequence[str], cells: Sequence[str], where: str, folder: Path)
         position=(numbers["x"], numbers["z"]),
         moves=(values["ahead"], values.get("back")),
         goal=values.get("goal") == "yes",
+        shot=_shot(values, where),
     )
+
+
+def _shot(values: Mapping[str, str], where: str) -> int:
+    """The number of a row's shot."""
+    shot = values.get("shot") or "0"
+    if not shot.isdecimal() or len(shot) > 6:
+        raise SceneError(f"{where}: shot: expected a whole number or nothing, found '{shot[:50]}'")
+    for column in ("ahead", "back", "goal"):
+        if int(shot) and values.get(column):
+            raise SceneError(f"{where}: {column}: stands in the row of the first shot; leave it empty here")
+    return int(shot)
 
 
 def _check_place(location: str, here: Sequence[Row], count: int) -> None:
