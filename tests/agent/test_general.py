@@ -1,4 +1,4 @@
-"""The agent of the package."""
+"""The agents of the package."""
 
 import numpy as np
 import pytest
@@ -12,6 +12,14 @@ from dirl.runs.finding import AGENTS
 from dirl.scenes import load_scenes
 from dirl.training.load import load_trained
 
+NAMES = sorted(folder.name for folder in AGENTS.iterdir())
+
+
+@pytest.fixture(params=NAMES)
+def name(request):
+    """Of each agent."""
+    return request.param
+
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
@@ -19,32 +27,32 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path):
-    saved = load_checkpoint("general")
+def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path, name):
+    saved = load_checkpoint(name)
     assert all(torch.isfinite(value).all() for value in saved["network"].values())
-    assert not any(".scenes." in name and ".shared" not in name for name in saved["network"])
-    assert (AGENTS / "general" / "network.pt").stat().st_size < 15e6
-    (tmp_path / "general").mkdir()  # a folder of the reader's with this name comes first
+    assert not any(".scenes." in key and ".shared" not in key for key in saved["network"])
+    assert (AGENTS / name / "network.pt").stat().st_size < 15e6
+    (tmp_path / name).mkdir()  # a folder of the reader's with this name comes first
     with pytest.raises(ValueError, match="holds no checkpoint"):
-        load_checkpoint("general")
+        load_checkpoint(name)
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_it_is_not_looked_for_in_the_hub():
-    assert fetch_pretrained("general") == AGENTS / "general"
+def test_it_is_not_looked_for_in_the_hub(name):
+    assert fetch_pretrained(name) == AGENTS / name
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_its_evaluation_needs_a_room():
-    with pytest.raises(ConfigError, match=r"general: its training rooms, .* are not here; .*: scene=\.\.\."):
-        load_trained(load_checkpoint("general"), "general")
+def test_its_evaluation_needs_a_room(name):
+    with pytest.raises(ConfigError, match=rf"{name}: its training rooms, .* are not here; .*: scene=\.\.\."):
+        load_trained(load_checkpoint(name), name)
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_it_finds_a_photo_in_a_room_it_was_not_trained_in():
+def test_it_finds_a_photo_in_a_room_it_was_not_trained_in(name):
     """From three steps away in the built-in bathroom, on raw images."""
     scene = load_scenes("bathroom_02")[0]
-    navigator = Navigator.load("general", "resnet50_small")
+    navigator = Navigator.load(name, "resnet50_small")
     goal = 26
     start = int(np.nonzero(scene.distances[scene.goals.index(goal)] == 3)[0][0])
     navigator.reset(scene.views[goal])
