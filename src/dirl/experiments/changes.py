@@ -138,7 +138,7 @@ def _draw(
     out: Path,
 ) -> None:
     """SPL over the collections, a line for each agent and recogniser, and the controls in grey."""
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    figure = Figure(figsize=(8, 4.6), layout="constrained")
     colors = list(SYSTEM_COLORS.values())
     lines = [(*way, colors[index % len(colors)], "o-") for index, way in enumerate(ways)]
     lines += [(first, way, "0.6", marker) for way, marker in zip(CONTROLS, ("o-", "s--", "^:", "v:"), strict=True)]
@@ -155,7 +155,7 @@ def _draw(
         axes.set_xticks(range(len(collections)), [Path(one).name for one in collections])
         axes.set(title=GOAL_VIEWS[view], ylim=(-0.03, 1.03), ylabel="SPL" if view == "surrounding" else None)
         plain(axes)
-    figure.legend(loc="outside right center", frameon=False)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
     save_figure(figure, out, "changes")
 
 
