@@ -31,7 +31,6 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
-from dirl.backbones.patches import patch_attributes
 from dirl.commands.command_line import one_line_errors
 from dirl.commands.refusals import (
     encoder_name,
@@ -165,7 +164,7 @@ def write_encoded(
     attributes: dict[str, Any] | None = None,
 ) -> None:
     """A dump of a scene with its views, and with features if there is an encoder; of further looks with those alone."""
-    states, about, about_patches = len(scene), {}, {}
+    states, about, about_patches = len(scene), dict[str, str](), dict[str, str]()
     if encoder is not None:
         features, patches = encode_all(encoder, map(decode, views), len(views), scene.origin)
         scene = replace(
@@ -176,7 +175,7 @@ def write_encoded(
             look_features=_looks(features.astype(np.float16), states),
             look_patches=None if patches is None else _looks(patches, states),
         )
-        about, about_patches = dict(encoder.attributes), {} if patches is None else patch_attributes()
+        about, about_patches = dict(encoder.attributes), dict(encoder.patch_attributes)
     write_dump(
         out, scene, views[:states], attributes=attributes, feature_attributes=about, patch_attributes=about_patches
     )
@@ -255,8 +254,7 @@ def encode(options: EncodeConfig) -> None:
     encoder = load_encoder(encoder_name(options), options.device, precision=options.precision, patches=options.patches)
     features, patches = encode_scene(scene, encoder)
     assert scene.views is not None
-    about = None if patches is None else patch_attributes()
-    replace_features(scene.views.path, out, features, encoder.attributes, patches, about)
+    replace_features(scene.views.path, out, features, encoder.attributes, patches, encoder.patch_attributes)
     of_each = f"{features.shape[1]} features each" + ("" if patches is None else f", patches {patches.shape[1:]}")
     print(f"{out}: {len(scene)} states, {of_each}\nextractor: {encoder.extractor}")
 

@@ -95,3 +95,20 @@ def test_a_third_scene_has_no_layers(trained, tmp_path):
     write_dump(tmp_path / "other.h5", grid_scene(name="other", feature_width=64))
     with pytest.raises(ConfigError, match="the weights do not fit"):
         load_trained(saved, "run", {"scene": str(tmp_path / "other.h5")})
+
+
+def test_turns_that_the_training_did_not_have_are_told_of_in_one_line(trained, tmp_path, capsys):
+    for headings in (4, 8):
+        room = grid_scene(3, 2, name="left", goals=(0, 5), feature_width=64, headings=headings)
+        write_dump(tmp_path / f"room_{headings}.h5", room)
+    saved = load_checkpoint(trained / "run")
+    assert saved["turns"] == [4]
+    load_trained(saved, "run", {"scene": str(tmp_path / "room_4.h5")})
+    assert capsys.readouterr().err == ""
+    told = "warning: run: was trained with turns of 90 degrees; with turns of 45 degrees its paths may be much longer"
+    for known in (saved, {key: value for key, value in saved.items() if key != "turns"}):  # none stood there before
+        load_trained(known, "run", {"scene": str(tmp_path / "room_8.h5")})
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(told)
+    load_trained({**saved, "turns": [4, 8]}, "run", {"scene": str(tmp_path / "room_8.h5")})
+    assert capsys.readouterr().err == ""

@@ -30,6 +30,7 @@ from dirl.config.saved import read_config
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, LocalisingMemory, initial_state
 from dirl.models.build import reads_patches
+from dirl.models.weights import tell_of_turns, turns_of_training
 from dirl.recognition.build import build_recogniser, suit
 from dirl.recognition.matching import FRONT_THRESHOLD
 from dirl.recognition.recogniser import NCC, Recogniser
@@ -164,6 +165,7 @@ class Navigator:
                 f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
             )
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
+        tell_of_turns(turns_of_training(saved), {turns}, str(checkpoint))
         return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory, recognises, turns)
 
     @classmethod

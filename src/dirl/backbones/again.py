@@ -5,15 +5,14 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from dirl.backbones.patches import patch_attributes
-from dirl.backbones.registry import SHIPPED, encode_scene, load_encoder
+from dirl.backbones.registry import LITE, SHIPPED, encode_scene, load_encoder
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.write import replace_features
 
 
 def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
-    """The scene with features of an included encoder, from its views; as it is if that is not possible.
+    """The scene with features of an encoder of the package, from its views; as it is if that is not possible.
 
     The result is kept in the folder ``dirl`` of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), if that can
     be written to.
@@ -25,7 +24,8 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     """
     if scene.extractor == extractor or scene.views is None:
         return scene
-    name = next((name for name in SHIPPED if load_encoder(name).extractor == extractor), None)
+    names = [LITE] if extractor.startswith("EfficientNet-Lite0") else SHIPPED
+    name = next((name for name in names if load_encoder(name).extractor == extractor), None)
     if name is None:
         return scene
     wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
@@ -36,7 +36,7 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
         encoder = load_encoder(name, patches=patches)
         features, parts = encode_scene(scene, encoder)
         try:
-            replace_features(scene.views.path, kept, features, encoder.attributes, parts, patch_attributes())
+            replace_features(scene.views.path, kept, features, encoder.attributes, parts, encoder.patch_attributes)
         except (SceneError, OSError) as error:
             print(f"not kept: {error}", flush=True)
         return replace(scene, features=features, patches=parts, extractor=extractor)

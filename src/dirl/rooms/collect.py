@@ -76,9 +76,7 @@ class RoomSettings:
             kept |= {"looks": self.looks, **{f"changes.{key}": value for key, value in asdict(self.changes).items()}}
         kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
         if encoder is not None and self.patches:
-            from dirl.backbones.patches import patch_attributes
-
-            kept |= {"patches": "; ".join(patch_attributes().values())}
+            kept |= {"patches": "; ".join(encoder.patch_attributes.values())}
         return kept
 
 

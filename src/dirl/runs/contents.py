@@ -66,6 +66,10 @@ def _is_texts(value: Any) -> bool:
     return isinstance(value, list) and all(type(text) is str for text in value)
 
 
+def _is_counts(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(is_count(number) for number in value)
+
+
 def _is_sizes(value: Any) -> bool:
     return isinstance(value, dict) and all(
         type(name) is str and name.endswith(".csv") and "/" not in name and is_count(size)
@@ -91,6 +95,7 @@ REQUIRED: dict[str, Rule] = {
 OPTIONAL: dict[str, Rule] = {
     "schema": (is_count, "a count"),
     "views": (_is_texts, "a list of names"),
+    "turns": (_is_counts, "a list of counts"),
     "learning": (_is_tensors, "tensors by name"),
     "tables": (_is_sizes, "sizes of CSV files by name"),
     "seconds": (_is_duration, "a duration"),

@@ -26,6 +26,7 @@ from dirl.runs.finding import config_file, find_unfinished, is_finished, trainin
 from dirl.runs.locks import FolderLock, claim, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.scenes import World
+from dirl.scenes.scene import turns_of
 
 
 class Run:
@@ -85,7 +86,7 @@ class Run:
             self.logger = make_logger(self.config, self.folder, self.saved["frames"] if self.saved else 0)
             text = config_text(self.config)
             self._facts = {"config": text, "scenes": list(world.names), "extractor": world.scenes[0].extractor}
-            self._facts |= {"views": list(view_order), "schema": SCHEMA}
+            self._facts |= {"views": list(view_order), "turns": turns_of(world.scenes), "schema": SCHEMA}
             self._tidy_up()
             if not _config_text(self.folder):
                 write_text(config_file(self.folder), text)

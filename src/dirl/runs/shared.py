@@ -14,7 +14,7 @@ from dirl.runs.finding import WEIGHTS
 CONFIG, FACTS = "config.yaml", "dirl.json"
 """The files of such a folder beside the weights by name: the run's configuration, and `KEYS`."""
 
-KEYS = ("extractor", "scenes", "views", "frames", "schema")
+KEYS = ("extractor", "scenes", "views", "turns", "frames", "schema")
 """What of a checkpoint stands in `FACTS`."""
 
 MISSING = "needs a package that is not installed (safetensors): pip install 'dirl[hub]'"

@@ -1,6 +1,6 @@
 """A scene: one room as a graph of states, each a location and a heading with one camera view."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.graph import RIGHT, GraphError, IntArray, check_graph, shortest_distances, surrounding_states
+from dirl.scenes.graph import (
+    RIGHT,
+    GraphError,
+    IntArray,
+    check_graph,
+    shortest_distances,
+    surrounding_states,
+    turns_per_circle,
+)
 from dirl.scenes.views import Views
 
 LARGEST = 1e6
@@ -180,3 +188,8 @@ def check_goals_differ(name: str, goals: Sequence[Any]) -> None:
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     array.setflags(write=False)
     return array
+
+
+def turns_of(scenes: Iterable[Scene]) -> list[int]:
+    """How many right turns make a full circle in the scenes, each number once."""
+    return sorted({turns_per_circle(scene.graph) for scene in scenes})

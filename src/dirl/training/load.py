@@ -12,9 +12,10 @@ from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models.build import build_policy, feature_table
-from dirl.models.weights import check_extractor, load_weights
+from dirl.models.weights import check_extractor, load_weights, tell_of_turns, turns_of_training
 from dirl.scenes import World
 from dirl.scenes.catalogue import collection_folder
+from dirl.scenes.scene import turns_of
 from dirl.training.build import build_goals, build_observation, build_protocol, build_world
 
 
@@ -60,6 +61,7 @@ def load_trained(
     if rooms is not None and not rooms.is_dir():
         raise ConfigError(f"{origin}: its training rooms, {rooms}, are not here; say where to evaluate it: scene=...")
     world = build_world(config, saved["extractor"])
+    tell_of_turns(turns_of_training(saved), turns_of(world.scenes), origin)
     held_out = build_goals(config, world.scenes).held_out
     if seed is not None:
         config = replace(config, seed=seed)
