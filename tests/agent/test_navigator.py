@@ -337,6 +337,15 @@ def test_images_that_are_no_bytes_or_no_array_are_refused(world, navigator):
         navigator.reset(images / np.float32(255))
     with pytest.raises(NavigatorError, match="found list"):
         navigator.reset(list(images))
+    for odd, told in (
+        (images.astype(object), "an array of object"),
+        (np.zeros(images.shape, [("red", np.uint8)]), "expected uint8"),
+        (np.full(images.shape, "0"), "expected uint8"),
+        (torch.zeros(images.shape, dtype=torch.uint8).to_sparse(), "layout torch.sparse_coo"),
+        (torch.zeros(images.shape, dtype=torch.uint8, device="meta"), "device meta"),
+    ):
+        with pytest.raises(NavigatorError, match=told):
+            navigator.reset(odd)
 
 
 def test_agents_and_goals_must_be_as_many(tmp_path, world, navigator):

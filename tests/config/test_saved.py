@@ -4,6 +4,8 @@ from commands import room_file, train_config
 from parts import make_parts
 from schema1 import CONFIG, old_config, old_weights
 
+from dirl.agent.images import NavigatorError
+from dirl.agent.loading import rebuild
 from dirl.config.saved import MAX_CHARACTERS, config_text, read_config
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.protocol import metrics
@@ -35,7 +37,11 @@ def test_what_it_was_started_with_is_not_saved():
     assert read_config(config_text(config) + "\n", "here", trust=["mine"]).trust == ["mine"]
 
 
-@pytest.mark.parametrize("text", ["scene: [", "colour: red", "seed: many", "seed: -1", "", "3", "- 1", "1: 2"])
+WRONG = ["scene: [", "colour: red", "seed: many", "seed: -1", "", "3", "- 1", "1: 2"]
+WRONG += ["losses: 5", "losses: [a2c]", "seed: !!timestamp x", "seed: !!binary x", "imitation: 5"]
+
+
+@pytest.mark.parametrize("text", WRONG)
 def test_what_is_no_configuration_names_where_it_stood(text):
     told = refusal(text, "here/config.yaml")
     assert told.startswith("here/config.yaml: holds no configuration of this version")
@@ -116,6 +122,19 @@ def test_weights_of_schema_1_evaluate_to_the_same_numbers(tmp_path, changes, opt
         assert torch.equal(vars(found)[name], value), name
     assert metrics(found) == metrics(expected)
     torch.testing.assert_close(plain_weights(trained.policy), plain_weights(parts.policy))
+
+
+@pytest.mark.parametrize("std", [torch.ones(7), torch.ones(()), torch.ones(2, 2)])
+def test_statistics_of_another_width_are_refused_in_one_line(tmp_path, std):
+    room = room_file(tmp_path)
+    parts = make_parts(f"scene={room}", "encoder.width=8", "heads.width=8")
+    saved = {"network": {**plain_weights(parts.policy), "features.std": std}, "config": config_text(parts.config)}
+    saved |= {"extractor": parts.world.scenes[0].extractor, "frames": 0, "scenes": ["grid"]}
+    with pytest.raises(ConfigError, match=r"here: the weights' features.std has the shape") as raised:
+        load_trained(saved, "here")
+    assert "\n" not in str(raised.value)
+    with pytest.raises(NavigatorError, match=r"the weights' features.std has the shape"):
+        rebuild(saved, parts.config, None, "here")
 
 
 def test_weights_that_do_not_fit_are_refused_in_one_line(tmp_path):

@@ -68,7 +68,7 @@ def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origi
     names = [scene or saved["scenes"][0]]
     try:
         patches = torch.empty(0, *PATCH_SHAPE) if reads_patches(config) else None
-        table = FeatureTable(torch.empty(0, len(mean)), *saved_statistics(weights), patches)
+        table = FeatureTable(torch.empty(0, len(mean)), *saved_statistics(weights, origin), patches)
         policy = build_policy(config, table, names)
         load_weights(policy, weights, origin, names)
     except ConfigError as error:

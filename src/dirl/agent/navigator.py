@@ -165,8 +165,10 @@ class Navigator:
                 f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
             )
         facts = {"scene": scene or "any", "extractor": saved["extractor"]}
+        policy = policy.to(device).eval()
+        navigator = cls(policy, encoder, order, config.stop.threshold, facts, memory, recognises, turns)
         tell_of_turns(turns_of_training(saved), {turns}, str(checkpoint))
-        return cls(policy.to(device).eval(), encoder, order, config.stop.threshold, facts, memory, recognises, turns)
+        return navigator
 
     @classmethod
     def from_pretrained(

@@ -71,6 +71,8 @@ def components(config: Any) -> dict[str, dict[str, Any]]:
     found = {}
     for group in GROUPS:
         value = getattr(config, group)
+        if group == "losses" and not isinstance(value, Mapping):
+            raise ConfigError(f"losses={value}: expected a mapping of losses by name")
         for name, options in value.items() if group == "losses" else [(None, value)]:
             full = group if name is None else f"{group}.{name}"
             if not isinstance(options, Mapping) or TARGET not in options:

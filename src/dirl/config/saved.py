@@ -93,7 +93,12 @@ def plain_mapping(text: str) -> dict[str, Any]:
     """
     if len(text) > MAX_CHARACTERS:
         raise ConfigError(f"it has {len(text)} characters; at most {MAX_CHARACTERS} are read")
-    values = yaml.load(text, _PlainLoader)
+    try:
+        values = yaml.load(text, _PlainLoader)
+    except ConfigError:
+        raise
+    except (AttributeError, ValueError, TypeError) as error:  # of a value that is not what its tag says
+        raise ConfigError(f"a value is not of its type ({error})") from None
     if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
         raise ConfigError("it is no mapping of options")
     if "${" in str(values):

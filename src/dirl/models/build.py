@@ -69,20 +69,27 @@ def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
     return result
 
 
-def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tensor] | None = None) -> FeatureTable:
+def feature_table(
+    config: TrainConfig, world: World, weights: Mapping[str, Tensor] | None = None, origin: str = "init"
+) -> FeatureTable:
     """The features of the world's states, standardised or whitened as configured.
 
     Args:
         config: of the run.
         world: whose states.
         weights: of a trained network, whose mean, standard deviation and axes are used; the world's if left out.
+        origin: where the weights stood, for errors.
 
     Raises:
         ConfigError: the encoder reads patches, and the scenes have none.
     """
     mean, std, axes = None, None, None
     if weights is not None:
-        mean, std, axes = saved_statistics(weights)
+        mean, std, axes = saved_statistics(weights, origin)
+        if mean is not None and len(mean) != world.features.shape[1]:
+            raise ConfigError(
+                f"{origin}: the weights read {len(mean)} features; these scenes have {world.features.shape[1]}"
+            )
     elif config.network.components:
         mean, std, axes = whitening(world.features, config.network.components)
     elif config.network.standardise:
@@ -96,14 +103,23 @@ def feature_table(config: TrainConfig, world: World, weights: Mapping[str, Tenso
     return FeatureTable(world.features, mean, std, axes, patches).to(world.device)
 
 
-def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+def saved_statistics(weights: Mapping[str, Tensor], origin: str) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
     """Mean, standard deviation and axes of the features that a network was trained on, float32.
 
     The agents of the package are stored as float16, half the size.
+
+    Raises:
+        ConfigError: they are not of one feature width.
     """
     found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
-    mean, std, axes = (found.get(f"features.{name}") for name in ("mean", "std", "axes"))
-    return _float32(mean), _float32(std), _float32(axes)
+    mean, std, axes = (_float32(found.get(f"features.{name}")) for name in ("mean", "std", "axes"))
+    width = 0 if mean is None else mean.numel()
+    for name, value in {"mean": mean, "std": std, "axes": axes}.items():
+        if value is not None and (len(value) if value.ndim == 1 + (name == "axes") else None) != width:
+            raise ConfigError(
+                f"{origin}: the weights' features.{name} has the shape {list(value.shape)}, for {width} features"
+            )
+    return mean, std, axes
 
 
 def _float32(values: Tensor | None) -> Tensor | None:

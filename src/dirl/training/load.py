@@ -82,7 +82,9 @@ def learning_policy(
         initial: weights that the training begins with, see `dirl.training.initial`; drawn by the seed if left out.
     """
     everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
-    policy = build_policy(config, feature_table(config, world, initial), world.names, world=everywhere)
+    policy = build_policy(
+        config, feature_table(config, world, initial, str(config.init)), world.names, world=everywhere
+    )
     if initial is not None:
         load_weights(policy, initial, str(config.init), world.names)
     noisy, front = config.imitation.noise > 0, config.imitation.front_only > 0
@@ -138,7 +140,7 @@ def trained_policy(
     """
     check_extractor(saved, world.scenes[0].extractor, origin)
     names = _scenes(saved["scenes"], world.names)
-    policy = build_policy(config, feature_table(config, world, saved["network"]), names, world=world)
+    policy = build_policy(config, feature_table(config, world, saved["network"], origin), names, world=world)
     load_weights(policy, saved["network"], origin, names)
     return cached(policy, config, world, observation)
 
