@@ -80,6 +80,12 @@ def test_a_seed_draws_the_same_options():
         (["--experimental-rerun=nope"], "error: --experimental-rerun: reads a pickle"),
         (["scene=" + "x" * 3000], "error: "),
         (["-m", "hydra.nope=1", "seed=1,2"], "error: Could not override 'hydra.nope'"),
+        (
+            ["-m", "hydra/launcher=slurm", "seed=1,2"],
+            "error: -m hydra/launcher=slurm seed=1,2: needs Hydra's 'submitit_slurm', which is not installed: "
+            "pip install 'dirl[slurm]'",
+        ),
+        (["-m", "hydra/launcher=ray", "seed=1,2"], "error: -m hydra/launcher=ray seed=1,2: needs Hydra's 'ray', which"),
     ],
 )
 def test_what_hydra_would_refuse_in_many_lines_is_one(tmp_path, monkeypatch, arguments, told):

@@ -4,6 +4,7 @@ import contextlib
 import gc
 import io
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import hydra
 from hydra import compose, initialize_config_dir
+from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
 from dirl.commands.command_line import (
@@ -25,13 +27,16 @@ from dirl.commands.command_line import (
 from dirl.commands.refusals import check_values
 from dirl.config.places import CONF, RECIPES, command
 from dirl.config.scene_schemas import MEANINGS
-from dirl.config.schemas import typed
+from dirl.config.schemas import ConfigError, typed
 from dirl.runs.exits import one_line_exits
 
 HELP = ("-h", "--help")
 COMPLETION = ("-sc", "--shell-completion")
 SHOWING = (*COMPLETION, *HELP, "--hydra-help", "-c", "--cfg", "-i", "--info", "--version")
 """Options by which Hydra shows something and runs nothing."""
+
+EXTRAS = {"joblib": "sweeps", "optuna": "optuna", "ray": "ray", "submitit_local": "slurm", "submitit_slurm": "slurm"}
+"""Of dirl, by the launcher or sweeper of Hydra that they bring."""
 
 TEMPLATE = """{header}
 {groups}
@@ -124,7 +129,14 @@ def _compose(config: str, options: Sequence[str], **kwargs: Any) -> DictConfig:
     folders = ",".join(f"file://{path.resolve()}" for path in config_dirs(options))
     given = [option for option in options if (found := parsed(option)) and not found.is_sweep_override()]
     with initialize_config_dir(str(CONF / folder), version_base="1.3"):
-        return compose(name, [*given, *([f"hydra.searchpath=[{folders}]"] if folders else [])], **kwargs)
+        try:
+            return compose(name, [*given, *([f"hydra.searchpath=[{folders}]"] if folders else [])], **kwargs)
+        except MissingConfigException as error:
+            missing = re.search(r"'hydra/(?:launcher|sweeper)/(\w+)'[.\s]", str(error))
+            if missing is None or missing[1] not in EXTRAS:
+                raise
+            needs = f"'{missing[1]}', which is not installed: pip install 'dirl[{EXTRAS[missing[1]]}]'"
+            raise ConfigError(f"{' '.join(options)}: needs Hydra's {needs}") from None
 
 
 def shown(config: str, options: Sequence[str]) -> str:

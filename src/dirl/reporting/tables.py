@@ -1,20 +1,24 @@
 """Results as Markdown tables that also read well in a terminal."""
 
 import math
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-# Heading, key in `dirl.evaluation.metrics`, format. Three digits, so that a share of 0.998 is not printed as 1.
+# Heading, key in `dirl.evaluation.metrics`, decimals. With labels of 13 characters a table has 80 columns.
 MEASURES = (
-    ("ATL", "atl", ".2f"),
-    ("ATL of successes", "atl_success", ".2f"),
-    ("SR", "sr", ".3f"),
-    ("SPL", "spl", ".3f"),
-    ("shortest", "shortest", ".2f"),
-    ("false stops", "false_stop_rate", ".3f"),
-    ("missed stops", "missed_stop_rate", ".3f"),
-    ("episodes", "episodes", ",.0f"),
+    ("ATL", "atl", 2),
+    ("SR", "sr", 3),
+    ("SPL", "spl", 3),
+    ("shortest", "shortest", 2),
+    ("false", "false_stop_rate", 3),
+    ("missed", "missed_stop_rate", 3),
+    ("episodes", "episodes", 0),
 )
+"""Three decimals of rates, so that one of 0.998 is not printed as 1. "false" and "missed" are of stops."""
+
+COLUMNS = 80
+"""Of a terminal."""
 
 SECTIONS = {"shortest path": "shortest_path", "random": "random", "greedy": "greedy", "sampled": "sampled"}
 
@@ -25,19 +29,21 @@ MOST_GOALS = 40
 """Rows of the table by goal; of more goals only ``summary.json`` has the measures of each."""
 
 
-def result_table(rows: Mapping[str, Mapping[str, float | None]]) -> str:
+def result_table(rows: Mapping[str, Mapping[str, float | None]], leave_out: Collection[str] = ()) -> str:
     """A Markdown table with a line for each row and a column for each measure.
 
     Args:
         rows: measures by row label, see `dirl.evaluation.metrics`. One that is missing, None or NaN is printed as
             "-"; keys that are no measures are left out.
+        leave_out: headings of `MEASURES`.
 
     Returns:
         A Markdown table without a line break at its end.
     """
-    cells = [["", *(heading for heading, _, _ in MEASURES)]]
+    shown = [measure for measure in MEASURES if measure[0] not in leave_out]
+    cells = [["", *(heading for heading, _, _ in shown)]]
     for label, measures in rows.items():
-        values = [_number(measures.get(key), form) for _, key, form in MEASURES]
+        values = [_number(measures.get(key), decimals) for _, key, decimals in shown]
         cells.append([label.replace("|", r"\|"), *values])
     # A column is never narrower than the "--:" under its heading.
     widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
@@ -69,7 +75,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
         parts += ["Goals held out of the training:", result_table(rows)]
     by_goal = _by_goal((summary.get("greedy") or {}).get("scenes", {}))
     if 0 < len(by_goal) <= MOST_GOALS:
-        parts += ["Greedy policy by goal:", result_table(by_goal)]
+        parts += ["Greedy policy by goal:", result_table(by_goal, leave_out=["episodes"])]
     return "\n\n".join(parts)
 
 
@@ -101,7 +107,8 @@ def _heading(summary: Mapping[str, Any]) -> str:
         facts.append("never stable" if stable is None else f"stable at {stable:,} frames")
     if (memory := summary.get("peak_memory_mb")) is not None:
         facts.append(f"peak memory {memory:,.0f} MB")
-    return ": ".join([run_title(summary), *([", ".join(facts)] if facts else [])])
+    text = ": ".join([run_title(summary), *([", ".join(facts)] if facts else [])])
+    return textwrap.fill(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
 
 
 def _by_goal(scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, float | None]]:
@@ -116,8 +123,11 @@ def _by_goal(scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, 
     return rows
 
 
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None or math.isnan(value) else format(value, form)
+def _number(value: float | None, decimals: int) -> str:
+    """Five digits at most, so that 6.19 keeps two decimals and 153.25 becomes 153.3."""
+    if value is None or math.isnan(value):
+        return "-"
+    return format(value, f",.{decimals if value < 100 or not decimals else 1}f")
 
 
 def _duration(seconds: float) -> str:

@@ -1,6 +1,6 @@
 """Synthetic furnished rooms: described in TOML or drawn at random, lit and seen on a CPU, written as scene dumps.
 
-The built-in rooms were made with it. Needs the extra ``rooms``: ``pip install 'dirl[rooms]'``.
+The built-in rooms were made with it.
 """
 
 from dirl.rooms.build import build_room, built_in_rooms, describe_room

@@ -107,10 +107,10 @@ def build_room(
 
 
 def check_packages() -> None:
-    """Raise `SceneError` unless the extra ``rooms`` is installed."""
-    for package in ("embreex", "tomli_w"):
-        if importlib.util.find_spec(package) is None:
-            raise SceneError(f"to build rooms, {package} is missing: pip install 'dirl[rooms]'")
+    """Raise `SceneError` unless what renders rooms is installed; there are no wheels of it for Linux on ARM."""
+    for package in ("embreex", "tomli-w"):
+        if importlib.util.find_spec(package.replace("-", "_")) is None:
+            raise SceneError(f"to build rooms, {package} is missing: pip install {package}")
 
 
 def check_size(size: tuple[int, int]) -> None:

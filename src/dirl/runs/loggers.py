@@ -48,7 +48,7 @@ def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> Logger | 
     try:
         return WandbLogger(config, folder) if name == LoggerName.wandb else TensorBoardLogger(config, folder, frames)
     except ImportError as error:
-        hint = f"pip install 'dirl[{name}]'"
+        hint = "pip install wandb" if name == LoggerName.wandb else f"pip install 'dirl[{name}]'"
         raise ConfigError(f"logger={name} needs a package that is not installed ({error}): {hint}") from None
 
 
