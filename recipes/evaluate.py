@@ -21,15 +21,19 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig
 
+from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
+from dirl.backbones.registry import packaged_encoder
 from dirl.commands.command_line import one_line_errors
 from dirl.commands.refusals import checkpoint_file
+from dirl.commands.simulators import load_simulator
 from dirl.config.choices import goal_view_options, group_options
 from dirl.config.places import CONF
-from dirl.config.schemas import EvaluateConfig, typed
-from dirl.evaluation.episodes import sampled_starts
-from dirl.evaluation.protocol import EvaluationProtocol, assess
+from dirl.config.schemas import EvaluateConfig, GoalView, typed
+from dirl.evaluation.episodes import sampled_starts, shortest_episodes
+from dirl.evaluation.live import Remembered, evaluate_live, shortest_move
+from dirl.evaluation.protocol import EvaluationProtocol, assess, metrics
 from dirl.files.atomic import write_json, write_text
 from dirl.models import LocalisingMemory
 from dirl.recognition.build import build_recogniser, matching
@@ -37,11 +41,16 @@ from dirl.reporting import run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.finding import packaged_agent
+from dirl.scenes.graph import turns_per_circle
+from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated
 from dirl.training.build import describe
 from dirl.training.load import Trained, load_trained
 
 MOST_EPISODES = 20_000
 """Of an evaluation for which no starts are asked for."""
+
+LIVE_EPISODES = 100
+"""Likewise, in a live world."""
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF / "evaluate"), config_name="evaluate")
@@ -82,12 +91,9 @@ def main(composed: DictConfig) -> None:
         if packaged_agent(checkpoint) is not None:
             facts["agent"] = Path(checkpoint).name
         pages = viewer(trained, facts) if options.viewer else {}
-        result = {
-            "checkpoint": checkpoint,
-            "frames": saved["frames"],
-            **facts,
-            **assess(trained.policy, trained.protocol),
-        }
+        live = options.simulator is not None
+        measured = walk_live(trained, options) if live else assess(trained.policy, trained.protocol)
+        result = {"checkpoint": checkpoint, "frames": saved["frames"], **facts, **measured}
         print(summary_table(result))
         if options.out is not None:
             write_json(Path(options.out), result)
@@ -106,6 +112,45 @@ def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
         return protocol
     print(f"{count} episodes from every start would take long: {each} starts of each goal are drawn (or starts=every)")
     return replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
+
+
+def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
+    """Measures of a navigator in a live world, by policy; each image is encoded when it is first seen."""
+    config, _, protocol = trained
+    if len(protocol.world.scenes) > 1:
+        raise RunError(f"simulator: walks in one scene, not in {len(protocol.world.scenes)}; name it: scene=...")
+    scene = protocol.world.scenes[0]
+    turns = turns_per_circle(scene.graph)
+    if options.simulator == "dump":
+        world: LiveWorld = Dumped(scene)
+    else:
+        simulator = load_simulator(str(options.simulator))
+        if simulator.name != scene.name:
+            raise RunError(f"simulator={options.simulator}: is of {simulator.name}; {scene.origin} is of {scene.name}")
+        world = Simulated(simulator, step=shortest_move(scene), turns=turns)
+    encoder = packaged_encoder(scene.extractor)
+    if encoder is None:
+        raise RunError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
+    navigator = Navigator.load(
+        str(options.checkpoint),
+        encoder,
+        device=config.device,
+        trust=options.trust,
+        recogniser=options.recogniser,
+        episodic_memory=options.episodic_memory,
+        turns=turns,
+    )
+    navigator.threshold = config.stop.threshold
+    navigator.encoder = Remembered(navigator.encoder)
+    noisy = Noisy(world, slip=options.slip, turn_error=options.turn_error, seed=config.seed)
+    if options.starts is None:
+        each = max(1, LIVE_EPISODES // len(protocol.world.goals))
+        protocol = replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
+    goal, start = protocol.starts
+    states = protocol.world.goals.cpu()[goal.cpu()], start.cpu()
+    photo = options.goal_view == GoalView.front
+    found = evaluate_live(navigator, noisy, scene, states, max_steps=protocol.max_steps, one_photo=photo)
+    return {"shortest_path": metrics(shortest_episodes(protocol.world, protocol.starts)), "live": metrics(found)}
 
 
 def led_by_map(trained: Trained, steps_per_state: float, last_steps: int) -> GuidedPolicy:

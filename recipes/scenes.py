@@ -42,6 +42,7 @@ from dirl.commands.refusals import (
     simulated_scene,
     tour_path,
 )
+from dirl.commands.simulators import load_simulator
 from dirl.config.places import CONF
 from dirl.config.scene_schemas import (
     BuildConfig,
@@ -52,6 +53,7 @@ from dirl.config.scene_schemas import (
     MiniworldConfig,
     PhotosConfig,
     SampleConfig,
+    SimulatorConfig,
     ThorConfig,
     TourConfig,
     VizdoomConfig,
@@ -112,7 +114,14 @@ def miniworld(options: MiniworldConfig) -> None:
     write_simulated(MiniWorld(simulated_scene(options), **camera), options, "miniworld")
 
 
-def write_simulated(simulator: Simulator, options: VizdoomConfig | MiniworldConfig, source: str) -> None:
+def simulator(options: SimulatorConfig) -> None:
+    """Take a scene from a simulator of the user's own."""
+    write_simulated(load_simulator(simulated_scene(options)), options, "simulator")
+
+
+def write_simulated(
+    simulator: Simulator, options: VizdoomConfig | MiniworldConfig | SimulatorConfig, source: str
+) -> None:
     """A dump of the scene that a simulator has started with."""
     out = new_file(options.out)
     encoder = chosen_encoder(options)
@@ -319,7 +328,7 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
 
 
 def chosen_encoder(
-    options: ThorConfig | VizdoomConfig | MiniworldConfig | PhotosConfig | TourConfig | BuildConfig,
+    options: ThorConfig | VizdoomConfig | MiniworldConfig | SimulatorConfig | PhotosConfig | TourConfig | BuildConfig,
 ) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names."""
     patches = isinstance(options, PhotosConfig | TourConfig) and options.patches
@@ -335,6 +344,7 @@ COMMANDS: dict[str, Callable[[Any], None]] = {
     "thor": thor,
     "vizdoom": vizdoom,
     "miniworld": miniworld,
+    "simulator": simulator,
     "photos": photos,
     "tour": tour,
     "build": build,

@@ -67,6 +67,9 @@ def base(recipe, files, tiny=()):
     """
     room = f"scene={files / 'room.h5'}"
     small = ["height=16", "width=16", "encoder=null"]
+    simulator = files / "simulator.yaml"
+    if recipe == "simulator":
+        simulator.write_text("_target_: dirl.sources.miniworld.MiniWorld\nenv: OneRoom\nheight: 16\nwidth: 16\n")
     return {
         "train": [room, *tiny, "hydra.run.dir=run"],
         "evaluate": [f"checkpoint={files / 'runs' / 'fast' / '0'}"],
@@ -74,6 +77,7 @@ def base(recipe, files, tiny=()):
         "thor": ["scene=FloorPlan401", "out=new.h5", *small],
         "vizdoom": ["map=map01", "out=new.h5", "places=2", *small],
         "miniworld": ["env=OneRoom", "out=new.h5", "places=2", *small],
+        "simulator": [f"simulator={simulator}", "out=new.h5", "places=2", "encoder=null"],
         "photos": [f"folder={files / 'photos'}", "out=new.h5", *small],
         "tour": [f"path={files / 'tour'}", "out=new.h5", *small],
         "build": ["description=bathroom_02", "out=new.h5", *small, "fine=false", "workers=1"],

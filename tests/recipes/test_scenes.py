@@ -123,6 +123,8 @@ def test_a_mistyped_command_is_told_its_neighbour(name, says):
         ("thor out=new.h5", "name a scene of AI2-THOR"),
         ("vizdoom out=new.h5", "name a map: map=map01"),
         ("miniworld out=new.h5", "name an environment of MiniWorld: env=FourRooms"),
+        ("simulator out=new.h5", "name the simulator: simulator=<a YAML file"),
+        ("simulator simulator=nope.yaml out=new.h5", "simulator=nope.yaml: there is no such file"),
         ("thor scene=FloorPlan1 out=new.h5 step=0", "step=0.0: must be between 0.05 and 10"),
     ],
 )

@@ -58,6 +58,14 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
     status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", "last_steps=1")
     assert status != 0
     assert "last_steps=1: only where a map leads; give image_graph=2 too" in errors
+    for options, told in (
+        (["slip=0.1"], "slip, turn_error: only in a live world; give simulator=dump"),
+        (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer and no image_graph"),
+        (["simulator=nope.yaml"], "simulator=nope.yaml: there is no such file"),
+    ):
+        status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", *options)
+        assert status == 1
+        assert told in errors.splitlines()[-1]
 
 
 def test_a_clone_is_not_reinforced_whatever_frames_a_grid_is_given(tmp_path):

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from live_walks import walk
 
+from dirl.commands.simulators import load_simulator
+from dirl.config.schemas import ConfigError
 from dirl.scenes import read_dump, write_dump
 from dirl.scenes.live import Pose
 from dirl.scenes.scene import SceneError
@@ -26,7 +28,7 @@ class Grid:
     name = "grid"
 
     def __init__(self, cells, one_way=()):
-        self.cells, self.one_way, self.pose = set(cells), set(one_way), Pose(0.5, 0.5, 90.0)
+        self.cells, self.one_way, self.pose = set(map(tuple, cells)), set(one_way), Pose(0.5, 0.5, 90.0)
 
     def place(self, pose):
         self.pose = pose
@@ -80,6 +82,29 @@ def test_no_more_places_than_asked_for_and_the_nearest():
 def test_what_makes_no_scene_is_one_line(cells, turn, message):
     with pytest.raises(SceneError, match=message):
         take_scene(Grid(cells), source="x", step=1.0, turn=turn)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"_target_: {__name__}.Nope", "there is no such class"),
+        (f"_target_: {__name__}.Grid\ncells: [[0, 0]]\nspeed: 3", "no option 'simulator.speed'"),
+        ("_target_: pathlib.PurePath", "has no pose, place, push, look; see dirl.scenes.live.Simulator"),
+        ("cells: []", "has no _target_"),
+    ],
+)
+def test_a_simulator_that_cannot_be_made_is_one_line(tmp_path, text, message):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message) as raised:
+        load_simulator(str(file))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_simulator_is_made_of_its_file(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"_target_: {__name__}.Grid\ncells: [[0, 0], [1, 0]]\n")
+    assert load_simulator(str(file)).pose == Pose(0.5, 0.5, 90.0)
 
 
 def test_an_error_of_a_simulator_becomes_one_line():

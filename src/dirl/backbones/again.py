@@ -5,7 +5,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from dirl.backbones.registry import LITE, SHIPPED, encode_scene, load_encoder
+from dirl.backbones.registry import encode_scene, load_encoder, packaged_encoder
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.write import replace_features
@@ -22,10 +22,10 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
         extractor: what its features shall be of, see `Scene.extractor`.
         patches: whether they are needed too.
     """
-    if scene.extractor == extractor or scene.views is None:
+    enough = scene.extractor == extractor and (scene.patches is not None or not patches)
+    if enough or scene.views is None:
         return scene
-    names = [LITE] if extractor.startswith("EfficientNet-Lite0") else SHIPPED
-    name = next((name for name in names if load_encoder(name).extractor == extractor), None)
+    name = packaged_encoder(extractor)
     if name is None:
         return scene
     wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"

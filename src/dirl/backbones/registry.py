@@ -81,6 +81,12 @@ def load_encoder(
     return _beside(encoder, device, dtype) if patches else encoder
 
 
+def packaged_encoder(extractor: str) -> str | None:
+    """The name of the encoder of the package that is described so (`dirl.scenes.Scene.extractor`); None if none is."""
+    names = [LITE] if extractor.startswith("EfficientNet-Lite0") else SHIPPED
+    return next((name for name in names if load_encoder(name).extractor == extractor), None)
+
+
 def encode_scene(scene: Scene, encoder: ViewEncoder) -> Encoded:
     """The features of every view of a scene, and patches if the encoder gives them.
 

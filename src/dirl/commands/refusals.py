@@ -20,6 +20,7 @@ from dirl.config.scene_schemas import (
     MiniworldConfig,
     PhotosConfig,
     SampleConfig,
+    SimulatorConfig,
     ThorConfig,
     TourConfig,
     VizdoomConfig,
@@ -105,6 +106,10 @@ def checkpoint_file(options: EvaluateConfig) -> str:
         raise RunError("name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>")
     if options.last_steps is not None and options.image_graph is None:
         raise RunError(f"last_steps={options.last_steps}: only where a map leads; give image_graph=2 too")
+    if options.simulator is None and (options.slip or options.turn_error):
+        raise RunError("slip, turn_error: only in a live world; give simulator=dump or a YAML file too")
+    if options.simulator is not None and (options.viewer or options.image_graph is not None):
+        raise RunError("simulator: a live world has no viewer and no image_graph; leave them out")
     if options.out is not None:
         new_file(options.out, ending="")
     find_checkpoint(options.checkpoint)
@@ -153,8 +158,10 @@ def named(value: str | None, wanted: str) -> str:
     return value
 
 
-def simulated_scene(options: ThorConfig | VizdoomConfig | MiniworldConfig) -> str:
-    """The simulator's scene that an option names."""
+def simulated_scene(options: ThorConfig | VizdoomConfig | MiniworldConfig | SimulatorConfig) -> str:
+    """The simulator's scene that an option names, or the file of a simulator."""
+    if isinstance(options, SimulatorConfig):
+        return named(options.simulator, "name the simulator: simulator=<a YAML file with its class, _target_>")
     if isinstance(options, VizdoomConfig):
         return named(options.map, "name a map: map=map01 to map32 of Freedoom 2, E1M1 to E4M9 of Freedoom 1")
     if isinstance(options, MiniworldConfig):
@@ -227,6 +234,7 @@ CHECKS: dict[type, Callable[[Any, Sequence[str]], object]] = {
     ThorConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
     VizdoomConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
     MiniworldConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
+    SimulatorConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
     PhotosConfig: lambda options, _: photo_table(options),
     TourConfig: lambda options, _: (new_file(options.out), tour_path(options)),
     BuildConfig: lambda options, _: (new_file(options.out), room_description(options)),

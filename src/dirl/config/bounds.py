@@ -30,6 +30,8 @@ LIMITS: Mapping[str, Bounds] = {
     "hold_out": Bounds(0, 0.99),
     "image_graph": Bounds(0, 100),
     "last_steps": Bounds(0, 10**6),
+    "slip": Bounds(0, 0.99),
+    "turn_error": Bounds(0, 90),
     "imitation.fraction": Bounds(0, 1),
     "imitation.lr": Bounds(0),
     "imitation.max_steps": Bounds(1),

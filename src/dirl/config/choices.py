@@ -25,7 +25,7 @@ def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
     if choice is None:
         return None
     if choice.endswith(".yaml"):
-        return _own_options(group, Path(choice))
+        return own_options(group, Path(choice))
     file = CONF / group / f"{choice}.yaml"
     choices = sorted(path.stem for path in file.parent.glob("*.yaml"))
     if choice not in choices:
@@ -34,7 +34,16 @@ def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
     return dict(options)
 
 
-def _own_options(group: str, file: Path) -> dict[str, Any]:
+def own_options(group: str, file: Path) -> dict[str, Any]:
+    """The options of a component in a YAML file of the user's.
+
+    Args:
+        group: the option that names the file, for errors.
+        file: with ``_target_``.
+
+    Raises:
+        ConfigError: it cannot be read, or names no class.
+    """
     if not file.is_file():
         raise ConfigError(f"{group}={file}: there is no such file")
     try:

@@ -55,6 +55,7 @@ BASES = {
     "optimiser": "torch.optim.optimizer.Optimizer",
     # Experts, drawn pairs, caches and matching ask a transform what is seen of a state, not the environment alone.
     "observation": "dirl.envs.transforms.SurroundingViews",
+    "simulator": "builtins.object",  # a protocol: `dirl.scenes.live.Simulator`
 }
 """What the classes of a group are, if not a `MODULE`; by name, so that this module does not import torch."""
 
@@ -173,7 +174,7 @@ def check_options(name: str, parameters: Parameters, options: Mapping[str, Any])
         ConfigError: an unknown or missing option, or a value of the wrong type or out of bounds.
     """
     group = name.split(".")[0]
-    offered, kind = GROUPS[group], str(options[TARGET]).rpartition(".")[2]
+    offered, kind = GROUPS.get(group, frozenset()), str(options[TARGET]).rpartition(".")[2]
     choices = [option for option in parameters if option not in offered]
     scheduled = ("weight",) if group == "losses" else ()
     for option, value in options.items():

@@ -74,6 +74,19 @@ class MiniworldConfig:
 
 
 @dataclass
+class SimulatorConfig:
+    """Everything ``recipes/scenes.py simulator`` takes."""
+
+    simulator: str | None = None
+    out: str | None = None
+    step: float = MISSING
+    turn: float = MISSING
+    places: int | None = None
+    encoder: str | None = None
+    device: Device = MISSING
+
+
+@dataclass
 class TourConfig:
     """Everything ``recipes/scenes.py tour`` takes."""
 
@@ -191,6 +204,7 @@ MEANINGS = {
     "thor": "take a scene from live AI2-THOR",
     "vizdoom": "take a scene from a map of VizDoom",
     "miniworld": "take a scene from an environment of MiniWorld",
+    "simulator": "take a scene from a simulator of your own",
     "photos": "make a scene from photographs of a real place",
     "tour": "make a scene from a 360-degree tour",
     "build": "build a synthetic room from its description",

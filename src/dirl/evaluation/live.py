@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from dirl.agent.loading import Encoder
 from dirl.agent.navigator import Navigator
@@ -39,6 +40,7 @@ def evaluate_live(
     *,
     max_steps: int = 100,
     within: float | None = None,
+    one_photo: bool = False,
 ) -> Episodes:
     """Walk a navigator in a world by its own `reset` and `act`, as a robot does, one episode from each start.
 
@@ -52,10 +54,11 @@ def evaluate_live(
         starts: goal states and start states, int64 ``[E]`` each; the ``goal_index`` of the result is the goal state.
         max_steps: after so many an episode has failed.
         within: metres; half of the shortest move of the scene if left out.
+        one_photo: show the navigator the view ahead at the goal alone.
     """
     goal_state, start = (states.cpu() for states in starts)
     turn = 360 / turns_per_circle(scene.graph)
-    within = _half_a_move(scene) if within is None else within
+    within = shortest_move(scene) / 2 if within is None else within
     shortest = torch.from_numpy(scene.distances[start.numpy(), goal_state.numpy()].astype(np.int64))
     found = Episodes(
         goal_state,
@@ -64,10 +67,11 @@ def evaluate_live(
         torch.full_like(start, max_steps),
         *(torch.zeros(len(start), dtype=torch.bool) for _ in range(3)),
     )
-    for episode, (goal, first) in enumerate(zip(goal_state.tolist(), start.tolist(), strict=True)):
+    pairs = list(zip(goal_state.tolist(), start.tolist(), strict=True))
+    for episode, (goal, first) in enumerate(tqdm(pairs, desc="live", unit=" episodes", disable=None)):
         wanted = state_pose(scene, goal)
         world.reset(wanted)
-        navigator.reset(world.views())
+        navigator.reset(world.views()[0] if one_photo else world.views())
         world.reset(state_pose(scene, first))
         for step in range(max_steps + 1):
             decision = navigator.act(world.views())
@@ -87,7 +91,8 @@ def _arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
     return bool(np.hypot(pose.x - wanted.x, pose.z - wanted.z) <= within and turned <= degrees)
 
 
-def _half_a_move(scene: Scene) -> float:
+def shortest_move(scene: Scene) -> float:
+    """The metres of the shortest move ahead or back in a scene."""
     state, action = np.nonzero(scene.graph[:, [AHEAD, BACK]] >= 0)
     after = scene.graph[state, np.array([AHEAD, BACK])[action]]
-    return float(np.linalg.norm(scene.positions[after] - scene.positions[state], axis=1).min()) / 2
+    return float(np.linalg.norm(scene.positions[after] - scene.positions[state], axis=1).min())

@@ -20,7 +20,13 @@ MEASURES = (
 COLUMNS = 80
 """Of a terminal."""
 
-SECTIONS = {"shortest path": "shortest_path", "random": "random", "greedy": "greedy", "sampled": "sampled"}
+SECTIONS = {
+    "shortest path": "shortest_path",
+    "random": "random",
+    "greedy": "greedy",
+    "sampled": "sampled",
+    "live": "live",
+}
 
 NAMED_SCENES = 4
 """Of so many scenes a title gives all names."""
