@@ -12,7 +12,7 @@ from dirl.backbones.efficientnet import PROJECTION, SIZE
 from dirl.backbones.patches import PATCH_SHAPE, cells_of
 from dirl.backbones.registry import LITE
 
-VIEWS = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (3, 30, 40, 3), np.uint8))
+VIEWS = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (5, 30, 40, 3), np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def images():
 @torch.no_grad()
 def test_features_are_those_of_the_package(reference, images):
     features = load_encoder(LITE)(VIEWS)
-    assert (features.shape, features.dtype) == ((3, 1280), torch.float32)
+    assert (features.shape, features.dtype) == ((5, 1280), torch.float32)
     expected = reference.extract_features(images).mean((2, 3))
     torch.testing.assert_close(features, expected, rtol=1e-3, atol=1e-4)
 
@@ -44,7 +44,7 @@ def test_features_are_those_of_the_package(reference, images):
 def test_patches_are_projected_cells_of_the_fifth_stage(reference, images):
     features, patches = load_encoder(LITE, patches=True).forward_patches(VIEWS)
     torch.testing.assert_close(features, load_encoder(LITE)(VIEWS))
-    assert patches.shape == (3, *PATCH_SHAPE)
+    assert patches.shape == (5, *PATCH_SHAPE)
     x = reference._swish(reference._bn0(reference._conv_stem(images)))
     for block in reference._blocks[:11]:
         x = block(x)

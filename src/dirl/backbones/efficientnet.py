@@ -4,7 +4,7 @@
 operations of a ResNet-50. Its patches, of the fifth of seven stages, lie as those of `dirl.backbones.patches` do.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 
@@ -30,6 +30,9 @@ INNER = 11
 
 BATCH_NORM_EPS = 1e-3
 """What its batch norms add to the variance."""
+
+FEW = 4
+"""Views at a time on a CPU. The maps of more are too large to be kept in caches and reused memory."""
 
 PROJECTION = Path(__file__).parent / "data" / "patch_projection_lite0.pth"
 
@@ -131,12 +134,15 @@ def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) 
     }
     network = EfficientNetLite0(parameters).to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def inner_stage(views: Tensor) -> Tensor:
-        return network.inner_stage(normalised(views).to(device, memory_format=torch.channels_last))
+    few = FEW if torch.device(device).type == "cpu" else None
+
+    def inner_stages(views: Tensor) -> Iterator[Tensor]:
+        for some in views.split(few or len(views) or 1):
+            yield network.inner_stage(normalised(some).to(device, memory_format=torch.channels_last))
 
     @torch.inference_mode()
     def forward(views: Tensor) -> Tensor:
-        return network.pool(inner_stage(views))
+        return torch.cat([network.pool(stage) for stage in inner_stages(views)])
 
     if not patches:
         return ViewEncoder(forward, attributes)
@@ -144,8 +150,9 @@ def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) 
 
     @torch.inference_mode()
     def forward_patches(views: Tensor) -> tuple[Tensor, Tensor]:
-        stage = inner_stage(views)
-        return network.pool(stage), projection(stage)
+        parts = [(network.pool(stage), projection(stage)) for stage in inner_stages(views)]
+        pooled, projected = zip(*parts, strict=True)
+        return torch.cat(pooled), torch.cat(projected)
 
     described = {
         "extractor": f"EfficientNet-Lite0, fifth stage, views at {SIZE[0]}x{SIZE[1]}, {CELLS[0]}x{CELLS[1]} cells",
