@@ -13,6 +13,8 @@ from dirl.scenes import load_scenes
 from dirl.training.load import load_trained
 
 NAMES = sorted(folder.name for folder in AGENTS.iterdir())
+ENCODERS = {"general_lite": "efficientnet_lite0"}
+"""Of the agents; of the others `resnet50_small`."""
 
 
 @pytest.fixture(params=NAMES)
@@ -52,7 +54,7 @@ def test_its_evaluation_needs_a_room(name):
 def test_it_finds_a_photo_in_a_room_it_was_not_trained_in(name):
     """From three steps away in the built-in bathroom, on raw images."""
     scene = load_scenes("bathroom_02")[0]
-    navigator = Navigator.load(name, "resnet50_small")
+    navigator = Navigator.load(name, ENCODERS.get(name, "resnet50_small"))
     goal = 26
     start = int(np.nonzero(scene.distances[scene.goals.index(goal)] == 3)[0][0])
     navigator.reset(scene.views[goal])
