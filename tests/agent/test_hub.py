@@ -121,6 +121,9 @@ def test_nothing_shared_runs_code(run, world, tmp_path, monkeypatch):
     (tmp_path / "trap.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'w')")
     monkeypatch.syspath_prepend(tmp_path)
     config = yaml.safe_load((shared / "config.yaml").read_text())
+    facts = json.loads((shared / "dirl.json").read_text())
+    del facts["digest"]  # who writes such a folder computes one, or leaves it out
+    (shared / "dirl.json").write_text(json.dumps(facts))
     for target in ("trap.Trap", "os.system", "dirl.runs.folder.os.system"):
         config["encoder"] = {"_target_": target}
         (shared / "config.yaml").write_text(yaml.safe_dump(config))
@@ -146,6 +149,17 @@ def test_a_damaged_folder_is_one_line(run, tmp_path, name, content):
         load_checkpoint(shared)
     assert "\n" not in str(raised.value)
     assert str(shared) in str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["model.safetensors", "config.yaml"])
+def test_a_byte_that_flipped_is_found_by_the_digest(run, tmp_path, name):
+    shared = save_pretrained(run, tmp_path / "shared")
+    content = bytearray((shared / name).read_bytes())
+    place = content.index(b"seed: ") + 6 if name == "config.yaml" else len(content) - 5
+    content[place] ^= 1
+    (shared / name).write_bytes(content)
+    with pytest.raises(RunError, match="its files are not those that were written: the digest differs"):
+        load_checkpoint(shared)
 
 
 def test_what_cannot_be_shared_or_found_is_told(run, tmp_path, cache, monkeypatch):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dirl.files.atomic import atomic_path, write_json, write_text
+from dirl.files.seals import check_seal, sealed
 from dirl.files.texts import read_text
 from dirl.runs.checks import RunError
 from dirl.runs.contents import check_header, check_plain
@@ -35,10 +36,12 @@ def write_shared(saved: Mapping[str, Any], folder: Path) -> None:
     except ImportError:
         raise RunError(f"{folder}: {MISSING}") from None
     weights = {name: value.clone().contiguous() for name, value in saved["network"].items()}  # none may share memory
+    content = save(weights, {"format": "pt"})
     with atomic_path(folder / WEIGHTS) as temporary:
-        temporary.write_bytes(save(weights, {"format": "pt"}))
+        temporary.write_bytes(content)
     write_text(folder / CONFIG, saved["config"])
-    write_json(folder / FACTS, {key: saved[key] for key in KEYS if key in saved})
+    facts = {key: saved[key] for key in KEYS if key in saved}
+    write_json(folder / FACTS, sealed(facts, content, saved["config"].encode()))
 
 
 def read_shared(folder: Path) -> dict[str, Any]:
@@ -56,7 +59,9 @@ def read_shared(folder: Path) -> dict[str, Any]:
     try:
         facts = json.loads(read_text(folder / FACTS))
         state = {key: facts[key] for key in KEYS if key in facts}
-        state |= {"config": read_text(folder / CONFIG), "network": load(data)}
+        state["config"] = read_text(folder / CONFIG)
+        check_seal(facts, data, state["config"].encode())
+        state["network"] = load(data)
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{folder}: is no policy shared by dirl ({reason})") from None

@@ -59,6 +59,26 @@ def test_a_damaged_map_is_refused_in_one_line(how, saved):
         else:
             tensors["views"][0, 0, 0] = torch.inf
         file.write_bytes(save(tensors))
+        facts = json.loads((folder / "map.json").read_text())
+        del facts["digest"]  # as of an older version
+        (folder / "map.json").write_text(json.dumps(facts))
     with pytest.raises(MapError, match=r"holds no map|is no map of dirl") as caught:
         load_graph(folder)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.999])
+def test_a_byte_that_flipped_is_found_by_the_digest(part, saved):
+    file = saved[1] / "map.safetensors"
+    content = bytearray(file.read_bytes())
+    content[int(part * len(content))] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(MapError, match="is no map of dirl"):
+        load_graph(saved[1])
+
+
+def test_a_fact_that_changed_is_found_by_the_digest(saved):
+    file = saved[1] / "map.json"
+    file.write_text(file.read_text().replace("0.85", "0.95"))
+    with pytest.raises(MapError, match="its files are not those that were written: the digest differs"):
+        load_graph(saved[1])

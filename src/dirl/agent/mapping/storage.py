@@ -9,6 +9,7 @@ import torch
 from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.looks import UNKNOWN, VIEWS
 from dirl.files.atomic import atomic_path, write_json
+from dirl.files.seals import check_seal, sealed
 from dirl.files.texts import read_text
 from dirl.runs.shared import MISSING
 from dirl.scenes.graph import ACTIONS
@@ -39,9 +40,10 @@ def save_graph(graph: ImageGraph, folder: str | Path, *, extractor: str = "unkno
     folder.mkdir(parents=True, exist_ok=True)
     tensors = {"views": graph.views, "moves": torch.tensor(graph.moves), "observed": torch.tensor(graph.observed)}
     facts = {key: getattr(graph, key) for key in ("threshold", "keep", "margin", "turns", "merge", "verify")}
+    content = save(tensors)
     with atomic_path(folder / TENSORS) as temporary:
-        temporary.write_bytes(save(tensors))
-    write_json(folder / FACTS, {"schema": SCHEMA, "extractor": extractor, **facts})
+        temporary.write_bytes(content)
+    write_json(folder / FACTS, sealed({"schema": SCHEMA, "extractor": extractor, **facts}, content))
     return folder
 
 
@@ -64,7 +66,9 @@ def load_graph(folder: str | Path, *, extractor: str | None = None) -> ImageGrap
         raise MapError(f"{folder}: holds no map; it has no {TENSORS}")
     try:
         facts = json.loads(read_text(folder / FACTS))
-        tensors = load((folder / TENSORS).read_bytes())
+        content = (folder / TENSORS).read_bytes()
+        check_seal(facts, content)
+        tensors = load(content)
         threshold, keep, margin = (float(facts[key]) for key in ("threshold", "keep", "margin"))
         merge, verify = bool(facts["merge"]), bool(facts.get("verify", False))
         graph = ImageGraph(threshold, keep, margin, int(facts["turns"]), merge=merge, verify=verify)
