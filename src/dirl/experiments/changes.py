@@ -154,6 +154,7 @@ def _draw(
             axes.errorbar(range(len(spl)), mean, error, fmt=marker, color=color, markersize=3.5, capsize=2, label=named)
         axes.set_xticks(range(len(collections)), [Path(one).name for one in collections])
         axes.set(title=GOAL_VIEWS[view], ylim=(-0.03, 1.03), ylabel="SPL" if view == "surrounding" else None)
+        axes.tick_params(axis="x", labelsize="small")
         plain(axes)
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     save_figure(figure, out, "changes")
