@@ -1,5 +1,7 @@
 """A navigator that walks through a place once, and then goes to any photo of it."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -94,7 +96,9 @@ def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_p
     folder = explorer.save(tmp_path / "map")
     navigator.reset(images_of(world.surrounding[5]), graph=folder, last_steps=0)
     assert walk_to(navigator, world, 20, 5)[-1] == 5
-    (folder / "map.json").write_text((folder / "map.json").read_text().replace('"random"', '"other"'))
+    facts = json.loads((folder / "map.json").read_text())
+    del facts["digest"]  # as in maps of before the digest, which are believed
+    (folder / "map.json").write_text(json.dumps(facts).replace('"random"', '"other"'))
     with pytest.raises(NavigatorError, match="was made with another extractor: 'other', not 'random'"):
         navigator.reset(images_of(world.surrounding[5]), graph=folder)
 
