@@ -58,7 +58,7 @@ class Explorer:
         """
         if self.graph.at is None:
             return None
-        action = self.graph.frontier_action(self.graph.at)
+        action = self.graph.frontier_action()
         return RIGHT if action is None and self._turns.compared < QUARTERS else action
 
     def save(self, folder: str | Path) -> Path:

@@ -26,6 +26,10 @@ whether the goal is seen there, bool ``[B, 4]``; rows of agents that are not cho
 class Sight(Protocol):
     """What B agents have seen in their episodes. A *node* is a visit and a heading: ``4 * visit + quarters``."""
 
+    @property
+    def seen(self) -> Tensor | None:
+        """The visits, ``[B, T, 4, ...]``; None before the first one."""
+
     def compare(self, visit: Tensor) -> Tensor:
         """How much what is seen now looks like each node so far, float32 ``[B, T, 4]``; the visit becomes the next.
 
@@ -43,11 +47,14 @@ class WorldSight:
     Args:
         scores: between any two visits of a scene.
         agents: how many begin, B.
+        seen: in an earlier walk through the place, int64 ``[1, T, 4]``.
     """
 
-    def __init__(self, scores: VisitScores, agents: int) -> None:
+    def __init__(self, scores: VisitScores, agents: int, seen: Tensor | None = None) -> None:
         self.scores = scores
-        self.seen = torch.empty((agents, 0, VIEWS), dtype=torch.int64, device=scores.table.device)
+        if seen is None:
+            seen = torch.empty((1, 0, VIEWS), dtype=torch.int64, device=scores.table.device)
+        self.seen = seen.expand(agents, -1, -1)
 
     def compare(self, visit: Tensor) -> Tensor:
         """See `Sight.compare`."""
@@ -65,11 +72,12 @@ class CameraSight:
 
     Args:
         recogniser: compares them.
+        seen: in an earlier walk through the place, float32 ``[B, T, 4, F]``.
     """
 
-    def __init__(self, recogniser: Recogniser) -> None:
+    def __init__(self, recogniser: Recogniser, seen: Tensor | None = None) -> None:
         self.recogniser = recogniser
-        self.seen: Tensor | None = None
+        self.seen: Tensor | None = seen
 
     def compare(self, visit: Tensor) -> Tensor:
         """See `Sight.compare`."""
@@ -169,12 +177,12 @@ class Localising:
 
     Args:
         memory: localises and plans.
-        sight: empty; its recogniser gives log odds.
+        sight: empty, or with what was seen on a walk; its recogniser gives log odds.
+        places: of that walk, see `dirl.agent.mapping.places.PlaceMap.begin`.
     """
 
-    def __init__(self, memory: LocalisingMemory, sight: Sight) -> None:
-        self.memory, self.sight = memory, sight
-        self.places: Places | None = None
+    def __init__(self, memory: LocalisingMemory, sight: Sight, places: Places | None = None) -> None:
+        self.memory, self.sight, self.places = memory, sight, places
 
     def arrive(self, visit: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Tensor:
         """Take in what the agents see; whether they stop there, bool ``[B]``.

@@ -1,7 +1,7 @@
 """Episodes of a policy in a world: from given starts, until it stops, without rewards."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -10,10 +10,11 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from dirl.agent.decisions import Decide, deciding
+from dirl.agent.mapping.places import PlaceMap
 from dirl.agent.recall import Localising, Memory, Recall, WorldSight, recalling
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import RandomPolicy
-from dirl.models import frozen
+from dirl.models import LocalisingMemory, frozen
 from dirl.recognition.matching import Arrived
 from dirl.recognition.recogniser import NCC
 from dirl.recognition.tables import VisitScores
@@ -87,6 +88,7 @@ def run_episodes(
     seed: int = 0,
     memory: Memory | None = None,
     scores: VisitScores | None = None,
+    maps: Sequence[PlaceMap] | None = None,
     shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> Episodes:
@@ -109,6 +111,7 @@ def run_episodes(
         seed: of the draws.
         memory: changes logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`.
         scores: by which the memory knows places; correlation if left out.
+        maps: of a walk through each scene, which the episodes go on with; for a `LocalisingMemory`.
         shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
         watch: called after each step with the unfinished episodes and their states, int64 ``[W]`` each.
     """
@@ -128,15 +131,16 @@ def run_episodes(
         agents = _Agents(decide, arrived, world, observation, generator, greedy, shown)
         if memory is not None and scores is None:
             scores = VisitScores(NCC(), world)
-        # A memory of many episodes takes much space until they have ended.
-        for walking in torch.arange(len(start), device=world.device).split(MANY if memory else max(1, len(start))):
+        for walking in _together(start, world, memory is not None, maps is not None):
             goal_look = wanted[walking] // len(world.goals)
             ahead = drawn_looks(start[walking], len(world), world, generator, goal_look)
             walk = _Walk(walking, start[walking], ahead, observation.begin(ahead))
             if memory is not None and scores is not None:
-                agents.recall = recalling(
-                    memory, WorldSight(scores, len(walking)), world.turns[world.scene_of[start[walking]]]
-                )
+                scene = world.scene_of[start[walking]]
+                if maps is None:
+                    agents.recall = recalling(memory, WorldSight(scores, len(walking)), world.turns[scene])
+                else:
+                    agents.recall = _going_on(memory, scores, maps[int(scene[0])], arrived, wanted[walking])
                 agents.stop(walk, wanted[walking])  # no agent stops before its first step
             for step in range(1, max_steps + 1):
                 going = _take_step(walk, agents, episodes, wanted, step)
@@ -150,6 +154,22 @@ def run_episodes(
                     agents.recall.select(going)
                 walk = walk.going_on(observation, going)
     return episodes
+
+
+def _together(start: Tensor, world: World, memory: bool, maps: bool) -> list[Tensor]:
+    """The episodes that are walked at the same time, by their places in ``start``."""
+    episodes = torch.arange(len(start), device=world.device)
+    if maps:
+        return [episodes[world.scene_of[start] == scene] for scene in world.scene_of[start].unique()]
+    # A memory of many episodes takes much space until they have ended.
+    return list(episodes.split(MANY if memory else max(1, len(start))))
+
+
+def _going_on(memory: Memory, scores: VisitScores, known: PlaceMap, arrived: Arrived, wanted: Tensor) -> Localising:
+    """The memory of agents that know a map, on their way to goals, int64 ``[B]``."""
+    assert isinstance(memory, LocalisingMemory)
+    sight = WorldSight(scores, len(wanted), known.seen)
+    return Localising(memory, sight, known.begin(arrived(wanted[:, None, None], sight.seen)))
 
 
 def drawn_looks(
@@ -262,6 +282,8 @@ class _Agents:
         facing, headings = visit[chosen].flatten(), visit.shape[1]
         there = [rows[chosen].repeat_interleave(headings) for rows in (episode, wanted)]
         logits = torch.zeros((*visit.shape, len(ACTIONS)), device=visit.device)
+        if not len(facing):
+            return logits
         asked = self.decide(there[0], facing, self.observation.begin(facing), there[1])
         logits[chosen] = asked.view(-1, headings, len(ACTIONS))
         return logits

@@ -1,5 +1,6 @@
 """Evaluation of a policy: the protocol, and ATL, SR and SPL (paper section 4.3)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -7,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from dirl.agent.decisions import answers
+from dirl.agent.mapping.places import PlaceMap
 from dirl.agent.recall import Memory
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, run_episodes, shortest_episodes
@@ -35,6 +37,8 @@ class EvaluationProtocol:
     """Changes the policies' logits by what was done in the episode."""
     scores: VisitScores | None = None
     """By which the memory knows places; None = correlation."""
+    maps: Sequence[PlaceMap] | None = None
+    """Of a walk through each scene, with which a `LocalisingMemory` begins; None = it knows nothing."""
     shown: Tensor | None = None
     """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
     held_out: "EvaluationProtocol | None" = None
@@ -46,7 +50,7 @@ class EvaluationProtocol:
 
     def run_random(self) -> Episodes:
         """The same for random actions. The environment stops the agent, so that it makes no false stops."""
-        return replace(self, stop=None, memory=None).run(RandomPolicy(), greedy=False)
+        return replace(self, stop=None, memory=None, maps=None).run(RandomPolicy(), greedy=False)
 
     def trajectories(
         self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
@@ -61,7 +65,7 @@ class EvaluationProtocol:
         return run_episodes(policy, self.world, starts, greedy=greedy, watch=watch, **self._conditions()), paths
 
     def _conditions(self) -> dict[str, Any]:
-        names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "shown")
+        names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "maps", "shown")
         return {name: getattr(self, name) for name in names}
 
 

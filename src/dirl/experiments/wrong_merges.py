@@ -144,7 +144,7 @@ def mapped(place: Place, graph: Traced) -> Tensor:
     graph.see(place.look(graph.state))
     for _ in range(WALK * len(place.scene)):
         assert graph.at is not None
-        action = graph.frontier_action(graph.at)
+        action = graph.frontier_action()
         if action is None:
             break
         graph.state = step(place.scene.graph, graph.state, action)

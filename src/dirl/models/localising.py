@@ -19,29 +19,32 @@ MOVED = {AHEAD: 1, BACK: -1}
 DIRECTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """Displacement by a move ahead, facing as at the start, to the right of it, and so on."""
 
+FAR = 10_000
+"""Moves between the start of an episode and where an earlier walk ended, as nothing is known of the way from there."""
+
 
 @dataclass
 class Places:
-    """What B agents have seen and done in their present episodes of T visits; made by `LocalisingMemory.begin`.
+    """What B agents have seen and done in T visits, of P places; made by `LocalisingMemory.begin`.
 
     A node is a place and one of the four headings there, as in `dirl.models.planning.Walked`. Each visit makes a place,
     which stays unused where the agent is at an earlier one.
     """
 
     cost: Tensor
-    """Of each action at each node, float32 ``[B, 4 T, 4]``; infinite at unused places."""
+    """Of each action at each node, float32 ``[B, 4 P, 4]``; infinite at unused places."""
     after: Tensor
-    """The node that an action leads to, int64 ``[B, 4 T, 4]``; -1 where that is not known."""
+    """The node that an action leads to, int64 ``[B, 4 P, 4]``; -1 where that is not known."""
     node: Tensor
     """Where each visit was, int64 ``[B, T]``."""
     goal: Tensor
     """Log odds of each visit that the goal is seen there, facing each of its four views, float32 ``[B, T, 4]``."""
     position: Tensor
-    """Of each place, in moves to the right of and ahead of the start, int64 ``[B, T, 2]``."""
+    """Of each place, in moves to the right of and ahead of the start, int64 ``[B, P, 2]``."""
     heading: Tensor
-    """Of the first view of each place, in right turns since the start, int64 ``[B, T]``."""
+    """Of the first view of each place, in right turns since the start, int64 ``[B, P]``."""
     action: Tensor
-    """The last action, int64 ``[B]``; -1 at the start."""
+    """The last action, int64 ``[B]``; -1 at the start, where agents may be anywhere."""
 
     @property
     def here(self) -> Tensor:
@@ -51,6 +54,24 @@ class Places:
     def select(self, chosen: Tensor) -> "Places":
         """Some of the agents, by mask or index."""
         return Places(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    @property
+    def used(self) -> Tensor:
+        """Nodes where an agent was, or which it faced from there, bool ``[B, 4 P]``."""
+        return self.cost.isfinite().any(-1)
+
+    def compact(self) -> "Places":
+        """Of one agent, without its unused places."""
+        kept = self.used[0].view(-1, VIEWS).any(1).nonzero().flatten()
+        row = torch.full((self.position.shape[1],), -1, device=kept.device).index_copy(0, kept, torch.arange(len(kept)))
+        nodes = (VIEWS * kept[:, None] + torch.arange(VIEWS, device=kept.device)).flatten()
+
+        def renumbered(node: Tensor) -> Tensor:
+            return torch.where(node < 0, -1, VIEWS * row[node // VIEWS] + node % VIEWS)
+
+        after = renumbered(self.after[:, nodes])
+        facts = self.position[:, kept], self.heading[:, kept], self.action
+        return Places(self.cost[:, nodes], after, renumbered(self.node), self.goal, *facts)
 
 
 class LocalisingMemory(nn.Module):
@@ -123,19 +144,52 @@ class LocalisingMemory(nn.Module):
             logits: of the chosen agents, bool ``[B]``, those of the policy facing each of the four views, float32
                 ``[B, 4, 4]``; rows of others are not used.
         """
-        agents, visits = places.node.shape
-        device = goal.device
-        new = VIEWS * visits
+        return self.add(places, self.likely(places, alike).argmax(1), goal, logits)
+
+    def likely(self, places: Places, alike: Tensor) -> Tensor:
+        """Log probabilities, up to a constant, that the agents are now at each node or, last, at a new place.
+
+        Agents that have not acted since the start may be at any place with the same probability.
+
+        Args:
+            places: see `arrive`.
+            alike: see `arrive`.
+
+        Returns:
+            float32 ``[B, 4 P + 1]``.
+        """
+        evidence = self._evidence(alike, places)
+        used, at = evidence > -math.inf, torch.arange(len(evidence), device=evidence.device)
+        prior = (self.slip / used.sum(1, keepdim=True).clamp(min=1)).expand(used.shape)
+        new = prior.new_full((len(used), 1), self.slip)
+        if not _carried(places):
+            position, heading = self._expected(places)
+            outcome = places.after[at, places.here, places.action]
+            headings = places.heading[..., None] + torch.arange(VIEWS, device=heading.device)
+            there = places.position == position[:, None]
+            there = there.all(-1)[..., None] & (headings % VIEWS == heading[:, None, None])
+            there = there.flatten(1) & used
+            tried = outcome >= 0
+            prior = torch.where(there & ~tried[:, None], 1 - self.blocked, prior)
+            prior[at, torch.where(tried, outcome, places.here)] = torch.where(tried, 1 - self.slip, self.blocked)
+            new[~(tried | there.any(1))] = 1 - self.blocked
+        return torch.cat([prior.log() + evidence, new.log()], 1)
+
+    def add(self, places: Places, here: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
+        """Add a visit of agents that are at nodes ``here``, int64 ``[B]``; ``4 P`` is a new place.
+
+        Args:
+            places: see `arrive`.
+            here: where they are.
+            goal: see `arrive`.
+            logits: see `arrive`.
+        """
         position, heading = self._expected(places)
-        here = torch.full((agents,), new, device=device)
-        if visits:
-            likely, unknown = self._posterior(places, alike, position, heading)
-            best, node = likely.max(1)
-            here = torch.where(best > unknown, node, here)
+        new = places.cost.shape[1]
         made = here == new
         cost = torch.where(made[:, None, None], -logits(made).log_softmax(-1), math.inf)
-        headings = new + torch.arange(VIEWS, device=device)
-        after = torch.full((agents, VIEWS, len(ACTIONS)), -1, device=device)
+        headings = new + torch.arange(VIEWS, device=here.device)
+        after = torch.full((len(here), VIEWS, len(ACTIONS)), -1, device=here.device)
         after[:, :, RIGHT], after[:, :, LEFT] = headings.roll(-1), headings.roll(1)
         arrived = Places(
             cost=torch.cat([places.cost, cost], 1),
@@ -146,7 +200,7 @@ class LocalisingMemory(nn.Module):
             heading=torch.cat([places.heading, heading[:, None]], 1),
             action=places.action,
         )
-        if visits:
+        if not _carried(places):
             connect(arrived.after, places.here, places.action, here)
         return arrived
 
@@ -180,8 +234,8 @@ class LocalisingMemory(nn.Module):
     def _expected(self, places: Places) -> tuple[Tensor, Tensor]:
         """Position and heading by dead reckoning after the last action, int64 ``[B, 2]`` and ``[B]``."""
         action = places.action
-        if not places.node.shape[1]:
-            return action.new_zeros(len(action), 2), torch.zeros_like(action)
+        if _carried(places):
+            return action.new_full((len(action), 2), FAR * places.node.shape[1]), torch.zeros_like(action)
         at, place = torch.arange(len(action), device=action.device), places.here // VIEWS
         turned, moved = (
             torch.tensor([table.get(a, 0) for a in range(len(ACTIONS))], device=action.device)[action]
@@ -192,22 +246,6 @@ class LocalisingMemory(nn.Module):
         # Of the first view of a place: the agent faces it when it arrives.
         return places.position[at, place] + step, (heading + turned) % VIEWS
 
-    def _posterior(self, places: Places, alike: Tensor, position: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-        """Log probability of each node and of a new place, up to a constant, float32 ``[B, 4 T]`` and ``[B]``."""
-        evidence = self._evidence(alike, places)
-        used, at = evidence > -math.inf, torch.arange(len(evidence), device=evidence.device)
-        outcome = places.after[at, places.here, places.action]
-        headings = places.heading[..., None] + torch.arange(VIEWS, device=heading.device)
-        there = (places.position == position[:, None]).all(-1)[..., None] & (headings % VIEWS == heading[:, None, None])
-        there = there.flatten(1) & used
-        tried = outcome >= 0
-        anywhere = torch.full_like(tried, self.slip, dtype=torch.float32)
-        prior = (anywhere / used.sum(1))[:, None].repeat(1, used.shape[1])
-        prior = torch.where(there & ~tried[:, None], 1 - self.blocked, prior)
-        prior[at, torch.where(tried, outcome, places.here)] = torch.where(tried, 1 - self.slip, self.blocked)
-        new = torch.where(tried | there.any(1), anywhere, 1 - self.blocked)
-        return prior.log() + evidence, new.log()
-
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
         """Log odds of visits facing each view, float32 ``[B, T, 4]``, as those of nodes, ``[B, 4 T]``."""
         turned = (places.node[..., None] + torch.arange(VIEWS, device=odds.device)) % VIEWS
@@ -216,6 +254,11 @@ class LocalisingMemory(nn.Module):
         total = odds.new_zeros(len(odds), places.cost.shape[1]).scatter_add(1, node, odds.flatten(1))
         visits = torch.zeros_like(total).scatter_add(1, node, torch.ones_like(odds).flatten(1))
         return torch.where(visits > 0, total * visits.clamp(min=1) ** (self.independence - 1), -math.inf)
+
+
+def _carried(places: Places) -> bool:
+    """Whether the agents have not acted yet in this episode; all begin at once."""
+    return bool((places.action < 0).any())
 
 
 def _exits(places: Places) -> Tensor:

@@ -28,7 +28,7 @@ def test_a_walk_through_everything_gives_the_scene(headings, most):
     scene = grid_scene(**ROOM, headings=headings)
     graph = ImageGraph(turns=headings)
     explore(scene, graph, 5, round(most * len(scene)))
-    assert graph.frontier_action(graph.at) is None  # nothing is left to be learnt
+    assert graph.frontier_action() is None  # nothing is left to be learnt
     assert len(graph) == len(scene)
     seen = looks(scene)
     node_of = [graph.locate(views) for views in seen]

@@ -187,13 +187,16 @@ class ImageGraph:
                 return action
         return None
 
-    def frontier_action(self, node: int) -> int | None:
+    def frontier_action(self) -> int | None:
         """What to do next to learn more: the first action on a shortest way to one whose outcome is not known.
 
         Returns:
-            None if everything that can be reached is known.
+            None if everything that can be reached is known, or nothing was seen yet.
         """
-        if self.doubt is not None and node == self.at and (testing := self.doubt.testing_action(self)) is not None:
+        node = self.at
+        if node is None:
+            return None
+        if self.doubt is not None and (testing := self.doubt.testing_action(self)) is not None:
             return testing
         tried = (AHEAD, BACK) if self.turns == VIEWS else (AHEAD, BACK, RIGHT)
         first: dict[int, int | None] = {node: None}

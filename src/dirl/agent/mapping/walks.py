@@ -1,17 +1,27 @@
 """A walk through a scene that makes a map of it: the walker goes where something is still unknown."""
 
 from collections.abc import Callable
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from dirl.agent.mapping.graph import ImageGraph
 from dirl.scenes.graph import IntArray
 from dirl.scenes.scene import Scene
 
 
+class Mapper(Protocol):
+    """What makes a map of a walk: `dirl.agent.mapping.ImageGraph` or `dirl.agent.mapping.places.ParticleMapper`."""
+
+    def see(self, views: Tensor, action: int | None = None) -> Any:
+        """Take in what is seen ahead, right, back and left, ``[4, ...]``, after an action."""
+
+    def frontier_action(self) -> int | None:
+        """After which most is learnt soonest; None if nothing in reach is unknown."""
+
+
 def explore(
-    scene: Scene, graph: ImageGraph, start: int, steps: int, look: Callable[[int], Tensor] | None = None
+    scene: Scene, graph: Mapper, start: int, steps: int, look: Callable[[int], Tensor] | None = None
 ) -> list[int]:
     """Walk through a scene and map it; the walk ends early where nothing is left to be learnt.
 
@@ -22,19 +32,21 @@ def explore(
         graph: empty; filled by the walk.
         start: the first state.
         steps: of the walk, at most.
-        look: the features ahead, right, back and left of a state, float32 ``[4, D]``; the scene's own if left out.
+        look: what is seen ahead, right, back and left of a state, in the form that the map takes, ``[4, ...]``; the
+            scene's features, float32 ``[4, D]``, if left out.
 
     Returns:
         The states that were passed.
     """
     look = look or looks(scene)
-    passed, node = [start], graph.see(look(start))
+    passed = [start]
+    graph.see(look(start))
     for _ in range(steps):
-        action = graph.frontier_action(node)
+        action = graph.frontier_action()
         if action is None:
             break
         passed.append(step(scene.graph, passed[-1], action))
-        node = graph.see(look(passed[-1]), action)
+        graph.see(look(passed[-1]), action)
     return passed
 
 

@@ -1,0 +1,81 @@
+"""Maps of a world that changes: one walk through each scene, and how right what it found is."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from dirl.agent.mapping.places import ParticleMapper, PlaceMap
+from dirl.agent.mapping.walks import explore
+from dirl.agent.recall import WorldSight
+from dirl.envs.transforms import VIEWS
+from dirl.evaluation.episodes import drawn_looks
+from dirl.models import LocalisingMemory
+from dirl.recognition.tables import VisitScores
+from dirl.scenes import World
+from dirl.scenes.graph import AHEAD, BACK
+
+
+class Quality(NamedTuple):
+    """How a map compares with the scene that was walked through."""
+
+    nodes: float
+    """Nodes for each state that the walker saw; above 1 where it did not recognise a place."""
+    covered: float
+    """Share of the scene's states that it saw."""
+    wrong: float
+    """Share of the map's moves that lead elsewhere than in the scene."""
+
+
+def map_scene(
+    world: World, index: int, memory: LocalisingMemory, scores: VisitScores, steps_per_state: float, seed: int = 0
+) -> tuple[PlaceMap, list[int]]:
+    """Walk once through a scene from a drawn state, in which every visit has a look drawn for it.
+
+    Args:
+        world: where.
+        index: of the scene.
+        memory: see `ParticleMapper`.
+        scores: log odds that two visits are of the same place.
+        steps_per_state: length of the walk at most, in steps for each state of the scene.
+        seed: of all draws.
+
+    Returns:
+        The map, and the states that were passed, by their places in the scene.
+    """
+    scene, offset = world.scenes[index], world.offsets[index]
+    generator = torch.Generator().manual_seed(seed)
+    mapper = ParticleMapper(memory, WorldSight(scores, 1), seed=seed)
+
+    def look(state: int) -> Tensor:
+        ahead = drawn_looks(torch.tensor([offset + state]), len(world), world, generator)
+        return world.surrounding[offset + state] + (ahead - ahead % len(world))
+
+    start = int(torch.randint(len(scene), (1,), generator=generator))
+    passed = explore(scene, mapper, start, round(steps_per_state * len(scene)), look)
+    return mapper.map(), passed
+
+
+def map_quality(known: PlaceMap, passed: list[int], world: World, index: int) -> Quality:
+    """Compare a map with its scene; a node is of the state where the walker first was at its place.
+
+    Args:
+        known: a map of a walk.
+        passed: the states of its visits, by their places in the scene.
+        world: see `map_scene`.
+        index: see `map_scene`.
+    """
+    scene, places = world.scenes[index], known.places
+    surrounding, node = torch.tensor(scene.surrounding), places.node[0]
+    state = torch.full((len(known),), -1)
+    for visit in reversed(range(len(passed))):
+        around = surrounding[passed[visit]]  # the walker faces the first of these views
+        headings = (node[visit] + torch.arange(VIEWS)) % VIEWS
+        state[node[visit] // VIEWS * VIEWS + headings] = around
+    graph = torch.tensor(scene.graph)
+    truth = torch.where(graph < 0, torch.arange(len(graph))[:, None], graph)
+    after, moves = places.after[0], torch.tensor([AHEAD, BACK])
+    tried = after[:, moves] >= 0
+    wrong = tried & (state[after[:, moves]] != truth[state][:, moves])
+    seen = len(state.unique())
+    return Quality(len(known) / seen, seen / len(scene), float(wrong.sum() / tried.sum().clamp(min=1)))
