@@ -20,6 +20,7 @@ from typing import Any
 
 import hydra
 from omegaconf import DictConfig
+from tqdm import tqdm
 
 from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
@@ -33,6 +34,7 @@ from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, GoalView, typed
 from dirl.evaluation.episodes import sampled_starts, shortest_episodes
 from dirl.evaluation.live import Remembered, evaluate_live, shortest_move
+from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, metrics
 from dirl.files.atomic import write_json, write_text
 from dirl.models import LocalisingMemory
@@ -83,8 +85,7 @@ def main(composed: DictConfig) -> None:
         if options.starts is None:
             trained = trained._replace(protocol=few_enough(trained.protocol))
         if options.image_graph is not None:
-            last_steps = LAST_STEPS if options.last_steps is None else options.last_steps
-            trained = trained._replace(policy=led_by_map(trained, options.image_graph, last_steps))
+            trained = with_map(trained, options.image_graph, options.last_steps)
         if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:
             raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
         facts = describe(trained.config, trained.protocol.world)
@@ -153,11 +154,32 @@ def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
     return {"shortest_path": metrics(shortest_episodes(protocol.world, protocol.starts)), "live": metrics(found)}
 
 
-def led_by_map(trained: Trained, steps_per_state: float, last_steps: int) -> GuidedPolicy:
-    """The policy, led to so many steps before its goals by the maps of one walk through each scene."""
-    if trained.protocol.observation.history:
+def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -> Trained:
+    """The agent, with the map of one walk through each scene: its memory's own, or an image graph.
+
+    An image graph leads the policy to ``last_steps`` before its goals. A memory that localises begins its episodes with
+    the map, and decides as it does without.
+    """
+    protocol = trained.protocol
+    if protocol.observation.history:
         raise RunError("image_graph: needs a policy that sees four views around it; this one sees its last four")
-    return GuidedPolicy(trained.policy, GraphMemory(trained.protocol.world, steps_per_state), last_steps)
+    if not isinstance(protocol.memory, LocalisingMemory) or protocol.scores is None:
+        memory = GraphMemory(protocol.world, steps_per_state)
+        return trained._replace(
+            policy=GuidedPolicy(trained.policy, memory, LAST_STEPS if last_steps is None else last_steps)
+        )
+    if last_steps is not None:
+        raise RunError(f"last_steps={last_steps}: a memory that localises knows its map to the end; leave it out")
+    maps = []
+    for index, scene in enumerate(tqdm(protocol.world.scenes, desc="walks", unit=" scenes", disable=None)):
+        known, passed = map_scene(protocol.world, index, protocol.memory, protocol.scores, steps_per_state)
+        quality = map_quality(known, passed, protocol.world, index)
+        tqdm.write(
+            f"map of {scene.name}: {len(passed)} visits, {quality.nodes:.2f} nodes a state, "
+            f"{100 * quality.covered:.0f} % of the states, {100 * quality.wrong:.1f} % of the moves wrong"
+        )
+        maps.append(known)
+    return trained._replace(protocol=replace(protocol, maps=maps))
 
 
 def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:

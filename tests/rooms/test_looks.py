@@ -22,7 +22,7 @@ def look():
 
     def views(seed=0, **changes):
         made = Changes(**{**none, **changes})
-        return np.stack(list(look_views(renderer, room.camera, way, SIZE, made, seed))).astype(float)
+        return np.stack(list(look_views(renderer, room, way, SIZE, made, seed, fine=False))).astype(float)
 
     return views
 

@@ -133,6 +133,10 @@ class ChangesConfig:
     exposure: float = MISSING
     white_balance: float = MISSING
     camera_height: float = MISSING
+    lamps: float = MISSING
+    daylight: float = MISSING
+    furniture: float = MISSING
+    objects: float = MISSING
     vary: float = MISSING
 
 

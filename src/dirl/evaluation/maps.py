@@ -44,14 +44,14 @@ def map_scene(
         The map, and the states that were passed, by their places in the scene.
     """
     scene, offset = world.scenes[index], world.offsets[index]
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator(world.device).manual_seed(seed)
     mapper = ParticleMapper(memory, WorldSight(scores, 1), seed=seed)
 
     def look(state: int) -> Tensor:
-        ahead = drawn_looks(torch.tensor([offset + state]), len(world), world, generator)
+        ahead = drawn_looks(torch.tensor([offset + state], device=world.device), len(world), world, generator)
         return world.surrounding[offset + state] + (ahead - ahead % len(world))
 
-    start = int(torch.randint(len(scene), (1,), generator=generator))
+    start = int(torch.randint(len(scene), (1,), generator=generator, device=world.device))
     passed = explore(scene, mapper, start, round(steps_per_state * len(scene)), look)
     return mapper.map(), passed
 

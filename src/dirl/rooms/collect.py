@@ -99,7 +99,8 @@ def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]
     collection = read_collection(folder)
     for entry in collection.entries:
         for key, value in stored.items():
-            if entry.settings.get(key) != value:
+            older = 0.0 if key.startswith("changes.") else None  # collections made before there was such a change
+            if entry.settings.get(key, older) != value:
                 raise SceneError(
                     f"{folder}: {entry.name} was made with {key}={entry.settings.get(key)}, not {value}; give the same "
                     "options, or another folder"
@@ -180,7 +181,9 @@ def make_room(
     looks = []
     if renderer is not None:
         seeds = range(LOOK_SEEDS * seed, LOOK_SEEDS * seed + settings.looks)
-        looks = [list(look_views(renderer, room.camera, way, size, settings.changes, look)) for look in seeds]
+        looks = [
+            list(look_views(renderer, room, way, size, settings.changes, look, fine=settings.fine)) for look in seeds
+        ]
     write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks)
     thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
     problems = check_room(room) + check_views(thumbnails, contrasts, way)

@@ -6,15 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dirl.rooms.build import QUALITY, poses
-from dirl.rooms.description import Camera
+from dirl.rooms.changed import changed_room
+from dirl.rooms.description import RoomDescription
 from dirl.rooms.mesh import Array
 from dirl.rooms.navigation import Walk
 from dirl.rooms.view import Renderer
 from dirl.scenes import SceneError
 from dirl.scenes.views import decode, encode
 
-LARGEST = {"position": 1.0, "heading": 45.0, "exposure": 1.0, "white_balance": 1.0, "camera_height": 1.0, "vary": 1.0}
-"""What a visit can be called."""
+LARGEST = {"heading": 45.0, "daylight": 3.0}
+"""What a visit can be called; 1 for what is not named here."""
+
+OF_ROOM = ("lamps", "daylight", "furniture", "objects")
+"""What is drawn once for a look, not for each of its visits; see `dirl.rooms.changed.changed_room`."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,11 @@ class Changes:
         exposure: of the logarithm of the brightness; 0.05 is about 5 %.
         white_balance: of the logarithm of red and of blue.
         camera_height: metres.
+        lamps: probability that the lamps of one kind are off; of this and the next three see
+            `dirl.rooms.changed.changed_room`.
+        daylight: of the logarithm of the light through each window.
+        furniture: of how far a chair or the like is moved along each axis, metres.
+        objects: probability that a small thing is gone.
         vary: each look has all of these times a factor drawn from ``1 - vary`` to ``1 + vary``, for rooms to train in.
 
     Raises:
@@ -38,26 +47,34 @@ class Changes:
     exposure: float = 0.15
     white_balance: float = 0.0
     camera_height: float = 0.0
+    lamps: float = 0.0
+    daylight: float = 0.0
+    furniture: float = 0.0
+    objects: float = 0.0
     vary: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not 0 <= value <= LARGEST[name]:
-                raise SceneError(f"changes.{name}={value:g}: must be 0 to {LARGEST[name]:g}")
+            if not 0 <= value <= LARGEST.get(name, 1.0):
+                raise SceneError(f"changes.{name}={value:g}: must be 0 to {LARGEST.get(name, 1.0):g}")
 
     def times(self, factor: float) -> "Changes":
         """All errors times a factor, at most the largest."""
-        return replace(self, **{name: min(LARGEST[name], factor * value) for name, value in vars(self).items()})
+        return replace(
+            self, **{name: min(LARGEST.get(name, 1.0), factor * value) for name, value in vars(self).items()}
+        )
 
 
 def look_views(
     renderer: Renderer,
-    camera: Camera,
+    room: RoomDescription,
     way: Walk,
     size: tuple[int, int],
     changes: Changes,
     seed: int,
     quality: int = QUALITY,
+    *,
+    fine: bool = True,
 ) -> Iterator[Array]:
     """The views of one look, uint8 ``[height, width, 3]``, in the order of the states, as they would be stored.
 
@@ -65,17 +82,21 @@ def look_views(
     the spot do.
 
     Args:
-        renderer: of the room.
-        camera: how the agent looks.
+        renderer: of the room as it is.
+        room: and how the agent looks.
         way: the places and headings.
         size: height and width of the views, pixels.
         changes: how large the errors are.
         seed: of the errors; another one for each look.
         quality: of the views' WebP encoding.
+        fine: see `Renderer.of`, of a room that is changed.
     """
     rng = np.random.default_rng(seed)
     if changes.vary:
         changes = changes.times(float(rng.uniform(1 - changes.vary, 1 + changes.vary)))
+    of_room = {name: getattr(changes, name) for name in OF_ROOM}
+    if any(of_room.values()):
+        renderer = Renderer.of(changed_room(room, np.random.default_rng((seed, 1)), **of_room), fine=fine)
     turns, places = len(way.headings), len(way.places)
     moved = rng.normal(0, 1, (places, 2)) * changes.position
     turned, raised = rng.normal(0, 1, (2, places)) * [[changes.heading], [changes.camera_height]]
@@ -84,7 +105,7 @@ def look_views(
     for state, (x, y, heading) in enumerate(poses(way)):
         place = state // turns
         seen = Renderer(renderer.scenery, renderer.light, renderer.exposure * float(brightness[place]))
-        lifted = replace(camera, height=camera.height + float(raised[place]))
+        lifted = replace(room.camera, height=room.camera.height + float(raised[place]))
         pose = (x + moved[place, 0], y + moved[place, 1], heading + turned[place])
         view = seen.view(lifted, pose, size)
         if changes.white_balance:

@@ -44,8 +44,8 @@ class PlaceMap:
         Args:
             goal: log odds that their goals are seen at each visit of the walk, facing each view, ``[B, T, 4]``.
         """
-        agents = len(goal)
-        known = {name: value.expand(agents, *value.shape[1:]) for name, value in vars(self.places).items()}
+        agents, device = len(goal), goal.device
+        known = {name: value.to(device).expand(agents, *value.shape[1:]) for name, value in vars(self.places).items()}
         # The tables of links are written to.
         known |= {"after": known["after"].clone(), "goal": goal, "action": torch.full_like(known["action"], -1)}
         return Places(**known)
