@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from dirl.agent.images import Images, NavigatorError
-from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
+from dirl.agent.mapping import ImageGraph, MapError, PlaceMap, load_graph, save_graph
 from dirl.agent.mapping.looks import VIEWS
+from dirl.agent.mapping.places import ParticleMapper
 from dirl.recognition.matching import normal_vectors
 from dirl.scenes.graph import LEFT, RIGHT
 
@@ -23,13 +24,20 @@ class Explorer:
     """A walk through a place, by a robot or a person, that makes a map of it. Made by `dirl.Navigator.explore`.
 
     Args:
-        encode: images of four views to their features, float32 ``[4, D]``.
-        graph: the map, empty or of an earlier walk.
+        encode: images of four views to what the map takes: their features, float32 ``[4, D]``, or descriptions.
+        graph: the map, empty or of an earlier walk; or what makes one by what an agent's memory believes.
         extractor: what makes the features, written into saved maps.
+        recogniser: what makes descriptions, likewise.
     """
 
-    def __init__(self, encode: Callable[[Images], Tensor], graph: ImageGraph, extractor: str) -> None:
-        self._encode, self.graph, self.extractor = encode, graph, extractor
+    def __init__(
+        self,
+        encode: Callable[[Images], Tensor],
+        graph: ImageGraph | ParticleMapper,
+        extractor: str,
+        recogniser: str = "none",
+    ) -> None:
+        self._encode, self.graph, self.extractor, self.recogniser = encode, graph, extractor, recogniser
         self._turns = TurnCheck(graph)
 
     def see(self, images: Images, action: int | None = None) -> int:
@@ -56,14 +64,15 @@ class Explorer:
         Before a walk ends in which hardly any quarter turns were compared (see `TurnCheck`), it turns around once: with
         wrong ``turns`` little seems to be unknown.
         """
-        if self.graph.at is None:
+        if not self._turns.begun:
             return None
         action = self.graph.frontier_action()
         return RIGHT if action is None and self._turns.compared < QUARTERS else action
 
     def save(self, folder: str | Path) -> Path:
         """Write the map into a folder, see `dirl.agent.mapping.save_graph`."""
-        return save_graph(self.graph, folder, extractor=self.extractor)
+        found = self.graph if isinstance(self.graph, ImageGraph) else self.graph.map()
+        return save_graph(found, folder, extractor=self.extractor, recogniser=self.recogniser)
 
 
 class TurnCheck:
@@ -73,14 +82,19 @@ class TurnCheck:
     in a full circle it is not, and the map would go wrong without a sign.
 
     Args:
-        graph: the map.
+        graph: the map: how many turns make a full circle, and how much two looks around must be alike.
     """
 
-    def __init__(self, graph: ImageGraph) -> None:
+    def __init__(self, graph: ImageGraph | ParticleMapper) -> None:
         self.graph = graph
         self.fitting = self.contrary = 0
         self._side: int | None = None
         self._seen: list[Tensor] = []
+
+    @property
+    def begun(self) -> bool:
+        """Whether anything was seen."""
+        return bool(self._seen)
 
     @property
     def compared(self) -> int:
@@ -118,7 +132,7 @@ class TurnCheck:
 
 
 class Guide:
-    """The way to one goal by a map, followed step by step; what the map says wrongly is corrected on the way.
+    """The way to one goal by an image graph, followed step by step; what the map says wrongly is corrected on the way.
 
     Args:
         graph: the map; where the agent is in it is forgotten.
@@ -156,27 +170,41 @@ class Guide:
         return self.graph.next_action(node, distances)
 
 
-def guide_to(graph: ImageGraph | str | Path, goal_views: Tensor, last_steps: int, extractor: str) -> Guide:
-    """A guide by a map, or by one that was saved.
+def guide_to(graph: ImageGraph, goal_views: Tensor, last_steps: int) -> Guide:
+    """A guide by an image graph.
 
     Args:
-        graph: the map, or its folder.
+        graph: the map.
         goal_views: see `Guide`.
         last_steps: see `Guide`.
-        extractor: of the navigator's features.
 
     Raises:
-        NavigatorError: there is no such map, it is of another extractor, or it does not fit the features.
+        NavigatorError: the map does not fit the features.
     """
     if isinstance(last_steps, bool) or not isinstance(last_steps, int) or last_steps < 0:
         raise NavigatorError(f"last_steps={last_steps!r}: expected 0 or a positive integer")
-    if not isinstance(graph, ImageGraph | str | Path):
+    width = graph.views.shape[-1]
+    if len(graph) and width != goal_views.shape[-1]:
+        raise NavigatorError(f"the map has {width} features a view, the navigator {goal_views.shape[-1]}")
+    return Guide(graph, torch.as_tensor(goal_views), last_steps)
+
+
+def map_of(graph: object, extractor: str, recogniser: str) -> ImageGraph | PlaceMap:
+    """A map, or the one that was saved in a folder.
+
+    Args:
+        graph: the map, or its folder.
+        extractor: of the navigator's features.
+        recogniser: of the navigator, see `dirl.recognition.build.recogniser_name`.
+
+    Raises:
+        NavigatorError: there is no such map, or it was made with another extractor or recogniser.
+    """
+    if isinstance(graph, ImageGraph | PlaceMap):
+        return graph
+    if not isinstance(graph, str | Path):
         raise NavigatorError(f"graph={graph!r}: expected a map, or the folder of a saved one")
     try:
-        found = graph if isinstance(graph, ImageGraph) else load_graph(graph, extractor=extractor)
+        return load_graph(graph, extractor=extractor, recogniser=recogniser)
     except MapError as error:
         raise NavigatorError(str(error)) from None
-    width = found.views.shape[-1]
-    if len(found) and width != goal_views.shape[-1]:
-        raise NavigatorError(f"the map has {width} features a view, the navigator {goal_views.shape[-1]}")
-    return Guide(found, torch.as_tensor(goal_views), last_steps)

@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dirl.agent.exploring import Explorer, Guide, guide_to
+from dirl.agent.exploring import Explorer, Guide, guide_to, map_of
 from dirl.agent.feature_policy import FeaturePolicy
 from dirl.agent.hub import fetch_pretrained
 from dirl.agent.images import Images, NavigatorError, checked_images
@@ -21,7 +21,8 @@ from dirl.agent.loading import (
     matched_view,
     rebuild,
 )
-from dirl.agent.mapping import ImageGraph
+from dirl.agent.mapping import ImageGraph, PlaceMap
+from dirl.agent.mapping.places import ParticleMapper
 from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.agent.recall import CameraSight, Counting, Localising, Memory, Planning, Recall, recalling
 from dirl.config.choices import group_options
@@ -31,7 +32,7 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, LocalisingMemory, initial_state
 from dirl.models.build import reads_patches
 from dirl.models.weights import tell_of_turns, turns_of_training
-from dirl.recognition.build import build_recogniser, suit
+from dirl.recognition.build import build_recogniser, recogniser_name, suit
 from dirl.recognition.matching import FRONT_THRESHOLD
 from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
@@ -210,7 +211,11 @@ class Navigator:
 
     @torch.no_grad()
     def reset(
-        self, goal_images: Images, *, graph: ImageGraph | str | Path | None = None, last_steps: int = LAST_STEPS
+        self,
+        goal_images: Images,
+        *,
+        graph: ImageGraph | PlaceMap | str | Path | None = None,
+        last_steps: int = LAST_STEPS,
     ) -> None:
         """Begin an episode, or one for each row of a batch.
 
@@ -219,27 +224,41 @@ class Navigator:
                 ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well this works
                 depends on the training (``imitation.front_only``, ``goal_view=front``). With sequential views
                 one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents.
-            graph: a map of the place, see `explore`, or the folder of a saved one. It leads a single agent to the goal;
-                the policy decides within ``last_steps`` of it, and where the agent does not recognise what it sees.
-            last_steps: see ``graph``.
+            graph: a map of the place, see `explore`, or the folder of a saved one, for a single agent. An image graph
+                leads it to the goal; the policy decides within ``last_steps`` of it, and where the agent does not
+                recognise what it sees. A `PlaceMap` is what the agent's memory begins with.
+            last_steps: see ``graph``; not used with a `PlaceMap`.
 
         Raises:
             NavigatorError: images of another shape or type, an encoder whose features do not fit the checkpoint, or a
                 map that cannot be used.
         """
         views = self._encode(goal_images, "goal_images")[0]
-        self.guide = None
+        known, self.guide = None, None
         if graph is not None:
             self._check_alone(len(views))
-            self.guide = guide_to(graph, self._pooled(views[0]), last_steps, self.facts["extractor"])
+            known = map_of(graph, self.facts["extractor"], recogniser_name(self.recogniser))
+        if isinstance(known, ImageGraph):
+            self.guide = guide_to(known, self._pooled(views[0]), last_steps)
+        elif known is not None and not isinstance(self.memory, LocalisingMemory):
+            raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
         if self.sequential:
             views = views.expand(-1, VIEWS, -1)
         elif views.shape[1] == 1:  # what is not known of a goal is zeros
             views = F.pad(views, (0, 0, 0, VIEWS - 1))
         self._goal = views
         self._agents = self._views = self._state = None
-        turns = torch.tensor([self.turns], device=self.device)
-        self.recall = None if self.memory is None else recalling(self.memory, CameraSight(self.recogniser), turns)
+        self.recall = self._recalling(known) if isinstance(known, PlaceMap) else self._recalling()
+
+    def _recalling(self, known: PlaceMap | None = None) -> Recall | None:
+        """The memory at the start of an episode, of nothing or of a map."""
+        if known is None:
+            turns = torch.tensor([self.turns], device=self.device)
+            return None if self.memory is None else recalling(self.memory, CameraSight(self.recogniser), turns)
+        assert isinstance(self.memory, LocalisingMemory)
+        seen = known.seen.to(self.device)
+        odds = self._goal_scores(_each_heading(seen[0])).view(1, -1, VIEWS)
+        return Localising(self.memory, CameraSight(self.recogniser, seen), known.begin(odds))
 
     @torch.no_grad()
     def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
@@ -269,8 +288,9 @@ class Navigator:
         logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
         self._state = tuple(after)
         if isinstance(self.recall, Localising):
-            odds = self._goal_scores(_each_heading(views)).unflatten(0, (-1, VIEWS))
-            stop = self.recall.arrive(self._described(views), odds, lambda chosen: self._facing(views, chosen)[0])
+            visit = self._described(views)
+            odds = self._goal_scores(_each_heading(visit)).unflatten(0, (-1, VIEWS))
+            stop = self.recall.arrive(visit, odds, lambda chosen: self._facing(views, chosen)[0])
             matching, logits = odds[:, 0], self.recall.plan()
         else:
             matching = self._matching(views, matching)
@@ -310,11 +330,15 @@ class Navigator:
             logits[chosen], coefficient[chosen] = (part.unflatten(0, (-1, VIEWS)) for part in (asked, found))
         return logits, coefficient
 
-    def explore(self, graph: ImageGraph | None = None, *, turns: int | None = None) -> Explorer:
+    def explore(self, graph: ImageGraph | PlaceMap | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
 
+        With ``episodic_memory=localising`` it is a `PlaceMap`, for places that never look the same twice, otherwise an
+        `ImageGraph`.
+
         Args:
-            graph: a map to walk on with; a new one if left out, in which nodes match above the navigator's threshold.
+            graph: a map to walk on with; a new one if left out. In a new image graph nodes match above the navigator's
+                threshold.
             turns: right turns of the robot in a full circle, as 4, 8 or 12. It must be given unless the map says it:
                 the training's may be another one, and with a wrong one the map is wrong.
 
@@ -325,22 +349,29 @@ class Navigator:
         self._check_alone(1)
         if turns is not None:
             check_turns(turns)
-        if graph is None:
-            if turns is None:
-                raise NavigatorError("explore: say how many right turns make a full circle: turns=4, 8 or 12")
-            graph = ImageGraph(self.threshold, turns=turns)
-        elif turns not in (None, graph.turns):
+        if graph is not None and turns not in (None, graph.turns):
             raise NavigatorError(f"turns={turns}: this map was made with turns={graph.turns}")
+        if graph is None and turns is None:
+            raise NavigatorError("explore: say how many right turns make a full circle: turns=4, 8 or 12")
+        if isinstance(self.memory, LocalisingMemory) and not isinstance(graph, ImageGraph):
+            if turns not in (None, VIEWS):
+                raise NavigatorError(f"turns={turns}: episodic_memory=localising needs turns of 90 degrees")
+            sight = CameraSight(self.recogniser, None if graph is None else graph.seen)
+            mapper = ParticleMapper(self.memory, sight, known=graph)
+            name = recogniser_name(self.recogniser)
+            return Explorer(lambda images: self._described(self._walked(images)), mapper, self.facts["extractor"], name)
+        if isinstance(graph, PlaceMap):
+            raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
+        made = ImageGraph(self.threshold, turns=turns or VIEWS) if graph is None else graph
+        return Explorer(lambda images: self._pooled(self._walked(images)), made, self.facts["extractor"])
 
-        def encode(images: Images) -> Tensor:
-            views, batched = self._encode(images, "images")
-            if batched:
-                raise NavigatorError(
-                    "images: a walk is that of one walker; expected the four views [4, H, W, 3], no batch"
-                )
-            return self._pooled(views[0])
-
-        return Explorer(encode, graph, self.facts["extractor"])
+    @torch.no_grad()
+    def _walked(self, images: Images) -> Tensor:
+        """The features of the four views of one walker, float32 ``[4, D]``."""
+        views, batched = self._encode(images, "images")
+        if batched:
+            raise NavigatorError("images: a walk is that of one walker; expected the four views [4, H, W, 3], no batch")
+        return views[0]
 
     def _check_alone(self, agents: int) -> None:
         """Raise `NavigatorError` unless a map can lead the agents."""
@@ -358,15 +389,15 @@ class Navigator:
 
     def _matching(self, views: Tensor, coefficient: Tensor) -> Tensor:
         """How much views ``[B, 4, D]`` look like the goal's, ``[B]``: the recogniser's score, or the correlation."""
-        return coefficient if self.recogniser.thresholds is None else self._goal_scores(views)
+        return coefficient if self.recogniser.thresholds is None else self._goal_scores(self._described(views))
 
-    def _goal_scores(self, views: Tensor) -> Tensor:
-        """The recogniser's scores of views ``[B, 4, D]`` with those of the goal, ``[B]``."""
+    def _goal_scores(self, visits: Tensor) -> Tensor:
+        """The recogniser's scores of described visits ``[B, 4, F]`` with the goal, ``[B]``."""
         assert self._goal is not None
         known = self._goal[:, :1] if self._is_photo() else self._goal
-        goal = self._described(known).expand(len(self._goal) if len(self._goal) > 1 else len(views), -1, -1)
-        goal = goal.repeat_interleave(len(views) // len(goal), 0)
-        return self.recogniser.scores(self._described(views).unsqueeze(1), goal.unsqueeze(1)).flatten()
+        goal = self._described(known).expand(len(self._goal) if len(self._goal) > 1 else len(visits), -1, -1)
+        goal = goal.repeat_interleave(len(visits) // len(goal), 0)
+        return self.recogniser.scores(visits.unsqueeze(1), goal.unsqueeze(1)).flatten()
 
     def _is_photo(self) -> bool:
         """Whether the goal is given by one view, though the agent sees four."""

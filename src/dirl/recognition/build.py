@@ -1,5 +1,7 @@
 """The recogniser of a configuration, and the stop by it."""
 
+import hashlib
+
 from torch import nn
 
 from dirl.config.components import make
@@ -21,6 +23,16 @@ def build_recogniser(config: TrainConfig) -> Recogniser:
     """What the stop and the episodic memory recognise places by."""
     found: Recogniser | None = make("recogniser", config.recogniser, config.trust)
     return found or NCC()
+
+
+def recogniser_name(recogniser: Recogniser) -> str:
+    """The class of a recogniser and a digest of its weights: what it describes others cannot compare."""
+    kind = type(recogniser)
+    digest = hashlib.sha256()
+    if isinstance(recogniser, nn.Module):
+        for name, value in sorted(recogniser.state_dict().items()):
+            digest.update(name.encode() + value.detach().cpu().contiguous().numpy().tobytes())
+    return f"{kind.__module__}.{kind.__qualname__} sha256:{digest.hexdigest()[:16]}"
 
 
 def suit(memory: nn.Module | None, recogniser: Recogniser) -> None:

@@ -1,16 +1,20 @@
-"""Image graphs as files: a folder with safetensors and JSON, nothing that could run code."""
+"""Maps as files: a folder with safetensors and JSON, nothing that could run code."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.looks import UNKNOWN, VIEWS
+from dirl.agent.mapping.places import PlaceMap
 from dirl.files.atomic import atomic_path, write_json
 from dirl.files.seals import check_seal, sealed
 from dirl.files.texts import read_text
+from dirl.models.localising import Places
 from dirl.runs.shared import MISSING
 from dirl.scenes.graph import ACTIONS
 
@@ -18,17 +22,22 @@ TENSORS, FACTS = "map.safetensors", "map.json"
 
 SCHEMA = 1
 
+PLACES = tuple(field.name for field in fields(Places))
 
-def save_graph(graph: ImageGraph, folder: str | Path, *, extractor: str = "unknown") -> Path:
-    """Write an image graph into a folder; an older one there is replaced.
+
+def save_graph(
+    graph: ImageGraph | PlaceMap, folder: str | Path, *, extractor: str = "unknown", recogniser: str = "none"
+) -> Path:
+    """Write a map into a folder; an older one there is replaced.
 
     Args:
-        graph: with at least one station.
+        graph: with at least one place.
         folder: made if there is none.
         extractor: what made the features of its views.
+        recogniser: what described them, for a `PlaceMap`; see `dirl.recognition.build.recogniser_name`.
 
     Raises:
-        MapError: the graph is empty, or safetensors is not installed.
+        MapError: the map is empty, or safetensors is not installed.
     """
     folder = Path(folder)
     if not len(graph):
@@ -38,8 +47,13 @@ def save_graph(graph: ImageGraph, folder: str | Path, *, extractor: str = "unkno
     except ImportError:
         raise MapError(f"{folder}: {MISSING}") from None
     folder.mkdir(parents=True, exist_ok=True)
-    tensors = {"views": graph.views, "moves": torch.tensor(graph.moves), "observed": torch.tensor(graph.observed)}
-    facts = {key: getattr(graph, key) for key in ("threshold", "keep", "margin", "turns", "merge", "verify")}
+    if isinstance(graph, PlaceMap):
+        tensors = {"seen": graph.seen, **{name: getattr(graph.places, name) for name in PLACES}}
+        tensors = {name: value.cpu().contiguous() for name, value in tensors.items()}
+        facts: dict[str, Any] = {"kind": "places", "recogniser": recogniser}
+    else:
+        tensors = {"views": graph.views, "moves": torch.tensor(graph.moves), "observed": torch.tensor(graph.observed)}
+        facts = {key: getattr(graph, key) for key in ("threshold", "keep", "margin", "turns", "merge", "verify")}
     content = save(tensors)
     with atomic_path(folder / TENSORS) as temporary:
         temporary.write_bytes(content)
@@ -47,15 +61,18 @@ def save_graph(graph: ImageGraph, folder: str | Path, *, extractor: str = "unkno
     return folder
 
 
-def load_graph(folder: str | Path, *, extractor: str | None = None) -> ImageGraph:
-    """Read an image graph; the walker may be anywhere in it.
+def load_graph(
+    folder: str | Path, *, extractor: str | None = None, recogniser: str | None = None
+) -> ImageGraph | PlaceMap:
+    """Read a map; the walker may be anywhere in it.
 
     Args:
         folder: that `save_graph` wrote.
         extractor: what will make the features to be compared; not checked if left out.
+        recogniser: what will describe them, for a `PlaceMap`; not checked if left out.
 
     Raises:
-        MapError: the folder holds no map, it is damaged, or it was made with another extractor.
+        MapError: the folder holds no map, it is damaged, or it was made with another extractor or recogniser.
     """
     folder = Path(folder)
     try:
@@ -68,17 +85,48 @@ def load_graph(folder: str | Path, *, extractor: str | None = None) -> ImageGrap
         facts = json.loads(read_text(folder / FACTS))
         content = (folder / TENSORS).read_bytes()
         check_seal(facts, content)
-        tensors = load(content)
-        threshold, keep, margin = (float(facts[key]) for key in ("threshold", "keep", "margin"))
-        merge, verify = bool(facts["merge"]), bool(facts.get("verify", False))
-        graph = ImageGraph(threshold, keep, margin, int(facts["turns"]), merge=merge, verify=verify)
-        _fill(graph, tensors)
+        graph = _places(load(content)) if facts.get("kind") == "places" else _image_graph(facts, load(content))
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise MapError(f"{folder}: is no map of dirl ({reason})") from None
-    if extractor is not None and facts.get("extractor") != extractor:
-        raise MapError(f"{folder}: was made with another extractor: '{facts.get('extractor')}', not '{extractor}'")
+    wanted = {"extractor": extractor, "recogniser": recogniser if isinstance(graph, PlaceMap) else None}
+    for name, value in wanted.items():
+        if value is not None and facts.get(name) != value:
+            raise MapError(f"{folder}: was made with another {name}: '{facts.get(name)}', not '{value}'")
     return graph
+
+
+def _image_graph(facts: dict[str, Any], tensors: dict[str, Tensor]) -> ImageGraph:
+    threshold, keep, margin = (float(facts[key]) for key in ("threshold", "keep", "margin"))
+    merge, verify = bool(facts["merge"]), bool(facts.get("verify", False))
+    graph = ImageGraph(threshold, keep, margin, int(facts["turns"]), merge=merge, verify=verify)
+    _fill(graph, tensors)
+    return graph
+
+
+def _places(tensors: dict[str, Tensor]) -> PlaceMap:
+    """A map of V visits of P places, whose tensors have the shapes that `dirl.models.localising.Places` says."""
+    seen, (visits, count) = tensors["seen"], (tensors["node"].shape[1], tensors["heading"].shape[1])
+    shapes = {
+        "cost": (1, VIEWS * count, len(ACTIONS)),
+        "after": (1, VIEWS * count, len(ACTIONS)),
+        "node": (1, visits),
+        "goal": (1, visits, VIEWS),
+        "position": (1, count, 2),
+        "heading": (1, count),
+        "action": (1,),
+    }
+    for name, shape in shapes.items():
+        if tensors[name].shape != shape or tensors[name].is_floating_point() != (name in ("cost", "goal")):
+            raise ValueError(f"{name} of shape {list(tensors[name].shape)}")
+    nodes = VIEWS * count
+    if not 0 <= int(tensors["node"].min()) <= int(tensors["node"].max()) < nodes:
+        raise ValueError("a visit is of a node that is not there")
+    if not -1 <= int(tensors["after"].min()) <= int(tensors["after"].max()) < nodes:
+        raise ValueError("a move leads to a node that is not there")
+    if seen.shape[:3] != (1, visits, VIEWS) or seen.ndim != 4 or not seen.isfinite().all():
+        raise ValueError(f"visits of shape {list(seen.shape)}")
+    return PlaceMap(Places(**{name: tensors[name] for name in shapes}), seen)
 
 
 def _fill(graph: ImageGraph, tensors: dict[str, Any]) -> None:
