@@ -1,0 +1,236 @@
+"""Maps of places that never look the same twice: made by a walk, kept in a file, used by later episodes."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from odds import Odds
+from rooms import grid_scene
+from shown_goals import images_of, look_up, trained
+from shown_goals import rooms as shown_rooms
+
+from dirl import Navigator
+from dirl.agent.mapping import MapError, PlaceMap, load_graph, save_graph
+from dirl.agent.mapping.places import ParticleMapper, resampled
+from dirl.agent.navigator import NavigatorError
+from dirl.agent.recall import WorldSight
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import every_start
+from dirl.evaluation.maps import map_quality, map_scene
+from dirl.evaluation.protocol import EvaluationProtocol, metrics
+from dirl.models import LocalisingMemory
+from dirl.recognition.matching import TemplateStop
+from dirl.recognition.tables import VisitScores
+from dirl.scenes import make_world
+
+SIZE = {"feature_width": 64, "patches": True, "looks": 3}
+
+
+@pytest.fixture(scope="module")
+def world():
+    return make_world(
+        [
+            grid_scene(4, 3, name="a", goals=(5, 30), noise=0.1, **SIZE),
+            grid_scene(3, 3, name="b", goals=(7,), seed=1, noise=0.1, **SIZE),
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def scores(world):
+    return VisitScores(Odds(), world)
+
+
+@pytest.fixture(scope="module")
+def walks(world, scores):
+    return [map_scene(world, index, LocalisingMemory(), scores, 3) for index in range(2)]
+
+
+class Anything(torch.nn.Module):
+    """A policy without preference."""
+
+    def forward(self, asked):
+        return asked.set("logits", torch.zeros(*asked.batch_size, 4))
+
+
+def test_a_walk_through_changing_rooms_makes_a_right_map_and_ends_by_itself(world, walks):
+    for index, (known, passed) in enumerate(walks):
+        assert map_quality(known, passed, world, index) == (1, 1, 0)
+        assert len(known) == len(world.scenes[index])
+        assert len(passed) < 3 * len(world.scenes[index])
+
+
+def test_many_particles_make_a_better_map_than_one_where_single_looks_err():
+    world = make_world([grid_scene(4, 3, noise=0.14, **SIZE)])
+    scores = VisitScores(Odds(20.0), world)
+
+    def wrong(particles):
+        found = []
+        for seed in range(4):
+            mapper = ParticleMapper(LocalisingMemory(), WorldSight(scores, 1), particles, seed)
+            known, passed = walked(mapper, world, seed)
+            found.append(map_quality(known, passed, world, 0))
+        return sum(quality.wrong for quality in found) / len(found)
+
+    assert wrong(64) < wrong(1) / 4
+
+
+def walked(mapper, world, seed, start=3):
+    generator, state, passed, action = torch.Generator().manual_seed(seed), start, [], None
+    for _ in range(2 * len(world)):
+        look = int(torch.randint(world.looks, (), generator=generator))
+        mapper.see(world.surrounding[state] + look * len(world), action)
+        passed.append(state)
+        action = mapper.frontier_action()
+        if action is None:
+            break
+        state = int(world.graph[state, action])
+    return mapper.map(), passed
+
+
+def test_the_same_seed_makes_the_same_map(world, scores, walks):
+    again, passed = map_scene(world, 0, LocalisingMemory(), scores, 3)
+    assert passed == walks[0][1]
+    assert torch.equal(again.places.after, walks[0][0].places.after)
+
+
+def test_who_is_carried_elsewhere_finds_the_place_on_the_map_again(world, scores, walks):
+    known, passed = walks[0]
+    mapper = ParticleMapper(LocalisingMemory(), WorldSight(scores, 1, known.seen), known=known)
+    for visit in (10, 3):
+        node = mapper.see(world.surrounding[passed[visit]] + len(world))
+        assert node == int(known.places.node[0, visit])
+    assert mapper.frontier_action() is None  # nothing is left to be learnt
+    assert len(mapper.map()) == len(known)
+
+
+def test_particles_are_drawn_by_their_probabilities():
+    drawn = resampled(torch.tensor([0.5, 0.0, 0.25, 0.25]), torch.Generator().manual_seed(0))
+    assert drawn.tolist() == [0, 0, 2, 3]
+
+
+@pytest.mark.parametrize("match", ["views", "front"])
+def test_episodes_with_a_map_go_straight_to_any_goal(world, scores, walks, match):
+    stop = TemplateStop(0.0, match, Odds()).compared(world)
+    observation = SurroundingViews(world, "front" if match == "front" else "surrounding")
+    protocol = EvaluationProtocol(
+        world, observation, every_start(world), stop, 60, memory=LocalisingMemory(), scores=scores
+    )
+    alone = metrics(protocol.run(Anything()))
+    found = metrics(replace(protocol, maps=[known for known, _ in walks]).run(Anything()))
+    assert found["sr"] == 1
+    assert found["spl"] > 0.98 > 0.7 > alone["spl"]
+    assert walks[0][0].places.node.shape == (1, len(walks[0][1]))  # episodes leave the map as it is
+
+
+@pytest.fixture
+def known(walks):
+    """A map with descriptions, as a camera's."""
+    return replace(walks[0][0], seen=torch.rand(*walks[0][0].seen.shape, 8))
+
+
+@pytest.fixture
+def saved(known, tmp_path):
+    return save_graph(known, tmp_path / "map", extractor="random", recogniser="odds")
+
+
+def test_a_map_is_the_same_after_it_was_saved(saved, known):
+    again = load_graph(saved, extractor="random", recogniser="odds")
+    assert isinstance(again, PlaceMap)
+    assert torch.equal(again.seen, known.seen)
+    for name, value in vars(known.places).items():
+        assert torch.equal(getattr(again.places, name), value)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("node", lambda t: t + 10**6),
+        ("after", lambda t: t + 10**6),
+        ("heading", lambda t: t[:, 1:]),
+        ("goal", lambda t: t.long()),
+        ("seen", lambda t: t[:, 1:]),
+    ],
+)
+def test_a_damaged_map_is_refused_in_one_line(saved, name, change):
+    from safetensors.torch import load, save
+
+    file = saved / "map.safetensors"
+    tensors = load(file.read_bytes())
+    file.write_bytes(save({**tensors, name: change(tensors[name]).contiguous()}))
+    facts = json.loads((saved / "map.json").read_text())
+    del facts["digest"]
+    (saved / "map.json").write_text(json.dumps(facts))
+    with pytest.raises(MapError, match=r"is no map of dirl \(ValueError: ") as caught:
+        load_graph(saved)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_map_of_another_recogniser_is_refused(saved):
+    with pytest.raises(MapError, match="was made with another recogniser: 'odds', not 'other'"):
+        load_graph(saved, extractor="random", recogniser="other")
+
+
+@pytest.fixture
+def place():
+    return shown_rooms()
+
+
+@pytest.fixture
+def navigator(tmp_path, place, monkeypatch):
+    """Of a policy that has learnt nothing, with a memory that localises."""
+    monkeypatch.setattr("dirl.agent.navigator.build_recogniser", lambda _: Odds())
+    trained(tmp_path / "run", place, "episodic_memory=localising")
+    return Navigator.load(tmp_path / "run", look_up(place), extractor="random")
+
+
+def explored(navigator, place, known=None):
+    explorer, state, action = navigator.explore(known, turns=4), 3, None
+    for _ in range(3 * len(place)):
+        explorer.see(images_of(place.surrounding[state]), action)
+        action = explorer.next_action()
+        if action is None:
+            break
+        state = int(place.graph[state, action])
+    return explorer
+
+
+@pytest.mark.parametrize("photo", [False, True])
+def test_a_navigator_walks_once_and_goes_straight_to_any_photo(navigator, place, tmp_path, photo):
+    folder = explored(navigator, place).save(tmp_path / "map")
+    known = load_graph(folder)
+    assert len(known) == len(place.scenes[0])
+    for goal in (1, 13):
+        for start in (0, 18):
+            navigator.reset(images_of(goal if photo else place.surrounding[goal]), graph=folder)
+            passed = [start]
+            for _ in range(30):
+                action, stop, _ = navigator.act(images_of(place.surrounding[passed[-1]]))
+                if stop and len(passed) > 1:
+                    break
+                passed.append(int(place.graph[passed[-1], action]))
+            assert passed[-1] == goal
+            assert len(passed) - 1 == place.scenes[0].distances[start, goal]
+    on = explored(navigator, place, known)
+    assert len(on.graph.map()) == len(known)
+
+
+def test_a_map_of_places_needs_a_memory_that_localises(navigator, place, walks):
+    with pytest.raises(NavigatorError, match=r"^turns=8: episodic_memory=localising needs turns of 90 degrees"):
+        navigator.explore(turns=8)
+    navigator.memory = None
+    for use in (lambda: navigator.explore(walks[0][0]), lambda: navigator.reset(images_of(1), graph=walks[0][0])):
+        with pytest.raises(NavigatorError, match=r"^graph: this map is for episodic_memory=localising; load "):
+            use()
+
+
+def test_turns_of_another_angle_are_noticed(navigator, place):
+    explorer = navigator.explore(turns=4)
+
+    def turn_so_little_that_the_same_is_seen():
+        for step in range(12):
+            explorer.see(images_of(place.surrounding[5]), 1 if step else None)
+
+    with pytest.raises(NavigatorError, match=r"^turns=4: after \d+ of \d+ quarter turns the views are not those"):
+        turn_so_little_that_the_same_is_seen()
