@@ -89,6 +89,7 @@ def run_episodes(
     memory: Memory | None = None,
     scores: VisitScores | None = None,
     maps: Sequence[PlaceMap] | None = None,
+    looks: range | None = None,
     shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> Episodes:
@@ -112,6 +113,7 @@ def run_episodes(
         memory: changes logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`.
         scores: by which the memory knows places; correlation if left out.
         maps: of a walk through each scene, which the episodes go on with; for a `LocalisingMemory`.
+        looks: of visits and goals; all if left out.
         shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
         watch: called after each step with the unfinished episodes and their states, int64 ``[W]`` each.
     """
@@ -119,7 +121,7 @@ def run_episodes(
     never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
     episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
     generator = torch.Generator(world.device).manual_seed(seed)
-    wanted = drawn_looks(goal_index, len(world.goals), world, generator)
+    wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=looks)
     arrived = _arrived(world, stop)
     few = len(start) <= MANY
     bar = tqdm(
@@ -128,12 +130,12 @@ def run_episodes(
     with frozen(policy), bar:
         at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
         decide = None if at_random else deciding(policy, world, observation, len(start))
-        agents = _Agents(decide, arrived, world, observation, generator, greedy, shown)
+        agents = _Agents(decide, arrived, world, observation, generator, greedy, shown, looks)
         if memory is not None and scores is None:
             scores = VisitScores(NCC(), world)
         for walking in _together(start, world, memory is not None, maps is not None):
             goal_look = wanted[walking] // len(world.goals)
-            ahead = drawn_looks(start[walking], len(world), world, generator, goal_look)
+            ahead = drawn_looks(start[walking], len(world), world, generator, goal_look, looks)
             walk = _Walk(walking, start[walking], ahead, observation.begin(ahead))
             if memory is not None and scores is not None:
                 scene = world.scene_of[start[walking]]
@@ -173,7 +175,12 @@ def _going_on(memory: Memory, scores: VisitScores, known: PlaceMap, arrived: Arr
 
 
 def drawn_looks(
-    index: Tensor, count: int, world: World, generator: torch.Generator | None = None, besides: Tensor | None = None
+    index: Tensor,
+    count: int,
+    world: World,
+    generator: torch.Generator | None = None,
+    besides: Tensor | None = None,
+    looks: range | None = None,
 ) -> Tensor:
     """States or goals, int64 ``[B]`` below ``count``, each in a look drawn for it: ``look * count + index``.
 
@@ -183,14 +190,16 @@ def drawn_looks(
         world: with L looks.
         generator: draws; torch's own if left out.
         besides: looks that are not drawn, int64 ``[B]``: those of the goals, which shall not return to the bit.
+        looks: that are drawn from; all L if left out.
     """
-    if world.looks == 1:
-        return index
+    looks = range(world.looks) if looks is None else looks
+    if len(looks) == 1:
+        return index + looks.start * count
     if besides is None:
-        look = torch.randint(world.looks, index.shape, generator=generator, device=index.device)
+        look = looks.start + torch.randint(len(looks), index.shape, generator=generator, device=index.device)
     else:
-        others = torch.randint(1, world.looks, index.shape, generator=generator, device=index.device)
-        look = (besides + others) % world.looks
+        others = torch.randint(1, len(looks), index.shape, generator=generator, device=index.device)
+        look = looks.start + (besides - looks.start + others) % len(looks)
     return index + count * look
 
 
@@ -237,6 +246,7 @@ class _Agents:
     generator: torch.Generator
     greedy: bool
     shown: Tensor | None
+    looks: range | None
     recall: Recall | None = None
 
     def act(self, walk: _Walk, wanted: Tensor) -> Tensor:
@@ -300,7 +310,8 @@ def _take_step(walk: _Walk, agents: _Agents, episodes: Episodes, goals: Tensor, 
     wanted, world = goals[walk.episode], agents.world
     walk.action = agents.act(walk, wanted)
     walk.state = world.graph[walk.state, walk.action]
-    walk.ahead = drawn_looks(walk.state, len(world), world, agents.generator, wanted // len(world.goals))
+    goal_look = wanted // len(world.goals)
+    walk.ahead = drawn_looks(walk.state, len(world), world, agents.generator, goal_look, agents.looks)
     at_goal = walk.state == world.goals[episodes.goal_index[walk.episode]]
     stopped = agents.stop(walk, wanted)
     episodes.success[walk.episode] = stopped & at_goal

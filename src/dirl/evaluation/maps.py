@@ -1,12 +1,13 @@
 """Maps of a world that changes: one walk through each scene, and how right what it found is."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from dirl.agent.mapping.places import ParticleMapper, PlaceMap
-from dirl.agent.mapping.walks import explore
+from dirl.agent.mapping.walks import Mapper, explore
 from dirl.agent.recall import WorldSight
 from dirl.envs.transforms import VIEWS
 from dirl.evaluation.episodes import drawn_looks
@@ -28,7 +29,13 @@ class Quality(NamedTuple):
 
 
 def map_scene(
-    world: World, index: int, memory: LocalisingMemory, scores: VisitScores, steps_per_state: float, seed: int = 0
+    world: World,
+    index: int,
+    memory: LocalisingMemory,
+    scores: VisitScores,
+    steps_per_state: float,
+    seed: int = 0,
+    looks: range | None = None,
 ) -> tuple[PlaceMap, list[int]]:
     """Walk once through a scene from a drawn state, in which every visit has a look drawn for it.
 
@@ -39,21 +46,46 @@ def map_scene(
         scores: log odds that two visits are of the same place.
         steps_per_state: length of the walk at most, in steps for each state of the scene.
         seed: of all draws.
+        looks: of the visits; all if left out.
 
     Returns:
         The map, and the states that were passed, by their places in the scene.
     """
+    mapper = ParticleMapper(memory, WorldSight(scores, 1), seed=seed)
+    passed = walk_through(world, index, mapper, lambda visit: visit, steps_per_state, seed, looks)
+    return mapper.map(), passed
+
+
+def walk_through(
+    world: World,
+    index: int,
+    mapper: Mapper,
+    look: Callable[[Tensor], Tensor],
+    steps_per_state: float,
+    seed: int = 0,
+    looks: range | None = None,
+) -> list[int]:
+    """The states that are passed on a walk through a scene by a mapper; see `map_scene`.
+
+    Args:
+        world: where.
+        index: of the scene.
+        mapper: makes a map.
+        look: what it takes for the view ids of a visit, int64 ``[4]``.
+        steps_per_state: see `map_scene`.
+        seed: see `map_scene`.
+        looks: see `map_scene`.
+    """
     scene, offset = world.scenes[index], world.offsets[index]
     generator = torch.Generator(world.device).manual_seed(seed)
-    mapper = ParticleMapper(memory, WorldSight(scores, 1), seed=seed)
 
-    def look(state: int) -> Tensor:
-        ahead = drawn_looks(torch.tensor([offset + state], device=world.device), len(world), world, generator)
-        return world.surrounding[offset + state] + (ahead - ahead % len(world))
+    def seen(state: int) -> Tensor:
+        here = torch.tensor([offset + state], device=world.device)
+        ahead = drawn_looks(here, len(world), world, generator, looks=looks)
+        return look(world.surrounding[offset + state] + (ahead - ahead % len(world)))
 
     start = int(torch.randint(len(scene), (1,), generator=generator, device=world.device))
-    passed = explore(scene, mapper, start, round(steps_per_state * len(scene)), look)
-    return mapper.map(), passed
+    return explore(scene, mapper, start, round(steps_per_state * len(scene)), seen)
 
 
 def map_quality(known: PlaceMap, passed: list[int], world: World, index: int) -> Quality:

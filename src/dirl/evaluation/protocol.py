@@ -39,6 +39,8 @@ class EvaluationProtocol:
     """By which the memory knows places; None = correlation."""
     maps: Sequence[PlaceMap] | None = None
     """Of a walk through each scene, with which a `LocalisingMemory` begins; None = it knows nothing."""
+    looks: range | None = None
+    """Of visits and goals in a world that changes; None = all."""
     shown: Tensor | None = None
     """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
     held_out: "EvaluationProtocol | None" = None
@@ -65,7 +67,7 @@ class EvaluationProtocol:
         return run_episodes(policy, self.world, starts, greedy=greedy, watch=watch, **self._conditions()), paths
 
     def _conditions(self) -> dict[str, Any]:
-        names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "maps", "shown")
+        names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "maps", "looks", "shown")
         return {name: getattr(self, name) for name in names}
 
 
