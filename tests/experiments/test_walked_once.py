@@ -1,0 +1,118 @@
+"""The experiment on walks and later visits: whose looks are seen when, what is measured, and that it is kept."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from odds import Odds
+from rooms import grid_scene
+
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import every_start
+from dirl.evaluation.experts import ShortestPathPolicy
+from dirl.evaluation.protocol import EvaluationProtocol
+from dirl.experiments import walked_once
+from dirl.models import LocalisingMemory
+from dirl.recognition.matching import TemplateStop
+from dirl.recognition.tables import VisitScores
+from dirl.runs.checks import RunError
+from dirl.scenes import make_world, read_dump, write_dump
+from dirl.training.load import Trained
+
+SIZE = {"feature_width": 64, "patches": True, "looks": 2, "noise": 0.05}
+
+
+@pytest.fixture
+def collections(tmp_path, monkeypatch):
+    """Two collections of the same two rooms."""
+    entries = [
+        SimpleNamespace(name=name, split=split) for name, split in (("a", "test"), ("b", "test"), ("c", "train"))
+    ]
+    monkeypatch.setattr(walked_once, "read_collection", lambda folder: SimpleNamespace(entries=entries))
+    for seed, folder in enumerate(("before", "after")):
+        for room, name in enumerate(("a", "b")):
+            scene = grid_scene(3, 2, name=name, goals=(0, 13), seed=room, **SIZE)
+            moved = replace(scene, look_features=scene.look_features + np.float16(0.01 * seed))
+            write_dump(tmp_path / folder / f"{name}.h5", moved)
+    return tmp_path / "before", tmp_path / "after"
+
+
+@pytest.fixture
+def loaded(monkeypatch):
+    """A policy that knows the way, in the rooms that are asked for."""
+
+    def load(agent, files, view):
+        world = make_world([read_dump(file) for file in files])
+        match = "front" if view == "front" else "views"
+        protocol = EvaluationProtocol(
+            world,
+            SurroundingViews(world, view),
+            every_start(world),
+            TemplateStop(0.0, match, Odds()).compared(world),
+            40,
+            memory=LocalisingMemory(),
+            scores=VisitScores(Odds(), world),
+        )
+        return Trained(None, ShortestPathPolicy(world), protocol)
+
+    monkeypatch.setattr(walked_once, "_loaded", load)
+
+
+def test_the_walk_sees_the_first_collection_and_the_episodes_the_changes_of_the_second(collections, tmp_path):
+    before, after = collections
+    files, walk, later = walked_once.rooms(f"{before}:{after}", tmp_path / "both")
+    assert [file.rsplit("/", 1)[1] for file in files] == ["a.h5", "b.h5"]
+    assert (walk, later) == (range(3), range(3, 5))
+    both, changed = read_dump(files[1]), read_dump(after / "b.h5")
+    assert np.array_equal(both.look_features[2:], changed.look_features)
+    assert np.array_equal(both.look_patches[2:], changed.look_patches)
+    assert np.array_equal(both.look_features[:2], read_dump(before / "b.h5").look_features)
+    assert walked_once.rooms(str(before), tmp_path)[1:] == (None, None)
+
+
+def test_collections_of_other_rooms_or_without_looks_are_refused(collections, tmp_path):
+    before, after = collections
+    write_dump(after / "a.h5", grid_scene(3, 2, name="a", goals=(0,), **{**SIZE, "looks": 0}))
+    with pytest.raises(RunError, match="a has no looks in one of them; make both with looks=2"):
+        walked_once.rooms(f"{before}:{after}", tmp_path / "both")
+    write_dump(after / "a.h5", grid_scene(2, 2, name="a", goals=(0,), **SIZE))
+    with pytest.raises(RunError, match="a is another room than in"):
+        walked_once.rooms(f"{before}:{after}", tmp_path / "both")
+
+
+def test_walks_and_episodes_see_the_looks_that_they_should(collections, loaded, tmp_path, monkeypatch):
+    before, after = collections
+    walks, episodes, map_scene, run = [], [], walked_once.map_scene, EvaluationProtocol.run
+    monkeypatch.setattr(walked_once, "map_scene", lambda *given: walks.append(given[-1]) or map_scene(*given))
+    monkeypatch.setattr(
+        EvaluationProtocol, "run", lambda self, policy: episodes.append(self.looks) or run(self, policy)
+    )
+    walked_once.measure("general", *walked_once.rooms(f"{before}:{after}", tmp_path / "both"))
+    assert walks == [range(3)] * 2
+    assert episodes == [range(3, 5)] * 6
+
+
+def test_a_report_has_every_way_and_goes_on_from_what_was_measured(collections, loaded, tmp_path, monkeypatch):
+    before, after = collections
+    asked = [str(before), f"{before}:{after}"]
+    text = walked_once.report_walked_once(asked, "general", tmp_path / "out")
+    assert "| before | map of the walk | 1.000 | 1.000 | 0.000 |" in text
+    assert text.count("| before then after | ") == 2 + 2 * len(walked_once.WAYS)
+    assert "| before then after | four views | map of the walk | 1.000 | 1.000 | 0.000 | 0.000 |" in text
+    assert "| before | one photo | map, another goal's views | 0.000 | 0.000 | 1.000 |" in text
+    assert (tmp_path / "out" / "walked_once.png").stat().st_size > 10_000
+    monkeypatch.setattr(walked_once, "measure", lambda *_: pytest.fail("measured again"))
+    assert walked_once.report_walked_once(asked, "general", tmp_path / "out") == text
+
+
+def test_an_image_graph_leads_to_goals_in_rooms_that_do_not_change():
+    world = make_world([grid_scene(3, 2, goals=(0, 13), feature_width=64)])
+    graphs, quality = walked_once.image_graphs(world, None)
+    assert quality == {"nodes": [1.0]}
+    protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), max_steps=30)
+    for view in ("surrounding", "front"):
+        episodes = walked_once.by_image_graphs(graphs, protocol, view)
+        assert bool(episodes.success.all())
+        assert torch.equal(episodes.steps, episodes.shortest)
