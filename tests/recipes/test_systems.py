@@ -40,6 +40,27 @@ def test_an_image_graph_is_measured_like_the_others(tmp_path):
     assert summary["greedy"]["spl"] > 0.95
 
 
+def test_a_memory_that_localises_goes_on_with_the_map_of_a_walk(tmp_path):
+    """Of a policy that has hardly learnt, in a room that changes."""
+    room = room_file(tmp_path, looks=2, patches=True)
+    options = [f"scene={room}", *TINY, "system=il", "imitation.fraction=0.1", "hydra.run.dir=run"]
+    status, _, errors = run_recipe(tmp_path, "train", *options)
+    assert status == 0, errors
+    (tmp_path / "odds.yaml").write_text("_target_: odds.Odds\n")
+    asked = ["checkpoint=run", "recogniser=odds.yaml", "trust=[odds]", "episodic_memory=localising", "stop=match"]
+    found = {}
+    for mapped in ([], ["image_graph=3"]):
+        out = f"{len(mapped)}.json"
+        status, printed, errors = run_recipe(tmp_path, "evaluate", *asked, f"out={out}", *mapped)
+        assert status == 0, errors
+        found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
+        assert ("1.00 nodes a state, 100 % of the states, 0.0 % of the moves wrong" in printed) == bool(mapped)
+    assert found["1.json"] > 0.95 > found["0.json"]
+    status, _, errors = run_recipe(tmp_path, "evaluate", *asked, "image_graph=3", "last_steps=0")
+    assert status == 1
+    assert "last_steps=0: a memory that localises knows its map to the end; leave it out" in errors.splitlines()[-1]
+
+
 def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
     """Of a policy that has hardly learnt: the nearer to the goal the map leads it, the more often it arrives."""
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "imitation.fraction=0.1", "hydra.run.dir=run"]

@@ -54,12 +54,13 @@ def _relit(room: RoomDescription, rng: np.random.Generator, lamps: float, daylig
     made = dict(room.materials)
     for name in sorted(outlooks):
         factor = float(np.exp(rng.normal(0, 1) * daylight))
-        made[name] = replace(known[name], emit=known[name].emit * factor, glow=known[name].glow * min(1.0, factor))
+        if daylight:
+            made[name] = replace(known[name], emit=known[name].emit * factor, glow=known[name].glow * min(1.0, factor))
     for name in LAMPS:
         off = rng.random() < lamps
         if off and outlooks:  # a room without a window keeps its only light
             made[name] = replace(known[name], emit=0.0, options={**known[name].options, "color": _grey(DARK)})
-    return made if made != dict(room.materials) else room.materials
+    return made
 
 
 def _grey(value: float) -> str:
