@@ -17,7 +17,7 @@ from dirl.models import LocalisingMemory
 from dirl.models.localising import Places
 
 PARTICLES = 256
-"""Validation rooms at 10 cm and 10 degrees: 64 give 2.7 % wrong links, 256 give 1.6 %; at 5 cm 64 are enough."""
+"""In validation rooms at 10 cm and 10 degrees 64 give 2.7 % wrong links, 256 give 1.6 %; at 5 cm 64 are enough."""
 
 BLOCKED = 0.1
 """Prior probability that a move of a walk is blocked: a walk tries all moves, an agent those that a policy likes."""
