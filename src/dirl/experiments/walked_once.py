@@ -237,13 +237,14 @@ def _draw(found: Mapping[str, Measured], out: Path) -> None:
     """SPL of each way in each collection, as points with intervals."""
     figure = Figure(figsize=(8, 4.6), layout="constrained")
     for axes, (view, shown) in zip(figure.subplots(1, 2, sharey=True), GOAL_VIEWS.items(), strict=True):
-        for way, color in WAYS.items():
+        for step, (way, color) in enumerate(WAYS.items()):
             spl = [of[f"{view}: {way}"]["spl"] for of in found.values()]
             mean = np.array([float(iqm(values)) for values in spl])
             low, high = np.array([bootstrap_interval(values) for values in spl]).T
             named = way if view == "surrounding" else None
             error = np.maximum(0.0, [mean - low, high - mean])
-            axes.errorbar(range(len(spl)), mean, error, fmt="o-", color=color, markersize=4, capsize=2, label=named)
+            beside = np.arange(len(spl)) + 0.15 * (step - 1.5)
+            axes.errorbar(beside, mean, error, fmt="o", color=color, markersize=4, capsize=2, label=named)
         names = [Path(collection.split(":")[-1]).name for collection in found]
         axes.set_xticks(range(len(names)), names, rotation=30, ha="right")
         axes.set(title=shown, ylim=(-0.03, 1.03), ylabel="SPL" if view == "surrounding" else None)
