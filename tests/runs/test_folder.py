@@ -256,6 +256,22 @@ def test_resume_takes_no_other_option_and_no_finished_run(tmp_path):
         open_run(config(f"resume={tmp_path}"), tmp_path, [f"resume={tmp_path}"])
 
 
+@pytest.mark.parametrize("again", ["resume", "existing=keep"])
+def test_a_run_killed_while_it_cleans_up_leaves_nothing(tmp_path, again):
+    run = begun(tmp_path)
+    run.save({"frames": 10, "network": {}})
+    run.finish({"frames": 10, "network": {}}, {})
+    run.clean_up({})
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / ".lock").write_text("process 1 on another")
+    if again == "resume":
+        with pytest.raises(RunError, match="is finished"):
+            open_run(config(f"resume={tmp_path}"), tmp_path, [f"resume={tmp_path}"])
+    else:
+        assert open_run(config(again), tmp_path, [again]).finished
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["config.yaml", "network.pt", "summary.json"]
+
+
 def test_atl_is_averaged_over_goals_and_forgets_old_episodes():
     meter = EpisodeMeter([6, 6, 6])
     assert math.isnan(meter.atl)

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 from torch import nn
@@ -35,6 +37,9 @@ def test_a_saved_optimiser_fits_a_fresh_one(optimiser):
             lambda state: state["state"][0].update(exp_avg=torch.zeros(2, 3).half()),
             r"state\.0: expected float32 \[2, 3",
         ),
+        (lambda state: state["state"][0].update(step=torch.tensor(-3.0)), r"state\.0\.step: expected a count of steps"),
+        (lambda state: state["state"][1].update(step=torch.tensor(0.5)), r"state\.1\.step: expected a count of steps"),
+        (lambda state: state["state"][1].update(step=torch.tensor(math.nan)), r"state\.1\.step: expected a count"),
         (lambda state: state["state"][1].pop("exp_avg"), r"state\.1: has other entries"),
         (lambda state: state["param_groups"].append({}), "expected a list of 1, found a list of 2"),
         (lambda state: state["param_groups"][0].update(params=[0, 0]), "params cannot have been so"),

@@ -128,7 +128,7 @@ class TurnCheck:
         """Whether the view ahead was to the right (1) or to the left (-1) before, and so on around."""
         each = torch.stack([now.roll(side + k, 0).flatten() for k in range(VIEWS)])
         scores = normal_vectors(each) @ normal_vectors(before.flatten())
-        return bool(scores[0] > self.graph.keep and scores.max() < scores[0] + self.graph.margin)
+        return bool(scores[0] > self.graph.keep and scores.max() <= scores[0] + self.graph.margin)
 
 
 class Guide:
@@ -150,7 +150,7 @@ class Guide:
         """The node that looks most like the goal."""
         self.match = float(scores[self.goal])
         """How much it does, -1 to 1; a goal far from all that was seen has a low one."""
-        self.goals = (scores > self.match - graph.margin / 2).nonzero().flatten().tolist()
+        self.goals = (scores >= self.match - graph.margin / 2).nonzero().flatten().tolist()
         """All nodes that look like it nearly as much: in disturbed views the same place may be several nodes."""
         self.action: int | None = None
         self._planned: tuple[int, Tensor] = (-1, torch.empty(0))

@@ -50,8 +50,10 @@ def training(options: TrainConfig, overrides: Sequence[str]) -> None:
     """Refuse a run that cannot be resumed, weights and scenes that do not exist, unknown options of components."""
     if options.resume is not None:
         from dirl.runs.finding import find_unfinished
+        from dirl.runs.locks import finish_cleaning
 
         if os.environ.get("RANK", "0") == "0":  # other ranks need not see the folder
+            finish_cleaning(Path(options.resume))
             find_unfinished(options.resume, overrides)
         return
     check_sources(options)

@@ -23,7 +23,7 @@ from dirl.runs import ranks
 from dirl.runs.checkpoints import SUFFIX, latest_checkpoint, save_checkpoint
 from dirl.runs.checks import SCHEMA, TABLES, RunError, check_progress
 from dirl.runs.finding import config_file, find_unfinished, is_finished, training_checkpoints
-from dirl.runs.locks import FolderLock, claim, is_numbered
+from dirl.runs.locks import FolderLock, claim, finish_cleaning, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.scenes import World
 from dirl.scenes.scene import turns_of
@@ -230,6 +230,7 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
 
 
 def _open(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
+    finish_cleaning(Path(config.resume or folder))
     if config.resume is None:
         if not config_file(folder).exists():
             return Run(folder, config)

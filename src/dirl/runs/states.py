@@ -93,6 +93,9 @@ def check_optimiser(saved: Any, optimiser: Optimizer, where: str, trained: Any) 
             isinstance(value, Tensor) and (value.shape, value.dtype) in kinds for value in values.values()
         ):
             raise RunError(f"{where}.state.{index}: expected {_told(parameters[index])}, or single numbers")
+        step = values.get("step", torch.ones(()))
+        if not (step.isfinite().all() and (step >= 1).all() and (step == step.floor()).all()):
+            raise RunError(f"{where}.state.{index}.step: expected a count of steps, found {step.tolist()!r:.40}")
         if values.keys() != first.keys():
             raise RunError(f"{where}.state.{index}: has other entries than that of the first parameter")
 

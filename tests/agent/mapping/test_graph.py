@@ -5,6 +5,7 @@ import pytest
 import torch
 from rooms import grid_scene
 
+from dirl.agent.exploring import Guide
 from dirl.agent.mapping import ImageGraph, MapError
 from dirl.agent.mapping.looks import UNKNOWN
 from dirl.agent.mapping.walks import explore, step
@@ -136,6 +137,17 @@ def test_a_photo_is_found_in_the_map():
     seen = looks(scene)
     for state in (2, 9, 33):
         assert graph.scores(seen[state][:1]).argmax() == graph.scores(seen[state]).argmax()
+
+
+def test_without_a_margin_only_the_most_alike_counts():
+    scene = grid_scene(**ROOM)
+    graph = ImageGraph(margin=0.0)
+    explore(scene, graph, 5, 100)
+    seen = looks(scene)
+    for state in (2, 9, 33):
+        guide = Guide(graph, seen[state], last_steps=0)
+        assert guide.goals == [guide.goal] == graph.alike(seen[state])
+        assert guide.advise(seen[5]) is not None
 
 
 @pytest.mark.parametrize("turns", [4, 8])

@@ -130,13 +130,13 @@ class ImageGraph:
 
     def fits(self, scores: Tensor, node: int) -> bool:
         """Whether a node that was expected is believed, by the `scores` of what is seen, float32 ``[N]``."""
-        return bool(scores[node] > self.keep and scores.max() < scores[node] + self.margin)
+        return bool(scores[node] > self.keep and scores.max() <= scores[node] + self.margin)
 
     def alike(self, views: Tensor) -> list[int]:
         """The nodes that a look around could be of, float32 ``[4, D]``; the most alike first."""
         scores = self.scores(views)
-        least = max(self.threshold, float(scores.max()) - self.margin)
-        return [node for node in scores.argsort(descending=True).tolist() if scores[node] > least]
+        possible = (scores > self.threshold) & (scores >= scores.max() - self.margin)
+        return [node for node in scores.argsort(descending=True).tolist() if possible[node]]
 
     def follow(self, views: Tensor, action: int | None = None) -> int | None:
         """Keep track of a walker without adding stations; a move that led elsewhere twice is corrected.
