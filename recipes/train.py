@@ -150,9 +150,9 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
                 optimiser.zero_grad()
                 total_loss(losses).backward()
                 average_gradients(parameters, len(part))
-                clip_gradients(parameters, options.max_grad_norm, per_variable=options.clip_per_variable)
+                norm = clip_gradients(parameters, options.max_grad_norm, per_variable=options.clip_per_variable)
                 optimiser.step()
-        loop.record(summarise(state.env, batch, losses))
+        loop.record(summarise(state.env, batch, losses.set("gradient_norm", norm)))
 
 
 if __name__ == "__main__":

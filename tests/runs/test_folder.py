@@ -39,6 +39,16 @@ def test_rows_become_a_csv_file_with_empty_cells_for_nan(tmp_path):
     assert (tmp_path / "evaluation.csv").read_text().split() == ["frames,atl", "0,", "5,1.25"]
 
 
+def test_a_resumed_run_keeps_the_columns_that_it_has(tmp_path):
+    run = begun(tmp_path)
+    run.write("reinforcement", 1, {"frames": 1, "atl": 9.5, "old": 3})
+    run.save({"frames": 10, "network": {}})
+    run.close()
+    resumed = begun(tmp_path, load_checkpoint(tmp_path))
+    resumed.write("reinforcement", 11, {"frames": 11, "sr": 0.5, "atl": 8.25})
+    assert (tmp_path / "reinforcement.csv").read_text().split() == ["frames,atl,old", "1,9.5,3", "11,8.25,"]
+
+
 def test_a_resumed_run_forgets_rows_younger_than_its_checkpoint(tmp_path):
     run = begun(tmp_path)
     run.write("evaluation", 0, {"frames": 0})
@@ -279,6 +289,7 @@ def test_atl_is_averaged_over_goals_and_forgets_old_episodes():
     episodes(meter, 0, 10, WINDOW)
     episodes(meter, 1, 30, 1)
     assert (meter.atl, meter.worst_atl, meter.episodes) == (20.0, 30.0, WINDOW + 11)
+    assert (meter.success_rate(31), meter.success_rate(30), meter.success_rate(10)) == (1.0, 0.5, 0.0)
 
 
 def test_stable_needs_enough_short_episodes_of_every_goal_and_is_lost_again():

@@ -76,6 +76,9 @@ def test_an_update_tells_the_episodes_that_ended_in_it_in_their_order(room):
     assert len(set(goals)) > 1
     assert (update.goal_index, update.steps) == (goals, steps)
     assert update.values["loss_objective"] == losses["loss_objective"].item()
+    target, value = (batch[key].flatten().double() for key in ("value_target", "state_value"))
+    explained = 1 - (target - value).var().item() / target.var().item()
+    assert update.values["explained_variance"] == pytest.approx(explained, abs=1e-4)
 
 
 @pytest.mark.parametrize("memory", [[], GRU], ids=["no memory", "gru"])
@@ -152,7 +155,7 @@ def test_minibatches_take_every_row_once_a_pass(room):
 def test_gradients_are_clipped_together_or_each(per_variable, expected):
     parameters = [torch.nn.Parameter(torch.zeros(2)) for _ in range(2)]
     parameters[0].grad, parameters[1].grad = torch.tensor([3.0, 0.0]), torch.tensor([0.0, 4.0])
-    clip_gradients(parameters, 1.0, per_variable=per_variable)
+    assert clip_gradients(parameters, 1.0, per_variable=per_variable).item() == pytest.approx(5.0)
     for parameter, gradient in zip(parameters, expected, strict=True):
         assert parameter.grad.tolist() == pytest.approx(gradient, abs=1e-4)
 

@@ -67,6 +67,11 @@ class EpisodeMeter:
         """The current ATL of the goal with the highest one; NaN before there are any episodes."""
         return max(self._means(), default=math.nan)
 
+    def success_rate(self, limit: int) -> float:
+        """The fraction of these episodes that ended before the step limit, averaged over goals as the ATL is."""
+        rates = [sum(steps < limit for steps in last) / len(last) for last in self.steps if last]
+        return sum(rates) / len(rates) if rates else math.nan
+
     def _means(self) -> list[float]:
         return [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
 

@@ -62,6 +62,7 @@ class Run:
         self._last_save = time.perf_counter()
         self._facts: dict[str, Any] = {}
         self._tables: set[Path] = set()
+        self._columns: dict[Path, list[str]] = {}
 
     def begin(self, world: World, view_order: Sequence[str]) -> None:
         """Lock the folder, write the configuration, and remove what is newer than the checkpoint.
@@ -135,19 +136,27 @@ class Run:
         return time.perf_counter() - self._began
 
     def write(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
-        """Append a row to ``<stage>.csv``; NaN becomes an empty cell. The columns are those of the first row."""
+        """Append a row to ``<stage>.csv``; NaN becomes an empty cell. The columns are those of the first row.
+
+        A run that an older version began keeps its columns.
+        """
         if ranks.rank():
             return
         file = self.folder / f"{stage}.csv"
+        cells = {
+            name: "" if math.isnan(value) else f"{value:.6g}" if isinstance(value, float) else value
+            for name, value in row.items()
+        }
         begins = file not in self._tables or file.stat().st_size == 0
+        if begins:
+            self._columns[file] = list(row)
+        elif file not in self._columns:  # of a run that is resumed
+            self._columns[file] = next(csv.reader(read_text(file).splitlines()))
         self._tables.add(file)
-        cells = [
-            "" if math.isnan(value) else f"{value:.6g}" if isinstance(value, float) else value for value in row.values()
-        ]
         with file.open("a", newline="") as stream:
-            writer = csv.writer(stream)
+            writer = csv.DictWriter(stream, self._columns[file], restval="", extrasaction="ignore")
             if begins:
-                writer.writerow(row)
+                writer.writeheader()
             writer.writerow(cells)
         if self.logger is not None:
             self.logger.log(stage, step, row)

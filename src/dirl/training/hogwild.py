@@ -214,13 +214,13 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
                 losses = compute_losses(part, left)
                 policy.zero_grad()
                 total_loss(losses).backward()
-                clip_gradients(own, options.max_grad_norm, per_variable=options.clip_per_variable)
+                norm = clip_gradients(own, options.max_grad_norm, per_variable=options.clip_per_variable)
                 for parameter, mine in zip(common.parameters(), own, strict=True):
                     parameter.grad = mine.grad
                 optimiser.step()
                 if several:
                     fetch(shared, policy)
-        sender.send(summarise(env, batch, losses))
+        sender.send(summarise(env, batch, losses.set("gradient_norm", norm)))
 
 
 def claim(shared: Shared, frames: int, total: int) -> float | None:

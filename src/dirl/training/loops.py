@@ -114,13 +114,14 @@ class Updates:
         """Count an update; write, evaluate and save when they are due, the latter two within ``paused``."""
         parts, signals, save = ranks.tell(update, self.asked, self.run.save_due())
         self.stop.extend(signals)
-        update, before = together(parts), self.state.frames
+        update, before, lr = together(parts), self.state.frames, self.state.optimiser.defaults["lr"] * self.left
         self.state.count(update)
         frames, meter = self.state.frames, self.state.meter
         if due(before, frames, self.total, ROWS):
             seconds = self.state.seconds
             row = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
             row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
+            row |= {"sr": meter.success_rate(self.run.config.reinforcement.max_steps), "lr": lr}
             self.run.write("reinforcement", frames, row | update.values)
         evaluates = due(before, frames, self.total, self.run.config.evaluation.times)
         saves = save or self.done
@@ -131,7 +132,7 @@ class Updates:
                 if saves:
                     self.run.save(self.state.state_dict())
         self.state.start_clock()
-        self.bar.update(update.frames)
+        self.bar.update(min(update.frames, self.total - self.bar.n))  # tqdm drops a bar that is more than full
         self.bar.set_postfix_str(f"ATL {meter.atl:.1f}", refresh=False)
         if self.done:
             self.stop.append(0)

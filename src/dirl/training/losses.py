@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torch.nn.utils import clip_grad_norm_
+from torch.nn.utils import clip_grad_norm_, get_total_norm
 from torch.optim import Optimizer
 from torchrl.modules import set_recurrent_mode
 
@@ -214,12 +214,17 @@ def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: boo
             yield from (rows[part] for part in torch.randperm(len(rows)).chunk(count))
 
 
-def clip_gradients(parameters: list[nn.Parameter], max_norm: float, *, per_variable: bool) -> None:
-    """Scale gradients down to a norm: of all variables together, or of each variable as TensorFlow does."""
-    if per_variable:
-        clip_each(parameters, max_norm)
-    else:
-        clip_grad_norm_(parameters, max_norm)
+def clip_gradients(parameters: list[nn.Parameter], max_norm: float, *, per_variable: bool) -> Tensor:
+    """Scale gradients down to a norm: of all variables together, or of each variable as TensorFlow does.
+
+    Returns:
+        The norm of all together as it was before, float32 ``[]``.
+    """
+    if not per_variable:
+        return clip_grad_norm_(parameters, max_norm)
+    norm = get_total_norm([parameter.grad for parameter in parameters if parameter.grad is not None])
+    clip_each(parameters, max_norm)
+    return norm
 
 
 def set_learning_rate(optimiser: Optimizer, rate: float) -> None:

@@ -57,7 +57,7 @@ class Update(NamedTuple):
     steps: list[int]
     """How long these were."""
     values: dict[str, float]
-    """Losses."""
+    """Losses, and what describes the update beside them."""
 
 
 def together(updates: Sequence[Update]) -> Update:
@@ -72,10 +72,16 @@ def together(updates: Sequence[Update]) -> Update:
 
 
 def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Update:
-    """The report of an update, from its rollout ``[B, T]`` and the losses of its last pass."""
+    """The report of an update, from its rollout ``[B, T]`` and the losses of its last pass.
+
+    With them comes the fraction of the variance of the returns that the critic explains: 1 is a perfect one, 0 one that
+    says the same of every state.
+    """
     # In the order they ended.
     over = batch["next"].select("goal", "step_count").transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
     values = {key: value.detach().float().reshape(()) for key, value in sorted(losses.items()) if value.numel() == 1}
+    target, value = batch["value_target"].float(), batch["state_value"].float()
+    values["explained_variance"] = 1 - (target - value).var() / target.var()
     return Update(
         frames=batch.numel(),
         goal_index=env.base_env.goal_index[over["goal"]].tolist(),
