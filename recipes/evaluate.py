@@ -4,6 +4,7 @@
     python recipes/evaluate.py checkpoint=... starts=sampled episodes_per_goal=500 max_steps=500
     python recipes/evaluate.py checkpoint=... 'goals=[51]' stop=goal
     python recipes/evaluate.py checkpoint=... viewer=true              # a web page to step through episodes
+    python recipes/evaluate.py checkpoint=... video=true               # an MP4 of greedy episodes
 
 All options with their values: conf/evaluate/evaluate.yaml.
 """
@@ -39,7 +40,7 @@ from dirl.evaluation.protocol import EvaluationProtocol, assess, metrics
 from dirl.files.atomic import write_json, write_text
 from dirl.models import LocalisingMemory
 from dirl.recognition.build import build_recogniser, matching
-from dirl.reporting import run_title, summary_table, viewer_pages
+from dirl.reporting import film_scene, run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.finding import packaged_agent
@@ -96,6 +97,8 @@ def main(composed: DictConfig) -> None:
         measured = walk_live(trained, options) if live else assess(trained.policy, trained.protocol)
         result = {"checkpoint": checkpoint, "frames": saved["frames"], **facts, **measured}
         print(summary_table(result))
+        if options.video:
+            film(trained, facts, run_folder(checkpoint))
         if options.out is not None:
             write_json(Path(options.out), result)
         for name, page in pages.items():
@@ -201,6 +204,14 @@ def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
         graphs=None if led is None else led.memory.graphs,
         last_steps=0 if led is None else led.last_steps,
     )
+
+
+def film(trained: Trained, facts: Mapping[str, Any], folder: Path) -> None:
+    """Write a video of each scene, under the conditions of the evaluation."""
+    for index, scene in enumerate(trained.protocol.world.scenes):
+        file = folder / f"episodes_{scene.name}.mp4"
+        film_scene(trained.policy, trained.protocol, index, file, facts=facts)
+        print(f"video: {file}, {file.stat().st_size / 1e6:.1f} MB")
 
 
 def run_folder(checkpoint: str) -> Path:

@@ -3,6 +3,7 @@
 The recipes call the functions below for what they take; `check_values` calls them beforehand.
 """
 
+import importlib.util
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -110,8 +111,10 @@ def checkpoint_file(options: EvaluateConfig) -> str:
         raise RunError(f"last_steps={options.last_steps}: only where a map leads; give image_graph=2 too")
     if options.simulator is None and (options.slip or options.turn_error):
         raise RunError("slip, turn_error: only in a live world; give simulator=dump or a YAML file too")
-    if options.simulator is not None and (options.viewer or options.image_graph is not None):
-        raise RunError("simulator: a live world has no viewer and no image_graph; leave them out")
+    if options.simulator is not None and (options.viewer or options.video or options.image_graph is not None):
+        raise RunError("simulator: a live world has no viewer, no video and no image_graph; leave them out")
+    if options.video and importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise RunError("video=true needs a package that is not installed: pip install imageio-ffmpeg")
     if options.out is not None:
         new_file(options.out, ending="")
     find_checkpoint(options.checkpoint)

@@ -221,6 +221,7 @@ class EvaluateConfig:
     image_graph: float | None = None
     last_steps: int | None = None
     viewer: bool = False
+    video: bool = False
     simulator: str | None = None
     slip: float = 0.0
     turn_error: float = 0.0

@@ -7,6 +7,7 @@ from dirl.reporting.maps import draw_policy
 from dirl.reporting.pictures import draw_scene
 from dirl.reporting.tables import result_table, run_title, summary_table
 from dirl.reporting.trajectories import draw_trajectories
+from dirl.reporting.video import film_scene
 from dirl.reporting.viewer import viewer_pages
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "draw_scene",
     "draw_scene_map",
     "draw_trajectories",
+    "film_scene",
     "result_table",
     "run_title",
     "summary_table",

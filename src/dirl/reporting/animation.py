@@ -31,7 +31,7 @@ FloatArray = NDArray[np.floating]
 
 
 def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title: str, success: bool) -> None:
-    """Write an episode as an animated GIF, one frame a state: current view, the goal's view, map with the way so far.
+    """Write an episode as an animated GIF, see `episode_frames`.
 
     Args:
         scene: where it was walked; without views only the map is shown.
@@ -45,13 +45,7 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
         ValueError: the path is empty or makes a step that the scene's graph does not allow, or the goal is no state
             that can be reached.
     """
-    scene.check_goal(goal)
-    steps = len(path) - 1
-    actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
-    shown = [*range(min(steps, MAX_FRAMES - 1)), steps]
-    room = _Map(scene, goal)
-    views = {state: _small_view(scene, state) for state in {goal, *(path[step] for step in shown)}}
-    frames = [_frame(views, goal, path, step, actions[step], room, title) for step in shown]
+    frames = episode_frames(scene, goal, path, title=title, success=success)
     # One palette for all frames and no dithering, so that unchanged regions take no space.
     sample = Image.new("RGB", (frames[0].width, 4 * frames[0].height))
     for row, which in enumerate((0, len(frames) // 2, len(frames) - 1)):
@@ -64,6 +58,20 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
     durations = [FRAME_MS] * (len(frames) - 1) + [HOLD_MS]
     with atomic_path(file) as temporary:
         first.save(temporary, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
+
+
+def episode_frames(scene: Scene, goal: int, path: Sequence[int], *, title: str, success: bool) -> list[Image.Image]:
+    """A picture of each state of an episode: current view, the goal's view, map with the way so far; see `write_gif`.
+
+    Of one that is longer than `MAX_FRAMES` the first states and the last one are shown.
+    """
+    scene.check_goal(goal)
+    steps = len(path) - 1
+    actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
+    shown = [*range(min(steps, MAX_FRAMES - 1)), steps]
+    room = _Map(scene, goal)
+    views = {state: _small_view(scene, state) for state in {goal, *(path[step] for step in shown)}}
+    return [_frame(views, goal, path, step, actions[step], room, title) for step in shown]
 
 
 class _Map:
