@@ -1,6 +1,5 @@
 """The page of all options, from the types in `dirl.config` and the values and comments in conf/."""
 
-import re
 from dataclasses import fields, is_dataclass
 from enum import EnumMeta
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Annotated, Any, get_args, get_origin
 import yaml
 
 from dirl.commands.command_line import SCHEMAS
+from dirl.commands.meanings import entries
 from dirl.config.components import GROUPS, TARGET, find_class
 from dirl.config.schemas import Schedule, TrainConfig
 from dirl.config.signatures import class_parameters
@@ -67,30 +67,6 @@ MEANINGS = {
     "reduction": "of the losses over the frames of an update",
 }
 """What options mean whose value, an interpolation, leaves no room for a comment."""
-
-
-def entries(file: Path) -> dict[str, tuple[str, str]]:
-    """Value and comment of each option that a YAML file sets, by dotted name."""
-    text = file.read_text()
-    inside = file.parent.name in CHOICES and "@package _global_" not in text
-    level = f"{file.parent.name}." if inside else ""
-    found: dict[str, tuple[str, str]] = {}
-    above: list[tuple[int, str]] = []  # indents and names of what this line is in
-    for line in text.splitlines():
-        match = re.match(r"( *)([a-z_0-9]+):\s*([^#]*?)\s*(?:#\s*(.*))?$", line)
-        if match is None:
-            continue
-        indent, name, value, comment = match.groups()
-        above = [(deep, group) for deep, group in above if deep < len(indent)]
-        full = level + ".".join([*(group for _, group in above), name])
-        if value or indent:
-            found[full] = (value, comment or "")
-        if not value:
-            above.append((len(indent), name))
-    for name in [name.removesuffix(".start") for name in found if name.endswith(".start")]:
-        ends = f"{{start:{found[f'{name}.start'][0]},end:{found[f'{name}.end'][0]}}}"
-        found[name] = (ends, found[name][1])
-    return found
 
 
 def words(kind: Any) -> str:

@@ -36,6 +36,13 @@ def dirl(folder, *arguments, **environment):
         (["report", "--help"], "dirl train -m experiment=fig8 && dirl report experiment=fig8"),
         (["scenes", "inspect", "--help"], "dirl scenes inspect scene=bathroom_02"),
         (["train", "--help"], "heads: scene, shared\n"),
+        (["train", "--help"], "    start: 0.3                        # at the first frame"),
+        (
+            ["train", "--help", "preset=paper"],
+            "  clip_per_variable: true             # false: the norm of all variables",
+        ),
+        (["train", "--help"], "  width: 512                          # of the hidden layer"),
+        (["evaluate", "--help"], "slip: 0.0                             # live only: the probability that an action"),
         (["train", "--help", "encoder.width=77"], "width: 77"),
         (["scenes", "--help"], "  inspect  look at a scene and check it"),
         (["train", "--cfg", "job", "seed=7"], "seed: 7"),

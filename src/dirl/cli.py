@@ -45,7 +45,7 @@ def main() -> None:
 
         print(__version__)
     elif name == "version":
-        from dirl.__main__ import main as tell
+        from dirl.commands.versions import tell
 
         tell()
     elif name == "copy":

@@ -6,7 +6,7 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from dirl.commands.command_line import (
     prepare,
     register,
 )
+from dirl.commands.meanings import explained
 from dirl.commands.refusals import check_values
 from dirl.config.places import CONF, RECIPES, command
 from dirl.config.scene_schemas import MEANINGS
@@ -166,7 +167,16 @@ def _help(config: str, options: Sequence[str]) -> str:
     listed = "".join(f"{group}: {', '.join(sorted(choices))}\n" for group, choices in sorted(groups.items()))
     values = OmegaConf.to_yaml(OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"]))
     listed = f"\n== Groups: group=choice ==\n{listed}" if listed else ""
+    values = explained(values, [CONF / f"{config}.yaml", *_chosen(composed.hydra.runtime.choices, options)])
     return TEMPLATE.format(header=told.header, groups=listed, options=values, footer=told.footer.rstrip())
+
+
+def _chosen(choices: Mapping[str, str], options: Sequence[str]) -> list[Path]:
+    """The files of the groups of a configuration; last those that it chooses: others may say what they leave out."""
+    chosen = {group: name for group, name in choices.items() if not group.startswith("hydra")}
+    groups = [folder / group for group in chosen for folder in [CONF, *config_dirs(options)]]
+    files = [file for group in groups for file in sorted(group.glob("*.yaml"))]
+    return sorted(files, key=lambda file: file.stem == chosen[file.parent.name])
 
 
 def _ask_hydra(config: str, options: Sequence[str]) -> str:
