@@ -1,5 +1,6 @@
 """The documentation site: `sphinx-build -W --keep-going -b html docs docs/_build`. Needs no network."""
 
+import importlib.metadata
 import inspect
 import sys
 import tomllib
@@ -41,7 +42,8 @@ linkcheck_timeout, linkcheck_retries, linkcheck_workers = 15, 2, 4
 linkcheck_anchors = False  # many hosts make anchors by JavaScript
 linkcheck_allowed_redirects = {r"https://doi\.org/.*": r"https://.*"}
 html_theme = "furo"
-html_title = "dirl"
+html_title = f"dirl {importlib.metadata.version('dirl')}"
+html_favicon = "_static/favicon.svg"
 repository = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["urls"].get("Repository")
 if repository:  # links to the repository, and to the source of each page
     html_theme_options = {"source_repository": repository, "source_branch": "main", "source_directory": "docs/"}

@@ -86,6 +86,10 @@ def test_the_card_says_what_it_is_and_how_good(run, tmp_path):
     card = (save_pretrained(run, tmp_path / "shared", name="somebody/bathroom") / "README.md").read_text()
     header = yaml.safe_load(card.split("---")[1])
     assert (header["license"], header["library_name"]) == ("cc-by-nc-4.0", "dirl")
+    (index,) = header["model-index"]
+    assert index["name"] == "somebody/bathroom"
+    metrics = {metric["type"]: metric["value"] for metric in index["results"][0]["metrics"]}
+    assert metrics == {key: pytest.approx(MEASURES[key], abs=1e-4) for key in ("sr", "spl")}
     for words in (
         "DIRL, grid",
         "`fast`",

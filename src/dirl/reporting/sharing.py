@@ -18,6 +18,7 @@ library_name: dirl
 license: {license}
 pipeline_tag: reinforcement-learning
 tags: [visual-navigation, imitation-learning, torchrl]
+model-index: {index}
 ---
 
 # {title}
@@ -38,6 +39,7 @@ of the training are in `config.yaml`, all measurements in `summary.json`.
 ## Numbers
 
 {table}
+
 {pictures}
 ## Licence
 
@@ -88,6 +90,7 @@ def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], 
     facts = {key: summary[key] for key in ("system", "preset", "seed", "frames")}
     return CARD.format(
         **facts,
+        index=json.dumps(_index(summary, name)),
         title=run_title(summary),
         extractor=extractor,
         encoder=encoder,
@@ -98,6 +101,23 @@ def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], 
         license=license,
         note=ROOMS if summary["source"] == "rooms" else "",
     )
+
+
+def _index(summary: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    """The greedy measures in the form that the Hub reads, JSON being YAML."""
+    metrics = [
+        {"type": key, "name": f"{key.upper()}, greedy", "value": round(summary["greedy"][key], 4)}
+        for key in ("sr", "spl")
+    ]
+    task = {"type": "reinforcement-learning", "name": "target-driven visual navigation"}
+    return [
+        {
+            "name": name,
+            "results": [
+                {"task": task, "dataset": {"name": str(summary["scene"]), "type": "scenes"}, "metrics": metrics}
+            ],
+        }
+    ]
 
 
 def _encoder(extractor: str) -> tuple[str, str]:
