@@ -97,8 +97,12 @@ def test_train_with_other_systems_and_presets(tmp_path, options, monkeypatch):
 
 def test_multirun_trains_every_combination(tmp_path):
     options = [*TINY, "reinforcement.frames_per_scene=60", "imitation.fraction=0,0.5"]
-    status, _, errors = run_recipe(tmp_path, "train", "-m", f"scene={room_file(tmp_path)}", *options)
+    status, printed, errors = run_recipe(tmp_path, "train", "-m", f"scene={room_file(tmp_path)}", *options)
     assert status == 0, errors
+    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in printed.splitlines()[-2:]]
+    assert [row[0] for row in table] == ["0: fraction=0.0", "1: fraction=0.5"]
+    found = [read_summary(file.parent)["greedy"] for file in sorted(tmp_path.glob("multirun/*/*/summary.json"))]
+    assert [row[3] for row in table] == [f"{measures['spl']:.3f}" for measures in found]
     summaries = [json.loads(file.read_text()) for file in sorted(tmp_path.glob("multirun/*/*/summary.json"))]
     assert [summary["demonstrations"] > 0 for summary in summaries] == [False, True]
 

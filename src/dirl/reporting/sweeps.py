@@ -1,0 +1,61 @@
+"""The results of a sweep, as a table at its end."""
+
+import json
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml  # PyYAML comes with OmegaConf
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from dirl.config.schemas import leaves
+from dirl.reporting.tables import result_table
+
+
+class SweepTable(Callback):
+    """Prints a table of the runs of a sweep when its jobs are done: Hydra's ``on_multirun_end``."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Print it; a run that failed has no summary, and no row."""
+        swept = config.hydra
+        given = [override.partition("=")[0].lstrip("+~") for override in swept.overrides.task]
+        table = sweep_table(Path(swept.sweep.dir), {*given, *(swept.sweeper.get("params") or {})})
+        if table:
+            print(f"\nGreedy policies of {swept.sweep.dir}:\n\n{table}")
+
+
+def sweep_table(folder: Path, options: Collection[str]) -> str:
+    """The greedy measures of the finished runs in a folder, Markdown; empty where there are fewer than two.
+
+    Args:
+        folder: of a sweep.
+        options: which were given, by name; those that differ between the runs tell them apart.
+    """
+    runs: dict[Path, dict[str, Any]] = {}
+    measures: dict[Path, Mapping[str, Any]] = {}
+    for file in sorted(folder.glob("**/summary.json"), key=lambda file: (len(file.parent.name), str(file))):
+        summary = json.loads(file.read_text(encoding="utf-8"))
+        config = file.with_name("config.yaml")
+        if config.is_file() and "greedy" in summary:
+            runs[file.parent] = leaves(yaml.safe_load(config.read_text(encoding="utf-8")))
+            measures[file.parent] = summary["greedy"]
+    if len(runs) < 2:
+        return ""
+    given = {name for config in runs.values() for name in config if _within(name, options)}
+    told = [name for name in sorted(given) if len({str(config.get(name)) for config in runs.values()}) > 1]
+    rows = {}
+    for run, found in runs.items():
+        label = ", ".join(_told(name, found.get(name)) for name in told)
+        rows[f"{run.relative_to(folder)}: {label}" if label else str(run.relative_to(folder))] = measures[run]
+    return result_table(rows, leave_out=["false", "missed", "episodes"])
+
+
+def _within(name: str, options: Collection[str]) -> bool:
+    return any(name == option or name.startswith(f"{option}.") for option in options)
+
+
+def _told(name: str, value: Any) -> str:
+    """An option and its value in few letters: its last name, of a component its group and class."""
+    group, _, last = name.rpartition(".")
+    return f"{group}={str(value).rpartition('.')[2]}" if last == "_target_" else f"{last}={value}"
