@@ -4,6 +4,7 @@
     python recipes/scenes.py vizdoom map=map01 out=freedoom_01.h5
     python recipes/scenes.py miniworld env=FourRooms out=four_rooms.h5
     python recipes/scenes.py photos folder=my_office out=my_office.h5
+    python recipes/scenes.py recording file=robot.h5 positions=positions out=my_corridor
     python recipes/scenes.py tour path=my_tour out=my_tour.h5
     python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
     python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
@@ -37,6 +38,7 @@ from dirl.commands.refusals import (
     new_file,
     one_scene,
     photo_folder,
+    recording_file,
     room_description,
     sampled_kinds,
     simulated_scene,
@@ -44,6 +46,7 @@ from dirl.commands.refusals import (
 )
 from dirl.commands.simulators import load_simulator
 from dirl.config.places import CONF
+from dirl.config.places import command as command_of
 from dirl.config.scene_schemas import (
     BuildConfig,
     EncodeConfig,
@@ -52,6 +55,7 @@ from dirl.config.scene_schemas import (
     InspectConfig,
     MiniworldConfig,
     PhotosConfig,
+    RecordingConfig,
     SampleConfig,
     SimulatorConfig,
     ThorConfig,
@@ -74,6 +78,7 @@ from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import encoded_photos, read_photos
+from dirl.sources.recordings import unpack_recording
 from dirl.sources.simulators import take_scene
 from dirl.sources.thor import start_simulator, take_views
 from dirl.sources.vizdoom import VizDoom
@@ -134,6 +139,15 @@ def photos(options: PhotosConfig) -> None:
     out = new_file(options.out)
     folder, shape = Path(photo_folder(options)), (options.height, options.width)
     write_photos(folder, out, options.name, "photos", shape, chosen_encoder(options))
+
+
+def recording(options: RecordingConfig) -> None:
+    """Unpack a robot's recording into a folder of photographs."""
+    names = ("images", "positions", "step", "first_heading", "clockwise")
+    chosen = {name: getattr(options, name) for name in names}
+    folder = new_file(options.out, ending="")
+    print(unpack_recording(recording_file(options), folder, axes=list(options.axes), **chosen))
+    print(f"go on with: {command_of('scenes')} photos folder={folder} out={folder}.h5")
 
 
 def write_photos(
@@ -346,6 +360,7 @@ COMMANDS: dict[str, Callable[[Any], None]] = {
     "miniworld": miniworld,
     "simulator": simulator,
     "photos": photos,
+    "recording": recording,
     "tour": tour,
     "build": build,
     "sample": sample,

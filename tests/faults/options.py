@@ -24,6 +24,7 @@ os.environ |= {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1", "WANDB_MODE": "off
 os.environ |= {"http_proxy": "http://127.0.0.1:9", "https_proxy": "http://127.0.0.1:9"}  # nothing is looked up outside
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
+import h5py
 import numpy as np
 from commands import SHORT, room_file
 from forks import no_pictures, run, warm_up
@@ -35,7 +36,7 @@ SECONDS, PATIENCE, MEMORY = 6.0, 100, 8 * 2**30
 TINY = [*SHORT, "reinforcement.frames_per_scene=60", "imitation.max_steps=2", "evaluation.times=0"]
 
 RECIPES = ("train",) * 10 + ("evaluate",) * 4 + ("report",) * 2
-RECIPES += ("thor", "photos", "build", "sample", "encode", "export", "import", "inspect")
+RECIPES += ("thor", "photos", "recording", "build", "sample", "encode", "export", "import", "inspect")
 """From which a case draws."""
 
 LINE, ACCEPTED, STOPPED = "one line", "accepted, done", "accepted, stopped"
@@ -56,6 +57,8 @@ def make_files(folder):
         ahead = "" if state % 4 or state > 3 else "4"
         rows.append(f"{state}.png,{state // 4},{state % 4 * 90},{state // 4},0,{ahead}")
     (photos / "states.csv").write_text("\n".join([*rows, ""]))
+    with h5py.File(folder / "robot.h5", "w") as file:
+        file["images"] = rng.integers(0, 256, (2, 2, 4, 12, 16, 3), np.uint8)
     ended = run(folder, "train", f"scene={folder / 'room.h5'}", *SHORT, "hydra.run.dir=runs/fast/0")
     assert ended.status == 0, ended.errors
 

@@ -79,6 +79,7 @@ def base(recipe, files, tiny=()):
         "miniworld": ["env=OneRoom", "out=new.h5", "places=2", *small],
         "simulator": [f"simulator={simulator}", "out=new.h5", "places=2", "encoder=null"],
         "photos": [f"folder={files / 'photos'}", "out=new.h5", *small],
+        "recording": [f"file={files / 'robot.h5'}", "out=new", "axes=[x,z,heading]"],
         "tour": [f"path={files / 'tour'}", "out=new.h5", *small],
         "build": ["description=bathroom_02", "out=new.h5", *small, "fine=false", "workers=1"],
         "sample": ["kind=bathroom", "out=rooms", *small, "fine=false", "workers=1", "sheet=false"],

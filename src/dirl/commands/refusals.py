@@ -20,6 +20,7 @@ from dirl.config.scene_schemas import (
     InspectConfig,
     MiniworldConfig,
     PhotosConfig,
+    RecordingConfig,
     SampleConfig,
     SimulatorConfig,
     ThorConfig,
@@ -224,6 +225,14 @@ def encoder_name(options: EncodeConfig) -> str:
     )
 
 
+def recording_file(options: RecordingConfig) -> str:
+    """The recording that an option ``file`` names."""
+    file = named(options.file, "name the recording: file=<an HDF5 file>")
+    if not Path(file).is_file():
+        raise ConfigError(f"file={file}: there is no such file")
+    return file
+
+
 def photo_table(options: PhotosConfig) -> None:
     """Refuse a folder of photographs whose table is missing or invalid."""
     from dirl.sources.photos import read_photos
@@ -241,6 +250,7 @@ CHECKS: dict[type, Callable[[Any, Sequence[str]], object]] = {
     MiniworldConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
     SimulatorConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
     PhotosConfig: lambda options, _: photo_table(options),
+    RecordingConfig: lambda options, _: (new_file(options.out, ending=""), recording_file(options)),
     TourConfig: lambda options, _: (new_file(options.out), tour_path(options)),
     BuildConfig: lambda options, _: (new_file(options.out), room_description(options)),
     SampleConfig: lambda options, _: sampled_kinds(options),

@@ -41,6 +41,20 @@ class PhotosConfig:
 
 
 @dataclass
+class RecordingConfig:
+    """Everything ``recipes/scenes.py recording`` takes."""
+
+    file: str | None = None
+    out: str | None = None
+    images: str = MISSING
+    axes: list[str] = MISSING
+    positions: str | None = None
+    step: float | None = None
+    first_heading: float = MISSING
+    clockwise: bool = MISSING
+
+
+@dataclass
 class VizdoomConfig:
     """Everything ``recipes/scenes.py vizdoom`` takes."""
 
@@ -210,6 +224,7 @@ MEANINGS = {
     "miniworld": "take a scene from an environment of MiniWorld",
     "simulator": "take a scene from a simulator of your own",
     "photos": "make a scene from photographs of a real place",
+    "recording": "unpack a robot's recording into photographs for photos",
     "tour": "make a scene from a 360-degree tour",
     "build": "build a synthetic room from its description",
     "sample": "furnish random rooms and build them",

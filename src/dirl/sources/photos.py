@@ -173,7 +173,7 @@ def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
     """Write ``states.csv`` of a folder, completely or not at all."""
     unfinished = folder / f"{TABLE}.tmp"
     with unfinished.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [*REQUIRED, "back"])
+        writer = csv.DictWriter(stream, [*REQUIRED, "back", *(["shot"] if any("shot" in row for row in rows) else [])])
         writer.writeheader()
         writer.writerows(rows)
     unfinished.replace(folder / TABLE)
