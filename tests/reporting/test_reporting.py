@@ -284,7 +284,7 @@ def test_curve_shows_training_and_greedy_evaluation(run):
 def test_curve_marks_shortest_path_stability_limit_and_where_the_policy_is_stable(run):
     upper, lower = run(reinforcement=REINFORCEMENT, evaluation=EVALUATION).axes
     atl = lines(upper)
-    assert atl["shortest path, 6.13"][1] == [6.13, 6.13]
+    assert starting(atl, "shortest path of the evaluation, 6.13;")[1] == [6.13, 6.13]
     assert atl["stability limit, 20"][1] == [20, 20]
     assert atl["stable at 3,500 frames"][0] == [3500, 3500]
     assert [3500, 3500] in [points[0] for points in lines(lower).values()]

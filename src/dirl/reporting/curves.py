@@ -113,13 +113,8 @@ def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping
     _draw_line(upper, training["frames"], training["atl"], BLUE, label)
     _draw_line(upper, frames, evaluation["atl"], VERMILION, "greedy evaluation")
     upper.axhline(STABLE_ATL, color="0.3", linestyle="--", linewidth=1, label=f"stability limit, {STABLE_ATL:g}")
-    upper.axhline(
-        shortest,
-        color="0.3",
-        linestyle=":",
-        linewidth=1.5,
-        label=f"shortest path of the evaluation, {shortest:.2f};\ntraining draws starts of its own",
-    )
+    label = f"shortest path of the evaluation, {shortest:.2f};\ntraining draws starts of its own"
+    upper.axhline(shortest, color="0.3", linestyle=":", linewidth=1.5, label=label)
     upper.set_yscale("log")
     upper.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     upper.yaxis.set_minor_locator(NullLocator())
