@@ -9,7 +9,7 @@ machine affects all; medians are shown. The limit is the machine's throughput of
 conf/benchmark.yaml.
 """
 
-from dirl.commands.start import start
+from dirl.cli.start import start
 
 if __name__ == "__main__":
     start("benchmark")  # answers help and refuses options, before the imports below take their time
@@ -29,10 +29,10 @@ from omegaconf import DictConfig
 from ours import evaluation_seconds, learning, operations_per_frame, peak_memory_mb, rollout, train_config, training
 from tqdm import tqdm
 
-from dirl.commands.command_line import one_line_errors
+from dirl.cli.command_line import one_line_errors
 from dirl.config.components import check_components
 from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig, typed
-from dirl.files.atomic import write_json
+from dirl.scenes.io.atomic import write_json
 from dirl.training.build import build_world
 
 SLOW = 20

@@ -12,7 +12,7 @@ from hydra import initialize_config_dir
 from ours import CONF, peak_memory_mb, train_config, training
 from tqdm import tqdm
 
-from dirl.commands.command_line import register
+from dirl.cli.command_line import register
 from dirl.scenes import load_scenes, write_dump
 from dirl.training.build import build_world
 

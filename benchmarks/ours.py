@@ -12,7 +12,7 @@ import torch
 from hydra import compose
 from torch.utils.flop_counter import FlopCounterMode
 
-from dirl.commands.command_line import prepare
+from dirl.cli.command_line import prepare
 from dirl.config.schemas import TrainConfig, typed
 from dirl.models import caching
 from dirl.runs.folder import Run

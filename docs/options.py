@@ -7,8 +7,8 @@ from typing import Annotated, Any, get_args, get_origin
 
 import yaml
 
-from dirl.commands.command_line import SCHEMAS
-from dirl.commands.meanings import entries
+from dirl.cli.command_line import SCHEMAS
+from dirl.cli.meanings import entries
 from dirl.config.components import GROUPS, TARGET, find_class
 from dirl.config.schemas import Schedule, TrainConfig
 from dirl.config.signatures import class_parameters

@@ -9,7 +9,7 @@
 All options with their values: conf/evaluate/evaluate.yaml.
 """
 
-from dirl.commands.start import run_main, start
+from dirl.cli.start import run_main, start
 
 if __name__ == "__main__":
     start("evaluate")  # answers help and refuses options, before the imports below take their time
@@ -27,9 +27,9 @@ from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.backbones.registry import packaged_encoder
-from dirl.commands.command_line import one_line_errors
-from dirl.commands.refusals import checkpoint_file
-from dirl.commands.simulators import load_simulator
+from dirl.cli.command_line import one_line_errors
+from dirl.cli.refusals import checkpoint_file
+from dirl.cli.simulators import load_simulator
 from dirl.config.choices import goal_view_options, group_options
 from dirl.config.places import CONF
 from dirl.config.schemas import EvaluateConfig, GoalView, typed
@@ -37,7 +37,6 @@ from dirl.evaluation.episodes import sampled_starts, shortest_episodes
 from dirl.evaluation.live import Remembered, evaluate_live, shortest_move
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, metrics
-from dirl.files.atomic import write_json, write_text
 from dirl.models import LocalisingMemory
 from dirl.recognition.build import build_recogniser, matching
 from dirl.reporting import film_scene, run_title, summary_table, viewer_pages
@@ -45,6 +44,7 @@ from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.finding import packaged_agent
 from dirl.scenes.graph import turns_per_circle
+from dirl.scenes.io.atomic import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated
 from dirl.training.build import describe
 from dirl.training.load import Trained, load_trained

@@ -8,7 +8,7 @@ A report is a folder: README.md with the tables, CSV files with the value of eve
 All options with their values: conf/report/report.yaml.
 """
 
-from dirl.commands.start import run_main, start
+from dirl.cli.start import run_main, start
 
 if __name__ == "__main__":
     start("report")  # answers help and refuses options, before the imports below take their time
@@ -19,8 +19,8 @@ import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from dirl.backbones.registry import load_encoder
-from dirl.commands.command_line import one_line_errors
-from dirl.commands.refusals import reported_runs
+from dirl.cli.command_line import one_line_errors
+from dirl.cli.refusals import reported_runs
 from dirl.config.places import CONF
 from dirl.config.schemas import ExperimentName, ReportConfig, Split, TrainConfig, typed
 from dirl.experiments.any_goal import report_any_goal

@@ -16,7 +16,7 @@
 All options of each command with their values: conf/scenes/<command>.yaml.
 """
 
-from dirl.commands.start import run_main, start
+from dirl.cli.start import run_main, start
 
 if __name__ == "__main__":
     command = start("scenes", __doc__)  # answers help and refuses options, before the imports below take their time
@@ -32,8 +32,8 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
-from dirl.commands.command_line import one_line_errors
-from dirl.commands.refusals import (
+from dirl.cli.command_line import one_line_errors
+from dirl.cli.refusals import (
     encoder_name,
     new_file,
     one_scene,
@@ -44,7 +44,7 @@ from dirl.commands.refusals import (
     simulated_scene,
     tour_path,
 )
-from dirl.commands.simulators import load_simulator
+from dirl.cli.simulators import load_simulator
 from dirl.config.places import CONF
 from dirl.config.places import command as command_of
 from dirl.config.scene_schemas import (

@@ -12,7 +12,7 @@ needs besides, components, folder, resumption and errors, is in `dirl.training.j
 interrupts of a loop in `dirl.training.loops`.
 """
 
-from dirl.commands.start import run_main, start
+from dirl.cli.start import run_main, start
 
 if __name__ == "__main__":
     start("train")  # answers help and refuses options, before the imports below take their time

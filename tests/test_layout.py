@@ -8,12 +8,11 @@ import dirl
 ROOT = Path(dirl.__file__).parent
 
 FLOORS = (
-    ("files",),
     ("config", "scenes"),
     ("backbones", "runs", "sources", "tours"),
     ("envs", "recognition"),
     ("models", "objectives", "rooms"),
-    ("agent", "commands"),
+    ("agent", "cli"),
     ("evaluation",),
     ("reporting",),
     ("training",),
@@ -61,7 +60,7 @@ def arrows():
 def test_every_wing_has_a_floor_and_the_root_no_module_of_its_own():
     wings = {path.name for path in ROOT.iterdir() if path.is_dir() and (path / "__init__.py").is_file()}
     assert wings == {wing for floor in FLOORS for wing in floor}
-    assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "__main__.py", "cli.py"}
+    assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "__main__.py"}
 
 
 def test_no_wing_imports_upwards():

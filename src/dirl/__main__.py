@@ -2,7 +2,7 @@
 
 import sys
 
-from dirl.cli import main
+from dirl.cli.main import main
 
 if __name__ == "__main__":
     sys.argv[1:] = sys.argv[1:] or ["version"]

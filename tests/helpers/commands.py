@@ -9,7 +9,7 @@ from forks import ROOT, recipe_file
 from hydra import compose, initialize_config_dir
 from rooms import grid_scene
 
-from dirl.commands.command_line import prepare, register
+from dirl.cli.command_line import prepare, register
 from dirl.config.schemas import TrainConfig, typed
 from dirl.scenes import write_dump
 

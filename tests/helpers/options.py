@@ -6,7 +6,7 @@ from typing import get_args
 
 from forks import ROOT
 
-from dirl.commands.command_line import SCHEMAS, option_types
+from dirl.cli.command_line import SCHEMAS, option_types
 
 CONF = ROOT / "conf"
 

@@ -17,7 +17,7 @@ from simulator import Simulator
 from tours import Camera360, grid_truth, turned, write_table
 
 from dirl.backbones import ResNet50
-from dirl.commands.command_line import SCHEMAS, choose_command, prepare, register
+from dirl.cli.command_line import SCHEMAS, choose_command, prepare, register
 from dirl.config.scene_schemas import MEANINGS
 from dirl.config.schemas import ConfigError, Match, typed
 from dirl.recognition.diagnostics import inspect_scene

@@ -11,8 +11,8 @@ import torch
 from dirl.agent.images import NavigatorError
 from dirl.agent.navigator import Navigator
 from dirl.envs.transforms import VIEWS
-from dirl.files.atomic import atomic_path
 from dirl.models import initial_state
+from dirl.scenes.io.atomic import atomic_path
 
 
 def export_onnx(navigator: Navigator, file: str | Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dirl.backbones import ViewEncoder, encode_all, load_encoder
-from dirl.commands.command_line import one_line_errors
+from dirl.cli.command_line import one_line_errors
 from dirl.experiments.image_graph import drawn_goals, measure, program
 from dirl.rooms.building import sample_building
 from dirl.rooms.building_tour import write_building_tour

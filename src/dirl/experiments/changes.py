@@ -16,20 +16,20 @@ from typing import Any
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from dirl.commands.command_line import one_line_errors
+from dirl.cli.command_line import one_line_errors
 from dirl.config.choices import goal_view_options, group_options
 from dirl.evaluation.episodes import Episodes
 from dirl.evaluation.experts import RandomPolicy
 from dirl.experiments.any_goal import MEASURES, wrong_goals
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.unseen_rooms import by_room
-from dirl.files.atomic import write_json
-from dirl.files.texts import read_text
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.exits import one_line_exits
 from dirl.scenes import World
+from dirl.scenes.io.atomic import write_json
+from dirl.scenes.io.texts import read_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.load import load_trained
 

@@ -18,7 +18,7 @@ import torch
 from dirl.agent.mapping import ImageGraph
 from dirl.agent.mapping.walks import explore
 from dirl.agent.navigator import Navigator
-from dirl.commands.command_line import one_line_errors
+from dirl.cli.command_line import one_line_errors
 from dirl.experiments.results import Column, Table
 from dirl.runs.exits import one_line_exits
 from dirl.scenes import Scene

@@ -19,7 +19,7 @@ from torch import nn
 
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
-from dirl.commands.command_line import one_line_errors
+from dirl.cli.command_line import one_line_errors
 from dirl.config.choices import goal_view_options
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes

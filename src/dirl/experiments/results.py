@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
-from dirl.files.atomic import atomic_path, write_text
-from dirl.files.texts import read_rows, read_text
 from dirl.reporting.statistics import summarised
 from dirl.reporting.style import write_figure
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.finding import finished_folders
+from dirl.scenes.io.atomic import atomic_path, write_text
+from dirl.scenes.io.texts import read_rows, read_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.load import Trained, load_trained
 

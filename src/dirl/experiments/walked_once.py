@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from dirl.agent.exploring import Guide
 from dirl.agent.mapping import ImageGraph
-from dirl.commands.command_line import one_line_errors
+from dirl.cli.command_line import one_line_errors
 from dirl.config.choices import goal_view_options, group_options
 from dirl.evaluation.episodes import Episodes, drawn_looks
 from dirl.evaluation.maps import map_quality, map_scene, walk_through
@@ -32,8 +32,6 @@ from dirl.experiments.any_goal import MEASURES, wrong_goals
 from dirl.experiments.changes import GOAL_VIEWS, TESTED
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.unseen_rooms import by_room
-from dirl.files.atomic import write_json
-from dirl.files.texts import read_text
 from dirl.models import LocalisingMemory
 from dirl.recognition.recogniser import normal_vectors
 from dirl.reporting.statistics import bootstrap_interval, iqm
@@ -43,6 +41,8 @@ from dirl.runs.checks import RunError
 from dirl.runs.exits import one_line_exits
 from dirl.scenes import World, read_dump
 from dirl.scenes.collection import read_collection
+from dirl.scenes.io.atomic import write_json
+from dirl.scenes.io.texts import read_text
 from dirl.scenes.io.write import copy_with
 from dirl.scenes.palette import BLUE, GREEN, GREY, ORANGE
 from dirl.training.load import Trained, load_trained

@@ -23,7 +23,7 @@ from dirl.agent.mapping import ImageGraph
 from dirl.agent.mapping.looks import UNKNOWN, VIEWS
 from dirl.agent.mapping.walks import looks, step
 from dirl.backbones import ViewEncoder, encode_views, load_encoder
-from dirl.commands.command_line import one_line_errors
+from dirl.cli.command_line import one_line_errors
 from dirl.experiments.image_graph import drawn_goals, positive
 from dirl.experiments.results import Column, Table, save_figure, write_tables
 from dirl.experiments.stopping import DISTURBANCES, disturb

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dirl.files.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
+from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.palette import COLORS, star_points
 
 MAX_FRAMES = 60

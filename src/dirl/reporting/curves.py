@@ -12,9 +12,9 @@ from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from dirl.evaluation.stability import STABLE_ATL, WINDOW
-from dirl.files.texts import read_rows
 from dirl.reporting.style import plain, write_figure
 from dirl.reporting.tables import run_title
+from dirl.scenes.io.texts import read_rows
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, SKY, VERMILION
 
 FloatArray = NDArray[np.float64]

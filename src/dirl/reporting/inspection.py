@@ -10,12 +10,12 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from dirl.files.atomic import atomic_path
 from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room, has_walls
 from dirl.reporting.style import tell_cut, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
+from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.palette import COLORS
 
 MAX_THUMBNAILS = 720

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from dirl.files.atomic import atomic_path
+from dirl.scenes.io.atomic import atomic_path
 
 
 def tell_cut(axes: Axes, name: str = "y") -> None:

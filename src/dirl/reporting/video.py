@@ -11,9 +11,9 @@ from PIL import Image
 from torch import nn
 
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.files.atomic import atomic_path
 from dirl.reporting.animation import FRAME_MS, HOLD_MS, episode_frames
 from dirl.reporting.tables import run_title
+from dirl.scenes.io.atomic import atomic_path
 
 FPS = 10
 """A step is shown for several frames: players do not like slower videos."""

@@ -11,10 +11,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, get_type_hints
 
-from dirl.files.texts import read_text
 from dirl.rooms.furniture import FURNITURE
 from dirl.rooms.options import check_keys, check_options, check_value
 from dirl.rooms.textures import TEXTURES
+from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import SceneError
 
 T = TypeVar("T")

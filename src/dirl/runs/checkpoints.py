@@ -17,11 +17,11 @@ from typing import Any
 
 import torch
 
-from dirl.files.atomic import atomic_path
 from dirl.runs.checks import RunError
 from dirl.runs.contents import check_header, check_plain
 from dirl.runs.finding import find_checkpoint, training_checkpoints
 from dirl.runs.shared import read_shared
+from dirl.scenes.io.atomic import atomic_path
 
 SEAL = b"dirl sha256 "
 DIGITS = 64

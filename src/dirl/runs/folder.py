@@ -17,8 +17,6 @@ from dirl.config.components import named_packages
 from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig, leaves
-from dirl.files.atomic import remove_unfinished, write_json, write_text
-from dirl.files.texts import read_text
 from dirl.runs import ranks
 from dirl.runs.checkpoints import SUFFIX, latest_checkpoint, save_checkpoint
 from dirl.runs.checks import SCHEMA, TABLES, RunError, check_progress
@@ -26,6 +24,8 @@ from dirl.runs.finding import config_file, find_unfinished, is_finished, trainin
 from dirl.runs.locks import FolderLock, claim, finish_cleaning, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.scenes import World
+from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
+from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import turns_of
 
 

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from PIL import Image
 
 from dirl.config.schemas import ConfigError, LoggerName, TrainConfig, leaves
-from dirl.files.atomic import write_text
+from dirl.scenes.io.atomic import write_text
 
 PICTURES = ("*.png", "*.gif")
 

@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dirl.files.atomic import atomic_path, write_json, write_text
-from dirl.files.seals import check_seal, sealed
-from dirl.files.texts import read_text
 from dirl.runs.checks import RunError
 from dirl.runs.contents import check_header, check_plain
 from dirl.runs.finding import WEIGHTS
+from dirl.scenes.io.atomic import atomic_path, write_json, write_text
+from dirl.scenes.io.seals import check_seal, sealed
+from dirl.scenes.io.texts import read_text
 
 CONFIG, FACTS = "config.yaml", "dirl.json"
 """The files of such a folder beside the weights by name: the run's configuration, and `KEYS`."""

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, overload
 
-from dirl.files.texts import read_text
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.read import Dump, read_dumps
+from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import Scene, SceneError
 
 INDEX = "collection.jsonl"

@@ -29,8 +29,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps
 
-from dirl.files.texts import read_text
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
+from dirl.scenes.io.texts import read_text
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import FORMATS, ImageError, encode, open_image

@@ -9,7 +9,7 @@ from typing import Any
 
 import pyjson5
 
-from dirl.files.texts import read_text
+from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import SceneError
 from dirl.tours.images import Cube, Equirectangular
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from dirl.commands.refusals import ARCHITECTURE, initial_weights_file
+from dirl.cli.refusals import ARCHITECTURE, initial_weights_file
 from dirl.config.saved import read_config
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.models.weights import check_extractor

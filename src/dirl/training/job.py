@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 
-from dirl.commands.command_line import job_errors, one_line_errors
+from dirl.cli.command_line import job_errors, one_line_errors
 from dirl.config.components import check_components
 from dirl.config.schemas import typed
 from dirl.evaluation.protocol import EvaluationProtocol, mean_shortest

@@ -11,12 +11,12 @@ from torch import Tensor
 from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.looks import UNKNOWN, VIEWS
 from dirl.agent.mapping.places import PlaceMap
-from dirl.files.atomic import atomic_path, write_json
-from dirl.files.seals import check_seal, sealed
-from dirl.files.texts import read_text
 from dirl.models.localising import Places
 from dirl.runs.shared import MISSING
 from dirl.scenes.graph import ACTIONS
+from dirl.scenes.io.atomic import atomic_path, write_json
+from dirl.scenes.io.seals import check_seal, sealed
+from dirl.scenes.io.texts import read_text
 
 TENSORS, FACTS = "map.safetensors", "map.json"
 

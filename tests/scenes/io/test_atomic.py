@@ -5,7 +5,7 @@ import stat
 
 import pytest
 
-from dirl.files.atomic import PREFIX, atomic_path, remove_unfinished, write_json, write_text
+from dirl.scenes.io.atomic import PREFIX, atomic_path, remove_unfinished, write_json, write_text
 
 
 def test_a_file_appears_whole_with_usual_permissions_and_nothing_beside_it(tmp_path):

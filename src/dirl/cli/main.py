@@ -1,6 +1,6 @@
 """The command ``dirl``, which runs the recipes from wherever the package is installed.
 
-Nothing here imports torch, nor does `dirl.commands.start`: help, refused options and shell completion answer at once.
+Nothing here imports torch, nor does `dirl.cli.start`: help, refused options and shell completion answer at once.
 """
 
 import difflib
@@ -45,7 +45,7 @@ def main() -> None:
 
         print(__version__)
     elif name == "version":
-        from dirl.commands.versions import tell
+        from dirl.cli.versions import tell
 
         tell()
     elif name == "copy":
@@ -68,8 +68,8 @@ def run(name: str, arguments: Sequence[str]) -> None:
 
 def show(name: str, arguments: Sequence[str]) -> None:
     """Let Hydra answer a shell that completes the options of a recipe."""
-    from dirl.commands.command_line import register
-    from dirl.commands.start import configuration, shown
+    from dirl.cli.command_line import register
+    from dirl.cli.start import configuration, shown
 
     register()
     sys.argv[0] = "dirl"  # the command that Hydra's script completes

@@ -7,7 +7,7 @@ import pytest
 from commands import ROOT, run_program, run_recipe, train_config
 from omegaconf import OmegaConf
 
-from dirl.commands.command_line import SCHEMAS, one_line_errors, option_types, prepare
+from dirl.cli.command_line import SCHEMAS, one_line_errors, option_types, prepare
 from dirl.config.components import in_words
 from dirl.config.saved import RENAMED
 from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, TrainConfig

@@ -15,7 +15,7 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
-from dirl.commands.command_line import (
+from dirl.cli.command_line import (
     SCHEMAS,
     choose_command,
     config_dirs,
@@ -24,8 +24,8 @@ from dirl.commands.command_line import (
     prepare,
     register,
 )
-from dirl.commands.meanings import explained
-from dirl.commands.refusals import check_values
+from dirl.cli.meanings import explained
+from dirl.cli.refusals import check_values
 from dirl.config.places import CONF, RECIPES, command
 from dirl.config.scene_schemas import MEANINGS
 from dirl.config.schemas import ConfigError, typed
@@ -51,7 +51,7 @@ def start(recipe: str, text: str | None = None) -> str:
     """Check the command line of a recipe and write it in Hydra's form, or answer a request for help.
 
     A recipe calls it before its other imports. Options are checked against their types and bounds, those of components
-    against the source of their classes, and paths and names are looked up (`dirl.commands.refusals`); what is in the
+    against the source of their classes, and paths and names are looked up (`dirl.cli.refusals`); what is in the
     files is checked later.
 
     Args:

@@ -5,7 +5,9 @@ import sys
 
 import pytest
 
-PROGRAM = "import sys; from dirl.cli import main\ntry: main()\nfinally: print('torch' in sys.modules, file=sys.stderr)"
+PROGRAM = (
+    "import sys; from dirl.cli.main import main\ntry: main()\nfinally: print('torch' in sys.modules, file=sys.stderr)"
+)
 
 
 def dirl(folder, *arguments, **environment):
