@@ -9,7 +9,7 @@ from dirl.runs.checks import RunError
 from dirl.runs.contents import check_header, check_plain
 from dirl.runs.finding import WEIGHTS
 from dirl.scenes.io.atomic import atomic_path, write_json, write_text
-from dirl.scenes.io.seals import check_seal, sealed
+from dirl.scenes.io.digest import check_seal, sealed
 from dirl.scenes.io.texts import read_text
 
 CONFIG, FACTS = "config.yaml", "dirl.json"

@@ -15,7 +15,7 @@ from dirl.models.localising import Places
 from dirl.runs.shared import MISSING
 from dirl.scenes.graph import ACTIONS
 from dirl.scenes.io.atomic import atomic_path, write_json
-from dirl.scenes.io.seals import check_seal, sealed
+from dirl.scenes.io.digest import check_seal, sealed
 from dirl.scenes.io.texts import read_text
 
 TENSORS, FACTS = "map.safetensors", "map.json"

@@ -1,7 +1,7 @@
 """The program that reads dumps of unknown origin, started by `dirl.scenes.io.isolation` and never imported.
 
-It reads one request from its standard input and answers on its standard output. Each answer is the length of a JSON
-text as 8 bytes, that text, and the arrays that it lists.
+It reads one request from its standard input and answers on its standard output. Each answer is a line of JSON and the
+arrays that it lists.
 """
 
 import json
@@ -79,8 +79,7 @@ TASKS: dict[str, Callable[..., Answer]] = {"read": _read, "replace_features": _r
 
 
 def _answer(stream: BinaryIO, header: dict[str, Any], arrays: list[Any]) -> None:
-    text = json.dumps(header).encode()
-    stream.write(len(text).to_bytes(8, "little") + text)
+    stream.write(json.dumps(header).encode() + b"\n")
     for array in arrays:
         if array.size:  # an empty one cannot be cast
             stream.write(memoryview(array if array.flags.c_contiguous else array.copy()).cast("B"))

@@ -1,10 +1,11 @@
-"""Digests of dumps that dirl writes, by which later damage is detected."""
+"""Digests of dumps and of folders that dirl writes, by which later damage is detected."""
 
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -29,7 +30,7 @@ EXTRACTOR_ATTRIBUTES = ("extractor", "preprocessing", "weights")
 PATCH_ATTRIBUTES = ("extractor", "projection")
 
 DIGEST = "digest"
-"""The attribute. The file has it and so has ``graph``, for damage can also make attributes disappear."""
+"""The attribute of a dump (``graph`` has it too, for damage can also make attributes disappear), or the key in JSON."""
 
 BLOCK_BYTES = 2**24
 
@@ -98,3 +99,22 @@ def file_digest(path: Path) -> str:
 def _attributes(holder: h5py.File | h5py.Dataset, names: tuple[str, ...]) -> bytes:
     values = {name: np.asarray(holder.attrs[name]).tolist() for name in names if name in holder.attrs}
     return repr(values).encode("utf-8", "surrogateescape")
+
+
+def sealed(facts: Mapping[str, Any], *contents: bytes) -> dict[str, Any]:
+    """Facts to be written as JSON, with a digest over them and the contents of other files of their folder."""
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for content in contents:
+        digest.update(hashlib.sha256(content).digest())
+    return {**facts, DIGEST: digest.hexdigest()}
+
+
+def check_seal(facts: Mapping[str, Any], *contents: bytes) -> None:
+    """Check what `sealed` added; folders of older versions have none.
+
+    Raises:
+        ValueError: the facts or the contents are others than those that were written.
+    """
+    plain = {key: value for key, value in facts.items() if key != DIGEST}
+    if DIGEST in facts and facts[DIGEST] != sealed(plain, *contents)[DIGEST]:
+        raise ValueError("its files are not those that were written: the digest differs")

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from dirl.scenes.graph import ACTIONS, GraphError, IntArray, check_graph, shortest_distances
 from dirl.scenes.io.digest import EXTRACTOR_ATTRIBUTES, blocks, check_digest
-from dirl.scenes.io.heap import find_views
-from dirl.scenes.io.patches import Located, locate_mapped
+from dirl.scenes.io.located import Located, locate_mapped, locate_views, open_views
 from dirl.scenes.io.storage import check_storage, open_dataset, own_dataset, read_attribute, short
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import MAX_PIXELS, ImageError, Views, decode
+from dirl.scenes.views import Views
 
 # What is larger than these is refused before any of it is read.
 MAX_STATES = 50_000
@@ -27,8 +26,6 @@ MAX_FEATURE_VALUES = 2**27
 """Of the first crop, the one that is read: half a gigabyte as float32."""
 MAX_FEATURE_RATIO = 50
 """How much larger than in the file features may be; those of a network hardly compress."""
-MAX_UNPACKED_VIEWS = 2**29
-"""Bytes of raw views that are compressed in the file, for they are held in memory."""
 MAX_TEXT = 2000
 """Characters of an attribute."""
 
@@ -61,7 +58,7 @@ class Contents:
     view_shape: list[int] | None
     views_unpacked: NDArray[np.uint8] | None
     mapped: dict[str, Located]
-    """Where large arrays lie, see `dirl.scenes.io.patches`."""
+    """Where large arrays lie, see `dirl.scenes.io.located`."""
     warning: str = ""
 
     def views(self, path: Path) -> Views | None:
@@ -117,7 +114,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
     for dataset in (graph, location, rotation):
         check_storage(dataset)
     features = _open_features(file, states)
-    views = _open_views(file, states)
+    views = open_views(file, states)
     mapped = locate_mapped(file, path, states)
     distances = None
     if "shortest_path_distance" in file:
@@ -134,7 +131,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         name=_text_attribute(file, "name"),
         source=_text_attribute(file, "source"),
         goals=_goals(read_attribute(file, "goals"), states),
-        **_locate_views(views, path, decoded=verified),
+        **locate_views(views, path, decoded=verified),
         mapped=mapped,
     )
     _check_differences(contents)
@@ -178,52 +175,6 @@ def _extractor(features: h5py.Dataset | None) -> str:
     if features is None:
         return "none"
     return extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown"
-
-
-def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
-    if "observation_webp" in file:
-        dataset = open_dataset(file, "observation_webp", kinds="O", shape=(states,))
-        if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
-            raise SceneError("observation_webp: expected byte strings (variable-length uint8)")
-        check_storage(dataset)
-        return dataset
-    if "observation" not in file:
-        return None
-    dataset = open_dataset(file, "observation", kinds="u", shape=(states, None, None, 3))
-    if dataset.dtype != np.uint8:
-        raise SceneError(f"observation: expected uint8 pixels, found {dataset.dtype}")
-    if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
-        raise SceneError(f"observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}")
-    check_storage(dataset)
-    if dataset.chunks is not None and dataset.nbytes > MAX_UNPACKED_VIEWS:
-        raise SceneError(
-            f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "
-            "stored in one piece (h5repack -l observation:CONTI)"
-        )
-    return dataset
-
-
-def _locate_views(dataset: h5py.Dataset | None, path: Path, *, decoded: bool) -> dict[str, Any]:
-    """Where the views lie in the file; each is decoded once, to see that it can be, unless that is known."""
-    spans, shape, unpacked = np.empty((0, 2), np.int64), None, None
-    if dataset is not None and dataset.dtype.kind == "O":
-        spans = find_views(dataset, path, check=None if decoded else _check_view)
-    elif dataset is not None:
-        shape = list(dataset.shape[1:3])
-        start, size = dataset.id.get_offset(), dataset.nbytes // len(dataset)
-        if start is None:  # in chunks
-            unpacked = dataset[:]
-            start = 0
-        spans = np.stack([start + size * np.arange(len(dataset)), np.full(len(dataset), size)], 1)
-    name = "" if dataset is None else dataset.name.removeprefix("/")
-    return {"view_dataset": name, "view_spans": spans, "view_shape": shape, "views_unpacked": unpacked}
-
-
-def _check_view(state: int, data: bytes) -> None:
-    try:
-        decode(data)
-    except ImageError as error:
-        raise SceneError(f"observation_webp: state {state}: not a readable image ({error})") from None
 
 
 def _check_differences(contents: Contents) -> None:

@@ -5,16 +5,16 @@ and of memory, and if it ends, the program that wanted the file goes on with one
 with h5py and NumPy only. This is no protection against a file that was made to take over the process that reads it.
 """
 
+import io
 import json
 import math
 import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,65 +63,48 @@ def seconds_for(path: Path) -> float:
 
 
 def _answers(tasks: Sequence[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], dict[str, NDArray[Any]]]]:
-    request = json.dumps({"memory": MEMORY, "tasks": tasks}).encode()
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry),
         "OPENBLAS_NUM_THREADS": "1",  # its threads take time to start, and address space
     }
-    # -S: `sys.path` is that of this process already, and what site does takes time; -P: modules here hide no others.
-    process = subprocess.Popen(
-        [sys.executable, "-S", "-P", str(PROGRAM)],
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    clock = threading.Timer(PATIENCE * sum(task["seconds"] for task in tasks), process.kill)
-    clock.daemon = True
-    clock.start()
-    assert process.stdin is not None
-    assert process.stdout is not None
     try:
-        _send(process.stdin, request)
-        for task in tasks:
-            try:
-                answer = _receive(process.stdout)
-            except EOFError:
-                raise SceneError(_ended(process.wait(), task["seconds"])) from None
-            if "error" in answer[0]:
-                raise SceneError(answer[0]["error"])
-            yield answer
-    finally:
-        clock.cancel()
-        process.kill()
-        process.stdout.close()
-        process.wait()
+        # -S: `sys.path` is that of this process, and what site does takes time; -P: modules here hide no others.
+        ended = subprocess.run(
+            [sys.executable, "-S", "-P", str(PROGRAM)],
+            input=json.dumps({"memory": MEMORY, "tasks": tasks}).encode(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+            timeout=PATIENCE * sum(task["seconds"] for task in tasks),
+        )
+        status, output = ended.returncode, io.BytesIO(ended.stdout)
+    except subprocess.TimeoutExpired as late:
+        status, output = -getattr(signal, "SIGKILL", 0), io.BytesIO(late.stdout or b"")
+    for task in tasks:
+        try:
+            answer = _receive(output)
+        except EOFError:
+            raise SceneError(_ended(status, task["seconds"])) from None
+        if "error" in answer[0]:
+            raise SceneError(answer[0]["error"])
+        yield answer
 
 
-def _send(stream: IO[bytes], request: bytes) -> None:
-    try:
-        with stream:
-            stream.write(request)
-    except BrokenPipeError:  # it has ended already, which is noticed when it does not answer
-        pass
-
-
-def _receive(stream: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    header = json.loads(_exactly(stream, int.from_bytes(_exactly(stream, 8), "little")))
+def _receive(stream: io.BytesIO) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The next answer: a line of JSON, and the arrays that it lists."""
+    line = stream.readline()
+    if not line.endswith(b"\n"):
+        raise EOFError
+    header = json.loads(line)
     arrays = {}
     for name, (kind, shape) in header.get("arrays", {}).items():
         size = math.prod(shape) * np.dtype(kind).itemsize
-        arrays[name] = np.frombuffer(_exactly(stream, size), kind).reshape(shape)
+        data = stream.read(size)
+        if len(data) < size:
+            raise EOFError
+        arrays[name] = np.frombuffer(data, kind).reshape(shape)
     return header, arrays
-
-
-def _exactly(stream: IO[bytes], size: int) -> bytes:
-    """That many bytes of a stream."""
-    data = stream.read(size)
-    if len(data) < size:
-        raise EOFError
-    return data
 
 
 def _ended(status: int, seconds: float) -> str:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.hdf5 import Contents, read_contents
 from dirl.scenes.io.isolation import read_apart
-from dirl.scenes.io.patches import map_array
+from dirl.scenes.io.located import map_array
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.scenes.graph import ACTIONS, shortest_distances
+from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.digest import DATASETS, write_digest
 from dirl.scenes.io.hdf5 import MAX_COMPARED
 from dirl.scenes.io.isolation import replace_features_apart
@@ -141,11 +142,6 @@ def copy_with(
 def whole_file(path: Path) -> Iterator[h5py.File]:
     """A new dump to write to; when the context ends it gets its digest and its name. If it fails there is no file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    try:
-        with h5py.File(unfinished, "w") as file:
-            yield file
-            write_digest(file)
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with atomic_path(path) as unfinished, h5py.File(unfinished, "w") as file:
+        yield file
+        write_digest(file)
