@@ -126,7 +126,7 @@ def tables(result: dict[str, Any]) -> str:
             needed, share = f"{row['operations_per_frame'] / 1e6:.2f}", f"{row['share_of_limit']:.0%}"
             speeds.append((*cells, *((needed, share) if loop == "training" else ("", ""))))
     if speeds:
-        columns = ("world", "loop", "frames/s", "training is x times it", "MFLOP a frame", "share of limit")
+        columns = ("world", "loop", "frames/s", "training is x times it", "MFLOP a frame", "fraction of limit")
         text += markdown(columns, speeds)
     times: list[tuple[str, ...]] = []
     for row in result["rows"]:

@@ -358,31 +358,33 @@ def page():
                 lines.append(f"| {what} | {message} |")
     return f"""# Messages for malformed dumps
 
-An invalid file is refused before any work begins, by one `SceneError` of one line: the file, the dataset or
-attribute, the first offending state, and what was expected. Nothing is repaired silently, and sizes are checked
-before memory is allocated. Files that are not HDF5 or are truncated get "not a readable HDF5 file, perhaps a broken
-download".
+An invalid file is refused before any work begins. A `SceneError` of one line names the file, the dataset or
+attribute, the first offending state, and what was expected. Nothing is repaired silently, and sizes are
+checked before memory is allocated. A file that is truncated or not HDF5 is reported as "not a readable HDF5
+file, perhaps a broken download".
 
-The {len(lines)} rows are the cases of `tests/helpers/malformed.py` and `found.py`, each made from a good file of 24
-states and read. `python tests/helpers/malformed.py` writes this page, and a test compares the two. In each message the
-file's name comes first, which the table omits.
+The table below has {len(lines)} damaged files and their messages, without the file name at the beginning. Each file
+is made from a valid one of 24 states by `tests/helpers/malformed.py` or `found.py`, and read.
+`python tests/helpers/malformed.py` writes the table, and a test compares the two.
 
 ## What is promised
 
-- *A file that dirl wrote* holds a digest, the SHA-256 over its datasets and the attributes that are read. A file that
-  does not match it is refused. The four built-in rooms are verified byte for byte by `SHA256SUMS` beside them.
-- *A file without a digest*, made by other programs, is read with the checks below, and all its encoded views are
+- *A file that dirl wrote* contains a digest: the SHA-256 of its datasets and of the attributes that are
+  read. A file that does not match its digest is refused. The four built-in rooms are verified byte for byte
+  by `SHA256SUMS` beside them.
+- *A file of another program* has no digest. It is read with the checks below, and all its encoded views are
   decoded once. A changed number that is still plausible cannot be detected.
-- *No file can crash the program that reads it*, whatever its bytes. libhdf5 can crash or hang on damaged files, so
-  every file except the built-in rooms is read in a separate process. That process may use 30 s of processor time, one
-  more second for each megabyte of the file, and 3 GiB of address space. If it ends early, the reader reports one
-  line.
-- *Views* are read later, directly from their position in the file and without libhdf5. If the file is changed after
-  the scene was read, a view can be wrong, or one line says that it cannot be read.
+- *No file can crash the program that reads it*, whatever its bytes. libhdf5 can crash or hang on damaged
+  files, so every file except the built-in rooms is read in a separate process. That process may use 30 s of
+  processor time, one more second for each megabyte of the file, and 3 GiB of address space. If it ends
+  early, the reader reports that in one line.
+- *Views* are read later, directly from their position in the file and without libhdf5. If the file is
+  changed after the scene was read, a view can be wrong, or one line says that it cannot be read.
 
-Not promised: a digest is not a signature, and a separate process is not a sandbox. A malicious file can carry a
-matching digest, and could take over the process that reads it. Windows supports none of the limits and macOS not that
-of memory. There a time limit, twenty times as long, ends the process.
+Two things are not promised. A digest is not a signature: a malicious file can carry a matching one. And a
+separate process is not a sandbox: a malicious file could take over the process that reads it. Windows
+supports none of the limits, and macOS not the one on memory. There a time limit, twenty times as long, ends
+the process.
 
 `python tests/faults/dumps.py count=10000 seed=7` damages 10,000 files, reads each, and prints a summary.
 

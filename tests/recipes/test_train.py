@@ -215,7 +215,7 @@ def test_benchmark_measures_every_loop(tmp_path):
     assert all(rate > 0 for rate in row["frames_per_second"].values())
     assert row["operations_per_frame"] > 0
     assert row["stable_at_frame"] is None
-    assert "share of limit" in printed
+    assert "fraction of limit" in printed
 
 
 @pytest.mark.parametrize(
