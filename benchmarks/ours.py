@@ -104,7 +104,7 @@ def operations_per_frame(config: TrainConfig) -> float:
 
 
 def evaluation_seconds(config: TrainConfig) -> dict[str, Any]:
-    """How long episodes take, with the network as it begins, which walks longest: every start, and 100,000 drawn."""
+    """How long episodes take, with the network as it begins, which walks longest: every start, and 100,000 sampled."""
     world = build_world(config)
     observation = build_observation(config, world)
     policy = learning_policy(config, world, observation)

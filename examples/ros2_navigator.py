@@ -90,7 +90,7 @@ class Step(NamedTuple):
 
 
 class Walk:
-    """A walk that makes a map, in the place of the navigator in a `Pilot`; it stops where nothing is left to be learnt.
+    """A walk that makes a map, in the place of the navigator in a `Pilot`; it stops where nothing is left to learn.
 
     Args:
         explorer: see `dirl.Navigator.explore`.

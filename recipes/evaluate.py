@@ -109,12 +109,12 @@ def main(composed: DictConfig) -> None:
 
 
 def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
-    """The protocol; with drawn starts where every start makes more than `MOST_EPISODES`, which takes long."""
+    """The protocol; with sampled starts where every start makes more than `MOST_EPISODES`, which takes long."""
     count, goals = len(protocol.starts[0]), len(protocol.world.goals)
     each = max(1, MOST_EPISODES // goals)
     if count <= MOST_EPISODES or count <= goals * each:
         return protocol
-    print(f"{count} episodes from every start would take long: {each} starts of each goal are drawn (or starts=every)")
+    print(f"{count} episodes from every start would take long: {each} starts of a goal are sampled (or starts=every)")
     return replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
 
 
@@ -158,10 +158,10 @@ def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
 
 
 def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -> Trained:
-    """The agent, with the map of one walk through each scene: its memory's own, or an image graph.
+    """The agent, with the map of one walk through each scene: its memory's own, or a topological map.
 
-    An image graph leads the policy to ``last_steps`` before its goals. A memory that localises begins its episodes with
-    the map, and decides as it does without.
+    A topological map leads the policy to ``last_steps`` before its goals. A memory that localises begins its episodes
+    with the map, and decides as it does without.
     """
     protocol = trained.protocol
     if protocol.observation.history:

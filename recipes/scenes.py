@@ -90,7 +90,7 @@ SHOWN_PAIRS = 10
 """Of the ambiguous ones."""
 
 SHEET = 32
-"""Random rooms that are drawn on one contact sheet at most; a room takes as long as some ten of its views."""
+"""Random rooms that are shown on one contact sheet at most; a room takes as long as some ten of its views."""
 
 
 def thor(options: ThorConfig) -> None:

@@ -72,7 +72,7 @@ def train(run: Run, components: Components) -> dict[str, Any]:
 
 
 def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
-    """Clone the expert, on all demonstrations or minibatches, until its actions are learnt (paper section 3.3).
+    """Clone the expert, on all demonstrations or minibatches, until its actions are learned (paper section 3.3).
 
     Args:
         run: gets a row of ``imitation.csv`` a step, and unless this is a round of DAgger its checkpoints.
@@ -98,7 +98,7 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
             average_gradients(policy.parameters(), len(rows))
             state.optimiser.step()
             steps.record(result["loss_imitation"].item(), result["accuracy"].item(), len(rows))
-    print(f"{len(demos)} demonstrations, {state.step} steps of imitation: {state.accuracy:.1%} of the actions learnt")
+    print(f"{len(demos)} demonstrations, {state.step} steps of imitation: {state.accuracy:.1%} of the actions learned")
     return state.step
 
 

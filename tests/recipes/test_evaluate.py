@@ -24,4 +24,4 @@ def test_where_every_start_makes_too_many_episodes_some_are_drawn(monkeypatch, c
         assert torch.equal(goal_index.bincount(), torch.full((24,), each))
         assert (start != world.goals[goal_index]).all()
         told = capsys.readouterr().out
-        assert told.startswith(f"552 episodes from every start would take long: {each} starts of each goal are drawn")
+        assert told.startswith(f"552 episodes from every start would take long: {each} starts of a goal are sampled")
