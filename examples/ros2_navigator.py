@@ -94,7 +94,7 @@ class Walk:
 
     Args:
         explorer: see `dirl.Navigator.explore`.
-        folder: where the map is written, anew after each look, so that a walk may be ended at any time.
+        folder: where the map is written, anew after each observation, so that a walk may be ended at any time.
     """
 
     def __init__(self, explorer: Any, folder: str) -> None:

@@ -104,7 +104,7 @@ def test_a_robot_and_gymnasium_walk_there(trained):
 
 @pytest.mark.parametrize("headings", [4, 8, 12])
 def test_a_tour_is_mapped_shown_and_walked(headings, tmp_path):
-    """A graph that is no grid, on a laid-out map: in gymnasium, in the viewer, on a map, by an image graph."""
+    """A graph that is no grid, on a laid-out map: in gymnasium, in the viewer, on a map, by a topological map."""
     truth = turned(grid_truth(3, 2), 0.5)
     leaning = [(i, j, heading + 10 * (i + j)) for i, j, heading in truth.links]
     made = tour_scene(tour_of(replace(truth, links=leaning)), headings=headings, tolerance=45)

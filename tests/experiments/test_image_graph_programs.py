@@ -1,4 +1,4 @@
-"""The programs of the reports on image graphs, from their command line to their files, on very little."""
+"""The programs of the reports on topological maps, from their command line to their files, on very little."""
 
 import csv
 import sys

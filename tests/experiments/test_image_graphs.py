@@ -1,4 +1,4 @@
-"""What the reports on image graphs measure, in small rooms."""
+"""What the reports on topological maps measure, in small rooms."""
 
 import csv
 from argparse import Namespace

@@ -1,4 +1,4 @@
-"""The viewer's page of a photographic tour in headless Chromium: its ways, its image graph, one photo of the goal."""
+"""The viewer's page of a photographic tour in headless Chromium: links, topological map, one photo of the goal."""
 
 from dataclasses import replace
 
@@ -55,7 +55,7 @@ def test_a_tour_is_drawn_and_walked(world, watched_tab, tmp_path):
     assert tab.locator("#map circle.cell").count() == 6
     assert tab.locator("#goal-views figure").count() == 1
     assert "one photo is all that the policy has" in tab.inner_text("#goal-title")
-    led = "Led by the image graph of one walk; the greedy policy decides the last 3 steps, and where the graph knows no"
+    led = "Led by the topological map of one walk; the greedy policy decides the last 3 steps, and where the map knows"
     assert led in tab.inner_text("#facts")
     assert tab.is_visible("#image-graph")
     assert tab.locator("#nodes circle.node").count() == 6
@@ -75,4 +75,4 @@ def test_a_tour_is_drawn_and_walked(world, watched_tab, tmp_path):
 
 def test_it_is_said_that_a_map_leads_to_the_goal(world, watched_tab, tmp_path):
     tab = opened(world, watched_tab, tmp_path, 0)
-    assert "Led by the image graph of one walk to the goal; the greedy policy" in tab.inner_text("#facts")
+    assert "Led by the topological map of one walk to the goal; the greedy policy" in tab.inner_text("#facts")

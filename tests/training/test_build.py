@@ -146,7 +146,7 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
     assert held_out
     assert shown == set(range(24)) - held_out
     assert parts.world.goals.tolist() == [0, 13]  # where reinforcement is
-    with pytest.raises(ConfigError, match=r"imitation\.goals: applies to drawn pairs only"):
+    with pytest.raises(ConfigError, match=r"imitation\.goals: applies to sampled pairs only"):
         make_parts(*options, "imitation.goals=all")
     with pytest.raises(SceneError, match=r"^imitation\.goals: grid: goals=some: must be states, or one of all"):
         make_parts(*options, "imitation.drawn=true", "imitation.goals=some")

@@ -1,4 +1,4 @@
-"""A navigator with a map: a walk that makes one, and the way to a photo by it."""
+"""A navigator with a map: a walk that makes one, and the path to a photo by it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +14,7 @@ from dirl.recognition.matching import normal_vectors
 from dirl.scenes.graph import LEFT, RIGHT
 
 NO_WAY = 2**30
-"""More steps than any way has."""
+"""More steps than any path has."""
 
 QUARTERS = 4
 """So many quarter turns are compared before `TurnCheck` judges."""
@@ -59,7 +59,7 @@ class Explorer:
         return self.graph.see(views, action)
 
     def next_action(self) -> int | None:
-        """The action after which most is learnt soonest; None if everything in reach is known, or nothing was seen.
+        """The action after which most is learned soonest; None if everything in reach is known, or nothing was seen.
 
         Before a walk ends in which hardly any quarter turns were compared (see `TurnCheck`), it turns around once: with
         wrong ``turns`` little seems to be unknown.
@@ -82,7 +82,7 @@ class TurnCheck:
     in a full circle it is not, and the map would go wrong without a sign.
 
     Args:
-        graph: the map: how many turns make a full circle, and how much two looks around must be alike.
+        graph: the map: how many turns make a full circle, and how much two observations must be alike.
     """
 
     def __init__(self, graph: ImageGraph | ParticleMapper) -> None:
@@ -102,7 +102,7 @@ class TurnCheck:
         return self.fitting + self.contrary
 
     def see(self, views: Tensor, action: int | None) -> None:
-        """Compare a look around, float32 ``[4, D]``, with the one a quarter turn ago, if the action ends such a turn.
+        """Compare an observation, float32 ``[4, D]``, with the one a quarter turn ago, if the action ends such a turn.
 
         Raises:
             NavigatorError: of `QUARTERS` quarter turns or more, most showed something else.
@@ -132,7 +132,7 @@ class TurnCheck:
 
 
 class Guide:
-    """The way to one goal by an image graph, followed step by step; what the map says wrongly is corrected on the way.
+    """The path to one goal by a topological map, step by step; errors of the map are corrected on the way.
 
     Args:
         graph: the map; where the agent is in it is forgotten.
@@ -165,13 +165,13 @@ class Guide:
             nearest = torch.where(far < 0, NO_WAY, far).min(1).values
             self._planned = self.graph.changes, torch.where(nearest == NO_WAY, -1, nearest)
         distances = self._planned[1]
-        if distances[node] <= self.last_steps:  # -1 where no way is known
+        if distances[node] <= self.last_steps:  # -1 where no path is known
             return None
         return self.graph.next_action(node, distances)
 
 
 def guide_to(graph: ImageGraph, goal_views: Tensor, last_steps: int) -> Guide:
-    """A guide by an image graph.
+    """A guide by a topological map.
 
     Args:
         graph: the map.

@@ -224,8 +224,8 @@ class Navigator:
                 ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well this works
                 depends on the training (``imitation.front_only``, ``goal_view=front``). With sequential views
                 one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents.
-            graph: a map of the place, see `explore`, or the folder of a saved one, for a single agent. An image graph
-                leads it to the goal; the policy decides within ``last_steps`` of it, and where the agent does not
+            graph: a map of the place, see `explore`, or the folder of a saved one, for a single agent. A topological
+                map leads it to the goal; the policy decides within ``last_steps`` of it, and where the agent does not
                 recognise what it sees. A `PlaceMap` is what the agent's memory begins with.
             last_steps: see ``graph``; not used with a `PlaceMap`.
 
@@ -337,8 +337,8 @@ class Navigator:
         `ImageGraph`.
 
         Args:
-            graph: a map to walk on with; a new one if left out. In a new image graph nodes match above the navigator's
-                threshold.
+            graph: a map to walk on with; a new one if left out. In a new topological map nodes match above the
+                navigator's threshold.
             turns: right turns of the robot in a full circle, as 4, 8 or 12. It must be given unless the map says it:
                 the training's may be another one, and with a wrong one the map is wrong.
 

@@ -52,11 +52,11 @@ def fit_projection(cells: Tensor, channels: int = PATCH_SHAPE[1], floor: float =
     Args:
         cells: ``[N, C]``, of training rooms only.
         channels: how many components to keep.
-        floor: components whose variance is below this share of the first one's are scaled as if they had that share,
-            because scaling them up would amplify noise.
+        floor: components whose variance is below this fraction of the first one's are scaled as if they had that
+            fraction, because scaling them up would amplify noise.
 
     Returns:
-        ``mean`` ``[C]``, ``components`` ``[C, channels]`` (float16), and ``explained``, the share of the variance
+        ``mean`` ``[C]``, ``components`` ``[C, channels]`` (float16), and ``explained``, the fraction of the variance
         that each component holds, ``[channels]``.
     """
     found = principal_components(cells, channels, floor)

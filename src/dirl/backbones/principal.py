@@ -14,7 +14,7 @@ class Components(NamedTuple):
     axes: Tensor
     """float32 ``[D, count]``; fewer columns if the vectors span fewer dimensions."""
     explained: Tensor
-    """The share of the variance that each component holds, float32 ``[count]``."""
+    """The fraction of the variance that each component holds, float32 ``[count]``."""
 
 
 def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> Components:
@@ -23,8 +23,8 @@ def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> Com
     Args:
         vectors: ``[N, D]``.
         count: how many to keep.
-        floor: components whose deviation is below this share of the first one's are scaled as if they had that share,
-            because scaling them up would amplify noise.
+        floor: components whose deviation is below this fraction of the first one's are scaled as if they had that
+            fraction, because scaling them up would amplify noise.
     """
     vectors = vectors.double()
     mean = vectors.mean(0)

@@ -53,7 +53,7 @@ PUBLIC = frozenset(
 MODULE = "torch.nn.modules.module.Module"
 BASES = {
     "optimiser": "torch.optim.optimizer.Optimizer",
-    # Experts, drawn pairs, caches and matching ask a transform what is seen of a state, not the environment alone.
+    # Experts, sampled pairs, caches and matching ask a transform what is seen of a state, not the environment alone.
     "observation": "dirl.envs.transforms.SurroundingViews",
     "simulator": "builtins.object",  # a protocol: `dirl.scenes.live.Simulator`
 }

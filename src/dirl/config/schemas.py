@@ -51,7 +51,7 @@ class Schedule:
     end: float = MISSING
 
     def __call__(self, left: float) -> float:
-        """The value when a share ``left`` of the training, 1 to 0, remains."""
+        """The value when a fraction ``left`` of the training, 1 to 0, remains."""
         return self.end + (self.start - self.end) * left
 
 

@@ -103,13 +103,13 @@ class Task:
         return spaces.Dict(made)
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Ints, Ints]:
-        """Goal indices and starts of new episodes, int64 ``[count]`` each, drawn as `NavigationEnv` does."""
+        """Goal indices and starts of new episodes, int64 ``[count]`` each, sampled as `NavigationEnv` does."""
         goal = rng.integers(len(self.goals), size=count)
         start = rng.integers(self.start_count[goal])
         return goal, np.array([self.starts[one][at] for one, at in zip(goal, start, strict=True)], np.int64)
 
     def chosen(self, options: dict[str, Any], goal: int, state: int) -> tuple[int, int]:
-        """The goal's index and the start: those that ``options`` name, else those that were drawn."""
+        """The goal's index and the start: those that ``options`` name, else those that were sampled."""
         unknown = sorted(set(options) - {"goal", "state"})
         if unknown:
             raise ValueError(f"reset has no option '{unknown[0]}'; options are 'goal' and 'state'")

@@ -33,8 +33,8 @@ class NavigationEnv(EnvBase):
 
     - ``state``, ``goal``: states of the world, int64 ``[B]``;
     - ``scene``: the scene they are in, int64 ``[B]``;
-    - ``look``, ``goal_look``, only in a world that changes: which of its looks the state has at this visit, drawn anew
-      at every step, and the goal in this episode, int64 ``[B]``.
+    - ``look``, ``goal_look``, only in a world that changes: which of its looks the state has at this visit, sampled
+      anew at every step, and the goal in this episode, int64 ``[B]``.
 
     The action is 0 ahead, 1 turn right, 2 turn left, 3 back, int64 ``[B]``; reward and done flags are ``[B, 1]``.
 
@@ -90,7 +90,7 @@ class NavigationEnv(EnvBase):
             self.generator.manual_seed(seed)
 
     def _look_keys(self) -> tuple[str, ...]:
-        """What an observation of a world that changes has besides; nothing is drawn in one that does not."""
+        """What an observation of a world that changes has besides; nothing is sampled in one that does not."""
         return ("look", "goal_look") if self.world.looks > 1 else ()
 
     def _any_look(self) -> Tensor:

@@ -65,7 +65,7 @@ class SurroundingViews(Transform):
         return next_tensordict
 
     def _picture(self, tensordict: TensorDictBase, state: str, look: str) -> Tensor:
-        """The view id of a state in the look that was drawn; the state itself where there is one look."""
+        """The view id of a state in the look that was sampled; the state itself where there is one look."""
         found: Tensor = tensordict[state]
         return found if self.pictures == self.states else found + self.states * tensordict[look]
 

@@ -21,7 +21,7 @@ from dirl.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
 
 MANY = 50_000
-"""Agents for more than which actions are drawn by one random number each, where `torch.multinomial` draws four."""
+"""Agents for more than which actions are sampled by one random number each, where `torch.multinomial` draws four."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def every_start(world: World) -> tuple[Tensor, Tensor]:
 
 
 def sampled_starts(world: World, per_goal: int, seed: int) -> tuple[Tensor, Tensor]:
-    """``per_goal`` starts for each goal, drawn uniformly with replacement, as in the paper's section 4.5.2."""
+    """``per_goal`` starts for each goal, sampled uniformly with replacement, as in the paper's section 4.5.2."""
     generator = torch.Generator().manual_seed(seed)
     drawn = []
     for index, offset in enumerate(world.offsets):
@@ -93,9 +93,9 @@ def run_episodes(
     shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor], None] | None = None,
 ) -> Episodes:
-    """One episode from each start. In a world that changes every visit and every goal has a look drawn for it.
+    """One episode from each start. In a world that changes every visit and every goal has a look sampled for it.
 
-    The look of its goal is not drawn for the visits of an episode: no place looks to the bit as in the goal's views.
+    The look of its goal is not sampled for the visits of an episode: no place looks to the bit as in the goal's views.
 
     This is no TorchRL rollout, for two reasons. Finished episodes leave the batch, which an ``EnvBase`` does not
     support. And a memoryless policy is evaluated once for all agents with the same observation and goal.
@@ -182,15 +182,15 @@ def drawn_looks(
     besides: Tensor | None = None,
     looks: range | None = None,
 ) -> Tensor:
-    """States or goals, int64 ``[B]`` below ``count``, each in a look drawn for it: ``look * count + index``.
+    """States or goals, int64 ``[B]`` below ``count``, each in a look sampled for it: ``look * count + index``.
 
     Args:
         index: the states or goals.
         count: how many the world has.
         world: with L looks.
         generator: draws; torch's own if left out.
-        besides: looks that are not drawn, int64 ``[B]``: those of the goals, which shall not return to the bit.
-        looks: that are drawn from; all L if left out.
+        besides: looks that are not sampled, int64 ``[B]``: those of the goals, which shall not return to the bit.
+        looks: that are sampled from; all L if left out.
     """
     looks = range(world.looks) if looks is None else looks
     if len(looks) == 1:
@@ -327,7 +327,7 @@ def bar_interval() -> float:
 
 
 def choose(logits: Tensor, generator: torch.Generator, *, greedy: bool) -> Tensor:
-    """The most probable action, or one drawn by its probability, of logits ``[B, 4]``; int64 ``[B]``."""
+    """The most probable action, or one sampled by its probability, of logits ``[B, 4]``; int64 ``[B]``."""
     if greedy:
         return logits.argmax(-1)
     probabilities = logits.softmax(-1)

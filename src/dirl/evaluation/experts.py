@@ -97,7 +97,7 @@ def demonstration_states(place: Tensor, fraction: float, rule: str, generator: t
         fraction: of the states to demonstrate, 0 to 1.
         rule: ``interval``, every k-th state by its number, as the paper says (with four headings a place and an
             even k that is only ever one or two headings); ``interval_pos``, every k-th place with all its headings;
-            ``random``, drawn without replacement. k is 1/fraction, rounded.
+            ``random``, sampled without replacement. k is 1/fraction, rounded.
         generator: for ``random``.
 
     Returns:

@@ -37,7 +37,7 @@ def map_scene(
     seed: int = 0,
     looks: range | None = None,
 ) -> tuple[PlaceMap, list[int]]:
-    """Walk once through a scene from a drawn state, in which every visit has a look drawn for it.
+    """Walk once through a scene from a random state, in which every visit has a look sampled for it.
 
     Args:
         world: where.

@@ -32,7 +32,7 @@ class EvaluationProtocol:
     max_steps: int = 200
     """An episode that has not arrived by then has failed."""
     seed: int = 0
-    """Of drawn actions."""
+    """Of sampled actions."""
     memory: Memory | None = None
     """Changes the policies' logits by what was done in the episode."""
     scores: VisitScores | None = None
@@ -113,8 +113,8 @@ def metrics(episodes: Episodes) -> dict[str, float]:
     """The measures of the paper's section 4.3, over all episodes unless said otherwise.
 
     ``atl``: steps, with the limit for failures; ``atl_success``: steps of the successful ones (NaN if there are
-    none); ``sr``: share that stopped at the goal; ``spl``: success weighted by shortest/steps; ``shortest``: fewest
-    possible steps; ``false_stop_rate`` and ``missed_stop_rate``: shares; ``episodes``: how many.
+    none); ``sr``: fraction that stopped at the goal; ``spl``: success weighted by shortest/steps; ``shortest``: fewest
+    possible steps; ``false_stop_rate`` and ``missed_stop_rate``: fractions; ``episodes``: how many.
     """
     success = episodes.success.double()
     steps, shortest = episodes.steps.double(), episodes.shortest.double()

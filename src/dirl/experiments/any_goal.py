@@ -116,7 +116,7 @@ def walked_by(
         f"{PHOTO}, without memory": replace(photo, starts=starts, memory=None).run(by_photo),
         "another goal's views": wrong.run(policy),
         "another goal's views, without memory, sampled": replace(wrong, memory=None).run(policy, greedy=False),
-        # Of drawn and first actions, those that find more goals.
+        # Of sampled and first actions, those that find more goals.
         "sweep that ignores the goal": few.run(RandomPolicy(), greedy=isinstance(few.memory, PlanningMemory)),
         "random walk": few.run_random(),
     }
@@ -170,8 +170,8 @@ def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
     single = sum(int(ambiguous(world, 0.95).sum()) for world, _ in found) / len(found)
     goals = sum(len(world.goals) for world, _ in found) / len(found)
     text = (
-        f"{note}\n\nGoals: {goals:.0f} states of places that were drawn and never trained; every start of their rooms "
-        f"({STARTS} drawn ones of each goal for controls and without memory), at most "
+        f"{note}\n\nGoals: {goals:.0f} states of places that were sampled and never trained; every start of their "
+        f"rooms ({STARTS} sampled ones of each goal for controls and without memory), at most "
         f"{results[0].config.evaluation.max_steps} steps, stop by template matching. The first tables are of: "
         f"{main}. Of a photo, {single:.1f} goals look above 0.95 like another view; they are counted in all rows but "
         "one. A sweep tries in each place the action that it tried least and stops where the goal's views match. "

@@ -2,7 +2,7 @@
 
     python -m dirl.experiments.buildings general --tours my_tours --out reports/buildings
 
-The argument is a run of ``system=any_goal``; without it only maps are measured. Buildings are drawn with seeds of the
+The argument is a run of ``system=any_goal``; without it only maps are measured. Buildings are sampled with seeds of the
 test split, written into the folder as tours of equirectangular images, and read back as tours with 8 headings.
 """
 

@@ -1,10 +1,10 @@
-"""Walk once, then go to any photo: rooms never seen, with no map, a list of what was seen, and an image graph.
+"""Walk once, then go to any photo: unseen rooms, with no map, a list of what was seen, and a topological map.
 
     python -m dirl.experiments.image_graph general --collection my_rooms --out reports/image_graph
 
 The argument is a run of ``system=any_goal`` that was trained in other rooms; without it only maps are measured. Every
-room of the test split of a collection (``scenes.py sample``) is walked through once, from a drawn state, with so many
-steps for each state; then episodes begin at drawn states.
+room of the test split of a collection (``scenes.py sample``) is walked through once, from a random state, with so many
+steps for each state; then episodes begin at sampled states.
 """
 
 import argparse
@@ -51,7 +51,7 @@ LIST, ALONE, RECALLING = "list, walk of 2 N steps", "policy without a map", "pol
 
 
 def drawn_goals(scenes: Sequence[Scene], goals: int) -> World:
-    """Scenes with some goals each, drawn among the states that all others reach."""
+    """Scenes with some goals each, sampled among the states that all others reach."""
     scenes = list(scenes)
     chosen: dict[str, tuple[int, ...]] = {}
     for index, scene in enumerate(scenes):

@@ -55,7 +55,7 @@ def new_goals(
         among: the states to choose from, by scene; all of them if left out.
 
     Returns:
-        Up to `PER_SCENE` for each scene, those that every state with a way to a trained goal reaches; a scene without
+        Up to `PER_SCENE` for each scene, those that every state with a path to a trained goal reaches; a scene without
         any is left out.
     """
     generator = np.random.default_rng(seed)
@@ -90,7 +90,7 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
     table = Table(*columns, Column("shortest", ".2f"))
     bars: dict[str, dict[int, list[float]]] = {}
     compared = by_system(results)
-    # Policies that have hardly learnt succeed by chance; the random baseline shows how often.
+    # Policies that have hardly learned succeed by chance; the random baseline shows how often.
     compared = {"random": list(compared.values())[-1], **compared}
     total = len(DISTANCES) * sum(map(len, compared.values()))
     with tqdm(total=total, desc="new goals", unit=" runs x distances", disable=None) as bar:

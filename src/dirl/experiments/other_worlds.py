@@ -25,7 +25,7 @@ def zero_shot(dumps: Sequence[str], agent: str = "general", seed: int = 0) -> di
     Args:
         dumps: files, with the features that the agent reads.
         agent: its checkpoint, see `dirl.runs.checkpoints.load_checkpoint`.
-        seed: of goals, starts and drawn actions.
+        seed: of goals, starts and sampled actions.
     """
     saved, found = load_checkpoint(agent), {}
     for dump in dumps:

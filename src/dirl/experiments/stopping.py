@@ -46,7 +46,7 @@ ByteArray = NDArray[np.uint8]
 
 
 def disturb(view: ByteArray, kind: str, strength: float, generator: np.random.Generator) -> ByteArray:
-    """A view, uint8 ``[H, W, 3]``, with one of the `DISTURBANCES`; occlusion is a grey square at a drawn place."""
+    """A view, uint8 ``[H, W, 3]``, with one of the `DISTURBANCES`; occlusion is a grey square at a random place."""
     if kind == "noise":
         return (view + generator.normal(0, strength, view.shape)).clip(0, 255).astype(np.uint8)
     image = Image.fromarray(view)

@@ -122,14 +122,14 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
     tables["unseen_rooms_parts"] = parts
     if thresholds := _thresholds(results[0]):
         tables["unseen_rooms_thresholds"] = thresholds
-    shown = "SR and SPL in rooms never seen: with four views, with one photo, without memory, and of controls"
-    return write_tables(out, "Rooms never seen", text, tables, {"unseen_rooms": shown})
+    shown = "SR and SPL in unseen rooms: with four views, with one photo, without memory, and of controls"
+    return write_tables(out, "Unseen rooms", text, tables, {"unseen_rooms": shown})
 
 
 def _tested_by_count(runs: Sequence[Result]) -> dict[int, list[tuple[World, dict[str, Episodes]]]]:
     """The test of each run, by the number of rooms that it was trained in."""
     found: dict[int, list[tuple[World, dict[str, Episodes]]]] = {}
-    for run in tqdm(sorted(runs, key=lambda run: len(run.scenes)), desc="rooms never seen", unit=" runs", disable=None):
+    for run in tqdm(sorted(runs, key=lambda run: len(run.scenes)), desc="unseen rooms", unit=" runs", disable=None):
         found.setdefault(len(run.scenes), []).append(tested(run))
     return found
 

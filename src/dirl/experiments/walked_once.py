@@ -54,7 +54,7 @@ MAPPED, ALONE, CONTROL, GRAPH = "map of the walk", "no map", "map, another goal'
 WAYS = {MAPPED: BLUE, ALONE: GREEN, GRAPH: ORANGE, CONTROL: GREY}
 
 SIMILAR, ARRIVED = 0.8, {"surrounding": 0.9, "front": 0.95}
-"""Correlation above which an image graph merges nodes, as its guide advises where views change, and stops."""
+"""Correlation above which a topological map merges nodes, as its guide advises where views change, and stops."""
 
 QUALITY = {"nodes": "nodes a state", "covered": "states seen", "wrong": "wrong links"}
 
@@ -152,7 +152,7 @@ def _loaded(agent: str, files: list[str], view: str) -> Trained:
 
 
 def image_graphs(world: World, looks: range | None) -> tuple[list[ImageGraph], dict[str, list[float]]]:
-    """An image graph of a walk through each room, by correlation, and how many nodes it has for each state."""
+    """A topological map of a walk through each room, by correlation, and how many nodes it has for each state."""
     graphs, nodes = [], []
     for index in range(len(world.scenes)):
         graph = ImageGraph(SIMILAR)
@@ -164,7 +164,7 @@ def image_graphs(world: World, looks: range | None) -> tuple[list[ImageGraph], d
 
 
 def by_image_graphs(graphs: Sequence[ImageGraph], protocol: EvaluationProtocol, view: str) -> Episodes:
-    """Episodes that are led by image graphs to the end; where one knows no way, the agent acts at random."""
+    """Episodes that are led by topological maps to the end; where one knows no path, the agent acts at random."""
     world, (goal_index, start) = protocol.world, protocol.starts
     generator = torch.Generator().manual_seed(protocol.seed)
     wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=protocol.looks)

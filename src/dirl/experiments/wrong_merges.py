@@ -1,11 +1,11 @@
-"""What wrong merges cost: image graphs of disturbed views, and of rooms in which places look exactly alike.
+"""What false loop closures cost: topological maps of disturbed views, and of rooms with perceptual aliasing.
 
     python -m dirl.experiments.wrong_merges my_rooms --rooms 4 --out reports/wrong_merges
 
 The argument is a collection of rooms (``scenes.py sample``); those of its validation split are walked through. Each
 view that the walker sees is disturbed anew, as in the stop experiment (`dirl.experiments.stopping`), with a strength
-drawn between nothing and the named one; the views of goals are not. Or a share of the places looks exactly like another
-place each, in all directions (twins). The map alone decides what to do, and when to stop.
+sampled between nothing and the named one; the views of goals are not. Or a fraction of the places looks exactly like
+another place each, in all directions (twins). The map alone decides what to do, and when to stop.
 """
 
 import argparse
@@ -41,7 +41,7 @@ SHOWN = 0.9
 """The threshold of the first table."""
 
 DRAWS = 2
-"""How often each view is disturbed; of the four views of each look one is drawn."""
+"""How often each view is disturbed; of the four views of each observation one is sampled."""
 
 STARTS = 8
 """Episodes of each room and distance."""
@@ -75,7 +75,7 @@ class Place(NamedTuple):
 
 
 def disturbed_looks(scene: Scene, encoder: ViewEncoder, kind: str, strength: float) -> Look:
-    """Looks whose views are disturbed by strengths up to this one, drawn for each look."""
+    """Looks whose views are disturbed by strengths up to this one, sampled for each look."""
     assert scene.views is not None
     generator, views = np.random.default_rng(0), scene.views
     seen = (
@@ -91,7 +91,7 @@ def disturbed_looks(scene: Scene, encoder: ViewEncoder, kind: str, strength: flo
 
 
 def twin_looks(scene: Scene, clean: Tensor, share: float, kept: set[int]) -> Look:
-    """Looks where a share of the places shows what another one does; ``kept`` states are in neither of them."""
+    """Looks where a fraction of the places shows what another one does; ``kept`` states are in neither of them."""
     place = np.unique(scene.positions, axis=0, return_inverse=True)[1].ravel()
     states = [np.flatnonzero(place == one) for one in range(place.max() + 1)]
     free = np.array([one for one, inside in enumerate(states) if not kept & set(inside.tolist())])
@@ -122,19 +122,19 @@ def conditions(world: World, encoder: ViewEncoder, kinds: Sequence[str]) -> Iter
 
 
 class Traced(ImageGraph):
-    """A map of which we know, and the walker does not, in which state each station was seen."""
+    """A map of which we know, and the walker does not, in which state each panorama was seen."""
 
     def __init__(self, threshold: float, *, verify: bool) -> None:
         super().__init__(threshold, verify=verify)
         self.state, self.states = 0, list[int]()
 
     def add_station(self, views: Tensor) -> int:
-        """A new station in the present state."""
+        """A new panorama in the present state."""
         self.states.append(self.state)
         return super().add_station(views)
 
     def merge_stations(self, same: Mapping[int, int]) -> None:
-        """The last stations are forgotten."""
+        """The last panoramas are forgotten."""
         super().merge_stations(same)
         del self.states[len(self) // VIEWS :]
 
@@ -154,7 +154,7 @@ def mapped(place: Place, graph: Traced) -> Tensor:
 
 
 def wrong_links(scene: Scene, graph: ImageGraph, truth: Tensor) -> float:
-    """The share of known moves that lead to a node of another state than in the room."""
+    """The fraction of known moves that lead to a node of another state than in the room."""
     known = [(node, action, end) for node, moves in enumerate(graph.moves) for action, end in enumerate(moves)]
     known = [(node, action, end) for node, action, end in known if end != UNKNOWN]
     wrong = [truth[end] != step(scene.graph, int(truth[node]), action) for node, action, end in known]
@@ -224,12 +224,12 @@ def report(found: Measured, world: World, out: Path) -> str:
         f"Rooms of the validation split: {len(world.scenes)}, with {len(world)} states. Each is walked through once, "
         f"{WALK} steps for each state at most; then {len(world.goals)} goals, {STARTS} episodes of each room and "
         f"distance, at most {MAX_STEPS} steps. The strengths are the largest of each view. Mean over rooms. *Located*: "
-        "share of steps in which the agent is where the map says. *Wrong links*: share of the map's moves that lead "
-        f"elsewhere than in the room. First table: threshold {SHOWN:g}. Second: SR and SPL by threshold. +: a match "
-        "needs a neighbour that matches too; -: without."
+        "fraction of steps in which the agent is where the map says. *Wrong links*: fraction of the map's moves that "
+        f"lead elsewhere than in the room. First table: threshold {SHOWN:g}. Second: SR and SPL by threshold. +: a "
+        "match needs a neighbour that matches too; -: without."
     )
     shown = "SR over the strength of each disturbance, by threshold, with the check of matches and without"
-    return write_tables(out, "What wrong merges cost", text, _tables(found), {"wrong_merges": shown})
+    return write_tables(out, "What false loop closures cost", text, _tables(found), {"wrong_merges": shown})
 
 
 def _tables(found: Measured) -> dict[str, Table]:
@@ -259,7 +259,7 @@ def _draw(found: Measured, out: Path) -> None:
             label = f"{threshold:g}{'' if verify else ', not verified'}" if kind == kinds[0] else None
             axes.plot(range(len(keys)), rates, "o-" if verify else "o--", color=color, markersize=3.5, label=label)
         axes.set_xticks(range(len(keys)), [f"{key[1]:g}" for key in keys])
-        unit = "share of places" if kind == "twins" else DISTURBANCES[kind][0]
+        unit = "fraction of places" if kind == "twins" else DISTURBANCES[kind][0]
         axes.set(title=kind, xlabel=unit, ylim=(-0.03, 1.03), ylabel="SR" if kind == kinds[0] else None)
         plain(axes)
     figure.legend(loc="outside lower center", ncols=len(VARIANTS), frameon=False, title="threshold")

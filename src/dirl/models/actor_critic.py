@@ -110,7 +110,7 @@ class ActorCritic(TensorDictModuleBase):
         return whole.shape == parts.shape and torch.allclose(whole, parts, rtol=1e-4, atol=1e-5)
 
     def restore(self) -> None:
-        """Convert the embedding back to a layer on features if it was learnt in principal axes."""
+        """Convert the embedding back to a layer on features if it was learned in principal axes."""
         if isinstance(self.cached, CachedSiamese):
             self.cached.restore()
 

@@ -19,7 +19,7 @@ class ComparingEncoder(nn.Module):
     The observation is embedded, as in the paper. The goal is not: a network that reads an embedding of its goal
     memorises the trained goals and fails at others (docs/results_any_goal.md). Instead, every patch of the observed
     views is compared with every patch of the goal's, and every observed view with every view of the goal, by cosines of
-    learnt projections. Layers read each of the two matrices.
+    learned projections. Layers read each of the two matrices.
 
     With ``pair_width`` the same layers read the cosines of patches of each of the 16 pairs of views, and one layer
     reads their outputs. The match of two views tells their relative pose, whichever views they are. Shared layers learn

@@ -122,8 +122,8 @@ class FeatureTable(nn.Module):
     def noisy(self, deviation: float) -> Iterator[None]:
         """Within this context Gaussian noise is added to known views.
 
-        It is drawn for every state when the context begins; of more than `FEW` states, which an update reads but a part
-        of, `NOISE_ROWS` share theirs.
+        It is sampled for every state when the context begins; of more than `FEW` states, which an update reads but a
+        part of, `NOISE_ROWS` share theirs.
         """
         if len(self) <= FEW:
             self._perturbed = self.table + deviation * torch.randn_like(self.table)

@@ -56,11 +56,11 @@ class PlanningMemory(nn.Module):
     """Replaces the policy's logits by those of a plan over the places of this episode.
 
     An action costs what the policy thinks of it, ``-log p``; one whose outcome is known costs ``repeated`` more, a turn
-    ``turn`` more. The new logit of an action is minus the cost of the cheapest way that begins with it and ends with
-    an action not tried yet. A goal that was seen, facing another way, is walked to on the shortest known way.
+    ``turn`` more. The new logit of an action is minus the cost of the cheapest path that begins with it and ends with
+    an action not tried yet. A goal that was seen, facing another way, is walked to on the shortest known path.
 
     So a policy that leads to new places decides as before. One that would return to where it was takes the most
-    promising exit of all places instead, over the known way.
+    promising exit of all places instead, over the known path.
 
     At each place the policy is asked for all four headings, as the four views around the agent are those around it
     after a turn too. That a turn of 90 degrees leads from one to the next is assumed, and corrected where it does not.
@@ -138,7 +138,7 @@ class PlanningMemory(nn.Module):
     def plan(self, walked: Walked) -> Tensor:
         """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
         seen = walked.goal.any(1)[:, None, None]
-        # To a goal that was seen there is a way: at its place the agent turns until it faces it.
+        # To a goal that was seen there is a path: at its place the agent turns until it faces it.
         after = torch.where(seen & (walked.after < 0), walked.ring, walked.after)
         known = after >= 0
         more = torch.full((len(ACTIONS),), self.repeated, device=walked.cost.device)
@@ -150,7 +150,7 @@ class PlanningMemory(nn.Module):
 
 
 def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
-    """Cost of the cheapest way that begins with each action and ends at a goal or with an unknown outcome.
+    """Cost of the cheapest path that begins with each action and ends at a goal or with an unknown outcome.
 
     Args:
         step: cost of each action at each node, float32 ``[B, N, 4]``.
@@ -159,7 +159,7 @@ def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
         here: where the agents are, int64 ``[B]``.
 
     Returns:
-        float32 ``[B, 4]``; infinite where there is no such way.
+        float32 ``[B, 4]``; infinite where there is no such path.
     """
     # By action first, which is five times as fast; an unknown outcome is a node of value zero behind the others.
     nodes = after.shape[1]

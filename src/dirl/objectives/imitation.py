@@ -20,8 +20,8 @@ class ImitationLoss(LossModule):
         actor: anything with ``get_dist``, as ``ProbabilisticActor`` has.
         reduction: ``mean``, ``sum`` or ``none``.
 
-    Returns of ``forward``: ``loss_imitation`` (scalar) and ``accuracy``, the share of rows in which the most probable
-    action is the expert's. In keys are the actor's and ``expert_action``, int64 ``[B]``.
+    Returns of ``forward``: ``loss_imitation`` (scalar) and ``accuracy``, the fraction of rows in which the most
+    probable action is the expert's. In keys are the actor's and ``expert_action``, int64 ``[B]``.
     """
 
     @dataclass
@@ -65,8 +65,8 @@ class OptimalActionsLoss(ImitationLoss):
     Often several actions begin a shortest path. The cross-entropy with one of them (`ImitationLoss`) penalises the
     others; this loss leaves the choice to the actor, and is 0 once it takes optimal actions only.
 
-    Args and returns are those of `ImitationLoss`; ``accuracy`` is the share of rows in which the most probable action
-    is optimal. In keys are the actor's and ``optimal_actions``, bool ``[B, A]``.
+    Args and returns are those of `ImitationLoss`; ``accuracy`` is the fraction of rows in which the most probable
+    action is optimal. In keys are the actor's and ``optimal_actions``, bool ``[B, A]``.
     """
 
     @dataclass

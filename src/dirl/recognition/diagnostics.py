@@ -38,7 +38,7 @@ class Inspection:
     ambiguous: list[tuple[int, int, float, int]]
     """Pairs of states that match above the threshold: both states, coefficient, actions between them; worst first."""
     false_stops: NDArray[np.floating] | None
-    """Of all pairs of a goal and a state that reaches it, the share that matches above each of `THRESHOLDS`."""
+    """Of all pairs of a goal and a state that reaches it, the fraction that matches above each of `THRESHOLDS`."""
     goal_false_stops: NDArray[np.floating] | None
     """The same for the scene's own goals."""
 
@@ -206,7 +206,7 @@ def _ambiguous(scene: Scene, scores: NDArray[np.floating], threshold: float) -> 
 
 
 def _false_stops(scene: Scene, scores: NDArray[np.floating], goals: IntArray) -> NDArray[np.floating]:
-    """The share of (goal, state that reaches it) whose coefficient is above each of `THRESHOLDS`."""
+    """The fraction of (goal, state that reaches it) whose coefficient is above each of `THRESHOLDS`."""
     wrong = np.sort(scores[:, goals][scene.distances[:, goals] > 0])
     return 1 - np.searchsorted(wrong, THRESHOLDS, side="right") / len(wrong)
 

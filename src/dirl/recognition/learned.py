@@ -1,4 +1,4 @@
-"""A recogniser that is learnt from rooms in which every place was seen more than once."""
+"""A recogniser that is learned from rooms in which every place was seen more than once."""
 
 from pathlib import Path
 from typing import Annotated, Self
@@ -22,7 +22,7 @@ OFFSETS = 2
 """A column of the reference is compared with so many columns at either side of the seen one: 45 degrees."""
 
 POOLED, WHITENED, PROJECTED = 128, 64, 48
-"""Components of pooled features, those compared without training, and width of the learnt projection of patches."""
+"""Components of pooled features, those compared without training, and width of the learned projection of patches."""
 
 SCALE = 4.0
 """Of the cosines, so that the layers on them learn as fast as the others."""
@@ -105,7 +105,7 @@ class Learned(nn.Module):
             raise ValueError(f"weights={file}: not of a network of these options: {reason}") from None
 
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
-        """Itself: it was trained for places never seen."""
+        """Itself: it was trained for unseen places."""
         return self
 
     def measure(self, features: Tensor, patches: Tensor) -> None:

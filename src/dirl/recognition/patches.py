@@ -28,7 +28,7 @@ class Patches(nn.Module):
     which moves everything in the picture.
 
     Args:
-        statistics: ``rooms``, those of training rooms, which serve in a place that was never seen; or ``place``, those
+        statistics: ``rooms``, those of training rooms, which serve in an unseen place; or ``place``, those
             of the place itself, from a map or a scene.
         share: of the bag in the score of two views; the rest is the cosine of the whitened pooled features.
         views: above this score four views are the goal's; see `Thresholds`.

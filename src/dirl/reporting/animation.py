@@ -61,7 +61,7 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
 
 
 def episode_frames(scene: Scene, goal: int, path: Sequence[int], *, title: str, success: bool) -> list[Image.Image]:
-    """A picture of each state of an episode: current view, the goal's view, map with the way so far; see `write_gif`.
+    """A picture of each state of an episode: current view, the goal's view, map with the path so far; see `write_gif`.
 
     Of one that is longer than `MAX_FRAMES` the first states and the last one are shown.
     """

@@ -143,7 +143,7 @@ def draw_false_stops(
     Args:
         scene: named in the title.
         thresholds: ``[T]``.
-        every: the share of false stops with every state as a goal, ``[T]``.
+        every: the fraction of false stops with every state as a goal, ``[T]``.
         own: the same for the scene's own goals, or None.
         threshold: the one in use.
         file: the image to write.

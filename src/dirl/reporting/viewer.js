@@ -26,7 +26,7 @@ function counted(m) {
   }
   return logits;
 }
-// The same as dirl.models.PlanningMemory: minus the cost of the cheapest way to an action that was not tried.
+// The same as dirl.models.PlanningMemory: minus the cost of the cheapest path to an action that was not tried.
 function planned(m) {
   const { nodes, here } = walkedNodes(), seen = nodes.some((node) => node.goal);
   if (seen) nodes.forEach((node) => { node.after = node.after.map((to, action) => to < 0 ? node.ring[action] : to); });
@@ -197,10 +197,10 @@ function drawNodes(box, all) {  // each of its places in the middle of the state
   const middle = (i) => [mean(of[i], 0), mean(of[i], 1)];
   const shown = (i) => of[i].length > 0;
   byId("image-graph").hidden = false;
-  const map = draw(byId("nodes"), "svg", { viewBox: box.join(" "), role: "img", "aria-label": "image graph" });
+  const map = draw(byId("nodes"), "svg", { viewBox: box.join(" "), role: "img", "aria-label": "topological map" });
   drawLinks(map, links.filter(([a, b]) => shown(a) && shown(b)), middle);
   nodes = of.map((_, i) => shown(i) && draw(map, "circle", { class: "node", cx: middle(i)[0], cy: middle(i)[1], r: 14 }));
-  byId("about-graph").textContent = `${plural(places, "place")} that it tells apart, ${plural(links.length, "way")} between `
+  byId("about-graph").textContent = `${plural(places, "place")} that it tells apart, ${plural(links.length, "link")} between `
     + "them. It knows no positions: each is drawn where what it shows is. Blue: where it takes the agent to be; yellow: the goal.";
 }
 function drawEpisode() {
@@ -297,14 +297,14 @@ function chooseGoal(index) {
 
 document.title = `dirl viewer: ${D.scene}`;
 byId("title").textContent = `Episodes in ${D.scene}`;
-const leader = !D.image_graph ? "Greedy policy" : "Led by the image graph of one walk" + (D.last_steps
-  ? `; the greedy policy decides the last ${plural(D.last_steps, "step")}, and where the graph knows no way`
-  : " to the goal; the greedy policy decides only where it knows no way");
+const leader = !D.image_graph ? "Greedy policy" : "Led by the topological map of one walk" + (D.last_steps
+  ? `; the greedy policy decides the last ${plural(D.last_steps, "step")}, and where the map knows no path`
+  : " to the goal; the greedy policy decides only where it knows no path");
 byId("facts").textContent = `${D.title}. ${leader}; ` + (D.stops_by === "match" ? "stopped by template matching."
   : "stopped by the environment, exactly at the goal.")
   + (!D.memory ? "" : D.memory.repeated === undefined
     ? " Episodic memory: what was done in this episode where it looked as it does now is less likely."
-    : " Episodic memory: a plan to the best way that was not tried in this episode.");
+    : " Episodic memory: a plan to the best exit that was not tried in this episode.");
 byId("with-memory").hidden = !D.memory;
 byId("match-title").textContent = `Matching with the goal (${D.match === "front" ? "the view ahead" : "all four views"}; `
   + `threshold ${D.threshold}${D.stops_by === "match" ? "" : ", not used here"})`;

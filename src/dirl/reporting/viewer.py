@@ -51,7 +51,7 @@ def viewer_pages(
         max_steps: after so many steps an episode has failed.
         title: names the run; the same for all scenes.
         memory: changes logits by what was done in the episode.
-        graphs: an image graph of each scene, which leads the agent; to be drawn beside the map.
+        graphs: a topological map of each scene, which leads the agent; to be drawn beside the map.
         last_steps: so near the goal the policy decides by itself.
 
     Returns:
@@ -137,7 +137,7 @@ def _memory(memory: EpisodicMemory | PlanningMemory, world: World, index: int) -
 
 
 def _image_graph(graph: ImageGraph, scene: Scene, features: Tensor) -> dict[str, Any]:
-    """The data of an image graph that a page needs: the place that each state looks like most, and the moves."""
+    """The data of a topological map that a page needs: the place that each state looks like most, and the moves."""
     node = graph.scores(features[torch.tensor(scene.surrounding)]).argmax(1)
     moves, first = np.array(graph.moves), np.arange(len(graph))
     for _ in range(graph.turns):

@@ -1,4 +1,4 @@
-"""Synthetic furnished rooms: described in TOML or drawn at random, lit and seen on a CPU, written as scene dumps.
+"""Synthetic furnished rooms: described in TOML or sampled at random, lit and seen on a CPU, written as scene dumps.
 
 The built-in rooms were made with it.
 """

@@ -87,7 +87,7 @@ def write_building_tour(
 ) -> Panoramas:
     """Render the panoramas of a building into a folder that `scenes.py tour` reads.
 
-    The middle of each image looks in a drawn direction, as in real tours; positions are written, headings are not.
+    The middle of each image looks in a random direction, as in real tours; positions are written, headings are not.
 
     Args:
         building: what is shown.

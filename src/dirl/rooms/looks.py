@@ -18,7 +18,7 @@ LARGEST = {"heading": 45.0, "daylight": 3.0}
 """What a visit can be called; 1 for what is not named here."""
 
 OF_ROOM = ("lamps", "daylight", "furniture", "objects")
-"""What is drawn once for a look, not for each of its visits; see `dirl.rooms.changed.changed_room`."""
+"""What is sampled once for a look, not for each of its visits; see `dirl.rooms.changed.changed_room`."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class Changes:
         daylight: of the logarithm of the light through each window.
         furniture: of how far a chair or the like is moved along each axis, metres.
         objects: probability that a small thing is gone.
-        vary: each look has all of these times a factor drawn from ``1 - vary`` to ``1 + vary``, for rooms to train in.
+        vary: each look has all of these times a factor sampled from ``1 - vary`` to ``1 + vary``, for rooms to train
+        in.
 
     Raises:
         SceneError: a negative one, or one beyond what a visit can be called.
@@ -78,8 +79,8 @@ def look_views(
 ) -> Iterator[Array]:
     """The views of one look, uint8 ``[height, width, 3]``, in the order of the states, as they would be stored.
 
-    The error of a visit is drawn once for each place: all views from there share it, as those of a robot that turns on
-    the spot do.
+    The error of a visit is sampled once for each place: all views from there share it, as those of a robot that turns
+    on the spot do.
 
     Args:
         renderer: of the room as it is.

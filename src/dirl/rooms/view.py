@@ -35,7 +35,7 @@ class Renderer:
         self.scenery, self.light, self.exposure = scenery, light, exposure
         metal, mirror, rough = scenery.metal, scenery.mirror, scenery.rough
         # Rough metal scatters light in all directions, which the baked light gives without noise; only the rest
-        # is a reflection. Under a varnish the share that is not reflected reaches the colour below.
+        # is a reflection. Under a varnish the fraction that is not reflected reaches the colour below.
         self._dull = np.where(mirror, 0, np.minimum(1, 1.6 * rough)).astype(np.float32)
         self._polish = np.where(metal | mirror, 1 - self._dull, (1 - rough) ** 2).astype(np.float32)
         self._head_on = np.where(mirror, 0.92, np.where(metal, 0.85, 0.04)).astype(np.float32)

@@ -1,6 +1,6 @@
 """Ranks: the processes that ``torchrun`` starts, which train one policy together on ``torch.distributed``.
 
-Every rank holds the whole world and policy. It walks with its share of the agents, or draws its share of the pairs;
+Every rank holds the whole world and policy. It walks with its share of the agents, or samples its share of the pairs;
 gradients are averaged before each optimiser step, so that the weights of all ranks stay the same. Rank 0 alone writes
 the run's folder, evaluates, and prints. Without ``torchrun`` there is rank 0 only, and every function here is trivial.
 
@@ -112,7 +112,7 @@ def own_seed(seed: int) -> int:
 
 
 def average_gradients(parameters: Iterable[nn.Parameter], rows: int) -> None:
-    """Replace gradients by their mean over the ranks, weighted by the rows that each of them learnt from.
+    """Replace gradients by their mean over the ranks, weighted by the rows that each of them learned from.
 
     Args:
         parameters: those with gradients must be the same in every rank.

@@ -1,4 +1,4 @@
-"""Goals by rule: all states of a scene, every k-th, or a share of its places; and places held out of training."""
+"""Goals by rule: all states of a scene, every k-th, or a fraction of its places; and places held out of training."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -28,14 +28,14 @@ class ChosenGoals(NamedTuple):
 def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 0.0, seed: int = 0) -> ChosenGoals:
     """Goals by rule.
 
-    The seed orders the places of each scene, independently of other scenes: the first are held out, and a share is
-    taken from the end. With the same seed a larger share contains a smaller one, and the held-out places do not
+    The seed orders the places of each scene, independently of other scenes: the first are held out, and a fraction is
+    taken from the end. With the same seed a larger fraction contains a smaller one, and the held-out places do not
     depend on the rule. Places of goals that are given by number are not held out.
 
     Args:
         scenes: of distinct names.
         goals: `RULES`, for all scenes, or in a mapping for one; else states as `dirl.scenes.make_world` takes them.
-        hold_out: the share of each scene's places whose states are no goals of the training, 0 to below 1.
+        hold_out: the fraction of each scene's places whose states are no goals of the training, 0 to below 1.
         seed: of the order of places.
 
     Raises:
@@ -91,14 +91,14 @@ def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
 
 
 def _order(scene: Scene, seed: int, named: Sequence[int]) -> IntArray:
-    """The places that have no named goal, int64, in an order drawn by the seed."""
+    """The places that have no named goal, int64, in an order sampled with the seed."""
     place = places(scene.graph)
     drawn = np.random.default_rng(seed).permutation(int(place.max()) + 1)
     return drawn[~np.isin(drawn, place[list(named)])]
 
 
 def _count(share: float, scene: Scene) -> int:
-    """The number of places in a share; at least one."""
+    """The number of places in a fraction; at least one."""
     return max(1, round(share * (int(places(scene.graph).max()) + 1)))
 
 

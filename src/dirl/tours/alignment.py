@@ -131,7 +131,7 @@ def _neighbours(edges: Edges, count: int) -> list[list[int]]:
 
 
 def _short_path(start: int, end: int, near: list[list[int]], used: set[tuple[int, int]]) -> list[int] | None:
-    """A shortest way that takes no used step, among the nearest `REACHED` panoramas; None if there is none."""
+    """A shortest path that takes no used step, among the nearest `REACHED` panoramas; None if there is none."""
     came = {start: -1}
     queue = [start]
     for here in queue:
@@ -233,7 +233,7 @@ def _loops(edges: Edges, turns: Array, parents: Sequence[tuple[int, int]]) -> tu
 
 
 def _path(start: int, end: int, parents: Sequence[tuple[int, int]]) -> Iterator[int]:
-    """The way from one panorama to another through the forest; it ends at a root if there is none."""
+    """The path from one panorama to another through the forest; it ends at a root if there is none."""
     back = []
     while start != end and (parents[start][0] >= 0 or parents[end][0] >= 0):
         if parents[start][1] >= parents[end][1]:

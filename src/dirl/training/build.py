@@ -107,7 +107,7 @@ def build_env(
 
 
 def build_demonstrations(config: TrainConfig, world: World, observation: SurroundingViews) -> Demonstrations:
-    """What the expert shows: rows ``[M]``, see `dirl.evaluation.experts.demonstrations`; or pairs that are drawn.
+    """What the expert shows: rows ``[M]``, see `dirl.evaluation.experts.demonstrations`; or pairs that are sampled.
 
     Raises:
         ConfigError: goals of their own, or given by a photo, where there is a table of demonstrations.
@@ -117,7 +117,7 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
     if not options.drawn:
         for name in ("front_only", "goals"):
             if getattr(options, name):
-                raise ConfigError(f"imitation.{name}: applies to drawn pairs only; add imitation.drawn=true")
+                raise ConfigError(f"imitation.{name}: applies to sampled pairs only; add imitation.drawn=true")
     if options.goals is not None:
         world = _towards(config, world, options.goals)
     expert = build_expert(config, world)
@@ -270,7 +270,7 @@ def build_protocol(
 
 
 def _some_goals(world: World, count: int, seed: int) -> dict[str, tuple[int, ...]]:
-    """Up to so many goals of each scene, drawn by the seed."""
+    """Up to so many goals of each scene, sampled with the seed."""
     generator = torch.Generator().manual_seed(seed)
     chosen = {}
     for index, name in enumerate(world.names):

@@ -224,7 +224,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
 
 
 def claim(shared: Shared, frames: int, total: int) -> float | None:
-    """Reserve frames for a rollout; the share of the training that is left before them, or None if none is."""
+    """Reserve frames for a rollout; the fraction of the training that is left before them, or None if none is."""
     with shared.claimed.get_lock():
         claimed = shared.claimed.value
         if claimed >= total:

@@ -54,7 +54,7 @@ def load_trained(
         # Of other rooms their own goals, from every start, unless something else is said.
         own = {"goals": None, "hold_out": 0.0, "evaluation.goals": None, "evaluation.starts": "every"}
         given = {"split": None, "rooms": None, **own, **given}
-    # Goals that are drawn are drawn by the seed of the training: by another, trained ones would count as held out.
+    # Goals are sampled with the seed of the training: with another, trained ones would count as held out.
     seed = given.pop("seed", None)
     config = read_config(saved["config"], origin, given, trust)
     rooms = None if "scene" in given else collection_folder(config.scene or [])
@@ -79,7 +79,7 @@ def learning_policy(
         config: of the run.
         world: where it walks.
         observation: what it observes.
-        initial: weights that the training begins with, see `dirl.training.initial`; drawn by the seed if left out.
+        initial: weights that the training begins with, see `dirl.training.initial`; sampled with the seed if left out.
     """
     everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
     policy = build_policy(

@@ -102,7 +102,7 @@ class Updates:
 
     @property
     def left(self) -> float:
-        """The share of the training that is left, 1 to 0."""
+        """The fraction of the training that is left, 1 to 0."""
         return 1 - self.state.frames / self.total
 
     @property

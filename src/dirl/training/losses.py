@@ -26,7 +26,7 @@ FULL_BATCH = 20_000
 """Demonstrations that an update learns from all together, unless ``imitation.batch_size`` says otherwise."""
 
 MINIBATCH = 512
-"""Of more than that so many are drawn."""
+"""Of more than that so many are sampled."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ScheduledLoss:
         return "demonstrations" in inspect.signature(self.module.forward).parameters
 
     def set_schedules(self, left: float) -> None:
-        """Set the module's attributes for a share ``left`` of the training, 1 to 0, that is still to come."""
+        """Set the module's attributes for a fraction ``left`` of the training, 1 to 0, that is still to come."""
         for name, schedule in self.schedules.items():
             if name != "weight":
                 setattr(self.module, name, schedule(left))
@@ -92,7 +92,7 @@ class Losses(nn.Module):
 
         Args:
             batch: steps with advantages, ``[B]``; ``[B, T]`` for a policy with memory.
-            left: the share of the training that is still to come, 1 to 0.
+            left: the fraction of the training that is still to come, 1 to 0.
 
         Returns:
             ``loss_*`` entries, scalars that carry gradients, and what else the losses report.
@@ -149,9 +149,10 @@ def demonstration_batches(
 
     Args:
         policy: that learns from them.
-        demonstrations: ``[M]``; or pairs, of which a batch is drawn for each update.
-        batch_size: rows drawn anew for each update, uniformly with replacement; all of them if it is not less than M.
-            None: all, or `MINIBATCH` of more than `FULL_BATCH`; of pairs always `MINIBATCH`. Each rank draws its share.
+        demonstrations: ``[M]``; or pairs, of which a batch is sampled for each update.
+        batch_size: rows sampled anew for each update, uniformly with replacement; all of them if it is not less than M.
+            None: all, or `MINIBATCH` of more than `FULL_BATCH`; of pairs always `MINIBATCH`. Each rank samples its
+            share.
     """
     if isinstance(demonstrations, DrawnPairs):
         own = ranks.share(batch_size or MINIBATCH)

@@ -19,16 +19,16 @@ class DrawnPairs:
     """The expert's actions for pairs of a state and a goal, sampled anew for every update.
 
     A table of all pairs grows with the square of the states. A draw takes a goal uniformly among all, then a state of
-    its scene. In a world that changes the goal is seen in one look and the state in another, both drawn.
+    its scene. In a world that changes the goal is seen in one look and the state in another, both sampled.
 
     Args:
         world: where to walk; its goals are those of the pairs.
         expert: see `dirl.evaluation.experts.ShortestPathExpert`.
         observation: what is observed. States have no history: they are observed as the start of an episode.
         shown: which states the expert shows, bool ``[N]``.
-        scenes_at_once: of how many scenes, drawn anew, the pairs of an update are, so that few observations are
+        scenes_at_once: of how many scenes, sampled anew, the pairs of an update are, so that few observations are
             embedded for it where there are hundreds of scenes; all of them if None.
-        front_only: the share of pairs whose goal is given by its front view alone, so that a policy learns both.
+        front_only: the fraction of pairs whose goal is given by its front view alone, so that a policy learns both.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class DrawnPairs:
 
 
 Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
-"""Rows ``[M]``, see `dirl.evaluation.experts.demonstrations`, or pairs that are drawn."""
+"""Rows ``[M]``, see `dirl.evaluation.experts.demonstrations`, or pairs that are sampled."""
 
 
 def with_labels(demonstrations: Demonstrations, rows: TensorDictBase) -> Demonstrations:

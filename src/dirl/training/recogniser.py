@@ -84,7 +84,7 @@ def learn_recogniser(
 def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0) -> None:
     """Fit slope and intercept of the log odds, by logistic regression in rooms that the network was not trained in.
 
-    The share of pairs of the same state is no evidence: its log odds are subtracted.
+    The fraction of pairs of the same state is no evidence: its log odds are subtracted.
 
     Args:
         network: trained.

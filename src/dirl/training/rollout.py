@@ -21,7 +21,7 @@ def collect(
 
     This is what TorchRL's ``Collector`` does, without its state: the agents' states between two calls are a
     tensordict that the caller keeps, and that a checkpoint can hold. (A ``Collector`` can only restart from a reset.)
-    A new episode is drawn for every agent at every step, and used where the old one ended: ``step_and_maybe_reset``
+    A new episode is sampled for every agent at every step, and used where the old one ended: ``step_and_maybe_reset``
     would first read whether any has ended, a host-device synchronisation.
 
     Args:

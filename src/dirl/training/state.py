@@ -91,7 +91,7 @@ class ImitationState:
     optimiser: Optimizer
     step: int = 0
     loss: float = math.inf
-    """Of the latest step, as is the accuracy: the share of its rows in which the most probable action is right."""
+    """Of the latest step, as is the accuracy: the fraction of its rows in which the most probable action is right."""
     accuracy: float = 0.0
 
     def state_dict(self) -> dict[str, Any]:
@@ -149,7 +149,7 @@ def _place(value: Any) -> Any:
 
 
 def random_state(device: torch.device) -> dict[str, Tensor]:
-    """The state of torch's own generators, from which actions and pairs are drawn."""
+    """The state of torch's own generators, from which actions and pairs are sampled."""
     return {"cpu": torch.get_rng_state()} | ({"cuda": torch.cuda.get_rng_state()} if device.type == "cuda" else {})
 
 

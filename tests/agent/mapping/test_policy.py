@@ -1,4 +1,4 @@
-"""Navigation by an image graph as a policy: evaluated like any other, from every start to every goal."""
+"""Navigation by a topological map as a policy: evaluated like any other, from every start to every goal."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Image graphs: maps made of what a walk saw and did, to find the way to any photograph of the place."""
+"""Topological maps: maps made of what a walk saw and did, to find the path to any photograph of the place."""
 
 from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.places import PlaceMap

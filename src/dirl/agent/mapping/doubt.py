@@ -1,9 +1,10 @@
 """Whether a place that looks like a known one is that place: decided by the neighbour that the next move reaches.
 
-After a look that matches known nodes, reached in a way that was not known, the walker may be in one of them or in their
-twin. A station is made for it, and for each of these candidates it is tracked where the walker would be. If a move
-leads to where the candidate's neighbour is seen, that candidate and the new station are merged; if it leads to
-something else, they are not. Where the map knows too little to decide, the match is believed.
+After an observation that matches known nodes, reached by an unknown edge, the walker may be in one of them, or in
+another place that looks the same (perceptual aliasing). A panorama is made for it, and for each of these candidates it
+is tracked where the walker would be. If a move leads to where the candidate's neighbour is seen, that candidate and
+the new panorama are merged; if it leads to something else, they are not: that would be a false loop closure. Where the
+map knows too little to decide, the match is believed.
 """
 
 from collections import deque
@@ -38,7 +39,7 @@ class Doubt:
     """A match that is not believed yet.
 
     Args:
-        node: the first of the new station.
+        node: the first of the new panorama.
         candidates: the nodes that looked like it, the most alike first.
     """
 
@@ -46,10 +47,10 @@ class Doubt:
         self.candidates = candidates
         """Where the walker is now, for each."""
         self.same = [_pairs(node, candidate) for candidate in candidates]
-        """For each, which nodes those of the stations made since would be."""
+        """For each, which nodes those of the panoramas made since would be."""
 
     def testing_action(self, graph: Walked) -> int | None:
-        """The first action on a shortest way to a neighbour of the best candidate; None if it has none."""
+        """The first action on a shortest path to a neighbour of the best candidate; None if it has none."""
         first: dict[int, int | None] = {self.candidates[0]: None}
         queue = deque(first)
         while queue:
@@ -107,5 +108,5 @@ def settle(graph: Walked, views: Tensor, action: int) -> bool:
 
 
 def _pairs(new: int, old: int) -> dict[int, int]:
-    """The nodes of a station ``new``, each with the node of the station of ``old`` that it would be."""
+    """The nodes of a panorama ``new``, each with the node of the panorama of ``old`` that it would be."""
     return {new + k: turned(old, k) for k in range(VIEWS)}

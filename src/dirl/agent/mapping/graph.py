@@ -1,13 +1,13 @@
-"""An image graph: what was seen on a walk, merged where it looks the same, and the moves from one look to another.
+"""A topological map: what was seen on a walk, merged where it looks the same, and the moves from one node to another.
 
-A *station* is a look around: the views ahead, right, back and left. Seen from there a quarter further to the right, the
-same four views are in another order, so that each station is four *nodes*: node ``4 * station + k`` is the station k
-quarters to the right. Localisation, in a walk and later, stays with the node that was expected after the last action
-while it looks enough like what is seen, and takes another one only if that looks clearly more alike (hysteresis). A
-single look that fits nowhere is passed over.
+A *panorama* is one observation: the views ahead, right, back and left. Seen from there a quarter further to the right,
+the same four views are in another order, so that each panorama is four *nodes*: node ``4 * panorama + k`` is the
+panorama k quarters to the right. Localisation, in a walk and later, stays with the node that was expected after the
+last action while it looks enough like what is seen, and takes another one only if that looks clearly more alike
+(hysteresis). A single observation that fits nowhere is passed over.
 
-A place that is reached in a new way and looks like a known one may be its twin. What it is, the next move decides: see
-`dirl.agent.mapping.doubt`.
+A place that is reached by a new edge and looks like a known one may be another (perceptual aliasing). The next move
+decides: see `dirl.agent.mapping.doubt`.
 """
 
 from collections import deque
@@ -26,19 +26,19 @@ UNDOES = {AHEAD: BACK, BACK: AHEAD, RIGHT: LEFT, LEFT: RIGHT}
 
 
 class MapError(ValueError):
-    """An image graph that cannot be used as asked; the message says why in one line."""
+    """A topological map that cannot be used as asked; the message says why in one line."""
 
 
 class ImageGraph:
     """A map of N = 4 S nodes, empty at first.
 
     Args:
-        threshold: above this correlation of four views two looks around are of the same node.
+        threshold: above this correlation of four views two observations are of the same node.
         keep: above this one the expected node is believed, unless another looks more alike by ``margin``; `KEEP` or the
             threshold, whichever is lower, if left out.
         margin: see ``keep``.
         turns: right turns in a full circle.
-        merge: whether nodes are recognised; without it each step makes a new station, and the map is a list.
+        merge: whether nodes are recognised; without it each step makes a new panorama, and the map is a list.
         verify: whether a match is believed only after a move to a neighbour that matches too.
 
     Raises:
@@ -85,11 +85,11 @@ class ImageGraph:
 
     @property
     def views(self) -> Tensor:
-        """The features of the four views of each station, float32 ``[S, 4, D]``."""
+        """The features of the four views of each panorama, float32 ``[S, 4, D]``."""
         return self.looks.views
 
     def see(self, views: Tensor, action: int | None = None) -> int:
-        """Add a look around to the map: the node where the walker is now.
+        """Add an observation to the map: the node where the walker is now.
 
         Args:
             views: features ahead, right, back and left, float32 ``[4, D]``.
@@ -112,7 +112,7 @@ class ImageGraph:
         return node
 
     def locate(self, views: Tensor, action: int | None = None, least: float | None = None) -> int | None:
-        """The node that a look around is of, None if no node looks like it; `at` is what it was before.
+        """The node that an observation is of, None if no node looks like it; `at` is what it was before.
 
         Args:
             views: features ahead, right, back and left, float32 ``[4, D]``.
@@ -133,13 +133,13 @@ class ImageGraph:
         return bool(scores[node] > self.keep and scores.max() <= scores[node] + self.margin)
 
     def alike(self, views: Tensor) -> list[int]:
-        """The nodes that a look around could be of, float32 ``[4, D]``; the most alike first."""
+        """The nodes that an observation could be of, float32 ``[4, D]``; the most alike first."""
         scores = self.scores(views)
         possible = (scores > self.threshold) & (scores >= scores.max() - self.margin)
         return [node for node in scores.argsort(descending=True).tolist() if possible[node]]
 
     def follow(self, views: Tensor, action: int | None = None) -> int | None:
-        """Keep track of a walker without adding stations; a move that led elsewhere twice is corrected.
+        """Keep track of a walker without adding panoramas; a move that led elsewhere twice is corrected.
 
         Returns:
             The node where it is; None where nothing looks like what is seen, and then it may be anywhere.
@@ -160,7 +160,7 @@ class ImageGraph:
         self.at, self._coasting = None, False
 
     def scores(self, views: Tensor) -> Tensor:
-        """The correlation of looks around with every node, float32 ``[..., N]``.
+        """The correlation of observations with every node, float32 ``[..., N]``.
 
         Args:
             views: features of four views, float32 ``[..., 4, D]``; or of one photo, ``[..., 1, D]``, which is compared
@@ -169,18 +169,18 @@ class ImageGraph:
         return self.looks.scores(views)
 
     def plan(self, goals: Sequence[int]) -> Tensor:
-        """The fewest actions from each node to each goal, int32 ``[N, G]``, -1 where no way is known."""
+        """The fewest actions from each node to each goal, int32 ``[N, G]``, -1 where no path is known."""
         return torch.from_numpy(shortest_distances(torch.tensor(self.moves).numpy(), torch.tensor(goals).numpy()))
 
     def next_action(self, node: int, distances: Tensor) -> int | None:
-        """The first action of a shortest way.
+        """The first action of a shortest path.
 
         Args:
             node: where the walker is.
             distances: to one goal, of every node, int32 ``[N]``; a column of `plan`.
 
         Returns:
-            None at the goal, and where no way is known.
+            None at the goal, and where no path is known.
         """
         for action, there in enumerate(self.moves[node]):
             if there >= 0 and 0 <= distances[there] < distances[node]:
@@ -188,7 +188,7 @@ class ImageGraph:
         return None
 
     def frontier_action(self) -> int | None:
-        """What to do next to learn more: the first action on a shortest way to one whose outcome is not known.
+        """What to do next to learn more: the first action on a shortest path to one whose outcome is not known.
 
         Returns:
             None if everything that can be reached is known, or nothing was seen yet.
@@ -214,7 +214,7 @@ class ImageGraph:
         return None
 
     def add_station(self, views: Tensor) -> int:
-        """A new station with these views, float32 ``[4, D]``; the node that faces ahead."""
+        """A new panorama with these views, float32 ``[4, D]``; the node that faces ahead."""
         node = len(self.moves)
         self.looks.add(views)
         for k in range(VIEWS):
@@ -227,10 +227,10 @@ class ImageGraph:
         return node
 
     def merge_stations(self, same: Mapping[int, int]) -> None:
-        """Make the last stations the same as earlier ones.
+        """Make the last panoramas the same as earlier ones.
 
         Args:
-            same: to which node each node of the last stations is equal.
+            same: to which node each node of the last panoramas is equal.
         """
         first = min(same)
         for node, moves in enumerate(self.moves):
@@ -259,7 +259,7 @@ class ImageGraph:
             self.doubt = None
 
     def _coast(self, action: int | None) -> bool:
-        """Whether a look that fits nowhere is passed over: the first after a move whose end is known."""
+        """Whether an observation that fits nowhere is passed over: the first after a move whose end is known."""
         known = self.merge and action is not None and self._expected(action) != UNKNOWN
         self._coasting = known and not self._coasting
         return self._coasting
@@ -281,7 +281,7 @@ class ImageGraph:
         return [node for node in alike if self.moves[node][UNDOES[action]] in (UNKNOWN, before)]
 
     def _place(self, node: int) -> set[int]:
-        """The stations that are known to be at the place of a node, because turns lead to them."""
+        """The panoramas that are known to be at the place of a node, because turns lead to them."""
         found, new = set[int](), {node // VIEWS}
         while new:
             found |= new

@@ -1,4 +1,4 @@
-"""What was seen at the stations of a map, and how much a look is like them."""
+"""What was seen at the panoramas of a map, and how much an observation is like them."""
 
 import torch
 from torch import Tensor
@@ -9,12 +9,12 @@ UNKNOWN, VIEWS = -1, 4
 
 
 def turned(node: int, quarters: int) -> int:
-    """The node of the same station some quarters further to the right."""
+    """The node of the same panorama some quarters further to the right."""
     return node - node % VIEWS + (node + quarters) % VIEWS
 
 
 class Looks:
-    """The features of the four views of each of S stations; none at first."""
+    """The features of the four views of each of S panoramas; none at first."""
 
     def __init__(self) -> None:
         self._views: list[Tensor] = []
@@ -26,7 +26,7 @@ class Looks:
         return torch.stack(self._views) if self._views else torch.empty(0, VIEWS, 0)
 
     def add(self, views: Tensor) -> None:
-        """Add a station, float ``[4, D]``."""
+        """Add a panorama, float ``[4, D]``."""
         self._views.append(views.detach().float().cpu().clone())
 
     def shorten(self, stations: int) -> None:
@@ -44,12 +44,12 @@ class Looks:
         return (each @ self._vectors("four").flatten(1).T).transpose(-1, -2).flatten(-2)
 
     def _vectors(self, kind: str) -> Tensor:
-        """The views of each station as normal vectors, each by itself (``one``) or all four together (``four``)."""
+        """The views of each panorama as normal vectors, each by itself (``one``) or all four together (``four``)."""
         rows, done = self._normal.get(kind, (torch.empty(0), 0))
         if done < len(self._views):
             new = torch.stack(self._views[done:])
             new = normal_vectors(new.flatten(1)).view_as(new) if kind == "four" else normal_vectors(new)
-            if len(rows) < len(self._views):  # grows by doubling: a walk adds stations one by one
+            if len(rows) < len(self._views):  # grows by doubling: a walk adds panoramas one by one
                 space = torch.empty(2 * len(self._views), *new.shape[1:])
                 rows = torch.cat([rows.view(-1, *new.shape[1:])[:done], space])
             rows[done : len(self._views)] = new

@@ -1,7 +1,7 @@
 """A map of places that never look the same twice, made by a walk with a particle filter over maps.
 
-`ImageGraph` decides at every step which place this is, for good. Where a single look is often wrong, one wrong decision
-spoils the map. Here each of K particles is a whole map that draws its decision by the probabilities of a
+`ImageGraph` decides at every step which place this is, for good. Where a single observation is often wrong, one wrong
+decision spoils the map. Here each of K particles is a whole map that samples its decision by the probabilities of a
 `LocalisingMemory`, and particles whose maps explain what is seen later are copied over the others: a Rao-Blackwellised
 particle filter, as in FastSLAM (Montemerlo et al. 2002), with a recogniser's log odds in place of a sensor model.
 """
@@ -113,7 +113,7 @@ class ParticleMapper:
         return int(self.best.here)
 
     def frontier_action(self) -> int | None:
-        """The first action of a shortest way to one with an unknown outcome; None without any, or before a visit."""
+        """The first action of a shortest path to one with an unknown outcome; None without any, or before a visit."""
         best = self.best
         if not best.used.any() or not (best.after[best.used] < 0).any():
             return None
@@ -128,7 +128,7 @@ class ParticleMapper:
 
 
 def resampled(probability: Tensor, generator: torch.Generator) -> Tensor:
-    """Indices of particles drawn by their probabilities, float32 ``[K]``, with one random number for all of them."""
+    """Indices of particles sampled by their probabilities, float32 ``[K]``, with one random number for all of them."""
     count = len(probability)
     at = (torch.arange(count) + torch.rand(1, generator=generator)) / count
     return torch.searchsorted(probability.cumsum(0), at).clamp(max=count - 1)

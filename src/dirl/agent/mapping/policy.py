@@ -1,4 +1,4 @@
-"""Navigation by an image graph as a policy that is evaluated like any other: match, plan, go; nothing is learned."""
+"""Navigation by a topological map as a policy that is evaluated like any other: match, plan, go; nothing is learned."""
 
 from typing import Annotated, Any, ClassVar
 
@@ -17,7 +17,7 @@ NO_GOAL = -(2**60)
 """In a table of goals: of a state that is none."""
 
 CERTAIN = 30.0
-"""The logit of the planned action, of others 0: drawn actions are the planned ones too."""
+"""The logit of the planned action, of others 0: sampled actions are the planned ones too."""
 
 
 LAST_STEPS = 3
@@ -28,13 +28,13 @@ class GraphMemory(TensorDictModuleBase):
     """Walks once through each scene of its world, and then goes to any of the world's goals by the map of that walk.
 
     It matches what it sees and what the goal looks like with the nodes of the map, and takes the first action of a
-    shortest way; where the map knows no way, all actions are equally probable. Reads ``view_ids`` and
+    shortest path; where the map knows no path, all actions are equally probable. Reads ``view_ids`` and
     ``goal_view_ids``, int64 ``[B, 4]``, and writes ``logits``, float32 ``[B, 4]``.
 
     Args:
         world: where; the walker learns of it only what it sees and does.
         steps_per_state: length of the walk, in steps for each state of a scene.
-        threshold: above this correlation two looks around are of the same place and heading.
+        threshold: above this correlation two observations are of the same place and heading.
         seed: of the states where the walks begin.
         merge: whether places are recognised; without it the map is a list of what was seen.
     """
@@ -76,7 +76,7 @@ class GraphMemory(TensorDictModuleBase):
             self.register_buffer(name, torch.cat(parts).to(world.device))
 
     def planned(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """The planned action, -1 without one, and the known distance to the goal, -1 without a way; int64 ``[B]``."""
+        """The planned action, -1 without one, and the known distance to the goal, -1 without a path; int64 ``[B]``."""
         state, goal_views = tensordict["view_ids"][..., 0], tensordict["goal_view_ids"]
         goal = goal_views[..., 0]
         is_photo = goal_views[..., 1] == len(self.row)  # the view id of what is not known
@@ -98,7 +98,7 @@ class GuidedPolicy(TensorDictModuleBase):
     Args:
         policy: reads a tensordict and writes ``logits``.
         memory: the maps.
-        last_steps: within so many steps of the goal the policy decides; also where the map knows no way.
+        last_steps: within so many steps of the goal the policy decides; also where the map knows no path.
     """
 
     out_keys: ClassVar = ["logits"]
@@ -131,7 +131,7 @@ def plan_table(
         goal_features: of the views at goals, if they are others than ``features``, float32 ``[n, D]``.
 
     Returns:
-        Actions, int8 ``[2, g, n]``, and distances in the map, int16 likewise; -1 where no way is known.
+        Actions, int8 ``[2, g, n]``, and distances in the map, int16 likewise; -1 where no path is known.
         First for goals of four views, then for goals of one photo, the view ahead.
     """
     wanted = features if goal_features is None else goal_features
@@ -148,7 +148,7 @@ def plan_table(
 
 
 def first_actions(graph: ImageGraph, distances: Tensor) -> Tensor:
-    """The first action of a shortest way from each node to each goal, int8 ``[N, G]``; -1 at it and without a way.
+    """The first action of a shortest path from each node to each goal, int8 ``[N, G]``; -1 at it and without a path.
 
     Args:
         graph: a map of N nodes.

@@ -17,13 +17,13 @@ class Mapper(Protocol):
         """Take in what is seen ahead, right, back and left, ``[4, ...]``, after an action."""
 
     def frontier_action(self) -> int | None:
-        """After which most is learnt soonest; None if nothing in reach is unknown."""
+        """After which most is learned soonest; None if nothing in reach is unknown."""
 
 
 def explore(
     scene: Scene, graph: Mapper, start: int, steps: int, look: Callable[[int], Tensor] | None = None
 ) -> list[int]:
-    """Walk through a scene and map it; the walk ends early where nothing is left to be learnt.
+    """Walk through a scene and map it; the walk ends early where nothing is left to be learned.
 
     The walker knows what it sees and does, never the scene's graph or the numbers of states.
 

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from dirl.envs.transforms import VIEWS
 
 DEPENDENT = 1e-9
-"""An axis with less than this share of the first one's variance holds nothing but rounding errors."""
+"""An axis with less than this fraction of the first one's variance holds nothing but rounding errors."""
 
 
 class PrincipalAxes(nn.Module):
@@ -15,7 +15,7 @@ class PrincipalAxes(nn.Module):
 
     The N states of a world give N rows of 4 x D features, if all that is seen depends on the state alone. They span
     at most N dimensions, so that a linear layer on their coordinates needs at most N columns instead of 4 x D. What
-    the layer makes of anything outside that span cannot be learnt from these rows and stays as it is. With views of
+    the layer makes of anything outside that span cannot be learned from these rows and stays as it is. With views of
     the past any four states can be seen together: then each view has coordinates of its own.
 
     Args:

@@ -53,7 +53,7 @@ class CachedSiamese(CachedEncoder):
 
     @torch.no_grad()
     def restore(self) -> None:
-        """Convert the encoder's embedding back to a layer on features, with the learnt weights."""
+        """Convert the encoder's embedding back to a layer on features, with the learned weights."""
         encoder, _ = self._wrapped
         encoder.embedding = _linear(self.weight_on_features(), encoder.embedding.bias)
         self.axes = None
@@ -125,7 +125,7 @@ class CachedSiamese(CachedEncoder):
 
 
 class AxesLinear(nn.Module):
-    """A linear layer on features whose weight is learnt in principal axes.
+    """A linear layer on features whose weight is learned in principal axes.
 
     Args:
         axes: into which the weight is converted.

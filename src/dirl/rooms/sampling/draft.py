@@ -38,7 +38,7 @@ class Draft:
     Args:
         size: width, depth and height, metres.
         style: colours and materials.
-        rng: what everything is drawn from.
+        rng: what everything is sampled from.
     """
 
     def __init__(self, size: Size, style: Style, rng: np.random.Generator) -> None:

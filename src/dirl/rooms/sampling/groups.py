@@ -15,7 +15,7 @@ def between(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def any_seed(draft: Draft) -> int:
-    """For a piece that is drawn at random itself."""
+    """For a piece that is sampled at random itself."""
     return int(draft.rng.integers(*draft.style.repertoire.seeds))
 
 

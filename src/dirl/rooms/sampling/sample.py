@@ -20,7 +20,7 @@ from dirl.rooms.view import Renderer
 from dirl.scenes.scene import SceneError
 
 ATTEMPTS = 60
-"""Rooms that are drawn before giving up. About one in three passes."""
+"""Rooms that are sampled before giving up. About one in three passes."""
 
 LOOK = (48, 64)
 """Height and width of the views that are checked, pixels."""

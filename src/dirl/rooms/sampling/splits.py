@@ -31,12 +31,12 @@ class Repertoire:
         skies: colours above and at the horizon.
         wallpapers: kinds of texture.
         paintings: likewise.
-        outlooks: what windows show, with the share of each.
+        outlooks: what windows show, with the fraction of each.
         rugs: kinds of texture.
-        floors: likewise; a kind named twice is drawn twice as often.
+        floors: likewise; a kind named twice is sampled twice as often.
         wet_floors: likewise, of bathrooms and kitchens.
         tiles: columns and rows of tiles, and whether they are laid like bricks.
-        seeds: of pieces that are drawn at random themselves: the first, and the one after the last.
+        seeds: of pieces that are sampled at random themselves: the first, and the one after the last.
     """
 
     woods: dict[str, Colors]

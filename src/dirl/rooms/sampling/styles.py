@@ -11,14 +11,14 @@ from dirl.rooms.materials import STOCK
 from dirl.rooms.sampling.splits import EVERYTHING, Repertoire
 
 HUES = ((0.0, 0.4, 0.55, 0.65, 0.85, 0.92, 1.0), (0.0, 0.14, 0.3, 0.48, 0.64, 0.85, 1.0))
-"""Quantiles of the hues that are drawn: shares, and hues (red 0, yellow 0.17, green 0.33, blue 0.67)."""
+"""Quantiles of the hues that are sampled: shares, and hues (red 0, yellow 0.17, green 0.33, blue 0.67)."""
 
 
 class Style:
     """Colours and materials of one room. Every method that makes a material adds it, and returns its name.
 
     Args:
-        rng: what everything is drawn from.
+        rng: what everything is sampled from.
         wet: whether walls and floor have tiles.
         repertoire: the stock to choose from.
     """
@@ -43,7 +43,7 @@ class Style:
         return name
 
     def color(self, *, hue: float | None = None, saturation: float | None = None, value: float | None = None) -> str:
-        """A colour of the room's palette, a little off; what is not given is drawn."""
+        """A colour of the room's palette, a little off; what is not given is sampled."""
         base = float(self.rng.choice(self.hues, p=(0.45, 0.35, 0.2))) if hue is None else hue
         s = self.vivid * self.rng.uniform(0.5, 1.0) if saturation is None else saturation
         v = self.rng.uniform(0.35, 0.85) if value is None else value

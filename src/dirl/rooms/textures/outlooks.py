@@ -53,7 +53,7 @@ def skyline(
     colors: tuple[str, ...] = ("#8a8f98", "#a8826a", "#6b7a86"),
     lit: float = 0.3,
 ) -> Array:
-    """Houses with windows in three rows, one behind the other; ``lit`` is the share of windows with light."""
+    """Houses with windows in three rows, one behind the other; ``lit`` is the fraction of windows with light."""
     v, u = coordinates(n)
     out = _sky(rng, n, sky)
     choices, haze = palette(colors), rgb(sky[-1])

@@ -8,7 +8,7 @@ Generator = np.random.Generator
 
 
 def plain(rng: Generator, n: int, *, color: str = "#dddddd", var: float = 0.04) -> Array:
-    """Paint, a little uneven: ``var`` is the share of the brightness that varies."""
+    """Paint, a little uneven: ``var`` is the fraction of the brightness that varies."""
     uneven = fractal_noise(rng, n, n, 6, 6, 6) - 0.5
     return np.clip(rgb(color) * (1 + 2 * var * uneven[..., None]), 0, 1)
 
