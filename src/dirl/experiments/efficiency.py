@@ -75,7 +75,7 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
         The text of the README.
     """
     paper = published(experiment)
-    titles = {"fig4": "sample efficiency", "fig7": "surrounding or sequential views", "fig8": "the expert's share"}
+    titles = {"fig4": "sample efficiency", "fig7": "surrounding or sequential views", "fig8": "the expert's fraction"}
     groups, drawn = _groups(experiment, results, paper)
     table = Table(
         Column("setting"),
