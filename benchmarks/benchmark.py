@@ -1,12 +1,11 @@
 """Measure the speed of training and evaluation on this machine, everything in one run.
 
     python benchmarks/benchmark.py out=benchmark.json
-    python benchmarks/benchmark.py 'worlds=[kitchen_02]' growth=false "train=['reinforcement.agents_per_scene=400']"
+    python benchmarks/benchmark.py 'worlds=[kitchen_02]' "train=['reinforcement.agents_per_scene=400']"
 
-Training is ``reinforce`` of recipes/train.py unchanged, see benchmarks/ours.py. It is compared with the loops of
-benchmarks/loops.py: bare tensors, stock TorchRL, Stable-Baselines3. All run alternately, so that other load on the
-machine affects all; medians are shown. The limit is the machine's throughput of float32 matrix products. All options:
-conf/benchmark.yaml.
+Training is ``reinforce`` of recipes/train.py unchanged. It is compared with the loops of benchmarks/loops.py: stock
+TorchRL and Stable-Baselines3. All run alternately, so that other load on the machine affects all; medians are shown.
+The limit is the machine's throughput of float32 matrix products. All options: conf/benchmark.yaml.
 """
 
 from dirl.cli.start import start
@@ -16,34 +15,53 @@ if __name__ == "__main__":
 
 import statistics
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import hydra
 import torch
-from growth import growth
-from loops import bare_tensors, stable_baselines3, stock_torchrl
+from hydra import compose
+from loops import stable_baselines3, stock_torchrl
 from omegaconf import DictConfig
-from ours import evaluation_seconds, learning, operations_per_frame, peak_memory_mb, rollout, train_config, training
+from torch.utils.flop_counter import FlopCounterMode
 from tqdm import tqdm
 
-from dirl.cli.command_line import one_line_errors
+from dirl.cli.command_line import one_line_errors, prepare
 from dirl.config.components import check_components
+from dirl.config.places import CONF, HOME
 from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig, typed
+from dirl.experiments.results import Table
+from dirl.models import caching
+from dirl.runs.folder import Run
+from dirl.runs.memory import peak_memory_mb
 from dirl.scenes.io.atomic import write_json
-from dirl.training.build import build_world
+from dirl.training.build import (
+    build_demonstrations,
+    build_env,
+    build_losses,
+    build_observation,
+    build_protocol,
+    build_world,
+)
+from dirl.training.job import begin
+from dirl.training.load import learning_policy
+from dirl.training.rollout import collect
+
+sys.path.insert(0, str(HOME / "recipes"))
+from train import imitate, reinforce
 
 SLOW = 20
 """The loops of other libraries make so many times fewer updates than ours."""
-
 
 SMALL = 256
 """Rows and columns of a small matrix."""
 
 
-@hydra.main(version_base="1.3", config_path="../conf", config_name="benchmark")
+@hydra.main(version_base="1.3", config_path=str(CONF), config_name="benchmark")
 def main(composed: DictConfig) -> None:
     """Measure, print the tables, write the file."""
     with one_line_errors():
@@ -57,7 +75,6 @@ def main(composed: DictConfig) -> None:
             build_world(config)
     result: dict[str, Any] = {"threads": torch.get_num_threads()}
     result["limits"] = {name: matrix_product_rate(getattr(torch, name)) for name in ("float32", "bfloat16")}
-    result["growth"] = growth(options.train) if options.growth else []
     result["rows"] = [
         compare(_text(scene), config, options, result["limits"]["float32"])
         for scene, config in zip(options.worlds, asked, strict=True)
@@ -78,7 +95,6 @@ def compare(name: str, config: TrainConfig, options: BenchmarkConfig, limit: flo
     loops: dict[str, Callable[[], float]] = {
         "training": lambda: training(config),
         "rollout": lambda: rollout(config, updates),
-        "bare_tensors": lambda: bare_tensors(config, updates),
         "stock_torchrl": lambda: stock_torchrl(config, few),
     }
     if options.sb3:
@@ -115,38 +131,104 @@ def matrix_product_rate(dtype: torch.dtype, size: int = 2048, repeats: int = 10)
     return 2 * size**3 / statistics.median(seconds)
 
 
+def train_config(overrides: Sequence[str]) -> TrainConfig:
+    """A configuration of recipes/train.py in which nothing but training takes time."""
+    quiet = ["evaluation.times=0", "checkpoint.every_seconds=1e9"]
+    config: TrainConfig = typed(compose("train", prepare(TrainConfig, [*quiet, *overrides], CONF)))
+    return config
+
+
+def trained(config: TrainConfig, *, imitation: bool = False) -> dict[str, Any]:
+    """Train in a folder that is thrown away."""
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy = learning_policy(config, world, observation)
+    demos = build_demonstrations(config, world, observation)
+    losses = build_losses(config, policy, world, demos)
+    protocol = build_protocol(config, world, observation)
+    with tempfile.TemporaryDirectory() as folder:
+        run = Run(Path(folder), config)
+        state = begin(run, policy, losses, protocol)
+        run.begin(world, observation.order)
+        torch.manual_seed(config.seed)
+        if imitation:
+            imitate(run, policy, demos)
+        result: dict[str, Any] = reinforce(run, state, protocol)
+        run.close()
+        return result
+
+
+def training(config: TrainConfig) -> float:
+    """Frames per second of our training loop."""
+    return float(trained(config)["frames_per_second"])
+
+
+def rollout(config: TrainConfig, updates: int) -> float:
+    """Frames per second of walking alone."""
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy: Any = learning_policy(config, world, observation)
+    env, operator = build_env(config, world, observation, policy), policy.operator()
+    agents, frames = env.reset(), 0
+    began = time.perf_counter()
+    for _ in range(updates):
+        with caching(policy):
+            batch, agents = collect(env, operator, agents, config.reinforcement.n_steps)
+        frames += batch.numel()
+    return frames / (time.perf_counter() - began)
+
+
+def learning(config: TrainConfig) -> dict[str, float]:
+    """When a whole training became stable: at which frame, and after how many seconds (imitation included)."""
+    began = time.perf_counter()
+    result = trained(config, imitation=True)
+    seconds = time.perf_counter() - began
+    stable, frames = result["stable_at_frame"], result["frames"]
+    # All frames take about equally long.
+    before = seconds - frames / result["frames_per_second"]
+    return {"stable_at_frame": stable, "stable_at_second": stable and before + stable / result["frames_per_second"]}
+
+
+def operations_per_frame(config: TrainConfig) -> float:
+    """Floating-point operations of matrix products that our training loop makes for a frame."""
+    with FlopCounterMode(display=False) as counter:
+        result = trained(config)
+    return float(counter.get_total_flops() / result["frames"])
+
+
+def evaluation_seconds(config: TrainConfig) -> dict[str, Any]:
+    """How long episodes take, with the network as it begins, which walks longest: every start, and 100,000 sampled."""
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy = learning_policy(config, world, observation)
+    every = build_protocol(config, world, observation)
+    goal_index, start = every.starts
+    draws = torch.randint(len(start), (100_000,))
+    many = replace(every, starts=(goal_index[draws], start[draws]))
+    result: dict[str, Any] = {"episodes": len(start)}
+    for name, protocol, greedy in (("greedy_seconds", every, True), ("sampled_100k_seconds", many, False)):
+        began = time.perf_counter()
+        protocol.run(policy, greedy=greedy)
+        result[name] = time.perf_counter() - began
+    return result
+
+
 def tables(result: dict[str, Any]) -> str:
     """The result for people, as Markdown."""
     limits = ", ".join(f"{name} {rate / 1e9:.0f} GFLOP/s" for name, rate in result["limits"].items())
     text = f"{result['threads']} threads; matrix products: {limits}; peak memory {result['peak_memory_mb']:.0f} MB\n\n"
-    speeds: list[tuple[str, ...]] = []
+    speeds = Table({"world": "", "loop": "", "frames/s": ",.0f", "training is x times it": ".2f"})
+    speeds.columns |= {"MFLOP a frame": ".2f", "fraction of limit": ".0%"}
+    times = Table({"world": "", "every start, greedy": "", "100,000 episodes, sampled": "", "stable at": ""})
     for row in result["rows"]:
         for loop, rate in row["frames_per_second"].items():
-            cells = [row["world"], loop.replace("_", " "), f"{rate:,.0f}", f"{row['times_faster'][loop]:.2f}"]
-            needed, share = f"{row['operations_per_frame'] / 1e6:.2f}", f"{row['share_of_limit']:.0%}"
-            speeds.append((*cells, *((needed, share) if loop == "training" else ("", ""))))
-    if speeds:
-        columns = ("world", "loop", "frames/s", "training is x times it", "MFLOP a frame", "fraction of limit")
-        text += markdown(columns, speeds)
-    times: list[tuple[str, ...]] = []
-    for row in result["rows"]:
+            ours = (row["operations_per_frame"] / 1e6, row["share_of_limit"]) if loop == "training" else (None, None)
+            speeds.add(row["world"], loop.replace("_", " "), rate, row["times_faster"][loop], *ours)
         stable = row.get("stable_at_frame", 0)
         when = "never" if stable is None else f"frame {stable:,}, {row['stable_at_second']:.1f} s" if stable else ""
         greedy, sampled = f"{row['episodes']} in {row['greedy_seconds']:.2f} s", f"{row['sampled_100k_seconds']:.2f} s"
-        times.append((row["world"], greedy, sampled, when))
-    if times:
-        text += "\n" + markdown(("world", "every start, greedy", "100,000 episodes, sampled", "stable at"), times)
-    if result["growth"]:
-        names = tuple(result["growth"][0])
-        grown_rows = [tuple(f"{row[name]:,.0f}" for name in names) for row in result["growth"]]
-        text += "\n" + markdown(tuple(name.replace("_", " ") for name in names), grown_rows)
-    return text
-
-
-def markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    """A table."""
-    lines = [head, tuple("---" if not place else "---:" for place in range(len(head))), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        times.add(row["world"], greedy, sampled, when)
+    return f"{text}{speeds.markdown()}\n\n{times.markdown()}\n"
 
 
 def _text(scene: Any) -> str:

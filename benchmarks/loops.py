@@ -11,7 +11,6 @@ from typing import Any
 
 import gymnasium
 import torch
-import torch.nn.functional as F
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torch.distributions import Categorical
@@ -22,128 +21,11 @@ from torchrl.modules import ActorValueOperator, ProbabilisticActor
 from torchrl.objectives import A2CLoss
 from torchrl.objectives.value import GAE
 
-from dirl.config.schemas import ReinforcementConfig, TrainConfig
+from dirl.config.schemas import TrainConfig
 from dirl.envs import NavigationEnv, Reward, SurroundingViews, ViewFeatures
-from dirl.evaluation.episodes import every_start
-from dirl.models import SiameseEncoder, caching
+from dirl.models import SiameseEncoder
 from dirl.models.build import build_policy, feature_table
-from dirl.training.build import build_demonstrations, build_observation, build_optimiser, build_world
-from dirl.training.load import learning_policy
-from dirl.training.losses import set_learning_rate
-
-
-def bare_tensors(config: TrainConfig, updates: int) -> float:
-    """Our loop without TorchRL and TensorDict: the same computations in the same order, from the world's tables.
-
-    What it is faster is what they cost. (A2C, surrounding views, stop at the goal, cached embeddings, no memory.)
-    """
-    options, world = config.reinforcement, build_world(config)
-    observation = build_observation(config, world)
-    policy: Any = learning_policy(config, world, observation)
-    rows: Any = build_demonstrations(config, world, observation)
-    agents, steps, limit = options.agents_per_scene * len(world.scenes), options.n_steps, options.max_steps
-    optimiser = build_optimiser(config, policy)
-    network, demos = partial(logits_and_value, policy), [rows[key] for key in ("view_ids", "goal_view_ids", "scene")]
-    goal_index, start = every_start(world)
-    reward = config.reward
-
-    def begin() -> tuple[Tensor, Tensor]:
-        chosen = torch.randint(len(start), (agents,))
-        return start[chosen], goal_index[chosen]
-
-    def views_of(state: Tensor, goal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        return world.surrounding[state], world.surrounding[world.goals[goal]], world.scene_of[state]
-
-    (state, goal), age = begin(), torch.zeros(agents, dtype=torch.long)
-    began = time.perf_counter()
-    for update in range(updates):
-        left = 1 - update / updates
-        set_learning_rate(optimiser, optimiser.defaults["lr"] * left)
-        with caching(policy):
-            seen, actions, rewards, values, next_values, overs = [], [], [], [], [], []
-            with torch.no_grad():
-                for _ in range(steps):
-                    seen.append(views_of(state, goal))
-                    logits, value = network(*seen[-1])
-                    actions.append(torch.multinomial(logits.softmax(-1), 1).squeeze(-1))
-                    after = world.graph[state, actions[-1]]
-                    arrived = after == world.goals[goal]
-                    earned = torch.where(after == state, reward.collision, reward.step)
-                    rewards.append(torch.where(arrived, reward.goal, earned) * reward.scale)
-                    values.append(value.squeeze(-1))
-                    age += 1
-                    over = arrived | (age >= limit)
-                    cut = over & ~arrived
-                    next_value = torch.zeros(agents)
-                    if cut.any():
-                        next_value[cut] = network(*views_of(after[cut], goal[cut]))[1].squeeze(-1)
-                    next_values.append(next_value)
-                    overs.append(over)
-                    fresh, fresh_goal = begin()
-                    state, goal = torch.where(over, fresh, after), torch.where(over, fresh_goal, goal)
-                    age[over] = 0
-                following = network(*views_of(state, goal))[1].squeeze(-1)
-                gains = advantages(options, rewards, overs, values, next_values, following)
-            batch = [torch.cat(parts) for parts in zip(*seen, strict=True)]
-            logits, value = network(*(torch.cat(pair) for pair in zip(batch, demos, strict=True)))
-            taken, known = torch.cat(actions), torch.cat(values)
-            loss = actor_critic_loss(logits[: len(gains)], value[: len(gains)], taken, gains, known, options, left)
-            cloned = F.cross_entropy(logits[len(gains) :], rows["expert_action"])
-            optimiser.zero_grad()
-            (loss + config.imitation.bc_coef(left) * cloned).backward()
-            clip_grad_norm_(policy.parameters(), options.max_grad_norm)
-            optimiser.step()
-    return updates * agents * steps / (time.perf_counter() - began)
-
-
-def logits_and_value(policy: Any, view_ids: Tensor, goal_view_ids: Tensor, scene: Tensor) -> tuple[Tensor, Tensor]:
-    """What an `ActorCritic` makes of ``[B, 4]`` view ids in scenes ``[B]``, without a tensordict."""
-    hidden = policy.heads.trunk(policy.cached(view_ids, goal_view_ids), scene)
-    return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene)
-
-
-def advantages(
-    options: ReinforcementConfig,
-    rewards: list[Tensor],
-    overs: list[Tensor],
-    values: list[Tensor],
-    next_values: list[Tensor],
-    following: Tensor,
-) -> Tensor:
-    """Generalised advantage estimation, float32 ``[T * B]``, of T steps of B agents: ``[B]`` for each step.
-
-    Args:
-        options: discounts.
-        rewards: of each step.
-        overs: whether the episode ended, bool.
-        values: of the states before each step.
-        next_values: of the states behind the last steps of episodes that were cut off, else zero.
-        following: the values of the states behind the last step.
-    """
-    advantage, found = torch.zeros_like(following), list[Tensor]()
-    for t in reversed(range(len(rewards))):
-        delta = rewards[t] + options.gamma * torch.where(overs[t], next_values[t], following) - values[t]
-        advantage = delta + options.gamma * options.lmbda * ~overs[t] * advantage
-        found.insert(0, advantage)
-        following = values[t]
-    return torch.cat(found)
-
-
-def actor_critic_loss(
-    logits: Tensor,
-    value: Tensor,
-    taken: Tensor,
-    gains: Tensor,
-    known: Tensor,
-    options: ReinforcementConfig,
-    left: float,
-) -> Tensor:
-    """The A2C loss of steps, ``[T * B]`` each: logits and values with gradients, actions, advantages, old values."""
-    log_probs = logits.log_softmax(-1)
-    of_taken = log_probs.gather(-1, taken.unsqueeze(-1)).squeeze(-1)
-    entropy = -(log_probs.exp() * log_probs).sum(-1).mean()
-    loss = -(of_taken * gains).mean() - options.entropy_coef(left) * entropy
-    return loss + options.critic_coef * F.mse_loss(value.squeeze(-1), gains + known)
+from dirl.training.build import build_optimiser, build_world
 
 
 class AnyBatch(nn.Module):

@@ -1,8 +1,9 @@
-"""Write a table or figure of the paper from finished runs, the paper's numbers beside ours.
+"""Write a table or figure of the paper from finished runs, the paper's numbers beside ours; or measure agents.
 
     python recipes/train.py -m experiment=fig8 && python recipes/report.py experiment=fig8
     python recipes/report.py experiment=table2 preset=paper out=table2_paper
     python recipes/report.py experiment=stop                      # disturbs views, and encodes them anew
+    python recipes/report.py experiment=changes 'collections=[rooms_2cm,rooms_5cm]'    # of agents instead of runs
 
 A report is a folder: README.md with the tables, CSV files with the value of every run, figures as PNG and SVG.
 All options with their values: conf/report/report.yaml.
@@ -20,16 +21,20 @@ from omegaconf import DictConfig, OmegaConf
 
 from dirl.backbones.registry import load_encoder
 from dirl.cli.command_line import one_line_errors
-from dirl.cli.refusals import reported_runs
+from dirl.cli.refusals import reported_runs, tested_agents
 from dirl.config.places import CONF
 from dirl.config.schemas import ExperimentName, ReportConfig, Split, TrainConfig, typed
 from dirl.experiments.any_goal import report_any_goal
+from dirl.experiments.changes import report_changes
 from dirl.experiments.efficiency import report_efficiency
+from dirl.experiments.image_graph import report_image_graph
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
+from dirl.experiments.other_worlds import report_other_worlds
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.stopping import report_stopping
 from dirl.experiments.unseen_rooms import report_unseen_rooms
+from dirl.experiments.walked_once import report_walked_once
 from dirl.models.build import reads_patches
 from dirl.reporting.tables import scene_names
 from dirl.runs.checks import RunError
@@ -40,26 +45,23 @@ def main(composed: DictConfig) -> None:
     """Read the runs, measure what they did not, write the report."""
     with one_line_errors():
         options: ReportConfig = typed(composed)
-        folder, hint = reported_runs(options)
-        runs = chosen(options, finished_runs(folder, hint), hint)
+        of_agents = tested_agents(options)
+        runs = [] if of_agents else chosen(options)
         out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
         out.mkdir(parents=True, exist_ok=True)
-        print(write(options, runs, out))
+        print(write_of_agents(options, out) if of_agents else write(options, runs, out))
     print(f"report: {out}")
 
 
-def chosen(options: ReportConfig, runs: list[Result], hint: str) -> list[Result]:
-    """The runs that an experiment is about, of all experiments' runs.
-
-    Args:
-        options: of the report.
-        runs: finished ones.
-        hint: how to make those that are missing, for the error.
+def chosen(options: ReportConfig) -> list[Result]:
+    """The finished runs that an experiment is about, of all experiments' runs.
 
     Raises:
         RunError: there is none.
     """
+    folder, hint = reported_runs(options)
     usual = OmegaConf.load(CONF / "preset" / f"{options.preset}.yaml").imitation
+    runs = finished_runs(folder, hint)
     found = [run for run in runs if belongs(run.config, options.experiment, (usual.fraction, usual.rule))]
     if not found:
         raise RunError(f"no finished run is of experiment={options.experiment}; make some by: {hint}")
@@ -107,6 +109,19 @@ def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
         case ExperimentName.fig6:
             return report_control(runs, out, note, options.scene, options.goal)
     return report_stopping(runs, out, note, options.scene, load_encoder(options.encoder))
+
+
+def write_of_agents(options: ReportConfig, out: Path) -> str:
+    """Write the report of an experiment on agents into a folder; returns its text."""
+    agents, collections = options.agents, options.collections
+    match options.experiment:
+        case ExperimentName.image_graph:
+            return report_image_graph(collections[0], options.rooms, agents[0] if agents else None, out)
+        case ExperimentName.changes:
+            return report_changes(collections, agents, out)
+        case ExperimentName.walked_once:
+            return report_walked_once(collections, agents[0], out)
+    return report_other_worlds(collections, agents[0], out)
 
 
 def describe_runs(runs: list[Result]) -> str:

@@ -11,7 +11,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import RandomPolicy, ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.experiments import changes
+from dirl.experiments import changes, measures
 from dirl.models import PlanningMemory
 from dirl.scenes import make_world
 from dirl.training.load import Trained
@@ -33,8 +33,8 @@ def asked(monkeypatch):
         planned = given["episodic_memory"]["_target_"].endswith("PlanningMemory")
         return Trained(None, ShortestPathPolicy(world), protocol if planned else replace(protocol, memory=None))
 
-    monkeypatch.setattr(changes, "load_trained", load_trained)
-    monkeypatch.setattr(changes, "load_checkpoint", lambda agent: agent)
+    monkeypatch.setattr(measures, "load_trained", load_trained)
+    monkeypatch.setattr(measures, "load_checkpoint", lambda agent: agent)
     return found
 
 
@@ -65,7 +65,7 @@ def test_the_controls_walk_as_they_say(asked, monkeypatch):
     monkeypatch.setattr(
         EvaluationProtocol, "run", lambda self, policy, **options: walkers.append((self, policy, options))
     )
-    for way in changes.CONTROLS[1:3]:
+    for way in list(changes.CONTROLS)[1:3]:
         changes.walked("general", "rooms", "surrounding", way)
     (wrong, policy, _), (_, sweep, options) = walkers
     assert isinstance(policy, ShortestPathPolicy)

@@ -14,8 +14,8 @@ from commands import SAVED, TINY, room_file, run_recipe, start_recipe, train_con
 from rooms import grid_scene
 
 from dirl.backbones.registry import ViewEncoder, encode_views
-from dirl.experiments import image_graph
-from dirl.experiments.any_goal import ambiguous, main_variant, nearest_trained, variant, wrong_goals
+from dirl.experiments.any_goal import main_variant, nearest_trained, variant
+from dirl.experiments.measures import ambiguous, wrong_goals
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.results import published
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
@@ -432,20 +432,59 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
     ]
 
 
+def collection_of_one(folder):
+    """A collection of one test room that the agents of the package can see, as a folder's name."""
+    seen = {"feature_width": 2048, "patches": True, "extractor": load_checkpoint("general")["extractor"]}
+    write_dump(folder / "rooms" / "room.h5", grid_scene(5, 3, name="room", goals=(0,), **seen))
+    digest = file_digest(folder / "rooms" / "room.h5")
+    add_entry(folder / "rooms", Entry("room", "bathroom", 0, "test", 60, {}, {}, digest))
+    return "rooms"
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--collection", "nowhere"], "error: nowhere: is no collection; it holds no collection.jsonl"),
-        (["no_run", "--collection", "rooms"], "error: no_run: holds no checkpoint"),
+        (
+            ["experiment=image_graph", "collections=[nowhere]"],
+            "nowhere: is no collection; it holds no collection.jsonl",
+        ),
+        (["experiment=image_graph", "agents=[no_run]", "collections=[rooms]"], "no_run: holds no checkpoint"),
+        (["experiment=changes"], "collections=[]: say where; folders made by scenes.py sample"),
+        (["experiment=walked_once", "collections=[rooms]", "agents=[general,general]"], "must be one"),
     ],
 )
-def test_what_an_image_graph_cannot_be_measured_of_is_told_in_one_line(tmp_path, monkeypatch, arguments, told):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "rooms").mkdir()
-    write_dump(tmp_path / "rooms" / "room.h5", grid_scene(name="room", goals=(0,)))
-    digest = file_digest(tmp_path / "rooms" / "room.h5")
-    add_entry(tmp_path / "rooms", Entry("room", "bathroom", 0, "test", 24, {}, {}, digest))
-    monkeypatch.setattr("sys.argv", ["image_graph", *arguments])
-    with pytest.raises(SystemExit, match=re.escape(told)) as caught:
-        image_graph.main()
-    assert "\n" not in str(caught.value)
+def test_what_an_agent_cannot_be_measured_in_is_told_in_one_line(tmp_path, arguments, told):
+    collection_of_one(tmp_path)
+    status, _, errors = run_recipe(tmp_path, "report", *arguments)
+    assert status == 1
+    assert errors.startswith("error: ")
+    assert told in errors
+    assert errors.count("\n") == 1
+
+
+def test_an_agent_is_measured_beside_maps(tmp_path):
+    place = collection_of_one(tmp_path)
+    status, printed, errors = run_recipe(
+        tmp_path, "report", "experiment=image_graph", f"collections=[{place}]", "out=report"
+    )
+    assert status == 0, errors
+    assert "1 rooms of the test split, 60 states" in printed
+    rows = {row["led by"]: row for row in rows_of(tmp_path / "report" / "image_graph.csv")}
+    led = "graph, last 3 steps by the policy with memory"
+    assert {led, f"{led}, one photo of the goal", "policy with episodic memory"} <= set(rows)
+    assert float(rows["graph, walk of 2 N steps"]["SR"]) == 1
+
+
+def test_an_agent_in_another_world_is_measured_beside_controls(tmp_path):
+    collection_of_one(tmp_path)
+    dump = "rooms/room.h5"
+    status, printed, errors = run_recipe(
+        tmp_path, "report", "experiment=other_worlds", f"collections=[{dump},{dump}]", "out=report"
+    )
+    assert status == 0, errors
+    assert "# general in other worlds" in printed
+    rows = rows_of(tmp_path / "report" / "other_worlds.csv")
+    ways = ["four views of the goal", "another goal's views", "sweep that ignores the goal", "random walk"]
+    assert [row["walks by"] for row in rows] == [way for way in ways for _ in range(2)]
+    assert all(row["SR"] == other["SR"] for row, other in zip(rows[::2], rows[1::2], strict=True))
+    assert 0 < float(rows[-1]["SR"]) < 1

@@ -204,14 +204,14 @@ def test_an_encoder_of_ones_own_comes_from_outside_and_is_trusted_by_name(tmp_pa
 
 def test_benchmark_measures_every_loop(tmp_path):
     room = room_file(tmp_path)
-    options = [f"worlds=[{room}]", "frames_per_scene=240", "repeats=1", "growth=false", "out=benchmark.json"]
+    options = [f"worlds=[{room}]", "frames_per_scene=240", "repeats=1", "out=benchmark.json"]
     small = "encoder.width=32,heads.width=32,reinforcement.agents_per_scene=6"
     small += ",imitation.max_steps=2,reinforcement.frames_per_scene=240"
     train = "train=[" + ",".join(f"'{option}'" for option in small.split(",")) + "]"
     status, printed, errors = run_recipe(tmp_path, "benchmark", *options, train)
     assert status == 0, errors
     (row,) = json.loads((tmp_path / "benchmark.json").read_text())["rows"]
-    assert set(row["frames_per_second"]) == {"training", "rollout", "bare_tensors", "stock_torchrl"}
+    assert set(row["frames_per_second"]) == {"training", "rollout", "stock_torchrl"}
     assert all(rate > 0 for rate in row["frames_per_second"].values())
     assert row["operations_per_frame"] > 0
     assert row["stable_at_frame"] is None

@@ -7,10 +7,9 @@ from PIL import Image
 from rooms import grid_scene
 
 from dirl.reporting import draw_learning_curves, draw_policy, write_gif
-from dirl.reporting.animation import FRAME_MS, HOLD_MS, MAX_FRAMES, episode_frames
+from dirl.reporting.animation import FPS, FRAME_MS, HOLD_MS, MAX_FRAMES, episode_frames, write_mp4
 from dirl.reporting.curves import common_frames
 from dirl.reporting.maps import never_arrives, wedge_corners
-from dirl.reporting.video import FPS, write_mp4
 from dirl.scenes.graph import AHEAD, RIGHT
 
 

@@ -122,17 +122,42 @@ def checkpoint_file(options: EvaluateConfig) -> str:
     return options.checkpoint
 
 
+OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "changes", "walked_once", "other_worlds")]
+"""The experiments on agents instead of runs."""
+
+
+def tested_agents(options: ReportConfig) -> bool:
+    """Whether a report is about agents, and not about runs.
+
+    Raises:
+        ConfigError: no experiment is named, or not the agents and collections that it needs.
+        RunError: an agent is not found.
+    """
+    from dirl.runs.finding import find_checkpoint
+
+    if options.experiment is None:
+        raise ConfigError(f"name what to report: experiment=<one of {', '.join(ExperimentName)}>")
+    if options.experiment not in OF_AGENTS:
+        return False
+    if not options.collections or (options.experiment == "image_graph" and len(options.collections) > 1):
+        wanted = "files of scenes" if options.experiment == "other_worlds" else "folders made by scenes.py sample"
+        raise ConfigError(f"collections={options.collections}: say where; {wanted}, of image_graph one")
+    several = {"changes": range(1, 100), "image_graph": range(2)}.get(options.experiment, range(1, 2))
+    if len(options.agents) not in several:
+        raise ConfigError(f"agents={options.agents}: must be one; several for changes, [] for image_graph without one")
+    for agent in options.agents:
+        find_checkpoint(agent)
+    return True
+
+
 def reported_runs(options: ReportConfig) -> tuple[Path, str]:
     """The folder of the runs that a report is about, and the command that makes them.
 
     Raises:
-        ConfigError: no experiment is named.
         RunError: the folder holds no finished run.
     """
     from dirl.runs.finding import finished_folders
 
-    if options.experiment is None:
-        raise ConfigError(f"name what to report: experiment=<one of {', '.join(ExperimentName)}>")
     folder = Path(options.runs) / options.preset
     hint = f"{command('train')} -m experiment={options.experiment} preset={options.preset}"
     finished_folders(folder, hint)
@@ -244,7 +269,7 @@ def photo_table(options: PhotosConfig) -> None:
 CHECKS: dict[type, Callable[[Any, Sequence[str]], object]] = {
     TrainConfig: training,
     EvaluateConfig: lambda options, _: checkpoint_file(options),
-    ReportConfig: lambda options, _: reported_runs(options),
+    ReportConfig: lambda options, _: tested_agents(options) or reported_runs(options),
     ThorConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
     VizdoomConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),
     MiniworldConfig: lambda options, _: (new_file(options.out), simulated_scene(options)),

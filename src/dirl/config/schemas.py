@@ -18,7 +18,8 @@ Cache = StrEnum("Cache", ["auto", "off"])
 Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 ExperimentName = StrEnum(
-    "ExperimentName", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8", "stop", "any_goal", "unseen_rooms"]
+    "ExperimentName",
+    "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal unseen_rooms image_graph changes walked_once other_worlds",
 )
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Split = StrEnum("Split", ["train", "validation", "test"])
@@ -239,6 +240,9 @@ class ReportConfig:
     goal: int = MISSING
     starts: int = MISSING
     encoder: str = MISSING
+    agents: list[str] = MISSING
+    collections: list[str] = MISSING
+    rooms: int | None = None
 
 
 @dataclass
@@ -250,7 +254,6 @@ class BenchmarkConfig:
     repeats: int = MISSING
     sb3: bool = MISSING
     learning: bool = MISSING
-    growth: bool = MISSING
     train: list[str] = MISSING
     out: str | None = None
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from torch import Tensor, nn
 from tqdm import tqdm
 
@@ -15,33 +14,37 @@ from dirl.config.choices import goal_view_options
 from dirl.config.components import TARGET
 from dirl.config.schemas import TrainConfig
 from dirl.evaluation.episodes import Episodes, sampled_starts, shortest_episodes
-from dirl.evaluation.experts import RandomPolicy
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
-from dirl.experiments.results import Column, Result, Table, grouped, save_figure, write_tables
-from dirl.models import PlanningMemory
-from dirl.recognition.matching import TemplateStop
-from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import plain
+from dirl.experiments.figures import band, panels, save_figure
+from dirl.experiments.measures import (
+    FAR,
+    FOUR,
+    MEASURES,
+    PHOTO,
+    RANDOM,
+    SWEEP,
+    UNREACHED,
+    WRONG,
+    Found,
+    ambiguous,
+    controls,
+    decimals,
+    measure_table,
+    within,
+    wrong_goals,
+)
+from dirl.experiments.results import Result, Table, grouped, write_tables
 from dirl.scenes import World
 from dirl.scenes.palette import GREEN, GREY, ORANGE, SKY, VERMILION, WINE
 from dirl.training.build import build_goals
-
-FOUR, PHOTO = "four views of the goal", "one photo of the goal"
-UNREACHED = 10_000
-"""More steps than any path has."""
-
-FAR = ((1, 4), (5, 9), (10, UNREACHED))
-"""Fewest steps from start to goal, in which episodes are told apart."""
-
-FAR_NAMES = [f"{low} to {high} steps" if high < UNREACHED else f"{low} steps and more" for low, high in FAR]
 
 DRAWN = {
     FOUR: WINE,  # of the system
     PHOTO: SKY,
     f"{FOUR}, without memory": GREEN,
-    "another goal's views": VERMILION,
-    "sweep that ignores the goal": ORANGE,
-    "random walk": GREY,
+    WRONG: VERMILION,
+    SWEEP: ORANGE,
+    RANDOM: GREY,
 }
 """What the figure shows, and in which colour."""
 
@@ -50,26 +53,6 @@ STARTS = 20
 
 ALL = {"evaluation.goals": None}
 """Every goal is measured."""
-
-MEASURES = {"sr": "SR", "spl": "SPL", "false_stop_rate": "false stops", "missed_stop_rate": "missed stops"}
-
-
-def wrong_goals(world: World) -> Tensor:
-    """Another goal of the same scene in the place of each, int64 ``[G]``: half the scene's goals further on."""
-    shown = torch.arange(len(world.goals), device=world.device)
-    for index in range(len(world.scenes)):
-        own = torch.tensor(world.goals_in(index), device=world.device)
-        shown[own] = own.roll(len(own) // 2)
-    return shown
-
-
-def ambiguous(world: World, threshold: float, match: str = "front") -> Tensor:
-    """Whether another state matches each goal, bool ``[G]``, by the view ahead or by all ``views``.
-
-    What is compared cannot tell the two apart.
-    """
-    elsewhere = (TemplateStop(threshold, match).scores(world) > threshold) & (world.distances != 0)
-    return torch.stack([world.block(elsewhere, goal).any() for goal in range(len(world.goals))])
 
 
 def walked(run: Result) -> tuple[World, dict[str, Episodes]]:
@@ -103,7 +86,8 @@ def walked_by(
     """
     few = replace(protocol, starts=starts)
     alone = replace(few, memory=None)
-    wrong = replace(few, shown=wrong_goals(protocol.world), stop=None)
+    wrong = replace(alone, shown=wrong_goals(protocol.world), stop=None)
+    control = controls(policy, few)
     one = photo.run(by_photo)
     told = ~ambiguous(protocol.world, threshold)[one.goal_index]
     return {
@@ -114,11 +98,10 @@ def walked_by(
         PHOTO: one,
         f"{PHOTO}, of those that no other view matches": one.select(told),
         f"{PHOTO}, without memory": replace(photo, starts=starts, memory=None).run(by_photo),
-        "another goal's views": wrong.run(policy),
-        "another goal's views, without memory, sampled": replace(wrong, memory=None).run(policy, greedy=False),
-        # Of sampled and first actions, those that find more goals.
-        "sweep that ignores the goal": few.run(RandomPolicy(), greedy=isinstance(few.memory, PlanningMemory)),
-        "random walk": few.run_random(),
+        WRONG: control[WRONG](),
+        f"{WRONG}, without memory, sampled": wrong.run(policy, greedy=False),
+        SWEEP: control[SWEEP](),
+        RANDOM: control[RANDOM](),
     }
 
 
@@ -142,27 +125,19 @@ def main_variant(variants: Mapping[str, Sequence[Result]]) -> str:
 
 
 def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
-    """Write how well goals are found that were held out, and what each part of the system gives.
-
-    Args:
-        results: runs of ``system=any_goal`` with held-out goals.
-        out: a folder.
-        note: what a reader must know of the runs.
-
-    Returns:
-        The text of the README.
-    """
-    variants = grouped(results, lambda config: variant(config))
+    """Write how well goals are found that were held out, and what each part of the system gives."""
+    variants = grouped(results, variant)
     main = main_variant(variants)
     found = [walked(run) for run in tqdm(variants[main], desc="any goal", unit=" runs", disable=None)]
-    ways = list(found[0][1])
-    table = Table(Column("walks by"), Column("runs", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
-    for way in ways:
+    table = measure_table({"walks by": "", "runs": "d"})
+    by_start = Table({"SPL, walks by": "", **decimals(FAR)})
+    for way in found[0][1]:
         measured = [metrics(episodes[way]) for _, episodes in found]
         table.add(way, len(measured), *([one[key] for one in measured] for key in MEASURES))
+        by_start.add(way, *([metrics(within(of[way], *limits))["spl"] for _, of in found] for limits in FAR.values()))
     tables = {
         "any_goal": table,
-        "any_goal_by_start": _by_distance(found, ways),
+        "any_goal_by_start": by_start,
         "any_goal_by_trained": _by_trained(variants[main], found),
         "any_goal_parts": _parts(variants),
     }
@@ -181,29 +156,10 @@ def report_any_goal(results: Sequence[Result], out: Path, note: str) -> str:
     return write_tables(out, "Any goal of known rooms", text, tables, {"any_goal": shown})
 
 
-def _by_distance(found: Sequence[tuple[World, Mapping[str, Episodes]]], ways: Sequence[str]) -> Table:
-    """SPL by how far the start is from the goal."""
-    table = Table(Column("SPL, walks by"), *(Column(name, ".3f") for name in FAR_NAMES))
-    for way in ways:
-        cells = []
-        for low, high in FAR:
-            inside = [within(episodes[way], low, high) for _, episodes in found]
-            cells.append([metrics(one)["spl"] for one in inside])
-        table.add(way, *cells)
-    return table
-
-
-def within(episodes: Episodes, low: int, high: int) -> Episodes:
-    """Those that begin so many steps from their goal, both limits included."""
-    return episodes.select((episodes.shortest >= low) & (episodes.shortest <= high))
-
-
-def _by_trained(runs: Sequence[Result], found: Sequence[tuple[World, Mapping[str, Episodes]]]) -> Table:
+def _by_trained(runs: Sequence[Result], found: Found) -> Table:
     """SR and SPL by how far a goal is from the nearest trained one."""
-    table = Table(
-        Column("steps to the nearest trained goal", "d"), Column("goals", ".0f"), Column("SR, four views", ".3f")
-    )
-    table.columns = (*table.columns, Column("SPL, four views", ".3f"), Column("SPL, one photo", ".3f"))
+    measured = decimals(["SR, four views", "SPL, four views", "SPL, one photo"])
+    table = Table({"steps to the nearest trained goal": "d", "goals": ".0f", **measured})
     rows: dict[int, list[tuple[int, float, float, float]]] = {}
     for run, (world, episodes) in zip(runs, found, strict=True):
         nearest = nearest_trained(run.config, world)
@@ -229,12 +185,12 @@ def nearest_trained(config: TrainConfig, world: World) -> Tensor:
 def _parts(variants: Mapping[str, Sequence[Result]]) -> Table:
     """Held-out goals found by runs that lack a part, by goal view, with and without the memory."""
     ways = ("", ", no memory", ", one photo", ", one photo, no memory")
-    columns = [Column(f"{measure}{way}", ".3f") for way in ways for measure in ("SR", "SPL")]
-    table = Table(Column("part of the system"), Column("runs", "d"), *columns)
+    measured = decimals(f"{measure}{way}" for way in ways for measure in ("SR", "SPL"))
+    table = Table({"part of the system": "", "runs": "d", **measured})
     photo = ALL | goal_view_options("front")
     for name, runs in variants.items():
-        measured = [[*_with_and_without_memory(run, ALL), *_with_and_without_memory(run, photo)] for run in runs]
-        by_way = zip(*measured, strict=True)
+        by_run = [[*_with_and_without_memory(run, ALL), *_with_and_without_memory(run, photo)] for run in runs]
+        by_way = zip(*by_run, strict=True)
         table.add(name, len(runs), *([one[key] for one in way] for way in by_way for key in ("sr", "spl")))
     return table
 
@@ -247,22 +203,18 @@ def _with_and_without_memory(run: Result, changes: Mapping[str, Any]) -> list[di
     return [metrics(one.run(policy)) for one in (few, replace(few, memory=None))]
 
 
-def _draw(found: Sequence[tuple[World, Mapping[str, Episodes]]], out: Path) -> None:
+def _draw(found: Found, out: Path) -> None:
     """SR and SPL by the fewest steps from start to goal, the mean of the runs with their interval."""
-    figure = Figure(figsize=(9, 4.2), layout="constrained")
-    panels = figure.subplots(1, 2, sharey=True)
+    figure, grid = panels(2, (9, 4.2))
     farthest = min(int(episodes[FOUR].shortest.max()) for _, episodes in found)
     edges = list(range(1, farthest, max(1, farthest // 10)))
-    for axes, key in zip(panels, ("sr", "spl"), strict=True):
+    for axes, key in zip(grid, ("sr", "spl"), strict=True):
         for way, color in DRAWN.items():
             values = [
                 [metrics(within(episodes[way], low, low + edges[1] - edges[0] - 1))[key] for low in edges]
                 for _, episodes in found
             ]
-            low, high = bootstrap_interval(values)
-            axes.plot(edges, iqm(values), color=color, label=way if key == "sr" else None)
-            axes.fill_between(edges, low, high, color=color, alpha=0.25, linewidth=0)
+            band(axes, edges, values, color, way if key == "sr" else None)
         axes.set(xlabel="fewest steps from start to goal", ylabel=MEASURES[key], ylim=(0, 1.03))
-        plain(axes)
     figure.legend(loc="outside upper center", ncols=3, frameon=False)
     save_figure(figure, out, "any_goal")

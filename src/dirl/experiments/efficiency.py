@@ -6,26 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, LogLocator, NullLocator, StrMethodFormatter
+from matplotlib.ticker import EngFormatter
 
 from dirl.config.schemas import TrainConfig
 from dirl.evaluation.stability import NEAR, STABLE_ATL, WINDOW
-from dirl.experiments.results import (
-    COLOR_OF,
-    NAMES,
-    Column,
-    Result,
-    Table,
-    by_system,
-    grouped,
-    published,
-    save_figure,
-    write_tables,
-)
-from dirl.reporting.curves import common_frames
-from dirl.reporting.statistics import FloatArray, bootstrap_interval, iqm
-from dirl.reporting.style import plain
+from dirl.experiments.figures import band, panels, save_figure
+from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, grouped, published, write_tables
+from dirl.reporting.curves import atl_axis, common_frames
+from dirl.reporting.statistics import FloatArray, iqm
 from dirl.scenes.palette import COLORS
 
 RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}
@@ -56,37 +44,20 @@ def training_curve(result: Result) -> tuple[FloatArray, FloatArray]:
 
     The first episodes to end are short ones, so the mean of few episodes is biased.
     """
-    rows = result.table("reinforcement")
+    rows = result.table("reinforcement", "frames", "atl", "episodes")
     goals = sum(len(scene["goals"]) for scene in result.summary["greedy"]["scenes"].values())
-    enough = rows["episodes"] >= WINDOW * goals if rows else np.empty(0, bool)
-    return (rows["frames"][enough], rows["atl"][enough]) if rows else (np.empty(0), np.empty(0))
+    enough = rows["episodes"] >= WINDOW * goals
+    return rows["frames"][enough], rows["atl"][enough]
 
 
 def report_efficiency(experiment: str, results: Sequence[Result], out: Path, note: str) -> str:
-    """Write the curves and the table of frames for figure 4, 7 or 8.
-
-    Args:
-        experiment: ``fig4``, ``fig7`` or ``fig8``.
-        results: runs.
-        out: a folder.
-        note: what a reader must know of the runs.
-
-    Returns:
-        The text of the README.
-    """
+    """Write the curves and the table of frames for figure 4, 7 or 8."""
     paper = published(experiment)
     titles = {"fig4": "sample efficiency", "fig7": "surrounding or sequential views", "fig8": "the expert's fraction"}
     groups, drawn = _groups(experiment, results, paper)
-    table = Table(
-        Column("setting"),
-        Column("runs", "d"),
-        Column("frames, paper", ",d"),
-        Column("frames, every goal", ",.0f"),
-        Column(f"frames, {NEAR:g} x shortest", ",.0f"),
-        Column("frames, mean of goals", ",.0f"),
-        Column("ATL at the end", ".2f"),
-        Column("trained", ",d"),
-    )
+    columns = {"setting": "", "runs": "d", "frames, paper": ",d", "frames, every goal": ",.0f"}
+    columns |= {f"frames, {NEAR:g} x shortest": ",.0f", "frames, mean of goals": ",.0f"}
+    table = Table({**columns, "ATL at the end": ".2f", "trained": ",d"})
     for label, (runs, reported) in groups.items():
         table.add(
             label,
@@ -135,30 +106,23 @@ def _groups(experiment: str, results: Sequence[Result], paper: Mapping[str, Any]
 
 def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str) -> None:
     """Draw training ATL over frames, the interquartile mean of each group with its 95 % interval."""
-    figure = Figure(figsize=(8, 4.6), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = panels(1, (8, 4.6))
     for other, (label, runs) in zip(COLORS, groups.items(), strict=False):
         color = COLOR_OF.get(label, other)  # groups that are no systems are settings of one
         frames, values = common_frames([training_curve(run) for run in runs])
         if not len(frames):
             axes.plot([], [], color=color, label=f"{label}: never stable, too few episodes to draw")
             continue
-        axes.fill_between(frames, *bootstrap_interval(values), color=color, alpha=0.2, linewidth=0)
         stable = float(iqm([stable_frames(run) for run in runs]))
         when = f"stable at {stable:,.0f}" if np.isfinite(stable) else "never stable"
-        axes.plot(frames, iqm(values), color=color, linewidth=1.6, label=f"{label}: {when}")
+        band(axes, frames, values, color, f"{label}: {when}", linewidth=1.6)
         if np.isfinite(stable):
             axes.axvline(stable, color=color, linestyle=":", linewidth=1.2)
     limit = f"stable: every goal stays at or under {STABLE_ATL:g}"
     axes.axhline(STABLE_ATL, color="0.3", linestyle="--", linewidth=1, label=limit)
-    axes.set(
-        yscale="log", xlabel="frames", ylabel=f"training ATL (steps, log scale),\nlast {WINDOW} episodes of each goal"
-    )
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    atl_axis(axes, f"training ATL (steps, log scale),\nlast {WINDOW} episodes of each goal")
+    axes.set_xlabel("frames")
     axes.xaxis.set_major_formatter(EngFormatter())
-    plain(axes)
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     save_figure(figure, out, name)
 

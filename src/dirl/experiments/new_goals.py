@@ -5,26 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from torch import nn
 from tqdm import tqdm
 
 from dirl.evaluation.episodes import Episodes
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
-from dirl.experiments.results import (
-    COLOR_OF,
-    NAMES,
-    Column,
-    Result,
-    Table,
-    by_system,
-    published,
-    save_figure,
-    write_tables,
-)
+from dirl.experiments.figures import panels, save_figure
+from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, published, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import plain
 from dirl.runs.checks import RunError
 from dirl.scenes import World
 from dirl.scenes.goals import well_reached
@@ -74,20 +63,10 @@ def new_goals(
 
 
 def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: int = 500) -> str:
-    """Write figure 5: the success rate for new goals by their distance from trained ones.
-
-    Args:
-        results: runs of DIRL, TD-DRL and A3C, or of systems that are shown other goals too.
-        out: a folder.
-        note: what a reader must know of the runs.
-        starts: of each goal.
-
-    Returns:
-        The text of the README.
-    """
-    columns = [Column("system"), Column("runs", "d"), Column("steps from a trained goal", "d"), Column("goals", "d")]
-    columns += [Column("SR, sampled", ".3f"), Column("SPL, sampled", ".3f"), Column("SR, greedy", ".3f")]
-    table = Table(*columns, Column("shortest", ".2f"))
+    """Write figure 5: the success rate for new goals by their distance from trained ones."""
+    columns = {"system": "", "runs": "d", "steps from a trained goal": "d", "goals": "d"}
+    columns |= {"SR, sampled": ".3f", "SPL, sampled": ".3f", "SR, greedy": ".3f", "shortest": ".2f"}
+    table = Table(columns)
     bars: dict[str, dict[int, list[float]]] = {}
     compared = by_system(results)
     # Policies that have hardly learned succeed by chance; the random baseline shows how often.
@@ -103,19 +82,14 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
                     if chosen:
                         found.append(_measured(run, chosen, starts, by_chance=system == "random"))
                     bar.update()
-                if found:
-                    sampled, greedy = zip(*found, strict=True)
-                    table.add(
-                        NAMES[system],
-                        len(runs),
-                        distance,
-                        sum(map(len, chosen.values())),
-                        [measures["sr"] for measures in sampled],
-                        [measures["spl"] for measures in sampled],
-                        None if system == "random" else [measures["sr"] for measures in greedy],
-                        sampled[0]["shortest"],
-                    )
-                    bars.setdefault(NAMES[system], {})[distance] = [measures["sr"] for measures in sampled]
+                if not found:
+                    continue
+                sampled, greedy = zip(*found, strict=True)
+                rates, spl = [one["sr"] for one in sampled], [one["spl"] for one in sampled]
+                sure = None if system == "random" else [one["sr"] for one in greedy]
+                goals, shortest = sum(map(len, chosen.values())), sampled[0]["shortest"]
+                table.add(NAMES[system], len(runs), distance, goals, rates, spl, sure, shortest)
+                bars.setdefault(NAMES[system], {})[distance] = rates
     _draw_bars(bars, out)
     text = (
         f"{note}\n\n{PER_SCENE} new goals for each scene and distance, {starts} starts each, at most {MAX_STEPS} "
@@ -152,8 +126,8 @@ def _measured(
 
 
 def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None:
-    figure = Figure(figsize=(6.5, 3.8), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = panels(1, (6.5, 3.8))
+    axes.grid(visible=False, axis="x")
     width = 0.8 / max(1, len(bars))
     for number, (label, rates) in enumerate(bars.items()):
         for distance, values in rates.items():
@@ -164,7 +138,6 @@ def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None
             axes.plot([at, at], [low, high], color="black", linewidth=1.2)
     axes.set_xticks(range(len(DISTANCES)), [f"{d} step{'' if d == 1 else 's'}" for d in DISTANCES])
     axes.set(xlabel="from the nearest trained goal", ylabel="SR, sampled policy", ylim=(0, 1.03))
-    plain(axes, "y")
     figure.legend(loc="outside upper center", ncols=4, frameon=False)
     save_figure(figure, out, "fig5")
 
@@ -172,29 +145,13 @@ def _draw_bars(bars: Mapping[str, Mapping[int, list[float]]], out: Path) -> None
 def report_control(results: Sequence[Result], out: Path, note: str, scene: str, goal: int) -> str:
     """Write figure 6: how each system goes to one new goal from the farthest start, as picture and as GIF.
 
-    Args:
-        results: runs of DIRL, TD-DRL and A3C.
-        out: a folder.
-        note: what a reader must know of the runs.
-        scene: where.
-        goal: a state of it.
-
-    Returns:
-        The text of the README.
-
     Raises:
         RunError: the runs were not made in that scene.
     """
     paper = published("fig6")
-    table = Table(
-        Column("system"),
-        Column("runs", "d"),
-        Column("steps, paper", "d"),
-        Column("steps", ".0f"),
-        Column("steps of every start", ".2f"),
-        Column("SR of every start", ".3f"),
-        Column("shortest", "d"),
-    )
+    columns = {"system": "", "runs": "d", "steps, paper": "d", "steps": ".0f"}
+    columns |= {"steps of every start": ".2f", "SR of every start": ".3f", "shortest": "d"}
+    table = Table(columns)
     pictures = {}
     for system, runs in by_system(results).items():
         walked, every = [], []
@@ -211,15 +168,9 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
                 arrived, name = bool(episodes.success[farthest]), f"fig6_{system}"
                 pictures[name] = f"The path of {NAMES[system]} from the farthest start on the map, and views along it"
                 _draw_walk(protocol.world, run, goal, paths[farthest], out / name, success=arrived)
-        table.add(
-            NAMES[system],
-            len(runs),
-            paper.get(system),
-            walked,
-            [found["atl"] for found in every],
-            [found["sr"] for found in every],
-            int(episodes.shortest.max()),
-        )
+        steps, rates = [one["atl"] for one in every], [one["sr"] for one in every]
+        shortest = int(episodes.shortest.max())
+        table.add(NAMES[system], len(runs), paper.get(system), walked, steps, rates, shortest)
     text = (
         f"{note}\n\nSampled policies on the way to state {goal} of {scene}, which was not trained, from the farthest "
         f"start, at most {MAX_STEPS} steps. Pictures and GIFs are of the first seed. Paper: {paper['source']}."

@@ -1,53 +1,43 @@
 """An agent, unchanged, in simulators that nobody of this project drew: how well it finds goals, beside controls."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from dirl.evaluation.episodes import Episodes
-from dirl.evaluation.experts import RandomPolicy
 from dirl.evaluation.protocol import metrics
-from dirl.experiments.any_goal import FOUR, MEASURES, wrong_goals
-from dirl.experiments.results import Column, Table
-from dirl.experiments.unseen_rooms import GOALS, MAX_STEPS, drawn_starts
-from dirl.models import PlanningMemory
-from dirl.runs.checkpoints import load_checkpoint
-from dirl.training.load import load_trained
+from dirl.experiments.measures import (
+    FOUR,
+    GOALS,
+    MAX_STEPS,
+    MEASURES,
+    controls,
+    drawn_starts,
+    load_agent,
+    measure_table,
+)
+from dirl.experiments.results import write_tables
 
-TESTED = {"goals": "all", "evaluation.goals": GOALS, "evaluation.max_steps": MAX_STEPS}
-
-Walked = Mapping[str, Mapping[str, Episodes]]
-"""Of each scene's name, the episodes by what walked them."""
+TESTED = {"goals": "all", "evaluation.goals": GOALS, "evaluation.max_steps": MAX_STEPS, "seed": 0}
 
 
-def zero_shot(dumps: Sequence[str], agent: str = "general", seed: int = 0) -> dict[str, dict[str, Episodes]]:
-    """Episodes of an agent in scenes that it was not trained in, and of controls from the same starts.
+def walked(dump: str, agent: str) -> Iterator[tuple[str, Episodes]]:
+    """Episodes in one scene by what walked them."""
+    _, policy, protocol = load_agent(agent, {**TESTED, "scene": dump})
+    protocol = replace(protocol, starts=drawn_starts(protocol.world))
+    yield FOUR, protocol.run(policy)
+    for name, walk in controls(policy, protocol).items():
+        yield name, walk()
 
-    Args:
-        dumps: files, with the features that the agent reads.
-        agent: its checkpoint, see `dirl.runs.checkpoints.load_checkpoint`.
-        seed: of goals, starts and sampled actions.
-    """
-    saved, found = load_checkpoint(agent), {}
+
+def report_other_worlds(dumps: Sequence[str], agent: str, out: Path) -> str:
+    """Write the measures of an agent in scenes that it was not trained in, and of controls from the same starts."""
+    found: dict[str, list[dict[str, float]]] = {}
     for dump in dumps:
-        _, policy, protocol = load_trained(saved, agent, {**TESTED, "scene": dump, "seed": seed})
-        world = protocol.world
-        protocol = replace(protocol, starts=drawn_starts(world, seed=seed))
-        found[world.names[0]] = {
-            FOUR: protocol.run(policy),
-            "another goal's views": replace(protocol, shown=wrong_goals(world), stop=None).run(policy),
-            # As in `dirl.experiments.any_goal.walked_by`.
-            "sweep that ignores the goal": protocol.run(
-                RandomPolicy(), greedy=isinstance(protocol.memory, PlanningMemory)
-            ),
-            "random walk": protocol.run_random(),
-        }
-    return found
-
-
-def table(found: Walked) -> Table:
-    """The measures over the scenes: interquartile mean and 95 % interval."""
-    shown = Table(Column("walks by"), Column("scenes", "d"), *(Column(name, ".3f") for name in MEASURES.values()))
-    for way in next(iter(found.values())):
-        of_each = [metrics(episodes[way]) for episodes in found.values()]
-        shown.add(way, len(found), *([one[key] for one in of_each] for key in MEASURES))
-    return shown
+        for way, episodes in walked(dump, agent):
+            found.setdefault(way, []).append(metrics(episodes))
+    table = measure_table({"walks by": "", "scenes": "d"})
+    for way, of_each in found.items():
+        table.add(way, len(dumps), *([one[key] for one in of_each] for key in MEASURES))
+    text = "Interquartile mean over scenes and, in brackets, its 95 % bootstrap interval."
+    return write_tables(out, f"{agent} in other worlds", text, {"other_worlds": table}, {})

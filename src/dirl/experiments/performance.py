@@ -5,13 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dirl.config.schemas import TrainConfig
-from dirl.experiments.results import NAMES, Column, Result, Table, by_system, published, save_figure, write_tables
-from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import plain
+from dirl.experiments.figures import interval_row, panels, save_figure
+from dirl.experiments.results import NAMES, Result, Table, by_system, published, write_tables
 from dirl.scenes.palette import SYSTEM_COLORS
 
 MEASURES = {
@@ -35,7 +33,7 @@ def halfway(result: Result) -> dict[str, float]:
     """The greedy measures after half of the frames; of a system without reinforcement those at its end."""
     if not is_reinforced(result.config):
         return measures(result, "greedy")
-    rows = result.table("evaluation")
+    rows = result.table("evaluation", "frames", *MEASURES)
     row = int(np.searchsorted(rows["frames"], result.total / 2))
     return {name: float(rows[name][row]) for name in MEASURES}
 
@@ -47,62 +45,46 @@ def measures(result: Result, mode: str) -> dict[str, float]:
 
 
 def report_performance(experiment: str, results: Sequence[Result], out: Path, note: str) -> str:
-    """Write table 1 (half-way) or 2 (at the end) with the paper's beside ours, and a picture of it.
-
-    Args:
-        experiment: ``table1`` or ``table2``.
-        results: runs of any systems.
-        out: a folder.
-        note: what a reader must know of the runs.
-
-    Returns:
-        The text of the README.
-    """
-    paper, tables = published(experiment), {}
-    columns = [Column("system"), Column("runs", "d"), Column("frames", ",d")]
-    columns += [Column(f"{heading}, {who}", form) for form, heading in MEASURES.values() for who in ("paper", "ours")]
-    columns = [column for column in columns if column.heading != "ATL of successes, paper"]
-    modes = ("greedy",) if experiment == "table1" else ("greedy", "sampled")
-    ours: dict[str, dict[str, list[float]]] = {}
-    for mode in modes:
-        tables[f"{experiment}_{mode}"] = table = Table(*columns)
+    """Write table 1 (half-way) or 2 (at the end) with the paper's beside ours, and a picture of it."""
+    half = experiment == "table1"
+    paper = published(experiment)
+    columns = {"system": "", "runs": "d", "frames": ",d"}
+    for name, (form, heading) in MEASURES.items():
+        columns |= {} if name == "atl_success" else {f"{heading}, paper": form}
+        columns |= {f"{heading}, ours": form}
+    tables = {}
+    drawn: dict[str, dict[str, list[float]]] = {}
+    for mode in ("greedy",) if half else ("greedy", "sampled"):
+        tables[f"{experiment}_{mode}"] = table = Table(columns)
         for system, runs in by_system(results).items():
-            found = [halfway(run) if experiment == "table1" else measures(run, mode) for run in runs]
+            found = [halfway(run) if half else measures(run, mode) for run in runs]
             values = {name: [run[name] for run in found] for name in MEASURES}
             told: Mapping[str, Any] = paper.get(system, {})
-            half = experiment == "table1" and is_reinforced(runs[0].config)
-            frames = max(run.total for run in runs) // (2 if half else 1)
+            frames = max(run.total for run in runs) // (2 if half and is_reinforced(runs[0].config) else 1)
             cells: list[Any] = [NAMES.get(system, system), len(runs), frames]
             for name in MEASURES:
                 cells += [values[name]] if name == "atl_success" else [told.get(name), values[name]]
             table.add(*cells)
-            if mode == "greedy":
-                ours[system] = values
-    _draw(ours, paper, out, experiment)
-    when = "half-way through" if experiment == "table1" else "at the end of"
+            drawn.setdefault(system, values)
+    _draw(drawn, paper, out, experiment)
+    when = "half-way through" if half else "at the end of"
     title = f"{experiment[:5].capitalize()} {experiment[5]}: trained goals, {when} the training"
-    text = f"{note}\n\nPaper: {paper['source']}. Greedy policies" + (" first, then sampled ones." if modes[1:] else ".")
+    text = f"{note}\n\nPaper: {paper['source']}. Greedy policies" + ("." if half else " first, then sampled ones.")
     shown = f"ATL, SR and SPL of each system {when} the training, here and in the paper"
     return write_tables(out, title, text, tables, {experiment: shown})
 
 
 def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Mapping[str, Any], out: Path, name: str) -> None:
-    figure = Figure(figsize=(9, 0.42 * len(ours) + 1.5), layout="constrained")
-    panels = figure.subplots(1, 3, sharey=True)
+    figure, grid = panels(3, (9, 0.42 * len(ours) + 1.5))
     places = np.arange(len(ours))[::-1]
-    for axes, measure in zip(panels, ("atl", "sr", "spl"), strict=True):
+    for axes, measure in zip(grid, ("atl", "sr", "spl"), strict=True):
         for place, (system, values) in zip(places, ours.items(), strict=True):
-            low, high = bootstrap_interval(values[measure])
-            axes.plot(
-                [low, high], [place, place], color=SYSTEM_COLORS[system], linewidth=5, alpha=0.35, solid_capstyle="butt"
-            )
-            axes.plot(iqm(values[measure]), place, "o", color=SYSTEM_COLORS[system])
+            interval_row(axes, place, values[measure], SYSTEM_COLORS[system])
             if system in paper:
                 axes.plot(paper[system][measure], place, "x", color="0.2", mew=2)
-        axes.set(xlabel=MEASURES[measure][1] + (" (steps)" if measure == "atl" else ""), yticks=places)
+        axes.set_xlabel(MEASURES[measure][1] + (" (steps)" if measure == "atl" else ""))
         axes.set_yticks(places, [NAMES.get(system, system) for system in ours])
         axes.set_xlim(*((0, 208) if measure == "atl" else (-0.04, 1.04)))
-        plain(axes)
     # The legend of the two markers; their colours are those of the systems.
     meanings = {"o": "here, synthetic rooms", "x": "paper, AI2-THOR"}
     handles = [

@@ -1,4 +1,4 @@
-"""Finished runs on disk, the paper's numbers, and tables and figures as files."""
+"""Finished runs on disk, the paper's numbers, and tables as files."""
 
 import csv
 import json
@@ -8,19 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
-
 from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
-from dirl.reporting.statistics import summarised
-from dirl.reporting.style import write_figure
+from dirl.reporting.statistics import FloatArray, summarised
+from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
 from dirl.runs.finding import finished_folders
 from dirl.scenes.io.atomic import atomic_path, write_text
-from dirl.scenes.io.texts import read_rows, read_text
+from dirl.scenes.io.texts import read_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.load import Trained, load_trained
 
@@ -65,10 +61,9 @@ class Result:
         """Its policy with the final weights; ``changes`` are options to replace, by dotted name."""
         return load_trained(load_checkpoint(self.folder), str(self.folder), changes)
 
-    def table(self, stage: str) -> dict[str, NDArray[np.float64]]:
-        """The columns of ``<stage>.csv``; an empty cell is NaN."""
-        rows = read_rows(self.folder / f"{stage}.csv")
-        return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]} if rows else {}
+    def table(self, stage: str, *names: str) -> dict[str, FloatArray]:
+        """Columns of ``<stage>.csv``, see `dirl.reporting.tables.read_columns`."""
+        return read_columns(self.folder / f"{stage}.csv", *names)
 
 
 def finished_runs(folder: Path, hint: str) -> list[Result]:
@@ -119,28 +114,15 @@ def published(experiment: str) -> dict[str, Any]:
     return tomllib.loads(text)[experiment]
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table.
-
-    Args:
-        heading: above it.
-        form: of its numbers, as for `format`.
-    """
-
-    heading: str
-    form: str = ""
-
-
 class Table:
     """Rows of texts, numbers, and lists of numbers (one for each run, shown as mean and interval).
 
     Args:
-        columns: of it.
+        columns: the format of each column's numbers, as for `format`, by its heading; empty for texts.
     """
 
-    def __init__(self, *columns: Column) -> None:
-        self.columns = columns
+    def __init__(self, columns: Mapping[str, str]) -> None:
+        self.columns = dict(columns)
         self.rows: list[tuple[Any, ...]] = []
 
     def add(self, *cells: Any) -> None:
@@ -150,30 +132,29 @@ class Table:
 
     def markdown(self) -> str:
         """The table as Markdown."""
-        lines = [[column.heading for column in self.columns], [":--" if not c.form else "--:" for c in self.columns]]
-        for row in self.rows:
-            lines.append([self._text(cell, column) for cell, column in zip(row, self.columns, strict=True)])
-        return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
-
-    @staticmethod
-    def _text(cell: Any, column: Column) -> str:
-        if cell is None:
-            return ""
-        if isinstance(cell, list):
-            return summarised(cell, column.form)
-        return format(cell, column.form) if column.form and not isinstance(cell, str) else str(cell)
+        forms = list(self.columns.values())
+        lines = [list(self.columns), ["--:" if form else ":--" for form in forms]]
+        lines += [[_text(cell, form) for cell, form in zip(row, forms, strict=True)] for row in self.rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
     def write_csv(self, file: Path) -> None:
         """A row for each run: rows without lists once, else one for each place in the lists, numbered as ``run``."""
         with atomic_path(file) as temporary, temporary.open("w", newline="") as stream:
             writer = csv.writer(stream)
-            writer.writerow([*(column.heading for column in self.columns), "run"])
+            writer.writerow([*self.columns, "run"])
             for row in self.rows:
-                runs = max((len(cell) for cell in row if isinstance(cell, list)), default=1)
-                for run in range(runs):
-                    # Lists may be shorter: not every room has episodes of every distance.
-                    cells = [([*cell, *[None] * runs][run]) if isinstance(cell, list) else cell for cell in row]
-                    writer.writerow([*("" if cell is None else cell for cell in cells), run])
+                # Lists may be shorter: not every room has episodes of every distance.
+                for run in range(max((len(cell) for cell in row if isinstance(cell, list)), default=1)):
+                    cells = [next(iter(cell[run:]), None) if isinstance(cell, list) else cell for cell in row]
+                    writer.writerow([*cells, run])
+
+
+def _text(cell: Any, form: str) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, list):
+        return summarised(cell, form)
+    return str(cell) if isinstance(cell, str) else format(cell, form)
 
 
 def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], figures: Mapping[str, str]) -> str:
@@ -189,14 +170,8 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
     parts = [f"# {title}", note]
     for name, table in tables.items():
         table.write_csv(out / f"{name}.csv")
-        parts.append(table.markdown().rstrip())
+        parts.append(table.markdown())
     parts += [f"![{shown}]({name}.png)" for name, shown in figures.items()]
     text = "\n\n".join(parts) + "\n"
     write_text(out / "README.md", text)
     return text
-
-
-def save_figure(figure: Figure, out: Path, name: str) -> None:
-    """Write a figure as PNG and SVG."""
-    write_figure(figure, out / f"{name}.png")
-    write_figure(figure, out / f"{name}.svg", dpi=100)

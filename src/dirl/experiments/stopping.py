@@ -15,7 +15,9 @@ from torch import Tensor, nn
 from dirl.backbones import ViewEncoder, encode_views
 from dirl.evaluation.episodes import run_episodes
 from dirl.evaluation.protocol import metrics
-from dirl.experiments.results import Column, Result, Table, published, save_figure, write_tables
+from dirl.experiments.figures import save_figure
+from dirl.experiments.measures import decimals
+from dirl.experiments.results import Result, Table, published, write_tables
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy
 from dirl.models.weights import load_weights
@@ -165,16 +167,6 @@ def success(trained: Trained, scene: Scene, clean: Tensor, disturbed: Tensor, th
 def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name: str, encoder: ViewEncoder) -> str:
     """Write coefficients, precision and recall, and success under disturbed views.
 
-    Args:
-        results: runs of DIRL.
-        out: a folder.
-        note: what a reader must know of the runs.
-        scene_name: where.
-        encoder: the one that made the scene's features.
-
-    Returns:
-        The text of the README.
-
     Raises:
         RunError: the runs were not made in that scene, it has no views, or its features are of another encoder.
     """
@@ -197,17 +189,15 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
     curves = {key: precision_recall(*pair) for key, pair in pairs.items()}
     best = recommended_threshold(list(curves.values()))
     paper = published("stop")
-    table = Table(
-        *(Column("disturbance"), Column("strength", "g")),
-        *(Column("at the goal, mean", ".3f"), Column("lowest", ".3f")),
-        *(Column("elsewhere, 99 %", ".3f"), Column("highest", ".3f")),
-        *(Column(f"{what} at {limit:g}", ".3f") for limit in (paper["threshold"], best) for what in MEASURED),
-    )
+    limits = dict.fromkeys((paper["threshold"], best))
+    columns = {"disturbance": "", "strength": "g"}
+    columns |= decimals(["at the goal, mean", "lowest", "elsewhere, 99 %", "highest"])
+    table = Table(columns | decimals(f"{what} at {limit:g}" for limit in limits for what in MEASURED))
     for key, features in found.items():
         at_goal, away = pairs[key]
         cells: list[Any] = [key[0], key[1], float(at_goal.mean()), float(at_goal.min())]
         cells += [float(np.quantile(away.numpy(), 0.99)), float(away.max())]
-        for limit in (paper["threshold"], best):
+        for limit in limits:
             place = int(np.abs(THRESHOLDS - limit).argmin())
             cells += [float(values[place]) for values in curves[key]]
             walked = [success(one, scene, clean, features, limit) for one in runs]
@@ -242,6 +232,8 @@ def _draw(
     """Above the coefficients by strength, below precision and recall over thresholds; a column a disturbance."""
     figure = Figure(figsize=(11, 5.5), layout="constrained")
     grid = figure.subplots(2, len(DISTURBANCES), sharey="row")
+    for axes in grid.flat:
+        plain(axes)
     for (upper, lower), (kind, (unit, strengths)) in zip(grid.T, DISTURBANCES.items(), strict=True):
         keys = [("none", 0.0), *((kind, strength) for strength in strengths)]
         at = range(len(keys))
@@ -262,9 +254,7 @@ def _draw(
         lower.axvline(used, color="0.3", linestyle="--", linewidth=1)
         lower.axvline(best, color="0.3", linestyle=":", linewidth=1.5)
         lower.set(xlabel="threshold", ylim=(-0.05, 1.05))
-        tell_cut(lower, "x")
-        for axes in (upper, lower):
-            plain(axes)
+        tell_cut(lower)
     grid[0, 0].set_ylabel("matching coefficient")
     grid[1, 0].set_ylabel("precision, recall")
     handles = [one for axes in grid[:, 0] for one in axes.get_legend_handles_labels()[0]]

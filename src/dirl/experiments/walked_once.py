@@ -1,51 +1,36 @@
 """Walk once, come back later: maps of places that change, and goals found with them.
 
-    python -m dirl.experiments.walked_once rooms_2cm rooms_5cm --out reports/walked_once
-    python -m dirl.experiments.walked_once rooms_2cm rooms_2cm:later_lit --out reports/walked_once
-
-Each argument is a collection with looks, see `dirl.rooms.looks`, or two of the same rooms: the walk sees the first one,
-the later episodes see the further looks of the second, in which furniture may have moved. What was measured is kept in
-the folder, so that the program goes on where it was stopped.
+A collection with looks (see `dirl.rooms.looks`) is named by its folder, or two of the same rooms with a colon between
+them: then the walk sees the first one, and the later episodes see the further looks of the second, in which furniture
+may have moved.
 """
 
-import argparse
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from torch import Tensor
 from tqdm import tqdm
 
 from dirl.agent.exploring import Guide
 from dirl.agent.mapping import ImageGraph
-from dirl.cli.command_line import one_line_errors
-from dirl.config.choices import goal_view_options, group_options
 from dirl.evaluation.episodes import Episodes, drawn_looks
 from dirl.evaluation.maps import map_quality, map_scene, walk_through
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.experiments.any_goal import MEASURES, wrong_goals
-from dirl.experiments.changes import GOAL_VIEWS, TESTED
-from dirl.experiments.results import Column, Table, save_figure, write_tables
-from dirl.experiments.unseen_rooms import by_room
+from dirl.experiments.changes import GOAL_VIEWS, TESTED, Measured
+from dirl.experiments.figures import draw_spl
+from dirl.experiments.measures import MEASURES, by_measure, decimals, kept, load_agent, measure_table, wrong_goals
+from dirl.experiments.results import Table, write_tables
 from dirl.models import LocalisingMemory
 from dirl.recognition.recogniser import normal_vectors
-from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.reporting.style import plain
-from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.checks import RunError
-from dirl.runs.exits import one_line_exits
 from dirl.scenes import World, read_dump
 from dirl.scenes.collection import read_collection
-from dirl.scenes.io.atomic import write_json
-from dirl.scenes.io.texts import read_text
 from dirl.scenes.io.write import copy_with
 from dirl.scenes.palette import BLUE, GREEN, GREY, ORANGE
-from dirl.training.load import Trained, load_trained
+from dirl.training.load import Trained
 
 STEPS = 3.0
 """Of a walk at most, for each state of the room."""
@@ -70,8 +55,7 @@ def rooms(collection: str, folder: Path) -> tuple[list[str], range | None, range
         RunError: the two are not of the same rooms.
     """
     first, _, later = collection.partition(":")
-    before = read_collection(first)
-    names = [entry.name for entry in before.entries if entry.split == "test"]
+    names = [entry.name for entry in read_collection(first).entries if entry.split == "test"]
     if not later:
         return [str(Path(first) / f"{name}.h5") for name in names], None, None
     files, seen, looks = [], 1, 1
@@ -91,26 +75,18 @@ def rooms(collection: str, folder: Path) -> tuple[list[str], range | None, range
     return files, range(seen), range(seen, looks)
 
 
-Measured = dict[str, dict[str, list[float]]]
-
-
-def measured(agent: str, collection: str, out: Path) -> Measured:
+def measured(agent: str, collection: str, out: Path) -> dict[str, Measured]:
     """Measures of each room, by goal view and way; from the folder, if they were measured before."""
     stem = f"{Path(agent).name}-{'-'.join(Path(part).name for part in collection.split(':'))}"
-    file = out / "measured" / f"{stem}.json"
-    if not file.exists():
-        found = measure(agent, *rooms(collection, out / "rooms" / stem))
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(file, found)
-    kept: Measured = json.loads(read_text(file))
-    return kept
+    found: dict[str, Measured] = kept(
+        out / "measured" / f"{stem}.json", lambda: measure(agent, *rooms(collection, out / "rooms" / stem))
+    )
+    return found
 
 
-def measure(
-    agent: str, files: list[str], before: range | None, after: range | None
-) -> dict[str, dict[str, list[float]]]:
+def measure(agent: str, files: list[str], before: range | None, after: range | None) -> dict[str, Measured]:
     """Walk through each room, and go to goals in it with and without the map; see `measured`."""
-    found: Measured = {}
+    found: dict[str, Measured] = {}
     maps = None
     for view in GOAL_VIEWS:
         _, policy, protocol = _loaded(agent, files, view)
@@ -137,21 +113,16 @@ def measure(
             CONTROL: replace(known, stop=other).run(policy),
             GRAPH: by_image_graphs(graphs, later, view),
         }
-        for way, episodes in ways.items():
-            found[f"{view}: {way}"] = {key: by_room(world, episodes, key) for key in MEASURES}
+        found |= {f"{view}: {way}": by_measure(world, episodes) for way, episodes in ways.items()}
     return found
 
 
 def _loaded(agent: str, files: list[str], view: str) -> Trained:
-    changes: dict[str, Any] = {**TESTED, "split": None, "scene": files, **goal_view_options(view)}
-    changes |= {"stop.threshold": 0.95, "stop.evaluation": "match"}
-    chosen = {"recogniser": "learned", "episodic_memory": "localising"}
-    return load_trained(
-        load_checkpoint(agent), agent, changes | {group: group_options(group, one) for group, one in chosen.items()}
-    )
+    changes = {**TESTED, "split": None, "scene": files}
+    return load_agent(agent, changes, view, recogniser="learned", episodic_memory="localising")
 
 
-def image_graphs(world: World, looks: range | None) -> tuple[list[ImageGraph], dict[str, list[float]]]:
+def image_graphs(world: World, looks: range | None) -> tuple[list[ImageGraph], Measured]:
     """A topological map of a walk through each room, by correlation, and how many nodes it has for each state."""
     graphs, nodes = [], []
     for index in range(len(world.scenes)):
@@ -175,11 +146,11 @@ def by_image_graphs(graphs: Sequence[ImageGraph], protocol: EvaluationProtocol, 
         features = world.features[shown if view == "surrounding" else shown[:1]]
         guide = Guide(graphs[int(world.scene_of[begin])], features, 0)
         found.append(_led(guide, features, protocol, begin, state, torch.tensor([look]), generator, ARRIVED[view]))
-    steps, stopped, missed = (torch.tensor(column) for column in zip(*found, strict=True))
-    at = torch.tensor([bool(one) for one in stopped]) & (steps[:, 1] == 1)
-    end = stopped.bool()
-    taken = torch.where(at, steps[:, 0], protocol.max_steps)
-    return Episodes(goal_index, start, world.distance(goal_index, start), taken, at, end & ~at, missed.bool())
+    steps, end, stopped, missed = (torch.tensor(column) for column in zip(*found, strict=True))
+    success = stopped & (end == world.goals[goal_index])
+    taken = torch.where(success, steps, protocol.max_steps)
+    shortest = world.distance(goal_index, start)
+    return Episodes(goal_index, start, shortest, taken, success, stopped & ~success, missed)
 
 
 def _led(
@@ -191,79 +162,50 @@ def _led(
     look: Tensor,
     generator: torch.Generator,
     threshold: float,
-) -> tuple[tuple[int, int], bool, bool]:
-    """One episode: the steps and whether it ended at the goal, whether the agent stopped, and missed to."""
+) -> tuple[int, int, bool, bool]:
+    """One episode: the steps, the last state, whether the agent stopped there, and whether it missed to at the goal."""
     world, missed = protocol.world, False
     for taken in range(protocol.max_steps + 1):
         ahead = drawn_looks(torch.tensor([state]), len(world), world, generator, look, protocol.looks)
         views = world.features[world.surrounding[state] + (ahead - ahead % len(world))].float()
         alike = float(normal_vectors(views[: len(goal)].flatten()) @ normal_vectors(goal.float().flatten()))
         if taken and alike > threshold:
-            return (taken, int(state == target)), True, missed
+            return taken, state, True, missed
         missed |= bool(taken) and state == target
         action = guide.advise(views)
         guide.action = int(torch.randint(4, (), generator=generator)) if action is None else action
         state = int(world.graph[state, guide.action])
-    return (protocol.max_steps, 0), False, missed
+    return protocol.max_steps, state, False, missed
 
 
-def report_walked_once(collections: list[str], agent: str, out: Path) -> str:
-    """Measure, and write tables and a figure; returns the text of the README."""
+def report_walked_once(collections: Sequence[str], agent: str, out: Path) -> str:
+    """Measure, and write tables and a figure. What was measured is kept in the folder, and not measured again.
+
+    Args:
+        collections: folders, or two of the same rooms with a colon between them.
+        agent: that walks.
+        out: a folder; what was measured is kept in it, and not measured again.
+    """
     bar = tqdm(collections, desc="walked once", unit=" collections", disable=None)
     found = {collection: measured(agent, collection, out) for collection in bar}
-    maps = Table(Column("rooms"), Column("map"), *(Column(name, ".3f") for name in QUALITY.values()))
-    goals = Table(Column("rooms"), Column("goal"), Column("way"), *(Column(name, ".3f") for name in MEASURES.values()))
+    maps = Table({"rooms": "", "map": "", **decimals(QUALITY.values())})
+    goals = measure_table({"rooms": "", "goal": "", "way": ""})
     for collection, of in found.items():
-        maps.add(_name(collection), MAPPED, *(of[MAPPED][key] for key in QUALITY))
-        maps.add(_name(collection), GRAPH, of[GRAPH]["nodes"], None, None)
+        name = " then ".join(Path(part).name for part in collection.split(":"))
+        maps.add(name, MAPPED, *(of[MAPPED][key] for key in QUALITY))
+        maps.add(name, GRAPH, of[GRAPH]["nodes"], None, None)
         for view, shown in GOAL_VIEWS.items():
             for way in WAYS:
-                goals.add(_name(collection), shown, way, *(of[f"{view}: {way}"][key] for key in MEASURES))
-    _draw(found, out)
+                goals.add(name, shown, way, *(of[f"{view}: {way}"][key] for key in MEASURES))
+    lines = []
+    for way, color in WAYS.items():
+        spl = {shown: [of[f"{view}: {way}"]["spl"] for of in found.values()] for view, shown in GOAL_VIEWS.items()}
+        lines.append((way, color, "o", spl))
+    draw_spl(lines, [Path(one.split(":")[-1]).name for one in collections], out, "walked_once", apart=0.15)
     note = (
         "Test rooms, **synthetic, not AI2-THOR**, which no training saw; one walk of at most three steps for each "
         "state, then three starts for every eighth state as the goal, 100 steps. Interquartile mean over rooms and, in "
         "brackets, its 95 % bootstrap interval over rooms."
     )
-    shown = "SPL with and without the map of one walk, by how the rooms have changed since"
-    return write_tables(out, "Walked once", note, {"maps": maps, "walked_once": goals}, {"walked_once": shown})
-
-
-def _name(collection: str) -> str:
-    return " then ".join(Path(part).name for part in collection.split(":"))
-
-
-def _draw(found: Mapping[str, Measured], out: Path) -> None:
-    """SPL of each way in each collection, as points with intervals."""
-    figure = Figure(figsize=(8, 4.6), layout="constrained")
-    for axes, (view, shown) in zip(figure.subplots(1, 2, sharey=True), GOAL_VIEWS.items(), strict=True):
-        for step, (way, color) in enumerate(WAYS.items()):
-            spl = [of[f"{view}: {way}"]["spl"] for of in found.values()]
-            mean = np.array([float(iqm(values)) for values in spl])
-            low, high = np.array([bootstrap_interval(values) for values in spl]).T
-            named = way if view == "surrounding" else None
-            error = np.maximum(0.0, [mean - low, high - mean])
-            beside = np.arange(len(spl)) + 0.15 * (step - 1.5)
-            axes.errorbar(beside, mean, error, fmt="o", color=color, markersize=4, capsize=2, label=named)
-        names = [Path(collection.split(":")[-1]).name for collection in found]
-        axes.set_xticks(range(len(names)), names, rotation=30, ha="right")
-        axes.set(title=shown, ylim=(-0.03, 1.03), ylabel="SPL" if view == "surrounding" else None)
-        axes.tick_params(axis="x", labelsize="small")
-        plain(axes)
-    figure.legend(loc="outside lower center", ncols=4, frameon=False)
-    save_figure(figure, out, "walked_once")
-
-
-def main() -> None:
-    """The program."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("collections", nargs="+", help="folders, or two of the same rooms with a colon between them")
-    parser.add_argument("--agent", default="general", help="a checkpoint, or an agent of the package")
-    parser.add_argument("--out", type=Path, default=Path("reports/walked_once"))
-    options = parser.parse_args()
-    with one_line_exits(), one_line_errors():
-        print(report_walked_once(options.collections, options.agent, options.out))
-
-
-if __name__ == "__main__":
-    main()
+    drawn = "SPL with and without the map of one walk, by how the rooms have changed since"
+    return write_tables(out, "Walked once", note, {"maps": maps, "walked_once": goals}, {"walked_once": drawn})

@@ -4,10 +4,9 @@ from dirl.reporting.animation import write_gif
 from dirl.reporting.curves import draw_learning_curve, draw_learning_curves
 from dirl.reporting.inspection import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.reporting.maps import draw_policy
-from dirl.reporting.pictures import draw_scene
+from dirl.reporting.pictures import draw_scene, film_scene
 from dirl.reporting.tables import result_table, run_title, summary_table
 from dirl.reporting.trajectories import draw_trajectories
-from dirl.reporting.video import film_scene
 from dirl.reporting.viewer import viewer_pages
 
 __all__ = [

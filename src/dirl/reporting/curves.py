@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from dirl.evaluation.stability import STABLE_ATL, WINDOW
 from dirl.reporting.style import plain, write_figure
-from dirl.reporting.tables import run_title
-from dirl.scenes.io.texts import read_rows
+from dirl.reporting.tables import read_columns, run_title
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, SKY, VERMILION
 
 FloatArray = NDArray[np.float64]
@@ -72,7 +71,7 @@ def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> No
             for folder in folders:
                 if not (folder / f"{table}.csv").is_file():
                     raise FileNotFoundError(f"{folder}: there is no {table}.csv; name folders of trained runs")
-                rows = _columns(folder / f"{table}.csv", "frames", column)
+                rows = read_columns(folder / f"{table}.csv", "frames", column)
                 known = np.isfinite(rows[column])
                 runs.append((rows["frames"][known], rows[column][known]))
             frames, values = common_frames(runs)
@@ -82,15 +81,20 @@ def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> No
             axes.plot(frames, values.mean(0), color=color, linewidth=1.5, label=f"{label}, {len(folders)} run{plural}")
         plain(axes)
     upper, lower = panels
-    upper.set(yscale="log", ylabel=f"training ATL (steps, log scale),\nlast {WINDOW} episodes of a goal")
-    upper.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    upper.yaxis.set_minor_locator(NullLocator())
-    upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    atl_axis(upper, f"training ATL (steps, log scale),\nlast {WINDOW} episodes of a goal")
     upper.legend(loc="upper right", frameon=False, title="mean, lowest to highest run")
     lower.set(ylabel="SPL, greedy evaluation", ylim=(-0.03, 1.03), xlabel="frames")
     lower.xaxis.set_major_formatter(EngFormatter())
     figure.align_ylabels()
     write_figure(figure, file)
+
+
+def atl_axis(axes: Axes, label: str) -> None:
+    """Steps on a logarithmic y axis, with round numbers."""
+    axes.set(yscale="log", ylabel=label)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
 
 
 def common_frames(runs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
@@ -104,8 +108,8 @@ def common_frames(runs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatA
 
 
 def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping[str, Any]) -> None:
-    training = _columns(folder / "reinforcement.csv", "frames", "atl", "atl_worst_goal")
-    evaluation = _columns(folder / "evaluation.csv", "frames", "atl", "sr", "spl")
+    training = read_columns(folder / "reinforcement.csv", "frames", "atl", "atl_worst_goal")
+    evaluation = read_columns(folder / "evaluation.csv", "frames", "atl", "sr", "spl")
     shortest = summary["greedy"]["shortest"]
     frames = evaluation["frames"]
     _draw_line(upper, training["frames"], training["atl_worst_goal"], SKY, "training, worst goal")
@@ -115,11 +119,7 @@ def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping
     upper.axhline(STABLE_ATL, color="0.3", linestyle="--", linewidth=1, label=f"stability limit, {STABLE_ATL:g}")
     label = f"shortest path of the evaluation, {shortest:.2f};\ntraining draws starts of its own"
     upper.axhline(shortest, color="0.3", linestyle=":", linewidth=1.5, label=label)
-    upper.set_yscale("log")
-    upper.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    upper.yaxis.set_minor_locator(NullLocator())
-    upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    upper.set_ylabel("ATL (steps, log scale)")
+    atl_axis(upper, "ATL (steps, log scale)")
     _draw_line(lower, frames, evaluation["sr"], GREEN, "SR, greedy evaluation")
     _draw_line(lower, frames, evaluation["spl"], PURPLE, "SPL, greedy evaluation")
     lower.set_ylabel("SR, SPL")
@@ -140,7 +140,7 @@ def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping
 
 
 def _draw_imitation(upper: Axes, lower: Axes, folder: Path) -> None:
-    imitation = _columns(folder / "imitation.csv", "step", "loss", "accuracy")
+    imitation = read_columns(folder / "imitation.csv", "step", "loss", "accuracy")
     _draw_line(upper, imitation["step"], imitation["loss"], BLUE)
     upper.set_ylabel("loss")
     upper.set_ylim(bottom=0)
@@ -157,11 +157,3 @@ def _draw_line(axes: Axes, x: FloatArray, y: FloatArray, color: str, label: str 
         return
     marker = "o" if known.sum() <= 50 else ""
     axes.plot(x[known], y[known], color=color, label=label, linewidth=1.5, marker=marker, markersize=3.5)
-
-
-def _columns(file: Path, *names: str) -> dict[str, FloatArray]:
-    """Some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows."""
-    if not file.is_file():
-        return {name: np.empty(0) for name in names}
-    rows = read_rows(file)
-    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

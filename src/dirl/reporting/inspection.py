@@ -10,13 +10,12 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room, has_walls
-from dirl.reporting.style import tell_cut, write_figure
+from dirl.reporting.style import draw_room, has_walls, star, tell_cut, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.palette import COLORS
+from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
 
 MAX_THUMBNAILS = 720
 THUMBNAIL, LABEL, GAP = 96, 14, 4
@@ -73,9 +72,7 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
     handles: list[Patch | Line2D] = [Patch(color=WALL_COLOR, label="walls, furniture")] if has_walls(scene) else []
     handles.append(Line2D([], [], color="0.7", linewidth=0.8, label="moves ahead"))
     if len(scene.goals):
-        star = Line2D([], [], linestyle="", marker="*", markersize=12, color=GOAL_COLOR, markeredgecolor="black")
-        star.set_label("goals, and the way they face")
-        handles.append(star)
+        handles.append(star(12, "goals, and the way they face"))
     if parts.max() > 0:
         handles.append(Patch(color=COLORS[0], alpha=0.35, label="not connected with the rest"))
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
@@ -158,7 +155,7 @@ def draw_false_stops(
     axes.set_yscale("symlog", linthresh=0.1)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(-0.005, 110))
-    tell_cut(axes, "x")
+    tell_cut(axes)
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
     write_figure(figure, file)

@@ -14,12 +14,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
-from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
-from dirl.reporting.style import write_figure
+from dirl.reporting.style import draw_room, star, write_figure
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, shortest_distances, turns_per_circle
-from dirl.scenes.palette import COLORS
+from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
 
 FloatArray = NDArray[np.floating]
 
@@ -96,9 +95,9 @@ def draw_policy(
     # At the goal no action is left.
     done = PolyCollection([wedges[goal]], facecolors=GOAL_COLOR, edgecolors="black", linewidths=1, zorder=4)
     policy_map.add_collection(done)
-    star = min(0.4 * 72 * width * side / spans[0], 13)  # points
+    size = min(0.4 * 72 * width * side / spans[0], 13)  # points
     for axes in (policy_map, value_map, matching_map):
-        axes.plot(*middles[goal], "*", color=GOAL_COLOR, markersize=star, markeredgecolor="black", zorder=7)
+        axes.plot(*middles[goal], "*", color=GOAL_COLOR, markersize=size, markeredgecolor="black", zorder=7)
     figure.legend(
         handles=_legend(goal, int(lost.sum()), len(above), threshold),
         loc="outside lower center",
@@ -238,6 +237,4 @@ def _legend(goal: int, lost: int, above: int, threshold: float) -> list[Patch | 
         handles.append(Patch(color=LOST_COLOR, label=f"never arrives, {lost} state{'' if lost == 1 else 's'}"))
     label = f"matches above {threshold:g}, {above} state{'' if above == 1 else 's'}"
     handles.append(Patch(facecolor="none", edgecolor=MATCH_COLOR, linewidth=1.6, label=label))
-    star = Line2D([], [], linestyle="", marker="*", markersize=11, color=GOAL_COLOR, markeredgecolor="black")
-    star.set_label(f"goal, state {goal}")
-    return [*handles, star, Patch(color=WALL_COLOR, label="walls, furniture")]
+    return [*handles, star(11, f"goal, state {goal}"), Patch(color=WALL_COLOR, label="walls, furniture")]

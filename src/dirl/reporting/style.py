@@ -1,39 +1,78 @@
-"""The common style of all figures: colours, axes, and how they are saved."""
+"""What all figures share: axes, markers, the room below a map, and how they are saved."""
 
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.ticker import MultipleLocator
 from PIL import Image
 
+from dirl.scenes import Scene
 from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.palette import GOAL_COLOR, WALL_COLOR
+
+LAID_OUT = "tour, laid out"
+"""The source of a scene whose positions are known only by its links."""
 
 
-def tell_cut(axes: Axes, name: str = "y") -> None:
-    """Say in the label of a linear axis that it does not begin at zero, if so.
-
-    Args:
-        axes: whose limits are final.
-        name: ``x`` or ``y``.
-    """
-    axis = axes.xaxis if name == "x" else axes.yaxis
-    low, high = sorted(axis.get_view_interval())
-    if axis.get_scale() == "linear" and low > 0.05 * high:
-        axis.set_label_text(f"{axis.get_label_text()}\n(axis begins at {low:.3g})")
+def tell_cut(axes: Axes) -> None:
+    """Say in the label of the linear x axis, whose limits are final, that it does not begin at zero, if so."""
+    low, high = sorted(axes.xaxis.get_view_interval())
+    if low > 0.05 * high:
+        axes.set_xlabel(f"{axes.get_xlabel()}\n(axis begins at {low:.3g})")
 
 
-def plain(axes: Axes, grid: str = "both") -> None:
-    """A pale grid behind what is drawn, and no frame above and at the right.
-
-    Args:
-        axes: drawn on.
-        grid: ``both``, or the axis that gets grid lines, ``x`` or ``y``.
-    """
-    axes.grid(axis=grid, color="0.9")  # type: ignore[arg-type]
+def plain(axes: Axes) -> None:
+    """A pale grid behind what is drawn, and no frame above and at the right."""
+    axes.grid(color="0.9")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def marker(shape: str, size: float, color: str, edge: str, label: str) -> Line2D:
+    """A marker for a legend."""
+    return Line2D([], [], linestyle="", marker=shape, markersize=size, color=color, markeredgecolor=edge, label=label)
+
+
+def star(size: float, label: str) -> Line2D:
+    """The goal's star for a legend."""
+    return marker("*", size, GOAL_COLOR, "black", label)
+
+
+def has_walls(scene: Scene) -> bool:
+    """Whether what lies between places is a wall or furniture; of a tour it is not known."""
+    return not scene.source.startswith("tour")
+
+
+def draw_room(axes: Axes, scene: Scene, side: float) -> None:
+    """Draw white squares where an agent can be, on the grey of walls and furniture; discs for a tour.
+
+    Args:
+        axes: drawn on; get the limits and labels of the room.
+        scene: the room.
+        side: of a square, metres, see `dirl.scenes.geometry.step_length`.
+    """
+    cells = np.unique(scene.positions.round(3), axis=0)
+    places: list[Patch]
+    if has_walls(scene):
+        places = [Rectangle((x - side / 2, z - side / 2), side, side) for x, z in cells]
+        axes.set_facecolor(WALL_COLOR)
+        edge, order = "0.9", 1.0
+    else:
+        places = [Circle((x, z), 0.25 * side) for x, z in cells]
+        edge, order = "0.6", 1.6
+    axes.add_collection(PatchCollection(places, facecolor="white", edgecolor=edge, linewidth=0.5, zorder=order))
+    low, high = cells.min(0) - side, cells.max(0) + side
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", anchor="N", xlabel="x (m)", ylabel="z (m)")
+    if scene.source == LAID_OUT:
+        axes.set(xlabel="layout of links: distances mean nothing", ylabel="", xticklabels=[], yticklabels=[])
+    axes.xaxis.set_major_locator(MultipleLocator(1))
+    axes.yaxis.set_major_locator(MultipleLocator(1))
 
 
 def write_figure(figure: Figure, file: Path, dpi: int = 120) -> None:

@@ -3,7 +3,13 @@
 import math
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.scenes.io.texts import read_rows
 
 # Heading, key in `dirl.evaluation.metrics`, decimals. With labels of 13 characters a table has 80 columns.
 MEASURES = (
@@ -100,6 +106,12 @@ def scene_names(scene: str | Sequence[str]) -> str:
     """The names of scenes; of many their number, the first and the last."""
     names = [scene] if isinstance(scene, str) else list(scene)
     return ", ".join(names) if len(names) <= NAMED_SCENES else f"{len(names)} scenes, {names[0]} to {names[-1]}"
+
+
+def read_columns(file: Path, *names: str) -> dict[str, NDArray[np.float64]]:
+    """Some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows."""
+    rows = read_rows(file) if file.is_file() else []
+    return {name: np.array([float(row[name] or "nan") for row in rows], float) for name in names}
 
 
 def _heading(summary: Mapping[str, Any]) -> str:

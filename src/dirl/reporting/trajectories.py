@@ -17,12 +17,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from dirl.reporting.rooms import GOAL_COLOR, WALL_COLOR, draw_room
-from dirl.reporting.style import write_figure
+from dirl.reporting.style import draw_room, marker, star, write_figure
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import IntArray, places
-from dirl.scenes.palette import COLORS
+from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
 
 DASHES: tuple[float, Sequence[float]] = (0, (2, 1.2))
 
@@ -126,10 +125,10 @@ def _draw_map(
         handles.append(line)
     _draw_arrows(axes, scene.positions[[goal]], 0.9 * arrows[[goal]], "black", width=1.8, zorder=6)
     axes.plot(*scene.positions[goal], "*", color=GOAL_COLOR, markersize=16, markeredgecolor="black", zorder=6)
-    handles.append(_marker("o", 7, "0.4", "white", "start; arrows: heading"))
+    handles.append(marker("o", 7, "0.4", "white", "start; arrows: heading"))
     if not all(success):
-        handles.append(_marker("X", 10, "0.4", "white", "end of a failed path"))
-    handles.append(_marker("*", 12, GOAL_COLOR, "black", f"goal, state {goal}"))
+        handles.append(marker("X", 10, "0.4", "white", "end of a failed path"))
+    handles.append(star(12, f"goal, state {goal}"))
     handles.append(Patch(color=WALL_COLOR, label="walls, furniture"))
     return handles
 
@@ -182,10 +181,6 @@ def _draw_arrows(axes: Axes, tails: FloatArray, arrows: FloatArray, color: str, 
         headaxislength=4.5,
         zorder=zorder,
     )
-
-
-def _marker(shape: str, size: float, color: str, edge: str, label: str) -> Line2D:
-    return Line2D([], [], linestyle="", marker=shape, markersize=size, color=color, markeredgecolor=edge, label=label)
 
 
 def _draw_views(figure: SubFigure, scene: Scene, goal: int, path: Sequence[int], reached: bool) -> None:
