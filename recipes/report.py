@@ -45,11 +45,8 @@ def main(composed: DictConfig) -> None:
     """Read the runs, measure what they did not, write the report."""
     with one_line_errors():
         options: ReportConfig = typed(composed)
-        of_agents = tested_agents(options)
-        runs = [] if of_agents else chosen(options)
         out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
-        out.mkdir(parents=True, exist_ok=True)
-        print(write_of_agents(options, out) if of_agents else write(options, runs, out))
+        print(write_of_agents(options, out) if tested_agents(options) else write(options, chosen(options), out))
     print(f"report: {out}")
 
 
@@ -95,6 +92,7 @@ def belongs(config: TrainConfig, experiment: ExperimentName | None, usual: tuple
 def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
     """Write the report of an experiment into a folder; returns its text."""
     name, note = options.experiment, describe_runs(runs)
+    out.mkdir(parents=True, exist_ok=True)
     match name:
         case ExperimentName.table1 | ExperimentName.table2:
             return report_performance(name, runs, out, note)

@@ -460,6 +460,7 @@ def test_what_an_agent_cannot_be_measured_in_is_told_in_one_line(tmp_path, argum
     assert errors.startswith("error: ")
     assert told in errors
     assert errors.count("\n") == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["rooms"]
 
 
 def test_an_agent_is_measured_beside_maps(tmp_path):

@@ -69,5 +69,6 @@ def draw_spl(lines: Sequence[Line], names: Sequence[str], out: Path, name: str, 
 
 def save_figure(figure: Figure, out: Path, name: str) -> None:
     """Write a figure as PNG and SVG."""
+    out.mkdir(parents=True, exist_ok=True)
     write_figure(figure, out / f"{name}.png")
     write_figure(figure, out / f"{name}.svg", dpi=100)

@@ -167,6 +167,7 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
         tables: by the name of their file.
         figures: what each shows, for readers who do not see it, by the name of its file.
     """
+    out.mkdir(parents=True, exist_ok=True)
     parts = [f"# {title}", note]
     for name, table in tables.items():
         table.write_csv(out / f"{name}.csv")
