@@ -321,7 +321,7 @@ def test_goals_that_were_held_out_are_reported_beside_controls(any_goal):
     }
     status, printed, errors = run_recipe(any_goal, "report", "experiment=any_goal", "out=report")
     assert status == 0, errors
-    assert "8 states of places that were drawn and never trained" in printed
+    assert "8 states of places that were sampled and never trained" in printed
     rows = {row["walks by"]: row for row in rows_of(any_goal / "report" / "any_goal.csv")}
     assert float(rows["shortest path"]["SPL"]) == 1.0
     summary = summaries(any_goal)["any_goal_0.5_0.5_comparing_0"]["held_out"]
