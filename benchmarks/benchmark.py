@@ -30,12 +30,14 @@ from omegaconf import DictConfig
 from torch.utils.flop_counter import FlopCounterMode
 from tqdm import tqdm
 
-from dirl.cli.command_line import one_line_errors, prepare
+from dirl.cli.command_line import prepare
 from dirl.config.components import check_components
 from dirl.config.places import CONF, HOME
-from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig, typed
+from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig
+from dirl.config.values import typed
 from dirl.experiments.results import Table
 from dirl.models import caching
+from dirl.runs.exits import one_line_exits
 from dirl.runs.folder import Run
 from dirl.runs.memory import peak_memory_mb
 from dirl.scenes.io.atomic import write_json
@@ -64,7 +66,7 @@ SMALL = 256
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="benchmark")
 def main(composed: DictConfig) -> None:
     """Measure, print the tables, write the file."""
-    with one_line_errors():
+    with one_line_exits():
         options: BenchmarkConfig = typed(composed)
         if options.out is not None and Path(options.out).exists():
             raise ConfigError(f"out={options.out}: this file exists already; it is not overwritten")

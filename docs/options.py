@@ -8,10 +8,10 @@ from typing import Annotated, Any, get_args, get_origin
 import yaml
 
 from dirl.cli.command_line import SCHEMAS
-from dirl.cli.meanings import entries
-from dirl.config.components import GROUPS, TARGET, find_class
-from dirl.config.schemas import Schedule, TrainConfig
-from dirl.config.signatures import class_parameters
+from dirl.config.components import GROUPS, TARGET, class_parameters, find_class
+from dirl.config.meanings import entries
+from dirl.config.schemas import Schedule, TrainConfig, Weight
+from dirl.config.values import option_types
 
 CHOICES = ("system", "preset", "goal_view", "source", "logger")
 """The folders of conf/ that hold files to choose from, besides those of components."""
@@ -75,7 +75,7 @@ def words(kind: Any) -> str:
         return " / ".join(kind)
     if kind in WORDS:
         return WORDS[kind]
-    if kind is Schedule:
+    if kind in (Schedule, Weight):
         return "number, or from the first frame to the last"
     inside = get_args(kind)
     return " or ".join(map(words, inside)) if type(None) in inside else "list"
@@ -84,14 +84,17 @@ def words(kind: Any) -> str:
 def groups(schema: type) -> dict[str, tuple[str, dict[str, str]]]:
     """What each group of a schema is, and the types of its options by dotted name; "" holds those of no group."""
     found: dict[str, tuple[str, dict[str, str]]] = {"": ("", {})}
+    types = option_types(schema)
     for option in fields(schema):
         kind: Any = option.default_factory
         if is_dataclass(kind):
-            inside = {f"{option.name}.{field.name}": words(field.type) for field in fields(kind)}
+            inside = {
+                f"{option.name}.{field.name}": words(types[f"{option.name}.{field.name}"]) for field in fields(kind)
+            }
             found[option.name] = ((kind.__doc__ or "").rstrip("."), inside)
         else:
             if option.name not in GROUPS:
-                found[""][1][option.name] = words(option.type)
+                found[""][1][option.name] = words(types[option.name])
     return found
 
 
@@ -168,7 +171,8 @@ def shown(value: Any) -> str:
 
 def recipe_table(file: Path) -> list[str]:
     """The table of options that are all in one file."""
-    return table(groups(SCHEMAS[file.stem])[""][1], {"": [file]})
+    options = groups(SCHEMAS[file.stem])[""][1]
+    return table({name: options[name] for name in entries(file) if name in options}, {"": [file]})
 
 
 def write_page(conf: Path, page: Path) -> None:

@@ -9,7 +9,7 @@
 All options with their values: conf/evaluate/evaluate.yaml.
 """
 
-from dirl.cli.start import run_main, start
+from dirl.cli.start import run_recipe, start
 
 if __name__ == "__main__":
     start("evaluate")  # answers help and refuses options, before the imports below take their time
@@ -19,20 +19,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import hydra
-from omegaconf import DictConfig
 from tqdm import tqdm
 
 from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.backbones.registry import packaged_encoder
-from dirl.cli.command_line import one_line_errors
-from dirl.cli.refusals import checkpoint_file
-from dirl.cli.simulators import load_simulator
+from dirl.cli.refusals import load_simulator
 from dirl.config.choices import goal_view_options, group_options
-from dirl.config.places import CONF
-from dirl.config.schemas import EvaluateConfig, GoalView, typed
+from dirl.config.schemas import EvaluateConfig, GoalView
 from dirl.evaluation.episodes import sampled_starts, shortest_episodes
 from dirl.evaluation.live import Remembered, evaluate_live, shortest_move
 from dirl.evaluation.maps import map_quality, map_scene
@@ -41,8 +36,7 @@ from dirl.models import LocalisingMemory
 from dirl.recognition.build import build_recogniser, matching
 from dirl.reporting import film_scene, run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.checks import RunError
-from dirl.runs.finding import packaged_agent
+from dirl.runs.finding import RunError, packaged_agent
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated
@@ -56,56 +50,52 @@ LIVE_EPISODES = 100
 """Likewise, in a live world."""
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF / "evaluate"), config_name="evaluate")
-def main(composed: DictConfig) -> None:
+def main(options: EvaluateConfig) -> None:
     """Read the checkpoint, run the episodes, print the tables."""
-    with one_line_errors():
-        options: EvaluateConfig = typed(composed)
-        checkpoint = checkpoint_file(options)
-        saved = load_checkpoint(checkpoint)
-        changes = {
-            "scene": options.scene,
-            "split": options.split,
-            "rooms": options.rooms,
-            "goals": options.goals,
-            "source.root": options.root,
-            "device": options.device,
-            "seed": options.seed,
-            "stop.evaluation": options.stop,
-            "stop.threshold": options.threshold,
-            "stop.match": options.match,
-            "episodic_memory": group_options("episodic_memory", options.episodic_memory),
-            "recogniser": group_options("recogniser", options.recogniser),
-            "evaluation.starts": options.starts,
-            "evaluation.episodes_per_goal": options.episodes_per_goal,
-            "evaluation.max_steps": options.max_steps,
-        }
-        given = {name: value for name, value in changes.items() if value is not None}
-        changes = {**goal_view_options(options.goal_view), **given}
-        trained = load_trained(saved, checkpoint, changes, options.trust or [])
-        if options.starts is None:
-            trained = trained._replace(protocol=few_enough(trained.protocol))
-        if options.image_graph is not None:
-            trained = with_map(trained, options.image_graph, options.last_steps)
-        if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:
-            raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
-        facts = describe(trained.config, trained.protocol.world)
-        if packaged_agent(checkpoint) is not None:
-            facts["agent"] = Path(checkpoint).name
-        pages = viewer(trained, facts) if options.viewer else {}
-        live = options.simulator is not None
-        measured = walk_live(trained, options) if live else assess(trained.policy, trained.protocol)
-        result = {"checkpoint": checkpoint, "frames": saved["frames"], **facts, **measured}
-        print(summary_table(result))
-        if options.video:
-            film(trained, facts, run_folder(checkpoint))
-        if options.out is not None:
-            write_json(Path(options.out), result)
-        for name, page in pages.items():
-            file = run_folder(checkpoint) / name
-            replaced = " (in place of the one before)" if file.exists() else ""
-            write_text(file, page)
-            print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+    saved = load_checkpoint(options.checkpoint)
+    changes = {
+        "scene": options.scene,
+        "split": options.split,
+        "rooms": options.rooms,
+        "goals": options.goals,
+        "source.root": options.root,
+        "device": options.device,
+        "seed": options.seed,
+        "stop.evaluation": options.stop,
+        "stop.threshold": options.threshold,
+        "stop.match": options.match,
+        "episodic_memory": group_options("episodic_memory", options.episodic_memory),
+        "recogniser": group_options("recogniser", options.recogniser),
+        "evaluation.starts": options.starts,
+        "evaluation.episodes_per_goal": options.episodes_per_goal,
+        "evaluation.max_steps": options.max_steps,
+    }
+    given = {name: value for name, value in changes.items() if value is not None}
+    changes = {**goal_view_options(options.goal_view), **given}
+    trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
+    if options.starts is None:
+        trained = trained._replace(protocol=few_enough(trained.protocol))
+    if options.image_graph is not None:
+        trained = with_map(trained, options.image_graph, options.last_steps)
+    if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:
+        raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
+    facts = describe(trained.config, trained.protocol.world)
+    if packaged_agent(options.checkpoint) is not None:
+        facts["agent"] = Path(options.checkpoint).name
+    pages = viewer(trained, facts) if options.viewer else {}
+    live = options.simulator is not None
+    measured = walk_live(trained, options) if live else assess(trained.policy, trained.protocol)
+    result = {"checkpoint": options.checkpoint, "frames": saved["frames"], **facts, **measured}
+    print(summary_table(result))
+    if options.video:
+        film(trained, facts, run_folder(options.checkpoint))
+    if options.out is not None:
+        write_json(Path(options.out), result)
+    for name, page in pages.items():
+        file = run_folder(options.checkpoint) / name
+        replaced = " (in place of the one before)" if file.exists() else ""
+        write_text(file, page)
+        print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 
 def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
@@ -136,7 +126,7 @@ def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
     if encoder is None:
         raise RunError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
     navigator = Navigator.load(
-        str(options.checkpoint),
+        options.checkpoint,
         encoder,
         device=config.device,
         trust=options.trust,
@@ -222,4 +212,4 @@ def run_folder(checkpoint: str) -> Path:
 
 
 if __name__ == "__main__":
-    run_main(main)
+    run_recipe("evaluate", main)

@@ -9,21 +9,19 @@ A report is a folder: README.md with the tables, CSV files with the value of eve
 All options with their values: conf/report/report.yaml.
 """
 
-from dirl.cli.start import run_main, start
+from dirl.cli.start import run_recipe, start
 
 if __name__ == "__main__":
     start("report")  # answers help and refuses options, before the imports below take their time
 
 from pathlib import Path
 
-import hydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from dirl.backbones.registry import load_encoder
-from dirl.cli.command_line import one_line_errors
-from dirl.cli.refusals import reported_runs, tested_agents
+from dirl.cli.refusals import OF_AGENTS, reported_runs
 from dirl.config.places import CONF
-from dirl.config.schemas import ExperimentName, ReportConfig, Split, TrainConfig, typed
+from dirl.config.schemas import ExperimentName, ReportConfig, Split, TrainConfig
 from dirl.experiments.any_goal import report_any_goal
 from dirl.experiments.changes import report_changes
 from dirl.experiments.efficiency import report_efficiency
@@ -37,16 +35,14 @@ from dirl.experiments.unseen_rooms import report_unseen_rooms
 from dirl.experiments.walked_once import report_walked_once
 from dirl.models.build import reads_patches
 from dirl.reporting.tables import scene_names
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF / "report"), config_name="report")
-def main(composed: DictConfig) -> None:
+def main(options: ReportConfig) -> None:
     """Read the runs, measure what they did not, write the report."""
-    with one_line_errors():
-        options: ReportConfig = typed(composed)
-        out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
-        print(write_of_agents(options, out) if tested_agents(options) else write(options, chosen(options), out))
+    out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
+    of_agents = options.experiment in OF_AGENTS
+    print(write_of_agents(options, out) if of_agents else write(options, chosen(options), out))
     print(f"report: {out}")
 
 
@@ -65,7 +61,7 @@ def chosen(options: ReportConfig) -> list[Result]:
     return found
 
 
-def belongs(config: TrainConfig, experiment: ExperimentName | None, usual: tuple[float, str]) -> bool:
+def belongs(config: TrainConfig, experiment: ExperimentName, usual: tuple[float, str]) -> bool:
     """Whether a run is what an experiment is about; ``usual`` is which states the expert shows, and by which rule."""
     shown = config.imitation.fraction, config.imitation.rule
     as_usual = config.system != "dirl" or shown == usual
@@ -135,4 +131,4 @@ def describe_runs(runs: list[Result]) -> str:
 
 
 if __name__ == "__main__":
-    run_main(main)
+    run_recipe("report", main)

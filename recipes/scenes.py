@@ -16,7 +16,7 @@
 All options of each command with their values: conf/scenes/<command>.yaml.
 """
 
-from dirl.cli.start import run_main, start
+from dirl.cli.start import run_recipe, start
 
 if __name__ == "__main__":
     command = start("scenes", __doc__)  # answers help and refuses options, before the imports below take their time
@@ -26,48 +26,18 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import hydra
 import numpy as np
-from omegaconf import DictConfig
 from tqdm import tqdm
 
 from dirl.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
-from dirl.cli.command_line import one_line_errors
-from dirl.cli.refusals import (
-    encoder_name,
-    new_file,
-    one_scene,
-    photo_folder,
-    recording_file,
-    room_description,
-    sampled_kinds,
-    simulated_scene,
-    tour_path,
-)
-from dirl.cli.simulators import load_simulator
-from dirl.config.places import CONF
+from dirl.cli.refusals import load_simulator
 from dirl.config.places import command as command_of
-from dirl.config.scene_schemas import (
-    BuildConfig,
-    EncodeConfig,
-    ExportConfig,
-    ImportConfig,
-    InspectConfig,
-    MiniworldConfig,
-    PhotosConfig,
-    RecordingConfig,
-    SampleConfig,
-    SimulatorConfig,
-    ThorConfig,
-    TourConfig,
-    VizdoomConfig,
-)
-from dirl.config.schemas import typed
 from dirl.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.rooms import build_room, read_description
 from dirl.rooms.collect import RoomSettings, make_rooms, missing_rooms
 from dirl.rooms.looks import Changes
+from dirl.rooms.sampling import KINDS
 from dirl.rooms.sheet import draw_sheet, preview
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
@@ -93,60 +63,56 @@ SHEET = 32
 """Random rooms that are shown on one contact sheet at most; a room takes as long as some ten of its views."""
 
 
-def thor(options: ThorConfig) -> None:
+def thor(options: Any) -> None:
     """Take a scene from live AI2-THOR, by way of a folder that a stopped run can continue from."""
-    out = new_file(options.out)
-    scene = simulated_scene(options)
+    out = Path(options.out)
     encoder = chosen_encoder(options)
     settings = {name: getattr(options, name) for name in ("scene", "step", "height", "width", "field_of_view")}
     folder = out.with_suffix(".taken")
     simulator = start_simulator(**settings, headless=options.headless)
     for problem in take_views(simulator, folder, settings=settings):
         print(f"left out: {problem}")
-    write_photos(folder, out, scene, "thor", (options.height, options.width), encoder)
+    write_photos(folder, out, options.scene, "thor", (options.height, options.width), encoder)
     print(f"{folder} is no longer needed")
 
 
-def vizdoom(options: VizdoomConfig) -> None:
+def vizdoom(options: Any) -> None:
     """Take a scene from a map of VizDoom."""
-    map_ = simulated_scene(options)
-    write_simulated(VizDoom(map_, wad=options.wad, height=options.height, width=options.width), options, "vizdoom")
+    write_simulated(
+        VizDoom(options.map, wad=options.wad, height=options.height, width=options.width), options, "vizdoom"
+    )
 
 
-def miniworld(options: MiniworldConfig) -> None:
+def miniworld(options: Any) -> None:
     """Take a scene from an environment of MiniWorld."""
     camera = {name: getattr(options, name) for name in ("seed", "height", "width", "field_of_view")}
-    write_simulated(MiniWorld(simulated_scene(options), **camera), options, "miniworld")
+    write_simulated(MiniWorld(options.env, **camera), options, "miniworld")
 
 
-def simulator(options: SimulatorConfig) -> None:
+def simulator(options: Any) -> None:
     """Take a scene from a simulator of the user's own."""
-    write_simulated(load_simulator(simulated_scene(options)), options, "simulator")
+    write_simulated(load_simulator(options.simulator), options, "simulator")
 
 
-def write_simulated(
-    simulator: Simulator, options: VizdoomConfig | MiniworldConfig | SimulatorConfig, source: str
-) -> None:
+def write_simulated(simulator: Simulator, options: Any, source: str) -> None:
     """A dump of the scene that a simulator has started with."""
-    out = new_file(options.out)
     encoder = chosen_encoder(options)
     scene, views = take_scene(simulator, source=source, step=options.step, turn=options.turn, most=options.places)
-    write_encoded(out, scene, views, encoder)
+    write_encoded(Path(options.out), scene, views, encoder)
 
 
-def photos(options: PhotosConfig) -> None:
+def photos(options: Any) -> None:
     """Make a dump from photographs."""
-    out = new_file(options.out)
-    folder, shape = Path(photo_folder(options)), (options.height, options.width)
-    write_photos(folder, out, options.name, "photos", shape, chosen_encoder(options))
+    shape = (options.height, options.width)
+    write_photos(Path(options.folder), Path(options.out), options.name, "photos", shape, chosen_encoder(options))
 
 
-def recording(options: RecordingConfig) -> None:
+def recording(options: Any) -> None:
     """Unpack a robot's recording into a folder of photographs."""
     names = ("images", "positions", "step", "first_heading", "clockwise")
     chosen = {name: getattr(options, name) for name in names}
-    folder = new_file(options.out, ending="")
-    print(unpack_recording(recording_file(options), folder, axes=list(options.axes), **chosen))
+    folder = Path(options.out)
+    print(unpack_recording(options.file, folder, axes=list(options.axes), **chosen))
     print(f"go on with: {command_of('scenes')} photos folder={folder} out={folder}.h5")
 
 
@@ -161,10 +127,10 @@ def write_photos(
     write_encoded(out, scene, views, encoder)
 
 
-def tour(options: TourConfig) -> None:
+def tour(options: Any) -> None:
     """Make a dump from a 360-degree tour."""
-    out = new_file(options.out)
-    found = read_tour(tour_path(options), reach=options.reach, skip=options.skip)
+    out = Path(options.out)
+    found = read_tour(options.path, reach=options.reach, skip=options.skip)
     chosen = {name: getattr(options, name) for name in ("headings", "tolerance", "step", "name")}
     made = tour_scene(found, **chosen)
     encoder = chosen_encoder(options)
@@ -211,11 +177,11 @@ def _looks(values: np.ndarray, states: int) -> np.ndarray | None:
     return values[states:].reshape(-1, states, *values.shape[1:]) if len(values) > states else None
 
 
-def build(options: BuildConfig) -> None:
+def build(options: Any) -> None:
     """Build a synthetic room from its description."""
-    out = new_file(options.out)
+    out = Path(options.out)
     problems = build_room(
-        room_description(options),
+        options.description,
         out,
         size=(options.height, options.width),
         turn=options.turn,
@@ -225,14 +191,14 @@ def build(options: BuildConfig) -> None:
         encoder=chosen_encoder(options),
         provenance=options.provenance or "",
     )
-    scene = read_scene(str(out))
+    scene = load_scenes(str(out))[0]
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
     print("\n".join(["problems:", *(f"- {problem}" for problem in problems)] if problems else ["no problems found"]))
 
 
-def sample(options: SampleConfig) -> None:
+def sample(options: Any) -> None:
     """Furnish random rooms and build them into a collection, each with its description; those that are there stay."""
-    folder, kinds = sampled_kinds(options)
+    folder, kinds = Path(options.out), [kind for kind in KINDS if options.kind in (kind, "all")]
     values = {field.name: getattr(options, field.name) for field in fields(RoomSettings)}
     settings = RoomSettings(**{**values, "changes": Changes(**vars(options.changes))})
     seeds = range(options.seed, options.seed + options.count)
@@ -270,11 +236,11 @@ def sampled(entry: Entry) -> list[str]:
     ]
 
 
-def encode(options: EncodeConfig) -> None:
+def encode(options: Any) -> None:
     """Compute the features of a dump anew, from its stored views."""
-    out = new_file(options.out)
-    scene = read_scene(options.scene)
-    encoder = load_encoder(encoder_name(options), options.device, precision=options.precision, patches=options.patches)
+    out = Path(options.out)
+    scene = load_scenes(options.scene)[0]
+    encoder = load_encoder(options.encoder, options.device, precision=options.precision, patches=options.patches)
     features, patches = encode_scene(scene, encoder)
     assert scene.views is not None
     replace_features(scene.views.path, out, features, encoder.attributes, patches, encoder.patch_attributes)
@@ -282,18 +248,18 @@ def encode(options: EncodeConfig) -> None:
     print(f"{out}: {len(scene)} states, {of_each}\nextractor: {encoder.extractor}")
 
 
-def export(options: ExportConfig) -> None:
+def export(options: Any) -> None:
     """Write a scene in the layout of other navigation code."""
-    out = new_file(options.out)
-    scene = read_scene(options.scene)
+    out = Path(options.out)
+    scene = load_scenes(options.scene)[0]
     export_icra17(scene, out)
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
 
 
-def take_over(options: ImportConfig) -> None:
+def take_over(options: Any) -> None:
     """Take over a dump in the published layout."""
-    out = new_file(options.out)
-    scene = read_scene(options.scene)
+    out = Path(options.out)
+    scene = load_scenes(options.scene)[0]
     goals = scene.goals if options.goals is None else tuple(options.goals)
     scene = replace(scene, name=options.name or scene.name, source=options.source or scene.source, goals=goals)
     views = scene.views
@@ -302,10 +268,9 @@ def take_over(options: ImportConfig) -> None:
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
 
 
-def inspect(options: InspectConfig) -> None:
+def inspect(options: Any) -> None:
     """Look at a scene and check it."""
-    folder = None if options.out is None else new_file(options.out, ending="")
-    scene = read_scene(options.scene)
+    scene = load_scenes(options.scene)[0]
     found = inspect_scene(scene, threshold=options.threshold, match=options.match)
     print(
         "\n".join([f"| {scene.name} | |", "|---|---|", *(f"| {key} | {text} |" for key, text in found.facts.items())])
@@ -324,8 +289,8 @@ def inspect(options: InspectConfig) -> None:
             cell = "-" if own is None else f"{own[index]:.4%}"
             print(f"| {THRESHOLDS[index]:.2f} | {found.false_stops[index]:.4%} | {cell} |")
     print("\n".join(["", "problems:" if found.problems else "no problems found", *(f"- {p}" for p in found.problems)]))
-    if folder is not None:
-        draw_inspection(scene, found, folder, options.threshold)
+    if options.out is not None:
+        draw_inspection(scene, found, Path(options.out), options.threshold)
 
 
 def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: float) -> None:
@@ -341,17 +306,10 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     print(f"\npictures: {folder}")
 
 
-def chosen_encoder(
-    options: ThorConfig | VizdoomConfig | MiniworldConfig | SimulatorConfig | PhotosConfig | TourConfig | BuildConfig,
-) -> ViewEncoder | None:
+def chosen_encoder(options: Any) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names."""
-    patches = isinstance(options, PhotosConfig | TourConfig) and options.patches
+    patches = getattr(options, "patches", False)
     return None if options.encoder is None else load_encoder(options.encoder, options.device, patches=patches)
-
-
-def read_scene(name: str | None) -> Scene:
-    """The scene that an option ``scene`` names."""
-    return load_scenes(one_scene(name))[0]
 
 
 COMMANDS: dict[str, Callable[[Any], None]] = {
@@ -373,11 +331,4 @@ COMMANDS: dict[str, Callable[[Any], None]] = {
 
 
 if __name__ == "__main__":
-
-    @hydra.main(version_base="1.3", config_path=str(CONF / "scenes"), config_name=command)
-    def main(composed: DictConfig) -> None:
-        """Run the command."""
-        with one_line_errors():
-            COMMANDS[command](typed(composed))
-
-    run_main(main)
+    run_recipe("scenes", COMMANDS[command], command)

@@ -18,7 +18,7 @@ from dirl.backbones import load_encoder
 from dirl.config.schemas import ConfigError
 from dirl.reporting.sharing import model_card, push_to_hub, save_pretrained
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 
 MEASURES = {"atl": 6.5, "atl_success": 6.5, "sr": 1.0, "spl": 0.875, "shortest": 6.0, "false_stop_rate": 0.0}
 MEASURES |= {"missed_stop_rate": 0.0, "episodes": 46}

@@ -7,10 +7,11 @@ import pytest
 from commands import ROOT, run_program, run_recipe, train_config
 from omegaconf import OmegaConf
 
-from dirl.cli.command_line import SCHEMAS, one_line_errors, option_types, prepare
-from dirl.config.components import in_words
+from dirl.cli.command_line import SCHEMAS, prepare
 from dirl.config.saved import RENAMED
 from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, TrainConfig
+from dirl.config.values import in_words, option_types
+from dirl.runs.exits import one_line_exits
 
 CONF = ROOT / "conf"
 
@@ -151,13 +152,13 @@ def test_an_error_in_the_input_ends_the_program_and_its_empty_folder(tmp_path):
     folder = tmp_path / "runs" / "dirl" / "now"
     folder.mkdir(parents=True)
     (tmp_path / "other").touch()
-    with pytest.raises(SystemExit, match=r"^error: no such thing$"), one_line_errors(folder):
+    with pytest.raises(SystemExit, match=r"^error: no such thing$"), one_line_exits(folder=folder):
         raise ValueError("no such thing")
     assert [entry.name for entry in tmp_path.iterdir()] == ["other"]
 
 
 def test_an_error_of_the_program_keeps_its_traceback():
-    with pytest.raises(KeyError), one_line_errors():
+    with pytest.raises(KeyError), one_line_exits():
         raise KeyError("a bug")
 
 

@@ -46,7 +46,7 @@ def dirl(folder, *arguments, **environment):
         (["train", "--help"], "  width: 512                          # of the hidden layer"),
         (["evaluate", "--help"], "slip: 0.0                             # live only: the probability that an action"),
         (["train", "--help", "encoder.width=77"], "width: 77"),
-        (["scenes", "--help"], "  inspect  look at a scene and check it"),
+        (["scenes", "--help"], "  inspect    Look at a scene and check it"),
         (["train", "--cfg", "job", "seed=7"], "seed: 7"),
         (["--version"], "."),
     ],
@@ -67,8 +67,6 @@ def test_help_names_the_command_and_needs_no_torch(tmp_path, arguments, told):
         (["train", "seed=x"], "seed=x: must be a whole number"),
         (["train", "scene=all", "reward.goal=-1e300"], "reward.goal=-1e+300: must be between -1000000 and 1000000"),
         (["train", "scene=all", "reinforcement.gamma=2"], "reinforcement.gamma=2.0: must be between 0 and 1"),
-        (["train", "scene=all", "encoder.widht=8"], "there is no option 'encoder.widht'; did you mean encoder.width?"),
-        (["train", "scene=all", "heads.width=0"], "heads.width=0: must be between 1 and 65536"),
         (["train", "scene=bathrom_02"], "there is no scene 'bathrom_02' (did you mean 'bathroom_02'?)"),
         (["train"], "no scene is named; choose e.g. scene=bathroom_02"),
         (["benchmark", "repeats=0"], "repeats=0: must be at least 1"),
@@ -82,21 +80,21 @@ def test_help_names_the_command_and_needs_no_torch(tmp_path, arguments, told):
         ),
         (["train", "scene=bathroom_02", "goals=[26,26]"], "bathroom_02: a goal is named twice in [26, 26]"),
         (["train", "scene=all", "goals={kitchen_02:[1,1]}"], "kitchen_02: a goal is named twice in [1, 1]"),
-        (["evaluate"], "name what to evaluate: checkpoint=<the folder of a run, or a .pt file in one>"),
+        (["evaluate"], "checkpoint must be given: the folder of a run, or a .pt file in one"),
         (["evaluate", "checkpoint=nowhere"], "nowhere: holds no checkpoint"),
         (["evaluate", "checkpoint=general", "out=/"], "out=/: this file exists already"),
-        (["report"], "name what to report: experiment=<one of table1, "),
+        (["report"], "experiment must be given: table1 | "),
         (
             ["report", "experiment=fig8", "runs=nowhere"],
             "nowhere/fast: holds no finished run; make some by: dirl",
         ),
-        (["scenes", "thor", "out=x.h5"], "name a scene of AI2-THOR"),
+        (["scenes", "thor", "out=x.h5"], "scene must be given: e.g. FloorPlan401"),
         (["scenes", "photos", "folder=nowhere", "out=x.h5"], "nowhere: holds no states.csv"),
-        (["scenes", "tour", "out=x.h5"], "name the tour: path="),
+        (["scenes", "tour", "out=x.h5"], "path must be given: the folder of the tour"),
         (["scenes", "build", "description=nothing", "out=x.h5"], "there is no built-in room 'nothing'"),
         (["scenes", "sample", "out=x", "kind=garage"], "kind: there is no 'garage'"),
         (["scenes", "encode", "scene=bathroom_02", "out=x"], "out=x: the name must end in .h5"),
-        (["scenes", "encode", "scene=bathroom_02"], "say where to write: out="),
+        (["scenes", "encode", "scene=bathroom_02"], "out must be given: the dump to write"),
         (["scenes", "export", "scene=nothing", "out=x.h5"], "there is no scene 'nothing'"),
         (["scenes", "inspect", "scene=nothing"], "there is no scene 'nothing'"),
         (["copy", "train"], "say which recipe to copy"),
@@ -110,6 +108,19 @@ def test_a_refusal_is_one_line_and_needs_no_torch(tmp_path, arguments, told):
     assert errors.startswith(f"error: {told}")
     assert "\n" not in errors
     assert (printed, torch) == ("", False)
+
+
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ("encoder.widht=8", "there is no option 'encoder.widht'; did you mean encoder.width?"),
+        ("heads.width=0", "heads.width=0: must be between 1 and 65536"),
+    ],
+)
+def test_an_option_that_a_component_refuses_is_one_line_and_leaves_no_folder(tmp_path, option, told):
+    printed, errors, _ = dirl(tmp_path, "train", "scene=all", option)
+    assert (printed, errors) == ("", f"error: {told}")
+    assert list((tmp_path).iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def test_a_seed_draws_the_same_options():
         (["hydra.nope=1"], "error: Could not override 'hydra.nope'"),
         (["hydra/launcher=nope"], "error: In 'hydra/config': Could not find 'hydra/launcher/nope'"),
         (["seed=${nope}"], "error: seed: Interpolation key 'nope' not found"),
-        (["seed=???"], "error: seed: Structured config of type `TrainConfig` has missing mandatory value: seed"),
+        (["seed=???"], "error: seed must be given: determines everything"),
         (["reward.goal=${oc.decode:'inf'}"], "error: reward.goal=inf: must be between -1000000 and 1000000"),
         (["--nope"], "error: unrecognized arguments: --nope; --hydra-help tells the flags"),
         (["seed=1", "-m", "preset=fast"], "error: unrecognized arguments: preset=fast; flags such as -m come before"),

@@ -9,9 +9,16 @@ from commands import train_config
 from torch import nn
 
 from dirl.config.bounds import Bounds
-from dirl.config.components import check_components, components, find_class, make, packages_to_trust, schedules
+from dirl.config.components import (
+    check_components,
+    class_parameters,
+    components,
+    find_class,
+    make,
+    packages_to_trust,
+    schedules,
+)
 from dirl.config.schemas import ConfigError, Schedule
-from dirl.config.signatures import class_parameters
 from dirl.models import SiameseEncoder
 
 
@@ -64,6 +71,17 @@ def test_a_class_is_made_of_its_options_and_of_what_it_is_offered(target):
     assert made.options == (7, 2, 1, "max", None, False)
 
 
+def test_a_parameter_without_annotation_takes_anything(monkeypatch):
+    class Plain(nn.Module):
+        def __init__(self, width):
+            super().__init__()
+            self.width = width
+
+    monkeypatch.setattr(Plain, "__module__", "house")
+    monkeypatch.setattr(sys.modules["house"], "Plain", Plain, raising=False)
+    assert [make("encoder", {"_target_": "house.Plain", "width": value}).width for value in (3, "x")] == [3, "x"]
+
+
 def test_nothing_is_made_where_no_class_is_named():
     assert make("memory", {"_target_": None}) is None
 
@@ -77,8 +95,8 @@ def test_options_handed_on_are_those_of_the_base():
     ("options", "told"),
     [
         ({"dept": 3}, "there is no option 'encoder.dept'; did you mean encoder.depth?"),
-        ({"xyz": 3}, "there is no option 'encoder.xyz'; Mine takes depth, rate, kind, name, gated"),
-        ({"num_features": 3}, "there is no option 'encoder.num_features'; Mine takes"),
+        ({"xyz": 3}, "there is no option 'encoder.xyz'; choose from depth, rate, kind, name, gated"),
+        ({"num_features": 3}, "there is no option 'encoder.num_features'; choose from"),
         ({"depth": 1.5}, "encoder.depth=1.5: must be a whole number"),
         ({"depth": True}, "encoder.depth=True: must be a whole number"),
         ({"depth": None}, "encoder.depth=null: must be a whole number"),

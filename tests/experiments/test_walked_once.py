@@ -17,7 +17,7 @@ from dirl.experiments import walked_once
 from dirl.models import LocalisingMemory
 from dirl.recognition.matching import TemplateStop
 from dirl.recognition.tables import VisitScores
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 from dirl.scenes import make_world, read_dump, write_dump
 from dirl.training.load import Trained
 

@@ -10,7 +10,8 @@ from hydra import compose, initialize_config_dir
 from rooms import grid_scene
 
 from dirl.cli.command_line import prepare, register
-from dirl.config.schemas import TrainConfig, typed
+from dirl.config.schemas import TrainConfig
+from dirl.config.values import typed
 from dirl.scenes import write_dump
 
 TINY = [

@@ -6,7 +6,8 @@ from typing import get_args
 
 from forks import ROOT
 
-from dirl.cli.command_line import SCHEMAS, option_types
+from dirl.cli.command_line import SCHEMAS
+from dirl.config.values import option_types
 
 CONF = ROOT / "conf"
 

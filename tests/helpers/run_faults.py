@@ -16,8 +16,7 @@ from injection import KINDS, Faults
 from spoilt_checkpoints import spoil_bytes, spoil_contents
 
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
-from dirl.runs.checks import RunError
-from dirl.runs.finding import is_finished, training_checkpoints
+from dirl.runs.finding import RunError, is_finished, training_checkpoints
 
 TIMES = ("seconds", "frames_per_second", "peak_memory_mb")
 """What differs from run to run."""

@@ -18,8 +18,9 @@ from tours import Camera360, grid_truth, turned, write_table
 
 from dirl.backbones import ResNet50
 from dirl.cli.command_line import SCHEMAS, choose_command, prepare, register
-from dirl.config.scene_schemas import MEANINGS
-from dirl.config.schemas import ConfigError, Match, typed
+from dirl.cli.start import checked
+from dirl.config.scene_schemas import command_meanings
+from dirl.config.schemas import ConfigError, Match
 from dirl.recognition.diagnostics import inspect_scene
 from dirl.rooms.checks import far_apart
 from dirl.scenes import SceneError, load_scenes, make_world, read_dump, write_dump
@@ -44,11 +45,11 @@ def room(here):
 def run(line):
     """What the recipe does with a command line, without a process of its own."""
     register()
-    command, arguments = choose_command(MEANINGS, shlex.split(line), "")
+    command, arguments = choose_command(dict.fromkeys(COMMANDS, ""), shlex.split(line), "")
     arguments = prepare(SCHEMAS[command], arguments)
     with initialize_config_dir(str(ROOT / "conf" / "scenes"), version_base="1.3"):
-        options = typed(compose(command, arguments))
-    COMMANDS[command](options)
+        composed = compose(command, arguments)
+    COMMANDS[command](checked(f"scenes/{command}", composed))
 
 
 def test_photographs_with_further_shots_become_a_place_that_changes(here, capsys):
@@ -72,7 +73,7 @@ def test_photographs_with_further_shots_become_a_place_that_changes(here, capsys
 
 def test_help_lists_the_commands_and_each_has_its_own(tmp_path):
     _, printed, _ = run_recipe(tmp_path, "scenes", "--help")
-    assert all(f"  {command:<8} {MEANINGS[command]}" in printed for command in COMMANDS)
+    assert all(f"  {command:<10} {meaning}" in printed for command, meaning in command_meanings().items())
     status, printed, _ = run_recipe(tmp_path, "scenes", "photos", "--help")
     assert status == 0
     assert "python recipes/scenes.py photos folder=my_office" in printed
@@ -108,9 +109,9 @@ def test_a_mistyped_command_is_told_its_neighbour(name, says):
     ("line", "says"),
     [
         ("encode sceen=a.h5", "there is no option 'sceen'; did you mean scene?"),
-        ("encode scene=room.h5 out=new.h5 encoder=null", "name the encoder: encoder=resnet50"),
-        ("sample kind=bedroom", "say where to write: out=<a folder>"),
-        ("sample out=new", "name a kind of room: kind=<bathroom |"),
+        ("encode scene=room.h5 out=new.h5 encoder=null", "encoder=null: encode needs one"),
+        ("sample kind=bedroom", "out must be given: the collection"),
+        ("sample out=new", "kind must be given: bathroom |"),
         ("sample kind=bedrom out=new", "kind: there is no 'bedrom'; did you mean 'bedroom'?"),
         ("sample kind=bedroom out=new count=0", "count=0: must be at least 1"),
         ("sample kind=bedroom out=room.h5", "room.h5: is there already, and is no collection"),
@@ -118,12 +119,12 @@ def test_a_mistyped_command_is_told_its_neighbour(name, says):
         ("encode scene=room.h5 out=room.h5 encoder=x", "out=room.h5: this file exists already"),
         ("export scene=bathrom_02 out=new.h5", "there is no scene 'bathrom_02' (did you mean 'bathroom_02'?)"),
         ("export scene=room.h5 out=new.zip", "out=new.zip: the name must end in .h5"),
-        ("import out=new.h5", "name a scene: scene=<a dump"),
+        ("import out=new.h5", "scene must be given: a dump"),
         ("photos folder=. out=new.h5", "holds no states.csv"),
-        ("thor out=new.h5", "name a scene of AI2-THOR"),
-        ("vizdoom out=new.h5", "name a map: map=map01"),
-        ("miniworld out=new.h5", "name an environment of MiniWorld: env=FourRooms"),
-        ("simulator out=new.h5", "name the simulator: simulator=<a YAML file"),
+        ("thor out=new.h5", "scene must be given: e.g. FloorPlan401"),
+        ("vizdoom out=new.h5", "map must be given: map01"),
+        ("miniworld out=new.h5", "env must be given: e.g. FourRooms"),
+        ("simulator out=new.h5", "simulator must be given: a YAML file"),
         ("simulator simulator=nope.yaml out=new.h5", "simulator=nope.yaml: there is no such file"),
         ("thor scene=FloorPlan1 out=new.h5 step=0", "step=0.0: must be between 0.05 and 10"),
     ],
@@ -194,7 +195,7 @@ def test_a_tour_becomes_a_dump(here, capsys):
     assert (np.abs(off) < 5).sum() >= 28  # not where white follows black
     with pytest.raises(SceneError, match="headings=6: must be a multiple of four"):
         run("tour path=hall out=new.h5 headings=6 encoder=null")
-    with pytest.raises(ConfigError, match="name the tour: path="):
+    with pytest.raises(ConfigError, match="path must be given: the folder of the tour"):
         run("tour out=new.h5")
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dirl.runs.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 
 STATE = {
     "frames": 7,

@@ -12,8 +12,7 @@ from rooms import grid_scene
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.stability import WINDOW, EpisodeMeter
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
-from dirl.runs.checks import RunError
-from dirl.runs.finding import training_checkpoints
+from dirl.runs.finding import RunError, training_checkpoints
 from dirl.runs.folder import Run, open_run
 from dirl.scenes import make_world
 

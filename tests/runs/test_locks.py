@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 from dirl.runs.locks import FolderLock, RunningError, claim
 
 HOLD = "import sys, time; from pathlib import Path; from dirl.runs.locks import FolderLock; "

@@ -14,7 +14,7 @@ from dirl.config.schemas import ConfigError
 from dirl.models import plain_weights
 from dirl.runs import ranks
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 from dirl.training.build import build_env
 from dirl.training.pairs import DrawnPairs
 

@@ -5,8 +5,8 @@ import torch
 from torch import nn
 
 from dirl.envs import NavigationEnv
-from dirl.runs.checks import RunError
-from dirl.runs.states import check_agents, check_fits, check_optimiser, check_random_state, check_training
+from dirl.runs.finding import RunError
+from dirl.runs.states import check_agents, check_fits, check_optimiser, check_random_state, check_state
 from dirl.scenes import make_world
 
 
@@ -76,7 +76,7 @@ def test_an_optimiser_that_does_not_fit_is_told(optimiser, spoil, told):
     ],
 )
 def test_a_state_that_does_not_fit_is_told_where(saved, fresh):
-    with pytest.raises(RunError, match=r"^file: meter\.x\[0\]: expected "):
+    with pytest.raises(RunError, match=r"^file: meter\.x\[0\](\[1\])?: expected "):
         check_fits({"x": [saved]}, {"x": [fresh]}, "file: meter")
 
 
@@ -114,15 +114,16 @@ def test_a_training_that_has_begun_has_a_used_optimiser(scene, optimiser):
         "trained": 2,
         "meter": {"steps": [[3, 4], []], "totals": [7, 0]},
     }
-    check_training(state, {**state, "frames": 0, "trained": 0}, env, fresh, "a")
+    check_state(state, {**state, "frames": 0, "trained": 0}, fresh, "a", 9, env)
     for change in ({"optimiser": fresh.state_dict()}, {"random": {}}, {"agents": {}}, {"frames": -1}):
         with pytest.raises(RunError, match=r"^a: "):
-            check_training(state | change, state, env, fresh, "a")
+            check_state(state | change, state, fresh, "a", 9, env)
     for steps in ([[], []], [[3, 5], []], [[], [3, 4]]):
+        spoilt = state | {"meter": state["meter"] | {"steps": steps}}
         with pytest.raises(RunError, match=r"^a: meter: the lengths of the latest episodes do not add up"):
-            check_training(state | {"meter": state["meter"] | {"steps": steps}}, state | {"meter": {}}, env, fresh, "a")
+            check_state(spoilt, state | {"meter": {}}, fresh, "a", 9, env)
     with pytest.raises(RunError, match="it lacks agents, meter, random, trained"):
-        check_training({"frames": 9, "optimiser": {}}, state, env, fresh, "a")
+        check_state({"frames": 9, "optimiser": {}}, state, fresh, "a", 9, env)
 
 
 def test_random_states_are_tried():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from live_walks import walk
 
-from dirl.cli.simulators import load_simulator
+from dirl.cli.refusals import load_simulator
 from dirl.config.schemas import ConfigError
 from dirl.scenes import read_dump, write_dump
 from dirl.scenes.live import Pose

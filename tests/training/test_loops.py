@@ -5,7 +5,7 @@ from commands import room_file
 from parts import make_parts, train_in
 
 from dirl.config.schemas import ConfigError
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "evaluation.times=0"]
 SMALL += ["reinforcement.frames_per_scene=2000"]

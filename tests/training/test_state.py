@@ -11,7 +11,7 @@ from torch import nn
 from train import imitate, learn
 
 from dirl.config.schemas import Schedule
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 from dirl.runs.folder import Run
 from dirl.training.losses import Losses, ScheduledLoss
 from dirl.training.state import restore_random_state

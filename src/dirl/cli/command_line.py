@@ -1,10 +1,7 @@
 """The command-line interface of the recipes: names for Hydra, and errors of one line."""
 
 import difflib
-import os
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -18,44 +15,27 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config.components import GROUPS, in_words
+from dirl.config.components import GROUPS
 from dirl.config.saved import RENAMED
-from dirl.config.scene_schemas import (
-    BuildConfig,
-    EncodeConfig,
-    ExportConfig,
-    ImportConfig,
-    InspectConfig,
-    MiniworldConfig,
-    PhotosConfig,
-    RecordingConfig,
-    SampleConfig,
-    SimulatorConfig,
-    ThorConfig,
-    TourConfig,
-    VizdoomConfig,
+from dirl.config.scene_schemas import COMMANDS
+from dirl.config.schemas import (
+    BenchmarkConfig,
+    ConfigError,
+    EvaluateConfig,
+    ReportConfig,
+    Schedule,
+    TrainConfig,
+    Weight,
 )
-from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, ReportConfig, Schedule, TrainConfig
-from dirl.runs.exits import speaks
+from dirl.config.values import check_choice, in_words, option_types
+from dirl.runs.exits import one_line
 
 SCHEMAS = {
     "train": TrainConfig,
     "evaluate": EvaluateConfig,
     "report": ReportConfig,
     "benchmark": BenchmarkConfig,
-    "thor": ThorConfig,
-    "vizdoom": VizdoomConfig,
-    "miniworld": MiniworldConfig,
-    "simulator": SimulatorConfig,
-    "photos": PhotosConfig,
-    "recording": RecordingConfig,
-    "tour": TourConfig,
-    "build": BuildConfig,
-    "sample": SampleConfig,
-    "encode": EncodeConfig,
-    "export": ExportConfig,
-    "import": ImportConfig,
-    "inspect": InspectConfig,
+    **COMMANDS,
 }
 """What each recipe, or command of ``recipes/scenes.py``, takes; its file in ``conf/`` names it ``<key>_schema``."""
 
@@ -74,17 +54,6 @@ def _run_folder(resume: str | None, system: str, scene: Any, time: str) -> str:
     return resume or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
 
 
-def option_types(schema: type, prefix: str = "") -> dict[str, Any]:
-    """The types of all options of a configuration, by their dotted names."""
-    types: dict[str, Any] = {}
-    for option in fields(schema):
-        kind = option.default_factory if callable(option.default_factory) else option.type
-        types[prefix + option.name] = kind
-        if is_dataclass(kind):
-            types |= option_types(kind, f"{prefix}{option.name}.")  # type: ignore[arg-type]
-    return types
-
-
 def choose_command(commands: Mapping[str, str], arguments: Sequence[str], text: str) -> tuple[str, list[str]]:
     """The command that a command line begins with, and what follows it.
 
@@ -98,14 +67,11 @@ def choose_command(commands: Mapping[str, str], arguments: Sequence[str], text: 
         SystemExit: help was asked for.
     """
     if not arguments or arguments[0] in ("--help", "-h"):
-        lines = [f"  {name:<8} {meaning}" for name, meaning in commands.items()]
+        lines = [f"  {name:<10} {meaning}" for name, meaning in commands.items()]
         print("\n".join([text.strip(), "", *lines, "", "<command> --help tells the options of one."]))
         raise SystemExit(0)
     name, *rest = arguments
-    if name not in commands:
-        near = difflib.get_close_matches(name, commands, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(commands)}"
-        raise ConfigError(f"there is no command '{name}'; {hint}")
+    check_choice(f"command '{name}'", name, commands)
     return name, rest
 
 
@@ -149,7 +115,7 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
             prepared.append(text if text.startswith(("+", "~")) else f"++{text}")
         else:
             _check_name(known, name)
-            constant = _constant(name, override) if known[name] is Schedule else text
+            constant = _constant(name, override) if known[name] in (Schedule, Weight) else text
             prepared.append(constant)
             if constant == text:
                 _check_value(trial, name, known[name], override)
@@ -206,10 +172,8 @@ def _check_choice(group: str, override: Override, folders: Sequence[Path]) -> No
     choices = sorted({file.stem for folder in folders for file in (folder / group).glob("*.yaml")})
     for one in _values(override):
         for choice in one if isinstance(one, list) else [one]:
-            if choice is not None and str(choice) not in choices:
-                near = difflib.get_close_matches(str(choice), choices, n=1)
-                hint = f"did you mean {group}={near[0]}?" if near else f"choose from {', '.join(choices)}"
-                raise ConfigError(f"there is no {group}={choice}; {hint}")
+            if choice is not None:
+                check_choice(f"{group}={choice}", str(choice), choices, f"{group}=")
 
 
 def _check_name(known: Mapping[str, Any], name: str) -> None:
@@ -257,38 +221,3 @@ def _check_value(trial: DictConfig, name: str, kind: Any, override: Override) ->
         except OmegaConfBaseException:
             shown = "null" if given is None else given
             raise ConfigError(f"{name}={shown}: must be {in_words(kind)}") from None
-
-
-def one_line(text: str, most: int = 300) -> str:
-    """A text without line breaks and other control characters, cut in the middle if it is longer than ``most``."""
-    plain = "".join(sign if sign.isprintable() else " " for sign in " ".join(text.split()))
-    return plain if len(plain) <= most else f"{plain[: most // 2]} ... {plain[-most // 2 :]}"
-
-
-@contextmanager
-def job_errors(folder: Path) -> Iterator[None]:
-    """Within this context an error of one job of a sweep is reported at once, with its folder; Hydra keeps it.
-
-    Hydra runs the other jobs, and reports only at the end why the first of the failed jobs failed.
-    """
-    try:
-        yield
-    except Exception as error:
-        print(f"failed: {folder}: {error}", file=sys.stderr, flush=True)
-        raise
-
-
-@contextmanager
-def one_line_errors(folder: Path | None = None) -> Iterator[None]:
-    """Within this context an error in the user's input ends the program with its message, without a traceback.
-
-    Args:
-        folder: made by Hydra beforehand; deleted again if nothing has been written there.
-    """
-    try:
-        yield
-    except (ValueError, HydraException) as error:
-        if folder is not None:
-            with suppress(OSError):
-                os.removedirs(folder)
-        raise SystemExit(f"error: {one_line(str(error), 2000)}" if speaks() else 1) from None

@@ -3,7 +3,7 @@
 Nothing here imports torch, nor does `dirl.cli.start`: help, refused options and shell completion answer at once.
 """
 
-import difflib
+import importlib.metadata
 import os
 import runpy
 import sys
@@ -16,6 +16,9 @@ OTHERS = {
     "copy": "copy a recipe into a file of your own: dirl copy train my_train.py",
     "version": "versions, devices and built-in scenes, as a bug report needs them",
 }
+
+PACKAGES = ("dirl", "torch", "torchrl", "tensordict", "gymnasium", "hydra-core", "numpy", "h5py", "wandb")
+"""Whose versions ``dirl version`` tells."""
 
 COMPLETION = ("-sc", "--shell-completion")
 
@@ -41,21 +44,19 @@ def main() -> None:
         meanings = {name: meaning for name, (_, meaning) in RECIPES.items()} | OTHERS
         print(HELP.format(commands="\n".join(f"  {name:<10} {meaning}" for name, meaning in meanings.items())))
     elif name == "--version":
-        from dirl import __version__
-
-        print(__version__)
+        print(importlib.metadata.version("dirl"))
     elif name == "version":
-        from dirl.cli.versions import tell
-
-        tell()
+        versions()
     elif name == "copy":
         copy(arguments)
     elif name in RECIPES:
         run(name, arguments)
     else:
-        near = difflib.get_close_matches(name, [*RECIPES, *OTHERS], n=1)
-        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join([*RECIPES, *OTHERS])}"
-        raise SystemExit(f"error: there is no command '{name}'; {hint}")
+        from dirl.config.values import check_choice
+        from dirl.runs.exits import one_line_exits
+
+        with one_line_exits():
+            check_choice(f"command '{name}'", name, [*RECIPES, *OTHERS])
 
 
 def run(name: str, arguments: Sequence[str]) -> None:
@@ -92,6 +93,27 @@ def complete(arguments: Sequence[str]) -> None:
         named = 2 if words[0] == "scenes" else 1
         os.environ["COMP_LINE"] = " ".join([before, *words[named:]])
         show(words[0], [*words[1:named], *arguments])
+
+
+def versions() -> None:
+    """Print installed packages, devices and built-in scenes, as a bug report needs them."""
+    import platform
+
+    import torch
+
+    from dirl.scenes import PUBLISHED_GOALS, load_scenes
+
+    print(f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores")
+    for package in PACKAGES:
+        try:
+            print(f"{package} {importlib.metadata.version(package)}")
+        except importlib.metadata.PackageNotFoundError:
+            print(f"{package} is not installed")
+    cuda = torch.cuda.get_device_name() if torch.cuda.is_available() else "none"
+    print(f"\ndevice=cpu: {torch.get_num_threads()} threads\ndevice=cuda: {cuda}")
+    print("\nbuilt-in scenes (source: rooms, synthetic):")
+    for scene in load_scenes(list(PUBLISHED_GOALS)):
+        print(f"  {scene.name}: {len(scene)} states, goals {', '.join(map(str, scene.goals))}")
 
 
 def copy(arguments: Sequence[str]) -> None:

@@ -19,16 +19,16 @@ from dirl.cli.command_line import (
     SCHEMAS,
     choose_command,
     config_dirs,
-    one_line_errors,
     parsed,
     prepare,
     register,
 )
-from dirl.cli.meanings import explained
 from dirl.cli.refusals import check_values
+from dirl.config.meanings import entries, explained
 from dirl.config.places import CONF, RECIPES, command
-from dirl.config.scene_schemas import MEANINGS
-from dirl.config.schemas import ConfigError, typed
+from dirl.config.scene_schemas import command_meanings
+from dirl.config.schemas import ConfigError
+from dirl.config.values import typed
 from dirl.runs.exits import one_line_exits
 
 HELP = ("-h", "--help")
@@ -50,9 +50,8 @@ TEMPLATE = """{header}
 def start(recipe: str, text: str | None = None) -> str:
     """Check the command line of a recipe and write it in Hydra's form, or answer a request for help.
 
-    A recipe calls it before its other imports. Options are checked against their types and bounds, those of components
-    against the source of their classes, and paths and names are looked up (`dirl.cli.refusals`); what is in the
-    files is checked later.
+    A recipe calls it before its other imports. Options are checked against their types and bounds, and paths and names
+    are looked up (`dirl.cli.refusals`); options of components and what is in the files are checked later.
 
     Args:
         recipe: a key of `RECIPES`.
@@ -73,13 +72,13 @@ def start(recipe: str, text: str | None = None) -> str:
         os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
         os.environ.setdefault("GOMP_SPINCOUNT", "2000")
     register()
-    with one_line_exits(), one_line_errors():
+    with one_line_exits():
         arguments = sys.argv[1:]
         name = recipe
         if recipe == "scenes":
-            name, arguments = choose_command(MEANINGS, arguments, _as_called(text or ""))
+            name, arguments = choose_command(command_meanings(), arguments, _as_called(text or ""))
         config = configuration(recipe, name)
-        options = check(config, arguments)
+        options = prepare(SCHEMAS[name], arguments, CONF if config == "train" else None)
         if any(argument in SHOWING for argument in options):
             print(shown(config, options), end="")
             raise SystemExit(0)
@@ -98,22 +97,36 @@ def run_main(main: Callable[[], Any]) -> None:
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells errors in many lines
     gc.freeze()  # what the imports made is not looked through again
     gc.enable()
-    with one_line_exits(), one_line_errors():
+    with one_line_exits():
         main()
+
+
+def run_recipe(recipe: str, main: Callable[[Any], None], name: str = "") -> None:
+    """Run a recipe's function with its options, composed by Hydra and checked; see `run_main`.
+
+    Args:
+        recipe: a key of `RECIPES`.
+        main: takes the dataclass of the options.
+        name: of the command of ``recipes/scenes.py``.
+    """
+
+    def job(composed: DictConfig) -> None:
+        with one_line_exits():  # Hydra would say something of its own about an error
+            main(checked(config, composed))
+
+    config = configuration(recipe, name or recipe)
+    run_main(_by_hydra(config, job))
+
+
+def _by_hydra(config: str, job: Callable[[DictConfig], None]) -> Callable[[], Any]:
+    folder, _, name = config.rpartition("/")
+    decorated: Callable[[], Any] = hydra.main(version_base="1.3", config_path=str(CONF / folder), config_name=name)(job)
+    return decorated
 
 
 def configuration(recipe: str, name: str) -> str:
     """The configuration of a recipe, or of one of its commands, as a path below `CONF` without ending."""
     return f"{recipe}/{name}" if (CONF / recipe / f"{name}.yaml").is_file() else name
-
-
-def check(config: str, arguments: Sequence[str]) -> list[str]:
-    """The options as Hydra takes them.
-
-    Raises:
-        ConfigError: there is no such option, choice or type of value.
-    """
-    return prepare(SCHEMAS[Path(config).name], arguments, CONF if config == "train" else None)
 
 
 def _check_values(config: str, options: Sequence[str]) -> None:
@@ -125,7 +138,21 @@ def _check_values(config: str, options: Sequence[str]) -> None:
     if any(found.is_sweep_override() for _, found in given):
         return
     overrides = [option for option, found in given if not found.key_or_group.startswith("hydra")]
-    check_values(typed(composed), overrides)
+    checked(config, composed, overrides)
+
+
+def checked(config: str, composed: DictConfig, overrides: Sequence[str] = ()) -> Any:
+    """The options of a recipe, see `configuration`, as a dataclass.
+
+    Raises:
+        ValueError: one is missing or cannot be used; the message says why in one line.
+    """
+    for name in map(str, composed):
+        if OmegaConf.is_missing(composed, name):
+            raise ConfigError(f"{name} must be given: {entries(CONF / f'{config}.yaml')[name][1]}")
+    options = typed(composed)
+    check_values(Path(config).name, options, overrides)
+    return options
 
 
 def _compose(config: str, options: Sequence[str], **kwargs: Any) -> DictConfig:
@@ -180,13 +207,8 @@ def _chosen(choices: Mapping[str, str], options: Sequence[str]) -> list[Path]:
 
 
 def _ask_hydra(config: str, options: Sequence[str]) -> str:
-    folder, _, name = config.rpartition("/")
     sys.argv = [sys.argv[0], *options]
     told = io.StringIO()
     with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):
-        hydra.main(version_base="1.3", config_path=str(CONF / folder), config_name=name)(_nothing)()
+        _by_hydra(config, lambda _: None)()
     return told.getvalue()
-
-
-def _nothing(_: object) -> None:
-    """What Hydra would run."""

@@ -9,7 +9,8 @@ from omegaconf import OmegaConf
 from dirl.config.components import TARGET
 from dirl.config.places import CONF
 from dirl.config.saved import MAX_CHARACTERS, plain_mapping
-from dirl.config.schemas import ConfigError, leaves
+from dirl.config.schemas import ConfigError
+from dirl.config.values import leaves
 
 
 def group_options(group: str, choice: str | None) -> dict[str, Any] | None:

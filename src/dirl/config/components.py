@@ -5,21 +5,19 @@ annotated signature defines the valid options: types, and bounds by `dirl.config
 world, the width of a view's features) are passed by the names of its parameters, see `GROUPS`.
 """
 
-import difflib
 import importlib
 import inspect
-import math
-import types
 import typing
-from collections.abc import Collection, Mapping, Sequence
-from enum import Enum
-from typing import Annotated, Any, Literal, get_args, get_origin
+from collections.abc import Collection, Mapping
+from typing import Any
 
-from dirl.config.bounds import Bounds
 from dirl.config.schemas import ConfigError, Schedule
-from dirl.config.signatures import Parameters, class_parameters, read_parameters
+from dirl.config.values import check_choice, check_value
 
 TARGET = "_target_"
+
+Parameters = dict[str, tuple[Any, bool]]
+"""By name: the annotation, and whether it must be given."""
 
 GROUPS: Mapping[str, frozenset[str]] = {
     "observation": frozenset({"world"}),
@@ -83,11 +81,6 @@ def components(config: Any) -> dict[str, dict[str, Any]]:
     return found
 
 
-def named_packages(config: Any) -> set[str]:
-    """The packages whose classes a configuration names."""
-    return {str(options[TARGET]).partition(".")[0] for options in components(config).values()}
-
-
 def packages_to_trust(config: Any) -> list[str]:
     """The packages that must be trusted to read the configuration from a file, see `find_class`."""
     targets = [str(options[TARGET]) for options in components(config).values()]
@@ -106,23 +99,6 @@ def check_components(config: Any, trust: Collection[str] | None = None) -> None:
     """
     for name, options in components(config).items():
         check_options(name, class_parameters(find_class(name, options[TARGET], trust)), options)
-
-
-def check_sources(config: Any) -> None:
-    """Check the options of every component whose source tells its constructor, without importing it.
-
-    Of the others, and of the rest that makes a component usable, `check_components` says more.
-
-    Args:
-        config: a `dirl.config.schemas.TrainConfig`, composed on the command line.
-
-    Raises:
-        ConfigError: see `check_options`.
-    """
-    for name, options in components(config).items():
-        parameters = read_parameters(str(options[TARGET]))
-        if parameters is not None:
-            check_options(name, parameters, options)
 
 
 def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> type:
@@ -162,12 +138,42 @@ def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> 
     return found
 
 
+def class_parameters(cls: type) -> Parameters:
+    """The named parameters of a class's constructor; ``**kwargs`` stands for those of its bases.
+
+    What a base needs is not required: the class itself may give it.
+    """
+    found: Parameters = {}
+    for owner in cls.__mro__:
+        if "__init__" not in vars(owner):
+            continue
+        above = _signature(owner)
+        found = {**{name: (kind, needed and not found) for name, (kind, needed) in above.items()}, **found}
+        if not any(p.kind is p.VAR_KEYWORD for p in inspect.signature(vars(owner)["__init__"]).parameters.values()):
+            break
+    return found
+
+
+def _signature(owner: type) -> Parameters:
+    """The named parameters of the constructor that a class defines: annotation, and whether one must be given."""
+    constructor = vars(owner)["__init__"]  # TorchRL's metaclasses hide the class's own signature
+    try:
+        hints = typing.get_type_hints(constructor, include_extras=True)
+    except (NameError, TypeError):  # a name that is only imported for type checkers
+        hints = {}
+    return {
+        name: (hints.get(name, Any), parameter.default is parameter.empty)
+        for name, parameter in list(inspect.signature(constructor).parameters.items())[1:]
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+    }
+
+
 def check_options(name: str, parameters: Parameters, options: Mapping[str, Any]) -> None:
     """Check a component's options against its constructor.
 
     Args:
         name: of the component.
-        parameters: of the constructor, see `dirl.config.signatures`.
+        parameters: of the constructor, see `class_parameters`.
         options: with ``_target_``.
 
     Raises:
@@ -180,10 +186,9 @@ def check_options(name: str, parameters: Parameters, options: Mapping[str, Any])
     for option, value in options.items():
         if option in (TARGET, *scheduled):
             continue
-        if option not in choices:
-            near = difflib.get_close_matches(str(option), choices, n=1)
-            hint = f"did you mean {name}.{near[0]}?" if near else f"{kind} takes {', '.join(choices) or 'none'}"
-            raise ConfigError(f"there is no option '{name}.{option}'; {hint}")
+        check_choice(f"option '{name}.{option}'", str(option), choices, f"{name}.")
+        if isinstance(value, Mapping) and TARGET in value:
+            raise ConfigError(f"{name}.{option}: a component cannot hold another one")
         if not (group == "losses" and is_schedule(value)):
             check_value(f"{name}.{option}", value, parameters[option][0])
     if group == "losses":
@@ -191,60 +196,6 @@ def check_options(name: str, parameters: Parameters, options: Mapping[str, Any])
     for option, (_, required) in parameters.items():
         if required and option not in options and option not in offered:
             raise ConfigError(f"{name}.{option}: {kind} needs it; give {name}.{option}=...")
-
-
-def check_value(name: str, value: Any, annotation: Any) -> None:
-    """Check one value against an annotation; annotations of other than plain values are not checked.
-
-    Raises:
-        ConfigError: it does not fit.
-    """
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{name}={value}: must be a finite number")
-    if isinstance(value, Mapping) and TARGET in value:
-        raise ConfigError(f"{name}: a component cannot hold another one")
-    bounds = [meta for meta in getattr(annotation, "__metadata__", ()) if isinstance(meta, Bounds)]
-    kind = get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
-    if not _fits(value, kind):
-        raise ConfigError(f"{name}={'null' if value is None else value}: must be {in_words(kind)}")
-    for limit in bounds:
-        if value is not None and value not in limit:
-            raise ConfigError(f"{name}={value}: must be {limit}")
-
-
-PLAIN = {int: "a whole number", float: "a number", bool: "true or false", str: "text", types.NoneType: "null"}
-
-
-def _fits(value: Any, kind: Any) -> bool:
-    origin = get_origin(kind)
-    if origin in (types.UnionType, typing.Union):
-        return any(_fits(value, one) for one in get_args(kind))
-    if origin is Literal:
-        return value in get_args(kind)
-    if inspect.isclass(kind) and issubclass(kind, Enum):
-        return value in list(kind)
-    if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    if kind in PLAIN:
-        return isinstance(value, kind) and not (kind is int and isinstance(value, bool))
-    if inspect.isclass(kind) and not issubclass(kind, Sequence | Mapping):
-        return not isinstance(value, int | float | bool | str)  # a tensor, a module: no option can hold one
-    return True
-
-
-def in_words(kind: Any) -> str:
-    """A type in words, for errors."""
-    if get_origin(kind) in (types.UnionType, typing.Union):
-        told = [one for one in get_args(kind) if one in PLAIN or get_args(one) or issubclass(one, Enum)]
-        return " or ".join(in_words(one) for one in told)
-    if get_origin(kind) is Literal:
-        return f"one of {', '.join(map(str, get_args(kind)))}"
-    if get_origin(kind) is list:
-        (each,) = get_args(kind)
-        return "a list" if each is Any else f"a list, each {in_words(each)}"
-    if inspect.isclass(kind) and issubclass(kind, Enum):
-        return f"one of {', '.join(kind)}"
-    return PLAIN.get(kind, getattr(kind, "__name__", str(kind)))
 
 
 def is_schedule(value: Any) -> bool:

@@ -8,7 +8,8 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config.components import check_components
-from dirl.config.schemas import ConfigError, TrainConfig, leaves, typed
+from dirl.config.schemas import ConfigError, TrainConfig
+from dirl.config.values import leaves, plain, typed
 
 MAX_CHARACTERS = 200_000
 """Of a saved configuration; those that are written here have 4,000."""
@@ -43,9 +44,7 @@ MOVED: Mapping[str, str] = {
 
 def config_text(config: TrainConfig) -> str:
     """A configuration as YAML, without interpolations and without what it was started with (``resume``, ``trust``)."""
-    values = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
-    assert isinstance(values, dict)
-    return OmegaConf.to_yaml(OmegaConf.create({**values, "resume": None, "trust": None}))
+    return OmegaConf.to_yaml(OmegaConf.create(plain(config)))
 
 
 def read_config(

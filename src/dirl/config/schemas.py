@@ -1,15 +1,12 @@
-"""The options with their types; the values are in ``conf/``. The rest of the package takes plain arguments."""
+"""The options with their types and bounds; the values are in ``conf/``. The package else takes plain arguments."""
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
-from omegaconf import MISSING, DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf import MISSING
 
-from dirl.config.bounds import LIMITS
+from dirl.config.bounds import Bounds
 
 Device = StrEnum("Device", ["cpu", "cuda"])
 SourceName = StrEnum("SourceName", ["rooms", "thor"])
@@ -30,6 +27,17 @@ Match = StrEnum("Match", ["views", "front"])
 Until = StrEnum("Until", ["frames", "stable"])
 Starts = StrEnum("Starts", ["every", "sampled"])
 LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
+
+Positive = Annotated[int, Bounds(1)]
+NotNegative = Annotated[float, Bounds(0)]
+Fraction = Annotated[float, Bounds(0, 1)]
+HeldOut = Annotated[float, Bounds(0, 0.99)]
+Correlation = Annotated[float, Bounds(-1, 1)]
+Reward = Annotated[float, Bounds(-(10**6), 10**6)]
+Seed = Annotated[int, Bounds(0, 2**63 - 1)]
+Agents = Annotated[int, Bounds(1, 10**6)]
+Episodes = Annotated[int, Bounds(1, 10**7)]
+Frames = Annotated[int, Bounds(1, 10**12)]
 
 
 class ConfigError(ValueError):
@@ -57,54 +65,62 @@ class Schedule:
 
 
 @dataclass
+class Weight(Schedule):
+    """A schedule that is never negative."""
+
+    start: NotNegative = MISSING
+    end: NotNegative = MISSING
+
+
+@dataclass
 class NetworkConfig:
     """How the network sees features."""
 
     standardise: bool = MISSING
     cache: Cache = MISSING
     axes: Axes = MISSING
-    components: int | None = None
+    components: Annotated[int, Bounds(1, 65_536)] | None = None
 
 
 @dataclass
 class ImitationConfig:
     """Behaviour cloning."""
 
-    fraction: float = MISSING
+    fraction: Fraction = MISSING
     rule: Rule = MISSING
-    lr: float = MISSING
-    max_steps: int = MISSING
-    loss_threshold: float = MISSING
-    bc_coef: Schedule = field(default_factory=Schedule)
-    batch_size: int | None = None
+    lr: NotNegative = MISSING
+    max_steps: Positive = MISSING
+    loss_threshold: NotNegative = MISSING
+    bc_coef: Weight = field(default_factory=Weight)
+    batch_size: Positive | None = None
     drawn: bool = False
     goals: str | None = None
-    scenes_at_once: int | None = None
-    front_only: float = 0.0
-    noise: float = 0.0
+    scenes_at_once: Positive | None = None
+    front_only: Fraction = 0.0
+    noise: Annotated[float, Bounds(0, 100)] = 0.0
     lr_decay: bool = False
-    rounds: int = MISSING
-    walk_steps: int = MISSING
+    rounds: Annotated[int, Bounds(0)] = MISSING
+    walk_steps: Positive = MISSING
 
 
 @dataclass
 class ReinforcementConfig:
     """Actor-critic training."""
 
-    frames_per_scene: int = MISSING
+    frames_per_scene: Frames = MISSING
     until: Until = Until.frames
-    agents_per_scene: int = MISSING
-    workers: int = MISSING
-    n_steps: int = MISSING
-    max_steps: int = MISSING
-    epochs: int = MISSING
-    minibatches: int = MISSING
-    gamma: float = MISSING
-    lmbda: float = MISSING
+    agents_per_scene: Agents = MISSING
+    workers: Annotated[int, Bounds(1, 1024)] = MISSING
+    n_steps: Agents = MISSING
+    max_steps: Positive = MISSING
+    epochs: Positive = MISSING
+    minibatches: Positive = MISSING
+    gamma: Fraction = MISSING
+    lmbda: Fraction = MISSING
     entropy_coef: Schedule = field(default_factory=Schedule)
     critic_coef: float = MISSING
     reduction: Reduction = MISSING
-    max_grad_norm: float = MISSING
+    max_grad_norm: NotNegative = MISSING
     clip_per_variable: bool = MISSING
 
 
@@ -112,10 +128,10 @@ class ReinforcementConfig:
 class RewardConfig:
     """The reward of a step."""
 
-    goal: float = MISSING
-    step: float = MISSING
-    collision: float = MISSING
-    scale: float = MISSING
+    goal: Reward = MISSING
+    step: Reward = MISSING
+    collision: Reward = MISSING
+    scale: Reward = MISSING
 
 
 @dataclass
@@ -124,7 +140,7 @@ class StopConfig:
 
     training: Stop = MISSING
     evaluation: Stop = MISSING
-    threshold: float = MISSING
+    threshold: Correlation = MISSING
     match: Match = MISSING
 
 
@@ -132,19 +148,19 @@ class StopConfig:
 class EvaluationConfig:
     """How a policy is evaluated."""
 
-    goals: int | None = None
+    goals: Positive | None = None
     starts: Starts = MISSING
-    episodes_per_goal: int = MISSING
-    max_steps: int = MISSING
-    times: int = MISSING
+    episodes_per_goal: Episodes = MISSING
+    max_steps: Episodes = MISSING
+    times: Annotated[int, Bounds(0, 10**6)] = MISSING
 
 
 @dataclass
 class CheckpointConfig:
     """When the state of a run is saved."""
 
-    every_seconds: float = MISSING
-    keep: int = MISSING
+    every_seconds: NotNegative = MISSING
+    keep: Positive = MISSING
 
 
 @dataclass
@@ -163,10 +179,10 @@ class TrainConfig:
 
     scene: Any = None
     split: Split | None = None
-    rooms: int | None = None
+    rooms: Positive | None = None
     goals: Any = None
-    hold_out: float = 0.0
-    seed: int = MISSING
+    hold_out: HeldOut = 0.0
+    seed: Seed = MISSING
     device: Device = MISSING
     precision: Precision = MISSING
     init: str | None = None
@@ -200,44 +216,44 @@ class TrainConfig:
 class EvaluateConfig:
     """Everything ``recipes/evaluate.py`` takes."""
 
-    checkpoint: str | None = None
+    checkpoint: str = MISSING
     scene: Any = None
     split: Split | None = None
-    rooms: int | None = None
+    rooms: Positive | None = None
     goals: Any = None
     trust: list[str] = field(default_factory=list)
     root: str | None = None
     device: Device | None = None
-    seed: int | None = None
+    seed: Seed | None = None
     stop: Stop | None = None
-    threshold: float | None = None
+    threshold: Correlation | None = None
     match: Match | None = None
     goal_view: GoalView | None = None
     episodic_memory: str | None = None
     recogniser: str | None = None
     starts: Starts | None = None
-    episodes_per_goal: int | None = None
-    max_steps: int | None = None
+    episodes_per_goal: Episodes | None = None
+    max_steps: Episodes | None = None
     out: str | None = None
-    image_graph: float | None = None
-    last_steps: int | None = None
+    image_graph: Annotated[float, Bounds(0, 100)] | None = None
+    last_steps: Annotated[int, Bounds(0, 10**6)] | None = None
     viewer: bool = False
     video: bool = False
     simulator: str | None = None
-    slip: float = 0.0
-    turn_error: float = 0.0
+    slip: HeldOut = 0.0
+    turn_error: Annotated[float, Bounds(0, 90)] = 0.0
 
 
 @dataclass
 class ReportConfig:
     """Everything ``recipes/report.py`` takes."""
 
-    experiment: ExperimentName | None = None
+    experiment: ExperimentName = MISSING
     runs: str = MISSING
     preset: str = MISSING
     out: str | None = None
     scene: str = MISSING
-    goal: int = MISSING
+    goal: Annotated[int, Bounds(0)] = MISSING
     starts: int = MISSING
     encoder: str = MISSING
     agents: list[str] = MISSING
@@ -250,45 +266,9 @@ class BenchmarkConfig:
     """Everything ``benchmarks/benchmark.py`` takes."""
 
     worlds: list[Any] = MISSING
-    frames_per_scene: int = MISSING
-    repeats: int = MISSING
+    frames_per_scene: Frames = MISSING
+    repeats: Positive = MISSING
     sb3: bool = MISSING
     learning: bool = MISSING
     train: list[str] = MISSING
     out: str | None = None
-
-
-def typed(config: DictConfig) -> Any:
-    """The dataclass of a composed configuration.
-
-    Raises:
-        ConfigError: a value is missing, of the wrong type, or outside its limits.
-    """
-    try:
-        made = OmegaConf.to_object(config)
-        for name, value in config.items():
-            if isinstance(value, DictConfig) and OmegaConf.get_type(value) is dict:  # plain, also what is interpolated
-                setattr(made, str(name), OmegaConf.to_container(value, resolve=True, enum_to_str=True))
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"{error.full_key or 'an option'}: {str(error).splitlines()[0]}") from None
-    scene = OmegaConf.select(config, "scene")
-    for one in scene if OmegaConf.is_list(scene) else [scene]:
-        if one is not None and not isinstance(one, str):
-            raise ConfigError(f"scene={scene}: must be a name, a path, or a list of them")
-    for name, bounds in LIMITS.items():
-        value = OmegaConf.select(config, name)
-        if value is not None and value not in bounds:
-            raise ConfigError(f"{name}={value}: must be {bounds}")
-    for name, value in leaves(OmegaConf.to_container(config, resolve=True)).items():
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigError(f"{name}={value}: must be a finite number")
-    return made
-
-
-def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
-    """The values of a nested configuration by dotted name; goals and lists are values."""
-    found: dict[str, Any] = {}
-    for name, value in config.items():
-        inside = isinstance(value, Mapping) and name != "goals"
-        found |= leaves(value, f"{prefix}{name}.") if inside else {f"{prefix}{name}": value}
-    return found

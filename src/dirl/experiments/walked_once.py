@@ -25,7 +25,7 @@ from dirl.experiments.measures import MEASURES, by_measure, decimals, kept, load
 from dirl.experiments.results import Table, write_tables
 from dirl.models import LocalisingMemory
 from dirl.recognition.recogniser import normal_vectors
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 from dirl.scenes import World, read_dump
 from dirl.scenes.collection import read_collection
 from dirl.scenes.io.write import copy_with

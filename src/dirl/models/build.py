@@ -9,9 +9,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from dirl.backbones.patches import PATCH_SHAPE
-from dirl.config.components import TARGET, find_class, make
+from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
-from dirl.config.signatures import class_parameters
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, feature_statistics, initial_state, whitening
 from dirl.scenes import ACTIONS, World

@@ -9,7 +9,7 @@ import yaml  # PyYAML comes with OmegaConf
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from dirl.config.schemas import leaves
+from dirl.config.values import leaves
 from dirl.reporting.tables import result_table
 
 

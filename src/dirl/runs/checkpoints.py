@@ -17,9 +17,8 @@ from typing import Any
 
 import torch
 
-from dirl.runs.checks import RunError
 from dirl.runs.contents import check_header, check_plain
-from dirl.runs.finding import find_checkpoint, training_checkpoints
+from dirl.runs.finding import RunError, find_checkpoint, training_checkpoints
 from dirl.runs.shared import read_shared
 from dirl.scenes.io.atomic import atomic_path
 

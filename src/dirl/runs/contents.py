@@ -1,14 +1,23 @@
 """Valid contents of a checkpoint."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
-from dirl.runs.checks import SCHEMA, RunError, is_count
+from dirl.config.bounds import Bounds
+from dirl.config.values import fits
+from dirl.runs.finding import SCHEMA, RunError, is_count
+
+Count = Annotated[int, Bounds(0, 2**63 - 1)]
+Duration = Annotated[float, Bounds(0, 10**10)]
+Table = Literal["dagger.csv", "evaluation.csv", "imitation.csv", "reinforcement.csv"]
+
+TABLES: tuple[str, ...] = get_args(Table)
+"""What a training writes rows to; other files of its folder are left alone."""
 
 
 def check_plain(state: Any, file: Path, limit: int) -> None:
@@ -58,48 +67,23 @@ def _check_tensor(value: Tensor, where: str) -> None:
         raise RunError(f"{where}: holds values that are not finite")
 
 
-def _is_tensors(value: Any) -> bool:
-    return isinstance(value, dict) and all(type(k) is str and isinstance(v, Tensor) for k, v in value.items())
-
-
-def _is_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(type(text) is str for text in value)
-
-
-def _is_counts(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(is_count(number) for number in value)
-
-
-def _is_sizes(value: Any) -> bool:
-    return isinstance(value, dict) and all(
-        type(name) is str and name.endswith(".csv") and "/" not in name and is_count(size)
-        for name, size in value.items()
-    )
-
-
-def _is_duration(value: Any) -> bool:
-    return type(value) in (int, float) and 0 <= value < 1e10
-
-
-Rule = tuple[Callable[[Any], bool], str]
-
-REQUIRED: dict[str, Rule] = {
-    "network": (_is_tensors, "tensors by name"),
-    "config": (lambda value: type(value) is str, "a text"),
-    "extractor": (lambda value: type(value) is str, "a text"),
-    "scenes": (lambda value: _is_texts(value) and bool(value), "a list of names"),
-    "frames": (is_count, "a count"),
+REQUIRED: Mapping[str, Any] = {
+    "network": dict[str, Tensor],
+    "config": str,
+    "extractor": str,
+    "scenes": list[str],
+    "frames": Count,
 }
-"""What every checkpoint holds, how it is checked, and what it is in words."""
+"""What every checkpoint holds, and of what type."""
 
-OPTIONAL: dict[str, Rule] = {
-    "schema": (is_count, "a count"),
-    "views": (_is_texts, "a list of names"),
-    "turns": (_is_counts, "a list of counts"),
-    "learning": (_is_tensors, "tensors by name"),
-    "tables": (_is_sizes, "sizes of CSV files by name"),
-    "seconds": (_is_duration, "a duration"),
-    "training_seconds": (_is_duration, "a duration"),
+OPTIONAL: Mapping[str, Any] = {
+    "schema": Count,
+    "views": list[str],
+    "turns": list[Count],
+    "learning": dict[str, Tensor],
+    "tables": dict[Table, Count],
+    "seconds": Duration,
+    "training_seconds": Duration,
 }
 """What some hold; `dirl.runs.states` compares the state of a training with a fresh one."""
 
@@ -115,7 +99,7 @@ def check_header(state: Any, file: Path) -> dict[str, Any]:
         raise RunError(
             f"{file}: was written by a newer version of dirl (schema {state['schema']}); update dirl to use it"
         )
-    for name, (fits, wanted) in (REQUIRED | OPTIONAL).items():
-        if name in state and not fits(state[name]):
-            raise RunError(f"{file}: {name} is not what a checkpoint holds; expected {wanted}")
+    for name, kind in {**REQUIRED, **OPTIONAL}.items():
+        if name in state and (state[name] == [] or not fits(state[name], kind)):
+            raise RunError(f"{file}: {name} is not what a checkpoint holds")
     return state

@@ -1,18 +1,7 @@
 """How a program ends when the machine or the user stops it: one line, and an exit status for the reason.
 
-| status | what happened |
-|---:|---|
-| 0 | done |
-| 1 | the input is wrong, or a checkpoint is damaged |
-| 71 | out of memory |
-| 74 | a file could not be read or written: disk full, read-only, deleted, not permitted |
-| 75 | another rank of the run has ended |
-| 130 | interrupted by Ctrl-C (SIGINT) |
-| 141 | the reader of the output closed the pipe (SIGPIPE), as ``| head`` does |
-| 143 | SIGTERM, as from ``kill``, a batch system or a machine that shuts down |
-
-Anything else is a bug, and shows its traceback. This module imports nothing slow, so that a recipe can use it before
-it imports torch.
+The statuses are in docs/reliability.md. Anything else is a bug, and shows its traceback. This module imports nothing
+slow, so that a recipe can use it before it imports torch.
 """
 
 import contextlib
@@ -23,7 +12,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NoReturn
+
+from hydra.errors import HydraException
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 MEMORY, FILES, LOST, PIPE = 71, 74, 75, 128 + 13
@@ -54,11 +46,12 @@ class LostRankError(Exception):
 
 
 @contextlib.contextmanager
-def one_line_exits(advice: Callable[[], str] = lambda: "") -> Iterator[None]:
-    """Within this context an interrupt, or an error of the machine, ends the program with one line and its status.
+def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None = None) -> Iterator[None]:
+    """Within this context an interrupt, a wrong input or an error of the machine ends the program with one line.
 
     Args:
-        advice: called at the end: what is safe, and how to continue.
+        advice: called where the input is not to blame: what is safe, and how to continue.
+        folder: made by Hydra beforehand; deleted again if the input is wrong and nothing has been written there.
 
     Raises:
         SystemExit: with a status of the table above.
@@ -66,6 +59,11 @@ def one_line_exits(advice: Callable[[], str] = lambda: "") -> Iterator[None]:
     try:
         with _signals({signal.SIGTERM: _terminate}):
             yield
+    except (ValueError, HydraException) as error:
+        if folder is not None:
+            with contextlib.suppress(OSError):
+                os.removedirs(folder)
+        raise SystemExit(f"error: {one_line(str(error), 2000)}" if speaks() else 1) from None
     except KeyboardInterrupt:
         leave("interrupted", 128 + signal.SIGINT, advice)
     except Terminated:
@@ -81,6 +79,25 @@ def one_line_exits(advice: Callable[[], str] = lambda: "") -> Iterator[None]:
         if not _is_memory(error):
             raise
         leave("error: memory ran out; make the run smaller, or free some", MEMORY, advice)
+
+
+@contextlib.contextmanager
+def job_errors(folder: Path) -> Iterator[None]:
+    """Within this context an error of one job of a sweep is reported at once, with its folder; Hydra keeps it.
+
+    Hydra runs the other jobs, and reports only at the end why the first of the failed jobs failed.
+    """
+    try:
+        yield
+    except Exception as error:
+        print(f"failed: {folder}: {error}", file=sys.stderr, flush=True)
+        raise
+
+
+def one_line(text: str, most: int = 300) -> str:
+    """A text without line breaks and other control characters, cut in the middle if it is longer than ``most``."""
+    plain = "".join(sign if sign.isprintable() else " " for sign in " ".join(text.split()))
+    return plain if len(plain) <= most else f"{plain[: most // 2]} ... {plain[-most // 2 :]}"
 
 
 def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> NoReturn:

@@ -2,14 +2,30 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from dirl.runs.checks import RunError
+from dirl.config.schemas import ConfigError
+
+SCHEMA = 2
+"""Of configurations and checkpoints; 1 was dirl 0.1."""
 
 AGENTS = Path(__file__).parents[1] / "agents"
 """Trained agents that come with the package, each in the folder of its name."""
 
 WEIGHTS = "model.safetensors"
 """Of a policy that was shared, see `dirl.runs.shared`."""
+
+ARCHITECTURE = ("observation", "encoder", "memory", "heads", "policy", "network")
+"""The options that decide which weights a policy has, and what they read."""
+
+
+class RunError(ValueError):
+    """A run folder or checkpoint that cannot be used."""
+
+
+def is_count(value: Any) -> bool:
+    """Whether it is a number of things, as frames or bytes."""
+    return type(value) is int and 0 <= value < 2**63
 
 
 def config_file(folder: Path) -> Path:
@@ -49,6 +65,20 @@ def find_checkpoint(path: str | Path) -> Path:
     if path.is_dir() and (training_checkpoints(path) or (path / WEIGHTS).is_file()):
         return path
     raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
+
+
+def initial_weights_file(init: str, overrides: Sequence[str]) -> Path:
+    """The checkpoint that ``init`` names.
+
+    Raises:
+        ConfigError: an option of the architecture is given beside ``init``.
+        RunError: there is no such checkpoint.
+    """
+    texts = [text.lstrip("+") for text in overrides]
+    given = [text for text in texts if text.partition("=")[0].partition(".")[0] in ARCHITECTURE]
+    if given:
+        raise ConfigError(f"init={init}: its checkpoint decides the architecture; leave out {' '.join(given)}")
+    return find_checkpoint(init)
 
 
 def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:

@@ -11,18 +11,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
-from dirl.config.components import named_packages
+from dirl.config.components import packages_to_trust
 from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
-from dirl.config.schemas import Existing, TrainConfig, leaves
+from dirl.config.schemas import Existing, TrainConfig
+from dirl.config.values import leaves, plain
 from dirl.runs import ranks
 from dirl.runs.checkpoints import SUFFIX, latest_checkpoint, save_checkpoint
-from dirl.runs.checks import SCHEMA, TABLES, RunError, check_progress
-from dirl.runs.finding import config_file, find_unfinished, is_finished, training_checkpoints
+from dirl.runs.contents import TABLES
+from dirl.runs.finding import SCHEMA, RunError, config_file, find_unfinished, is_finished, training_checkpoints
 from dirl.runs.locks import FolderLock, claim, finish_cleaning, is_numbered
 from dirl.runs.loggers import Logger, make_logger
+from dirl.runs.states import check_progress
 from dirl.scenes import World
 from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
 from dirl.scenes.io.texts import read_text
@@ -247,7 +247,7 @@ def _open(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
             return Run(folder, config)
         if config.existing == Existing.refuse:
             raise RunError(f"{folder}: holds a run already; continue it with resume={folder}, or choose another folder")
-        changed = _changes(config, _saved_config(folder, named_packages(config)))
+        changed = _changes(config, _saved_config(folder, packages_to_trust(config)))
         if changed:
             raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
         return Run(folder, config) if is_finished(folder) else _go_on(folder, config)
@@ -263,10 +263,7 @@ def _go_on(folder: Path, config: TrainConfig) -> Run:
     if not training_checkpoints(folder):
         return Run(folder, config, lock=lock)
 
-    def check(file: Path, state: Mapping[str, Any]) -> None:
-        check_progress(file, state, config)
-
-    saved, unusable = latest_checkpoint(folder, check)
+    saved, unusable = latest_checkpoint(folder, lambda file, state: check_progress(file, state, config))
     return Run(folder, config, saved, lock=lock, unusable=unusable)
 
 
@@ -287,8 +284,8 @@ def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:
 
 def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:
     """The requested options that differ from the saved ones and change a result, as ``name=saved, not requested``."""
-    asked, before = (leaves(OmegaConf.to_container(OmegaConf.structured(one))) for one in (config, saved))
-    same = ("resume", "trust", "existing", "source.root", "checkpoint.", "logger.")
+    asked, before = leaves(plain(config)), leaves(plain(saved))
+    same = ("existing", "source.root", "checkpoint.", "logger.")
     return [
         f"{name}={before.get(name)} instead of {value}"
         for name, value in asked.items()

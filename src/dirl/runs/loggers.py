@@ -7,31 +7,21 @@ import json
 import math
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from omegaconf import OmegaConf
+from numpy.typing import NDArray
 from PIL import Image
 
-from dirl.config.schemas import ConfigError, LoggerName, TrainConfig, leaves
+from dirl.config.saved import config_text
+from dirl.config.schemas import ConfigError, LoggerName, TrainConfig
+from dirl.config.values import leaves, plain
 from dirl.scenes.io.atomic import write_text
 
-PICTURES = ("*.png", "*.gif")
 
-
-class Logger(Protocol):
-    """The interface of a logger."""
-
-    def log(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
-        """Log a row of ``<stage>.csv``; values that are not finite are left out."""
-
-    def finish(self, summary: Mapping[str, Any], folder: Path) -> None:
-        """Log the summary, and the files of the finished run."""
-
-
-def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> Logger | None:
+def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> "Logger | None":
     """The logger that a configuration names; None for ``csv``.
 
     Args:
@@ -66,7 +56,8 @@ class WandbLogger:
         options, known = config.logger, folder / "wandb_id.txt"
         if not known.exists():
             write_text(known, secrets.token_hex(8))
-        tags = [*options.tags, config.system, config.preset, *_scene_names(config)]
+        scenes = config.scene if isinstance(config.scene, list) else [config.scene]
+        tags = [*options.tags, config.system, config.preset, *(Path(str(scene)).stem for scene in scenes)]
         self.run = wandb.init(
             project=options.project,
             group=options.group or folder.resolve().parent.name,
@@ -74,7 +65,7 @@ class WandbLogger:
             name=folder.name,
             id=known.read_text(encoding="utf-8").strip(),
             resume="allow",
-            config=_values(config),
+            config=plain(config),
             dir=str(folder),
             mode=_wandb_mode(),
         )
@@ -93,7 +84,9 @@ class WandbLogger:
         import wandb
 
         self.run.summary.update(_finite(leaves(dict(summary))))
-        self.run.log({f"pictures/{file.stem}": _wandb_picture(file) for file in _pictures(folder)})
+        pictures = {f"pictures/{name}": wandb.Image(pixels) for name, pixels in _pictures(folder, "*.png")}
+        moving = {f"pictures/{file.stem}": wandb.Video(str(file), format="gif") for file in folder.glob("*.gif")}
+        self.run.log(pictures | moving)
         facts = {name: value for name, value in summary.items() if not isinstance(value, Mapping)}
         artifact = wandb.Artifact(f"dirl-{self.run.id}", type="model", metadata=facts)
         for name in ("config.yaml", "summary.json", "network.pt"):
@@ -117,7 +110,7 @@ class TensorBoardLogger:
 
         self.writer = SummaryWriter(str(folder / "tensorboard"), purge_step=frames + 1 if frames else None)
         self.config = config
-        self.writer.add_text("config", f"```yaml\n{OmegaConf.to_yaml(OmegaConf.create(_values(config)))}```")
+        self.writer.add_text("config", f"```yaml\n{config_text(config)}```")
 
     def log(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
         """Log a row."""
@@ -129,24 +122,11 @@ class TensorBoardLogger:
         frames = int(summary["frames"])
         self.writer.add_text("summary", f"```json\n{json.dumps(summary, indent=1)}\n```", frames)
         measured = {f"summary/{name}": value for name, value in _finite(leaves(dict(summary))).items()}
-        plain = {name: value for name, value in leaves(_values(self.config)).items() if isinstance(value, int | float)}
-        self.writer.add_hparams(plain, measured, run_name=".", global_step=frames)
-        for file in _pictures(folder):
-            with Image.open(file) as image:
-                pixels = np.array(image.convert("RGB"))
-            self.writer.add_image(f"pictures/{file.stem}", pixels, frames, dataformats="HWC")
+        numbers = {name: value for name, value in leaves(plain(self.config)).items() if isinstance(value, int | float)}
+        self.writer.add_hparams(numbers, measured, run_name=".", global_step=frames)
+        for name, pixels in [*_pictures(folder, "*.png"), *_pictures(folder, "*.gif")]:
+            self.writer.add_image(f"pictures/{name}", pixels, frames, dataformats="HWC")
         self.writer.close()
-
-
-def _wandb_picture(file: Path) -> Any:
-    """A picture or animation; given the file of one, ``wandb.Image`` would leave it open."""
-    import wandb
-    from PIL import Image
-
-    if file.suffix == ".gif":
-        return wandb.Video(str(file), format="gif")
-    with Image.open(file) as picture:
-        return wandb.Image(picture.convert("RGB"))
 
 
 def _wandb_mode() -> Any:
@@ -161,21 +141,16 @@ def _wandb_mode() -> Any:
         return "offline"
 
 
-def _values(config: TrainConfig) -> dict[str, Any]:
-    values = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
-    assert isinstance(values, dict)
-    return {str(name): value for name, value in values.items() if name not in ("resume", "trust")}
-
-
-def _scene_names(config: TrainConfig) -> list[str]:
-    names = config.scene if isinstance(config.scene, list) else [config.scene]
-    return [Path(str(name)).stem for name in names]
-
-
 def _finite(row: Mapping[str, Any]) -> dict[str, float | int]:
     """The numbers of a row that are finite."""
     return {name: value for name, value in row.items() if isinstance(value, int | float) and math.isfinite(value)}
 
 
-def _pictures(folder: Path) -> list[Path]:
-    return sorted(file for pattern in PICTURES for file in folder.glob(pattern))
+def _pictures(folder: Path, pattern: str) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Names and pixels of pictures; of an animation the first."""
+    for file in sorted(folder.glob(pattern)):
+        with Image.open(file) as image:
+            yield file.stem, np.array(image.convert("RGB"))
+
+
+Logger = WandbLogger | TensorBoardLogger

@@ -23,7 +23,7 @@ from torch.distributed.rendezvous import rendezvous
 
 from dirl.config.schemas import ConfigError, Device, Reduction, TrainConfig
 from dirl.runs import exits
-from dirl.runs.checks import RunError
+from dirl.runs.finding import RunError
 
 T = TypeVar("T")
 

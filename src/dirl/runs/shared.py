@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dirl.runs.checks import RunError
 from dirl.runs.contents import check_header, check_plain
-from dirl.runs.finding import WEIGHTS
+from dirl.runs.finding import WEIGHTS, RunError
 from dirl.scenes.io.atomic import atomic_path, write_json, write_text
 from dirl.scenes.io.digest import check_seal, sealed
 from dirl.scenes.io.texts import read_text

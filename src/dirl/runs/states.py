@@ -1,6 +1,8 @@
 """Checks that the training state in a checkpoint fits the run that is to be resumed from it."""
 
+import csv
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -8,7 +10,76 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torchrl.envs import EnvBase
 
-from dirl.runs.checks import RunError, is_count
+from dirl.config.schemas import TrainConfig
+from dirl.runs.contents import TABLES
+from dirl.runs.finding import RunError, is_count
+
+
+def check_progress(file: Path, state: Mapping[str, Any], config: TrainConfig) -> None:
+    """Raise `RunError` unless a run with these options can have a checkpoint's counts."""
+    missing = {"schema", "tables", "seconds"} - state.keys()
+    if missing:
+        raise RunError(f"{file}: is no checkpoint of a training; it lacks {' and '.join(sorted(missing))}")
+    options, scenes = config.reinforcement, len(state["scenes"])
+    most = scenes * (options.frames_per_scene + options.agents_per_scene * options.n_steps)  # the last rollout is whole
+    if state["frames"] != int(file.stem) or state["frames"] > most:
+        raise RunError(f"{file}: counts {state['frames']} frames, where its name and options have others")
+    for table in (file.parent.parent / name for name in TABLES if name not in state["tables"]):
+        if table.is_file() and _begins_before(table, state["frames"]):
+            raise RunError(f"{file}: knows nothing of {table}, whose rows would be lost")
+    for name, size in state["tables"].items():
+        table = file.parent.parent / name
+        if not table.is_file() or table.stat().st_size < size:
+            raise RunError(f"{file}: does not fit {table}, which is shorter than it was, or missing")
+
+
+def _begins_before(table: Path, frames: int) -> bool:
+    """Whether the first row of a table is older than a checkpoint at so many frames; rows without frames always are."""
+    with table.open(newline="", errors="replace") as stream:
+        row = next(csv.DictReader(stream), None)
+    if row is None:
+        return False
+    try:
+        return "frames" not in row or (frames > 0 and float(row["frames"]) <= frames)
+    except (TypeError, ValueError):
+        return True
+
+
+def check_state(
+    saved: Mapping[str, Any],
+    fresh: Mapping[str, Any],
+    optimiser: Optimizer,
+    where: str,
+    most: int,
+    env: EnvBase | None = None,
+) -> None:
+    """Raise `RunError` unless a training can be resumed from a checkpoint; call it before restoring anything.
+
+    Args:
+        saved: of `dirl.runs.checkpoints.load_checkpoint`.
+        fresh: what the run would save now, before any step.
+        optimiser: of the training.
+        where: the checkpoint, for the error.
+        most: the largest count there can be, of frames so far or of steps.
+        env: of a reinforcement; None for an imitation, which saves nothing before its first step.
+    """
+    missing = fresh.keys() - saved.keys()
+    if missing:
+        stage = "an imitation" if env is None else "a training"
+        raise RunError(f"{where}: is no checkpoint of {stage}; it lacks {', '.join(sorted(missing))}")
+    for name in fresh.keys() - {"optimiser", "random", "trained"}:
+        check_fits(saved[name], fresh[name], f"{where}: {name}", most)
+    if env is not None:
+        if [sum(lengths) for lengths in saved["meter"]["steps"]] != list(saved["meter"]["totals"]):
+            raise RunError(f"{where}: meter: the lengths of the latest episodes do not add up to their totals")
+        check_agents(saved["agents"], env, f"{where}: agents")
+    check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser", saved["trained"])
+    if not saved["optimiser"]["state"] and (env is None or saved["frames"]):
+        raise RunError(f"{where}: optimiser.state: is empty, though the training had begun")
+    check_fits(saved["random"], fresh["random"], f"{where}: random")
+    for name, state in saved["random"].items():
+        if name != "cuda":
+            check_random_state(state, f"{where}: random.{name}")
 
 
 def check_fits(saved: Any, fresh: Any, where: str, most: int = 2**63 - 1) -> None:
@@ -24,34 +95,25 @@ def check_fits(saved: Any, fresh: Any, where: str, most: int = 2**63 - 1) -> Non
         where: the file and what it is of, for the error.
         most: the largest count there can be, as of frames so far.
     """
-    if isinstance(fresh, Tensor):
-        if not isinstance(saved, Tensor) or saved.shape != fresh.shape or saved.dtype != fresh.dtype:
-            raise RunError(f"{where}: expected {_told(fresh)}, found {_told(saved)}")
-    elif isinstance(fresh, Mapping):
-        if not isinstance(saved, Mapping) or (fresh and saved.keys() != fresh.keys()):
-            raise RunError(f"{where}: expected {_told(fresh)}, found {_told(saved)}")
+    if not _same_kind(saved, fresh, most):
+        raise RunError(f"{where}: expected {_told(fresh)}, found {_told(saved)}")
+    if isinstance(fresh, Mapping):
         for key, inner in fresh.items():
             check_fits(saved[key], inner, f"{where}.{key}", most)
     elif isinstance(fresh, list | tuple):
-        _check_list(saved, fresh, where, most)
-    elif not _same_kind(saved, fresh, most):
-        raise RunError(f"{where}: expected {_told(fresh)}, found {_told(saved)}")
-
-
-def _check_list(saved: Any, fresh: list[Any] | tuple[Any, ...], where: str, most: int) -> None:
-    if not isinstance(saved, list | tuple) or (fresh and len(saved) != len(fresh)):
-        raise RunError(f"{where}: expected {_told(fresh)}, found {_told(saved)}")
-    if not fresh and not all(is_count(value) and value <= most for value in saved):
-        raise RunError(f"{where}: expected counts up to {most}")
-    for index, inner in enumerate(fresh):
-        check_fits(saved[index], inner, f"{where}[{index}]", most)
+        for index, inner in enumerate(fresh or [0] * len(saved)):
+            check_fits(saved[index], inner, f"{where}[{index}]", most)
 
 
 def _same_kind(saved: Any, fresh: Any, most: int) -> bool:
-    if fresh is None and saved is None:
-        return True
+    if isinstance(fresh, Tensor):
+        return isinstance(saved, Tensor) and (saved.shape, saved.dtype) == (fresh.shape, fresh.dtype)
+    if isinstance(fresh, Mapping):
+        return isinstance(saved, Mapping) and (not fresh or saved.keys() == fresh.keys())
+    if isinstance(fresh, list | tuple):
+        return isinstance(saved, list | tuple) and (not fresh or len(saved) == len(fresh))
     if fresh is None or type(fresh) is int:
-        return is_count(saved) and saved <= most
+        return (fresh is None and saved is None) or (is_count(saved) and saved <= most)
     return type(saved) in (int, float) if isinstance(fresh, float) else type(saved) is type(fresh)
 
 
@@ -59,8 +121,7 @@ def _told(value: Any) -> str:
     if isinstance(value, Tensor):
         return f"{str(value.dtype).removeprefix('torch.')} {list(value.shape)}"
     if isinstance(value, Mapping):
-        names = ", ".join(map(str, sorted(value, key=str)[:5]))
-        return f"{len(value)} entries ({names}{', ...' if len(value) > 5 else ''})"
+        return f"{len(value)} entries ({', '.join(map(str, sorted(value, key=str)[:5]))})"
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
     return "a count or nothing" if value is None else f"{type(value).__name__} {value!r}"[:80]
@@ -109,70 +170,8 @@ def check_random_state(saved: Any, where: str) -> None:
 
 
 def check_agents(saved: Any, env: EnvBase, where: str) -> None:
-    """Raise `RunError` unless saved agents are valid states of the environment: see its specs.
-
-    Args:
-        saved: what the environment's ``reset`` returned, or a step later, as a dictionary of tensors of those shapes.
-        env: batched, with a spec of everything in it.
-        where: the file and what it is of, for the error.
-    """
+    """Raise `RunError` unless saved agents, tensors of the shapes of a ``reset``, are in the environment's specs."""
     for specs in (env.full_observation_spec, env.full_done_spec):
         for name, spec in specs.items():
             if not spec.is_in(saved[name]):
                 raise RunError(f"{where}.{name}: holds values that the environment does not have")
-
-
-def check_training(
-    saved: Mapping[str, Any], fresh: Mapping[str, Any], env: EnvBase, optimiser: Optimizer, where: str
-) -> None:
-    """Raise `RunError` unless a training can be resumed from a checkpoint; call it before restoring anything.
-
-    Args:
-        saved: of `dirl.runs.checkpoints.load_checkpoint`.
-        fresh: what the recipe would save now, before any training: ``learning``, ``agents``, ``meter`` and ``random``.
-        env: of the training.
-        optimiser: of the training.
-        where: the checkpoint, for the error.
-    """
-    missing = fresh.keys() - saved.keys()
-    if missing:
-        raise RunError(f"{where}: is no checkpoint of a training; it lacks {', '.join(sorted(missing))}")
-    for name in fresh.keys() - {"optimiser", "random", "trained"}:
-        check_fits(saved[name], fresh[name], f"{where}: {name}", saved["frames"])
-    if [sum(lengths) for lengths in saved["meter"]["steps"]] != list(saved["meter"]["totals"]):
-        raise RunError(f"{where}: meter: the lengths of the latest episodes do not add up to their totals")
-    check_agents(saved["agents"], env, f"{where}: agents")
-    check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser", saved["trained"])
-    if saved["frames"] and not saved["optimiser"]["state"]:
-        raise RunError(f"{where}: optimiser.state: is empty, though {saved['frames']} frames were trained")
-    _check_random(saved["random"], fresh["random"], where)
-
-
-def check_imitation(
-    saved: Mapping[str, Any], fresh: Mapping[str, Any], optimiser: Optimizer, steps: int, where: str
-) -> None:
-    """Raise `RunError` unless an imitation can be resumed from a checkpoint; call it before restoring anything.
-
-    Args:
-        saved: of `dirl.runs.checkpoints.load_checkpoint`.
-        fresh: what the recipe would save now, before any step.
-        optimiser: of the imitation.
-        steps: that it takes at most.
-        where: the checkpoint, for the error.
-    """
-    missing = fresh.keys() - saved.keys()
-    if missing:
-        raise RunError(f"{where}: is no checkpoint of an imitation; it lacks {', '.join(sorted(missing))}")
-    check_fits(saved["imitation"], fresh["imitation"], f"{where}: imitation", steps)
-    check_fits(saved["learning"], fresh["learning"], f"{where}: learning")
-    check_optimiser(saved["optimiser"], optimiser, f"{where}: optimiser", saved["trained"])
-    if not saved["optimiser"]["state"]:
-        raise RunError(f"{where}: optimiser.state: is empty, though an imitation was saved after its first step")
-    _check_random(saved["random"], fresh["random"], where)
-
-
-def _check_random(saved: Any, fresh: Mapping[str, Any], where: str) -> None:
-    check_fits(saved, fresh, f"{where}: random")
-    for name, state in saved.items():
-        if name != "cuda":
-            check_random_state(state, f"{where}: random.{name}")

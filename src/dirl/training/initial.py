@@ -6,11 +6,11 @@ from typing import Any
 
 from torch import Tensor
 
-from dirl.cli.refusals import ARCHITECTURE, initial_weights_file
 from dirl.config.saved import read_config
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.models.weights import check_extractor
 from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.finding import ARCHITECTURE, initial_weights_file
 from dirl.scenes import World
 
 

@@ -10,17 +10,16 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 
-from dirl.cli.command_line import job_errors, one_line_errors
 from dirl.config.components import check_components
-from dirl.config.schemas import typed
+from dirl.config.values import typed
 from dirl.evaluation.protocol import EvaluationProtocol, mean_shortest
 from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import count_parameters
 from dirl.reporting import run_title
 from dirl.runs import ranks
-from dirl.runs.exits import one_line_exits
+from dirl.runs.exits import job_errors, one_line_exits
 from dirl.runs.folder import Run, open_run
-from dirl.runs.states import check_training
+from dirl.runs.states import check_state
 from dirl.training.build import (
     build_demonstrations,
     build_env,
@@ -79,7 +78,7 @@ def run_job(composed: DictConfig, hydra: Any, stages: Stages) -> dict[str, Any]:
 def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool) -> dict[str, Any]:
     """Build the components before anything is written; then run the stages."""
     # Without the inner one Hydra would say something of its own about an error of the machine.
-    with one_line_exits() if alone else nullcontext(), one_line_errors(folder) if alone else nullcontext():
+    with one_line_exits(folder=folder) if alone else nullcontext():
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
         ranks.join(config, alone=alone)
@@ -90,7 +89,7 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
             return summary
         components = _components(run, initial)
         run.begin(components.protocol.world, components.protocol.observation.order)
-    with one_line_exits(run.how_to_go_on) if alone else nullcontext(), one_line_errors() if alone else nullcontext():
+    with one_line_exits(run.how_to_go_on) if alone else nullcontext():
         return _train(run, components, stages)
 
 
@@ -122,7 +121,7 @@ def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -
     meter = EpisodeMeter(mean_shortest(protocol.world))
     state = TrainState(policy, losses, optimiser, env, env.reset(), meter)
     if run.saved is not None and not in_imitation(run):
-        check_training(run.saved, state.state_dict(), env, optimiser, str(run.folder))
+        check_state(run.saved, state.state_dict(), optimiser, str(run.folder), run.saved["frames"], env)
         state.load_state_dict(run.saved)
     return state
 

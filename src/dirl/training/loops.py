@@ -20,8 +20,8 @@ from tqdm import tqdm
 from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.runs import ranks
-from dirl.runs.checks import RunError
 from dirl.runs.exits import interruptible, leave
+from dirl.runs.finding import RunError
 from dirl.runs.folder import Run
 from dirl.training.progress import due, is_done
 from dirl.training.rollout import Update, together

@@ -16,7 +16,7 @@ from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import plain_weights
 from dirl.runs import ranks
 from dirl.runs.folder import Run
-from dirl.runs.states import check_imitation
+from dirl.runs.states import check_state
 from dirl.training.losses import Losses
 from dirl.training.rollout import Update
 
@@ -138,7 +138,7 @@ def begin_imitation(run: Run, policy: Any, done: int) -> ImitationState:
     state = ImitationState(policy, optimiser, done)
     if run.saved is not None and in_imitation(run) and not done:
         most = run.config.imitation.max_steps
-        check_imitation(run.saved, state.state_dict(), optimiser, most, str(run.folder))
+        check_state(run.saved, state.state_dict(), optimiser, str(run.folder), most)
         state.load_state_dict(run.saved)
     return state
 

@@ -1,0 +1,76 @@
+"""Types and bounds of options, and the options of scenes.py that conf/ lists."""
+
+from typing import Annotated, Any, Literal
+
+import pytest
+import torch
+
+from dirl.config.bounds import Bounds
+from dirl.config.scene_schemas import COMMANDS, TYPES
+from dirl.config.schemas import ConfigError, Device, TrainConfig
+from dirl.config.values import check_choice, check_value, fits, option_types
+
+Count = Annotated[int, Bounds(0, 9)]
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        (3, Any),
+        ("x", Any),
+        (3, Count),
+        (None, Count | None),
+        (1, float),
+        ("cpu", Device),
+        ([1, 2], list[Count]),
+        ({"a": torch.zeros(1)}, dict[str, torch.Tensor]),
+        ("a", Literal["a", "b"]),
+        ([0.9, 0.999], tuple[float, float]),
+    ],
+)
+def test_a_value_fits_its_type(value, kind):
+    assert fits(value, kind)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        (True, int),
+        (10, Count),
+        (10, Count | None),
+        ([1, 10], list[Count]),
+        ({1: torch.zeros(1)}, dict[str, torch.Tensor]),
+        ({"a": [0]}, dict[str, torch.Tensor]),
+        ("c", Literal["a", "b"]),
+        ("gpu", Device),
+        (0.5, torch.Tensor),
+    ],
+)
+def test_a_value_of_another_type_does_not(value, kind):
+    assert not fits(value, kind)
+
+
+def test_bounds_are_told_where_there_may_be_nothing():
+    with pytest.raises(ConfigError, match=r"^x=10: must be between 0 and 9$"):
+        check_value("x", 10, Count | None)
+    check_value("x", None, Count | None)
+
+
+def test_what_there_is_not_is_told_its_neighbour():
+    with pytest.raises(ConfigError, match=r"^there is no colour 'rad'; did you mean red\?$"):
+        check_choice("colour 'rad'", "rad", ["red", "green"])
+    with pytest.raises(ConfigError, match=r"^there is no colour 'x'; choose from red, green$"):
+        check_choice("colour 'x'", "x", ["red", "green"])
+
+
+def test_annotations_hold_the_bounds():
+    assert option_types(TrainConfig)["reinforcement.gamma"] is float
+    assert option_types(TrainConfig, bounds=True)["reinforcement.gamma"].__metadata__ == (Bounds(0, 1),)
+
+
+def test_options_of_scenes_are_those_of_conf():
+    options = option_types(COMMANDS["sample"])
+    assert list(options)[:3] == ["kind", "seed", "count"]
+    assert (options["workers"], options["encoder"], options["out"]) == (int | None, str | None, str)
+    assert options["changes.position"] is float
+    assert set(TYPES) <= {name for command in COMMANDS.values() for name in option_types(command)}
