@@ -82,7 +82,7 @@ def main(options: EvaluateConfig) -> None:
     facts = describe(trained.config, trained.protocol.world)
     if packaged_agent(options.checkpoint) is not None:
         facts["agent"] = Path(options.checkpoint).name
-    pages = viewer(trained, facts) if options.viewer else {}
+    pages = viewer(trained, facts, beside(options, trained, changes)) if options.viewer else {}
     live = options.simulator is not None
     measured = walk_live(trained, options) if live else assess(trained.policy, trained.protocol)
     result = {"checkpoint": options.checkpoint, "frames": saved["frames"], **facts, **measured}
@@ -175,22 +175,28 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
     return trained._replace(protocol=replace(protocol, maps=maps))
 
 
-def viewer(trained: Trained, facts: Mapping[str, Any]) -> dict[str, str]:
+def beside(options: EvaluateConfig, trained: Trained, changes: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """The agent of a second checkpoint in the scenes and for the goals of the first, by its name."""
+    if options.beside is None:
+        return {}
+    world = trained.protocol.world
+    goals = {name: world.local_goals(index).tolist() for index, name in enumerate(world.names)}
+    asked = {"scene": trained.config.scene, "goals": goals, "evaluation.max_steps": trained.protocol.max_steps}
+    other = load_trained(load_checkpoint(options.beside), options.beside, {**changes, **asked}, options.trust or [])
+    return {run_folder(options.beside).name: (other.policy, other.protocol)}
+
+
+def viewer(trained: Trained, facts: Mapping[str, Any], others: Mapping[str, tuple[Any, Any]]) -> dict[str, str]:
     """The pages of the policy's greedy episodes, by file name, under the conditions of the evaluation."""
     config, policy, protocol = trained
-    memory = protocol.memory
-    if isinstance(memory, LocalisingMemory):
-        raise RunError("viewer: the page cannot localise; leave viewer out, or add episodic_memory=planning")
     led = policy if isinstance(policy, GuidedPolicy) else None
     return viewer_pages(
         policy,
-        protocol.world,
-        protocol.observation,
+        protocol,
         matching=matching(config),
-        stop=protocol.stop,
-        max_steps=protocol.max_steps,
         title=run_title(facts),
-        memory=memory,
+        critic=bool(set(config.losses) - {"imitation"}),
+        beside=others,
         graphs=None if led is None else led.memory.graphs,
         last_steps=0 if led is None else led.last_steps,
     )

@@ -76,17 +76,8 @@ def clone(room, folder):
     return room
 
 
-def pages_of(room):
-    return viewer_pages(
-        room.policy,
-        room.world,
-        room.observation,
-        matching=matching(room.config),
-        stop=room.protocol.stop,
-        max_steps=room.protocol.max_steps,
-        title="a test",
-        memory=room.protocol.memory,
-    )
+def pages_of(room, **options):
+    return viewer_pages(room.policy, room.protocol, matching=matching(room.config), title="a test", **options)
 
 
 def data_in(page):
@@ -150,7 +141,8 @@ def test_a_scenes_name_can_neither_leave_its_script_nor_the_folder(tmp_path):
     name = "</script><img src=x>/../é"
     room = small_room(tmp_path)
     (scene,) = room.world.scenes
-    room = replace(room, world=replace(room.world, scenes=(replace(scene, name=name),)))  # no file may hold it
+    named = replace(room.world, scenes=(replace(scene, name=name),))  # no file may hold it
+    room = replace(room, world=named, protocol=replace(room.protocol, world=named))
     ((file, page),) = pages_of(room).items()
     assert "/" not in file
     assert "<img" not in page
@@ -183,7 +175,7 @@ def test_evaluate_writes_the_viewer_into_the_runs_folder_and_says_when_it_replac
     assert "in place of" not in printed
     data = data_in((tmp_path / "run" / "viewer_grid.html").read_text())
     assert data["max_steps"] == 9
-    assert "DIRL, grid (source: synthetic), seed 1" in data["title"]
+    assert "DIRL, grid (source: synthetic), seed 1" in data["facts"]
     assert (data["goal_view"], data["match"], data["threshold"]) == ("surrounding", "views", 0.9)
     assert "in place of the one before" in run_recipe(tmp_path, "evaluate", *command, "goal_view=front")[1]
     data = data_in((tmp_path / "run" / "viewer_grid.html").read_text())
@@ -194,10 +186,10 @@ def test_evaluate_writes_the_viewer_into_the_runs_folder_and_says_when_it_replac
 def open_page(watched_tab, tmp_path):
     """Open a room's page from its file."""
 
-    def opened(room):
-        ((name, text),) = pages_of(room).items()
+    def opened(room, address="", **options):
+        ((name, text),) = pages_of(room, **options).items()
         (tmp_path / name).write_text(text, encoding="utf-8")
-        return watched_tab((tmp_path / name).as_uri())
+        return watched_tab((tmp_path / name).as_uri() + address, (tmp_path / name).as_uri())
 
     return opened
 
@@ -268,36 +260,171 @@ def test_a_photo_and_a_memory_are_told_and_the_memory_can_be_left_out(tmp_path, 
     assert "one photo" in tab.inner_text("#goal-title")
     assert "the view ahead; threshold 0.95" in tab.inner_text("#match-title")
     assert "Episodic memory" in tab.inner_text("#facts")
+    where = torch.tensor([1]), torch.tensor([8])
+    for name, memory in (("without memory", None), ("the agent", room.protocol.memory)):
+        choose(tab, 1, 8)
+        tab.select_option("#agent", name)
+        assert shown(tab) == (0, 8)
+        _, ((*path,),) = replace(room.protocol, memory=memory).trajectories(room.policy, where)
+        assert walked(tab) == list(enumerate(path))
+    assert "framed" in "".join(titles_on_the_way(tab))  # where the memory does something else than the policy would
+
+
+def titles_on_the_way(tab):
+    """What is said of the actions at each step of the episode that is shown."""
+    tab.press("body", "r")
+    while tab.locator("#step").is_enabled():
+        yield tab.inner_text("#actions-title")
+        tab.press("body", "n")
+
+
+def walked(tab):
+    """The steps and states of the episode, pressed through."""
+    seen = [shown(tab)]
+    while tab.locator("#step").is_enabled():
+        tab.press("body", "n")
+        seen.append(shown(tab))
+    return seen
+
+
+def test_an_agent_goes_on_from_where_it_was_led_as_if_it_began_there(tmp_path, open_page):
+    room = small_room(tmp_path, "episodic_memory=planning")
+    tab = open_page(room)
     choose(tab, 1, 8)
     tab.press("body", "d")
-    tab.press("body", "a")  # back at the start: turning right is less likely now
-    logits = room.answers(torch.tensor([8]), 1)["logits"]
-    remembering = logits - 4 * torch.tensor([0, 2, 0, 0])  # it was done, and its opposite was undone
-    for box, expected in ((True, remembering), (False, logits)):
-        if not box:
-            tab.uncheck("#memory")  # begins the episode anew
-            assert shown(tab) == (0, 8)
-        bars = tab.locator("#actions .number").all_inner_texts()
-        assert [float(text.rstrip("%")) for text in bars] == pytest.approx(
-            (100 * expected.softmax(-1))[0].tolist(), abs=0.06
+    tab.press("body", "a")
+    tab.press("body", "d")
+    step, state = shown(tab)
+    _, ((*path,),) = room.protocol.trajectories(room.policy, (torch.tensor([1]), torch.tensor([state])))
+    assert walked(tab) == [(step + done, at) for done, at in enumerate(path)][: LIMIT - step + 1]
+
+
+def test_two_agents_walk_side_by_side(tmp_path, open_page):
+    room = clone(small_room(tmp_path, "imitation.fraction=1"), tmp_path)
+    (tmp_path / "other").mkdir()
+    other = small_room(tmp_path / "other")
+    tab = open_page(room, beside={"untrained": (other.policy, other.protocol)})
+    choose(tab, 1, 8)
+    assert not tab.is_visible("#seen-beside")
+    tab.select_option("#beside", "untrained")
+    tab.press("body", "e")
+    assert "Stopped at the goal" in tab.inner_text("#outcome")
+    step = shown(tab)[0]
+    _, ((*path,),) = other.protocol.trajectories(other.policy, (torch.tensor([1]), torch.tensor([8])))
+    assert tab.get_attribute("#views-beside .ahead img", "alt") == f"view ahead, of state {path[step]}"
+    assert tab.inner_text("#outcome-beside") == f"untrained: On the way: {step} steps"
+    assert tab.locator("#map .agent").count() == 2
+    tab.select_option("#beside", "shortest path")
+    tab.press("body", "e")
+    assert tab.inner_text("#outcome-beside").startswith("shortest path: Stopped at the goal")
+    with pytest.raises(ValueError, match="beside=untrained: is evaluated in other scenes or for other goals"):
+        pages_of(
+            room_of(train_config("scene=bathroom_02", "encoder.width=16")), beside={"untrained": (0, other.protocol)}
         )
-        assert tab.locator("#actions b:visible").count() == (4 if box else 0)
 
 
-def test_a_page_without_a_memory_offers_none(tmp_path, open_page):
+def test_goals_are_chosen_by_pictures_and_on_the_map(tmp_path, open_page):
     tab = open_page(small_room(tmp_path))
-    assert not tab.is_visible("#memory")
-    assert tab.locator("#goal-views figure").count() == 4
+    assert tab.locator("#goals img").count() == 2
+    tab.click("#goals button:nth-child(2)")
+    assert "state 13" in tab.inner_text("#goal-title")
+    assert tab.locator("#goals [aria-pressed=true] img").get_attribute("alt") == "goal: state 13"
+    tab.check("[name=click][value=goal]")
+    tab.click("#map .cell[data-state='0']")
+    assert "state 0" in tab.inner_text("#goal-title")
+    tab.click("#map .cell[data-state='20']")
+    assert "no goal at this place" in tab.inner_text("#note")
+    assert "state 0" in tab.inner_text("#goal-title")
+    tab.check("[name=click][value=start]")
+    for state in (20, 21, 22, 23, 20):  # the same place again: it turns
+        tab.click("#map .cell[data-state='20']")
+        assert shown(tab) == (0, state)
+        assert tab.inner_text("#note") == ""
+
+
+def test_the_map_is_used_by_keys(tmp_path, open_page):
+    room = small_room(tmp_path)
+    tab = open_page(room)
+    choose(tab, 0, 20)
+    where = room.world.scenes[0].positions
+    tab.focus("#map svg")
+    tab.press("#map svg", "ArrowRight")  # walks nowhere
+    assert shown(tab) == (0, 20)
+    cursor = int(tab.get_attribute("#map .cursor", "data-state"))
+    assert where[cursor][0] > where[0][0]
+    tab.press("#map svg", "Enter")
+    assert shown(tab) == (0, cursor)
+    tab.press("#map svg", "Enter")
+    assert shown(tab) == (0, cursor + 1)
+    tab.press("#map svg", "g")
+    assert "no goal" in tab.inner_text("#note")
+
+
+@pytest.mark.parametrize(
+    ("start", "said"),
+    [
+        ("0", "No episode begins at 0: it is the goal"),
+        ("99", "Start '99': there is no such state; the states are 0 to 43"),
+        ("-1", "Start '-1': there is no such state"),
+        ("2.5", "Start '2.5': there is no such state"),
+    ],
+)
+def test_a_start_without_an_episode_is_told(tmp_path, open_page, start, said):
+    tab = open_page(small_room(tmp_path))
+    choose(tab, 0, 20)
+    choose(tab, 0, start)
+    assert said in tab.inner_text("#note")
+    assert shown(tab) == (0, 0 if start == "0" else 20)
+    assert tab.is_enabled("#play") == (start != "0")
+    tab.press("body", "n")
+    tab.press("body", " ")
+    tab.press("body", "d")
+    assert tab.inner_text("#note") == ""
+
+
+def test_a_link_leads_to_what_was_shown(tmp_path, open_page):
+    room = small_room(tmp_path, "episodic_memory=planning")
+    tab = open_page(room)
+    choose(tab, 1, 8)
+    tab.select_option("#agent", "without memory")
+    tab.select_option("#beside", "shortest path")
+    for key in ("n", "d", "w", "n", "n", "b"):
+        tab.press("body", key)
+    seen, texts = shown(tab), [tab.inner_text(f"#{name}") for name in ("outcome", "outcome-beside", "goal-title")]
+    tab.wait_for_url("**step=4**")  # not written at every step
+    address = tab.evaluate("location.hash")
+    tab = open_page(room, address)
+    assert shown(tab) == seen
+    assert [tab.inner_text(f"#{name}") for name in ("outcome", "outcome-beside", "goal-title")] == texts
+    assert tab.locator("#agent option:checked").inner_text() == "without memory"
+    tab.evaluate("location.hash = '#goal=0&start=20&step=2'")
+    tab.locator("body[data-step='2']").wait_for()
+    assert "state 0" in tab.inner_text("#goal-title")
+    for wrong in ("goal=7", "start=4.5", "step=x", "agent=9"):
+        tab.evaluate(f"location.hash = '#{wrong}'")
+        tab.locator("#note", has_text=f"{wrong.replace('=', ' ')}, which this page does not have").wait_for()
+
+
+def test_values_of_an_untrained_critic_are_not_shown(tmp_path, open_page):
+    tab = open_page(small_room(tmp_path), critic=False)
+    assert tab.inner_text("#value") == ""
 
 
 def test_a_phone_shows_map_and_views_together(tmp_path, open_page):
     tab = open_page(small_room(tmp_path))
     tab.set_viewport_size({"width": 390, "height": 844})
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390
-    for name in ("map", "seen"):
-        place = tab.locator(f"#{name}").bounding_box()
-        assert place["y"] >= 0, name
-        assert place["y"] + place["height"] <= 844, name
+    for name in ("map", "outcome", "seen"):
+        assert is_inside(tab, name), name
+    tab.locator("#actions button").last.scroll_into_view_if_needed()  # to walk by hand
+    for name in ("map", "outcome", "actions"):
+        assert is_inside(tab, name), name
+
+
+def is_inside(tab, name):
+    """Whether a part of the page is all on a phone's screen."""
+    place = tab.locator(f"#{name}").bounding_box()
+    return place["y"] >= 0 and place["y"] + place["height"] <= 844
 
 
 def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
@@ -306,11 +433,10 @@ def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
     tab = open_page(room)
     choose(tab, 1, 8)
     assert tab.locator("#actions .chosen").count() == 1
-    seen = [shown(tab)]
-    while tab.locator("#step").is_enabled():
-        tab.press("body", "n")
-        seen.append(shown(tab))
+    seen = walked(tab)
     assert seen == list(enumerate(path))
+    assert not tab.is_visible("#actions")  # nothing is decided any more
+    assert "ended" in tab.inner_text("#actions-title")
     assert f"Stopped at the goal after {int(episodes.steps)} steps" in tab.inner_text("#outcome")
     assert tab.inner_text("#verdict") == "stop"
     assert tab.inner_text("#score") == "1.000"
@@ -353,4 +479,4 @@ def test_the_bars_show_the_policys_probabilities(tmp_path, open_page):
     bars = tab.locator("#actions .number").all_inner_texts()
     assert [float(text.rstrip("%")) for text in bars] == pytest.approx((100 * logits.softmax(-1))[0].tolist(), abs=0.06)
     assert float(tab.inner_text("#value").split()[-1]) == pytest.approx(value.item(), abs=0.001)
-    assert tab.evaluate("[...document.images].every((image) => image.complete && image.naturalWidth === 8)")
+    assert tab.evaluate("[...document.images].every((image) => !image.offsetParent || image.naturalWidth === 8)")

@@ -8,7 +8,9 @@ from tours import grid_truth, tour_of, turned
 
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
+from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.recognition.matching import TemplateStop
 from dirl.reporting import viewer_pages
 from dirl.scenes import load_scenes, make_world, write_dump
@@ -34,11 +36,8 @@ def opened(world, watched_tab, folder, last_steps):
     memory = GraphMemory(world, 3.0)
     ((name, text),) = viewer_pages(
         GuidedPolicy(ShortestPathPolicy(world), memory, last_steps),
-        world,
-        SurroundingViews(world, "front"),
+        EvaluationProtocol(world, SurroundingViews(world, "front"), every_start(world), max_steps=60),
         matching=TemplateStop(0.95, "front"),
-        stop=None,
-        max_steps=60,
         title="a test",
         graphs=memory.graphs,
         last_steps=last_steps,

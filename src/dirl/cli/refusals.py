@@ -106,6 +106,10 @@ def _evaluation(options: EvaluateConfig) -> None:
         raise ConfigError("video=true needs a package that is not installed: pip install imageio-ffmpeg")
     if options.out is not None:
         new_file(options.out, ending="")
+    if options.beside is not None:
+        if not options.viewer:
+            raise RunError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
+        find_checkpoint(options.beside)
     find_checkpoint(options.checkpoint)
 
 

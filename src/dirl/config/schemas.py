@@ -238,6 +238,7 @@ class EvaluateConfig:
     image_graph: Annotated[float, Bounds(0, 100)] | None = None
     last_steps: Annotated[int, Bounds(0, 10**6)] | None = None
     viewer: bool = False
+    beside: str | None = None
     video: bool = False
     simulator: str | None = None
     slip: HeldOut = 0.0

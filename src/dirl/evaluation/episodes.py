@@ -91,7 +91,7 @@ def run_episodes(
     maps: Sequence[PlaceMap] | None = None,
     looks: range | None = None,
     shown: Tensor | None = None,
-    watch: Callable[[Tensor, Tensor], None] | None = None,
+    watch: Callable[[Tensor, Tensor, Tensor], None] | None = None,
 ) -> Episodes:
     """One episode from each start. In a world that changes every visit and every goal has a look sampled for it.
 
@@ -115,7 +115,7 @@ def run_episodes(
         maps: of a walk through each scene, which the episodes go on with; for a `LocalisingMemory`.
         looks: of visits and goals; all if left out.
         shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
-        watch: called after each step with the unfinished episodes and their states, int64 ``[W]`` each.
+        watch: called after each step with the unfinished episodes, their states and actions, int64 ``[W]`` each.
     """
     goal_index, start = starts
     never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
@@ -147,7 +147,7 @@ def run_episodes(
             for step in range(1, max_steps + 1):
                 going = _take_step(walk, agents, episodes, wanted, step)
                 if watch is not None:
-                    watch(walk.episode, walk.state)
+                    watch(walk.episode, walk.state, walk.action)
                 left = int(going.sum())
                 bar.update(len(going) - left)
                 if not left:

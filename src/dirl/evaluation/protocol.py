@@ -60,11 +60,25 @@ class EvaluationProtocol:
         """Episodes from given starts, and the states that each passed, from its start to its last state."""
         paths = [[state] for state in starts[1].tolist()]
 
-        def watch(walking: Tensor, state: Tensor) -> None:
+        def watch(walking: Tensor, state: Tensor, _: Tensor) -> None:
             for episode, passed in zip(walking.tolist(), state.tolist(), strict=True):
                 paths[episode].append(passed)
 
         return run_episodes(policy, self.world, starts, greedy=greedy, watch=watch, **self._conditions()), paths
+
+    def walks(self, policy: nn.Module, starts: tuple[Tensor, Tensor]) -> list[Tensor]:
+        """The actions of greedy episodes from given starts, until each stops or fails; int64 ``[steps]`` each."""
+        steps: list[tuple[Tensor, Tensor]] = []
+        run_episodes(
+            policy,
+            self.world,
+            starts,
+            watch=lambda walking, _, action: steps.append((walking, action)),
+            **self._conditions(),
+        )
+        episode, action = (torch.cat(parts) for parts in zip(*steps, strict=True))
+        order = torch.argsort(episode, stable=True)
+        return list(action[order].split(torch.bincount(episode, minlength=len(starts[0])).tolist()))
 
     def _conditions(self) -> dict[str, Any]:
         names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "maps", "looks", "shown")

@@ -2,7 +2,8 @@
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 from urllib.parse import quote
@@ -14,43 +15,43 @@ from torch import Tensor, nn
 from dirl.agent.decisions import answers
 from dirl.agent.mapping import ImageGraph
 from dirl.envs import SurroundingViews
-from dirl.models import EpisodicMemory, PlanningMemory, recurrent_keys
-from dirl.recognition.matching import Arrived, TemplateStop
-from dirl.recognition.recogniser import NCC
-from dirl.recognition.tables import described_visits
-from dirl.scenes import ACTIONS, Scene, World
+from dirl.evaluation.episodes import every_start
+from dirl.evaluation.experts import ShortestPathPolicy
+from dirl.evaluation.protocol import EvaluationProtocol
+from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
+from dirl.recognition.matching import TemplateStop
+from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
-from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, turns_per_circle
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 from dirl.scenes.views import encode
+
+MOST_WALKS = 100_000
+"""Episodes of an agent with a memory that are computed for the pages; of more goals, some are left out."""
 
 
 def viewer_pages(
     policy: nn.Module,
-    world: World,
-    observation: SurroundingViews,
+    protocol: EvaluationProtocol,
     *,
     matching: TemplateStop,
-    stop: Tensor | Arrived | None,
-    max_steps: int,
     title: str,
-    memory: EpisodicMemory | PlanningMemory | None = None,
+    critic: bool = True,
+    beside: Mapping[str, tuple[nn.Module, EvaluationProtocol]] | None = None,
     graphs: Sequence[ImageGraph] | None = None,
     last_steps: int = 0,
 ) -> dict[str, str]:
     """Pages to step through greedy episodes and to walk the scenes by keyboard.
 
-    A scene is a finite graph, so a page holds the output of the policy for each pair of goal and state, and plays any
-    episode as `dirl.evaluation.protocol.run_episodes` would.
+    A scene is a finite graph: a page holds the output of the policy for each pair of goal and state, and the episode
+    that begins there. What agents do is computed here; the page plays it.
 
     Args:
         policy: with its present weights.
-        world: the scenes and goals to choose from.
-        observation: what the policy observes.
+        protocol: where and how it is evaluated; starts are not used.
         matching: computes the matching scores, and has the threshold.
-        stop: where an agent stops on its way to each goal, bool ``[P]``; at the goal itself if None.
-        max_steps: after so many steps an episode has failed.
         title: names the run; the same for all scenes.
-        memory: changes logits by what was done in the episode.
+        critic: whether the policy's state values were trained; else they are not shown.
+        beside: other agents by name, in a world of the same scenes and goals, to be walked at the same time.
         graphs: a topological map of each scene, which leads the agent; to be drawn beside the map.
         last_steps: so near the goal the policy decides by itself.
 
@@ -60,9 +61,10 @@ def viewer_pages(
 
     Raises:
         ValueError: the policy depends on more than the state, or the world changes, so that a state has no single
-            output.
+            output; or an agent beside it is of another world.
     """
-    if world.looks > 1 or callable(stop):
+    world, observation = protocol.world, protocol.observation
+    if world.looks > 1 or callable(protocol.stop):
         raise ValueError(
             f"the viewer shows one look of each state, and {world.names[0]} has {world.looks}: leave out viewer=true"
         )
@@ -71,40 +73,93 @@ def viewer_pages(
             "the viewer needs a policy that depends on the present state only; with observation=sequential or a memory "
             "it depends on earlier states too: leave out viewer=true"
         )
+    for name, (_, other) in (beside or {}).items():
+        if not (torch.equal(other.world.goals, world.goals) and torch.equal(other.world.graph, world.graph)):
+            raise ValueError(f"beside={name}: is evaluated in other scenes or for other goals")
+    agents = _agents(policy, protocol, beside or {})
+    starts = _starts(protocol)
+    walks = [_walks(*agent, starts) for agent in agents.values()]
     logits, values = answers(policy, world, observation)
     scores = matching.scores(world)
     common = {
-        "title": title,
+        "facts": _facts(title, protocol, graphs is not None, last_steps),
         "actions": ACTIONS,
-        "max_steps": max_steps,
-        "stops_by": "goal" if stop is None else "match",
+        "looks": SurroundingViews.order,
+        "agents": list(agents),
+        "max_steps": protocol.max_steps,
+        "stops_by": "goal" if protocol.stop is None else "match",
         "threshold": matching.threshold,
         "match": matching.match,
         "goal_view": observation.goal_view,
-        "last_steps": last_steps,
         "scenes": [{"name": name, "file": file_name(name)} for name in world.names],
     }
     pages = {}
     for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
         goals = []
-        for row in world.goals_in(index):
+        for row in [row for row in world.goals_in(index) if row in walks[0]]:
             goal = int(world.goals[row]) - offset
+            stops = torch.arange(len(scene)) == goal if protocol.stop is None else world.block(protocol.stop, row)
             goals.append(
                 {
                     "state": goal,
                     "logits": _base64(world.block(logits, row)),
-                    "values": _base64(world.block(values, row)),
+                    "values": _base64(world.block(values, row)) if critic else None,
                     "scores": _base64(world.block(scores, row)),
                     "distances": world.block(world.distances, row).tolist(),
-                    "stops": [goal] if stop is None else torch.nonzero(world.block(stop, row)).flatten().tolist(),
+                    "stops": torch.nonzero(stops).flatten().tolist(),
+                    "walks": [[of_agent[row].get(offset + state) for state in range(len(scene))] for of_agent in walks],
                 }
             )
-        recall = None if memory is None else _memory(memory, world, index)
         seen = world.features[offset : offset + len(scene)].cpu()
         image_graph = None if graphs is None else _image_graph(graphs[index], scene, seen)
-        data = {**common, **_room(scene), "memory": recall, "image_graph": image_graph, "goals": goals}
-        pages[file_name(scene.name)] = _page(data)
+        pages[file_name(scene.name)] = page({**common, **_room(scene), "image_graph": image_graph, "goals": goals})
     return pages
+
+
+def _agents(
+    policy: nn.Module, protocol: EvaluationProtocol, beside: Mapping[str, tuple[nn.Module, EvaluationProtocol]]
+) -> dict[str, tuple[nn.Module, EvaluationProtocol]]:
+    """The agents that a page can show, by name: the policy first."""
+    plain = replace(protocol, memory=None)
+    if isinstance(protocol.memory, LocalisingMemory):
+        raise ValueError("the page cannot localise; leave viewer out, or add episodic_memory=planning")
+    own = {"the policy": (policy, plain)}
+    if protocol.memory is not None:
+        own = {"the agent": (policy, protocol), "without memory": (policy, plain)}
+    return {**own, **beside, "shortest path": (ShortestPathPolicy(protocol.world), replace(plain, stop=None))}
+
+
+def _starts(protocol: EvaluationProtocol) -> tuple[Tensor, Tensor]:
+    """Every start of the goals that pages show."""
+    goal_index, start = every_start(protocol.world)
+    every = 1 if protocol.memory is None else -(-len(start) // MOST_WALKS)
+    chosen = goal_index % every == 0
+    return goal_index[chosen], start[chosen]
+
+
+def _walks(policy: nn.Module, protocol: EvaluationProtocol, starts: tuple[Tensor, Tensor]) -> dict[int, dict[int, str]]:
+    """The actions of each episode as digits, by the place of its goal in the world and its start."""
+    found: dict[int, dict[int, str]] = {}
+    for goal, start, actions in zip(*(part.tolist() for part in starts), protocol.walks(policy, starts), strict=True):
+        found.setdefault(goal, {})[start] = "".join(map(str, actions.tolist()))
+    return found
+
+
+def _facts(title: str, protocol: EvaluationProtocol, led: bool, last_steps: int) -> str:
+    """What a page says of its agent."""
+    leader = "Greedy policy"
+    if led:
+        steps = f"the last {last_steps} step{'' if last_steps == 1 else 's'}, and where the map knows no path"
+        rest = f"; the greedy policy decides {steps}"
+        leader = "Led by the topological map of one walk"
+        leader += rest if last_steps else " to the goal; the greedy policy decides only where it knows no path"
+    stop = "stopped by the environment, exactly at the goal" if protocol.stop is None else "template matching"
+    memory = ""
+    if isinstance(protocol.memory, PlanningMemory):
+        memory = " Episodic memory: a plan to the best exit that was not tried in this episode."
+    elif protocol.memory is not None:
+        memory = " Episodic memory: what was done in this episode where it looked as it does now is less likely."
+    return f"{title}. {leader}; stopped by {stop}.{memory}"
 
 
 def file_name(scene: str) -> str:
@@ -118,22 +173,12 @@ def _room(scene: Scene) -> dict[str, Any]:
         "scene": scene.name,
         "graph": scene.graph.tolist(),
         "surrounding": scene.surrounding.tolist(),
-        "turns": turns_per_circle(scene.graph),
         "positions": scene.positions.round(4).tolist(),
         "directions": heading_directions(scene).round(4).tolist(),
         "side": round(step_length(scene), 4),
         "source": scene.source,
         "views": None if scene.views is None else [_view(scene, state) for state in range(len(scene))],
     }
-
-
-def _memory(memory: EpisodicMemory | PlanningMemory, world: World, index: int) -> dict[str, Any]:
-    """The data of an episodic memory that a page needs: options, and the states that look like each state."""
-    visits = described_visits(NCC(), world, index)
-    same = NCC().scores(visits, visits) > memory.threshold
-    names = ("repeated", "turn") if isinstance(memory, PlanningMemory) else ("penalty", "opposite", "blocked")
-    options = {name: getattr(memory, name) for name in names}
-    return {**options, "alike": [torch.nonzero(states).flatten().tolist() for states in same]}
 
 
 def _image_graph(graph: ImageGraph, scene: Scene, features: Tensor) -> dict[str, Any]:
@@ -164,12 +209,13 @@ def _base64(values: Tensor) -> str:
     return base64.b64encode(values.cpu().numpy().astype("<f4").tobytes()).decode()
 
 
-def _page(data: dict[str, Any]) -> str:
-    """The template with style, script and data inside."""
+def page(data: Mapping[str, Any]) -> str:
+    """The template with style, scripts and data inside."""
     # A scene's name may contain any text, and must not end the script element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     folder = files("dirl.reporting")
-    page, style, script = (
-        folder.joinpath(f"viewer.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+    template, style, script, drawing = (
+        folder.joinpath(f"viewer{part}").read_text(encoding="utf-8") for part in (".html", ".css", ".js", "_map.js")
     )
-    return page.replace("{{style}}", style).replace("{{script}}", script).replace("{{data}}", text)
+    made = template.replace("{{style}}", style).replace("{{script}}", drawing + script)
+    return made.replace("{{data}}", text)
