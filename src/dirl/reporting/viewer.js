@@ -31,22 +31,30 @@ function take(action, who) {
   by.push(who);
   blocked.push(next < 0);
   at++;
-  if (who === "hand") plan = { from: at, actions: walkFrom(path[at]) ?? "" };  // the agent goes on as if it began there
+  if (who === "hand") follow();  // the agent goes on as if it began there
 }
 function forward() {  // along what has been walked already, then on as the agent does
   if (at < path.length - 1) at++;
   else take(Number(nextAction()), "policy");
 }
+function follow() {
+  const state = path[at];
+  plan = { from: at, actions: walkFrom(state) ?? "" };
+  if (goal.ask && goal.walks[0][state] === undefined) goal.ask(state);  // an agent that runs in this page
+}
+function began(state) {  // what such an agent does from there is known now
+  if (at === 0 && path[0] === state) begin(state);
+  else if (at === plan.from && path[at] === state) { follow(); show(); }
+}
 const canGoOn = () => at < path.length - 1 || (!ended(at) && nextAction() !== undefined);
 function begin(state) {
   pause();
   path = [state]; taken = [null]; by = [null]; blocked = [false]; at = 0;
-  plan = { from: 0, actions: walkFrom(state) ?? "" };
+  follow();
   const who = byId("beside").value, walked = who === "" ? null : walkFrom(state, Number(who));
   rival = walked === null ? null : { path: along(state, walked) };
   byId("start").value = state;
   say(invalid(state));
-  if (goal.ask && goal.walks[agent()]?.[state] === undefined) goal.ask(state);  // an agent that runs in this page
   show();
 }
 function invalid(state) {
@@ -152,7 +160,10 @@ function showDecision(state) {
   byId("actions-title").textContent = over ? "The episode has ended: restart it, or walk on by the keys"
     : `What the ${D.image_graph ? "map or the policy" : "policy"} would do (press one to do it yourself)`
       + (other ? "; framed: what is done instead" : "");
-  const score = goal.scores[state];
+  const score = goal.scores[state], threshold = goal.threshold ?? D.threshold;
+  byId("match-title").textContent = `Matching with the goal (${D.match === "front" ? "the view ahead" : "all four views"}; `
+    + `threshold ${threshold}${D.stops_by === "match" ? "" : ", not used here"})`;
+  byId("threshold").style.left = onBar(threshold);
   byId("score").textContent = score.toFixed(3);
   byId("score-bar").style.width = onBar(score);
   byId("verdict").textContent = goal.stops.has(state) ? "stop" : "no stop";
@@ -211,9 +222,6 @@ function fromAddress() {
 document.title = `dirl viewer: ${D.scene}`;
 byId("title").textContent = `Episodes in ${D.scene}`;
 byId("facts").textContent = D.facts;
-byId("match-title").textContent = `Matching with the goal (${D.match === "front" ? "the view ahead" : "all four views"}; `
-  + `threshold ${D.threshold}${D.stops_by === "match" ? "" : ", not used here"})`;
-byId("threshold").style.left = onBar(D.threshold);
 D.scenes.forEach(({ name, file }) => byId("scene").add(new Option(name, file, name === D.scene, name === D.scene)));
 D.agents.forEach((name, i) => ["agent", "beside"].forEach((id) => byId(id).add(new Option(name, i))));
 goals.forEach(offerGoal);

@@ -1,0 +1,155 @@
+"""The live demo of the site: its models against the agent in Python, and in headless Chromium the pages with photos."""
+
+import gzip
+import io
+import json
+import re
+import shutil
+import sys
+import threading
+from base64 import b64decode
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+import torch
+from commands import ROOT
+from PIL import Image
+
+from dirl.models import PlanningMemory
+
+DOCS = ROOT / "docs"
+MOST_BYTES = 15 * 10**6
+
+
+@pytest.fixture(scope="module")
+def demo():
+    sys.path.insert(0, str(DOCS))
+    try:
+        import demo
+    finally:
+        sys.path.remove(str(DOCS))
+    return demo
+
+
+@pytest.fixture(scope="module")
+def site(demo, tmp_path_factory):
+    """The folder of the demo."""
+    if reason := demo.missing():
+        pytest.skip(reason)
+    folder = tmp_path_factory.mktemp("site") / "demo"
+    try:
+        demo.build(folder, DOCS / "_build" / "demo")
+    except RuntimeError as error:
+        pytest.skip(str(error))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def address(site):
+    """Where a server offers it."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(site)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}/"
+    server.shutdown()
+    server.server_close()
+
+
+def data_of(site, name):
+    text = (site / f"viewer_{name}.html").read_text()
+    return [
+        json.loads(re.search(rf'<script id="{part}" type="application/json">(.*?)</script>', text)[1])
+        for part in ("data", "demo")
+    ]
+
+
+def test_page_and_models_are_small(site):
+    files = [file for file in site.iterdir() if file.suffix != ".json"]
+    assert sum(file.stat().st_size for file in files) < MOST_BYTES
+
+
+def test_without_npm_the_site_says_so(demo, tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    with pytest.raises(RuntimeError, match="npm is not installed"):
+        demo.build(tmp_path / "demo", tmp_path / "cache")
+    assert not (tmp_path / "demo").exists()
+
+
+def test_the_exported_memory_plans_as_the_memory_does(site):
+    """Through random walks with quarter turns and smaller ones."""
+    session = pytest.importorskip("onnxruntime").InferenceSession(site / "memory.onnx")
+    memory, draw = PlanningMemory(), np.random.default_rng(0)
+    for turns in [4, 8] * 5:
+        walked = memory.begin(torch.tensor([turns]))
+        unknown = np.full((1, 4, 4), -1, np.int64)
+        known = [np.full((1, 4, 4), np.inf, np.float32), unknown, unknown, np.zeros((1, 4), bool), np.array([-1])]
+        action = -1
+        for _ in range(20):
+            same = np.zeros((1, walked.cost.shape[1]), bool)
+            used = np.flatnonzero(walked.used[0].numpy())
+            if len(used) and draw.random() < 0.4:
+                same[0, draw.choice(used)] = True
+            logits, seen = draw.normal(0, 3, (1, 4, 4)).astype(np.float32), draw.random((1, 4)) < 0.02
+            walked = memory.arrive(walked, *map(torch.from_numpy, (same, logits, seen)))
+            names = ("same", "logits", "seen", "cost", "after", "ring", "goal", "here", "action", "quarter")
+            beside = np.concatenate([np.zeros((1, 4), bool), same], 1)
+            given = (beside, logits, seen, *known, np.array([action]), np.array([turns == 4]))
+            plan, *known = session.run(None, dict(zip(names, given, strict=True)))
+            expected = memory.plan(walked)
+            torch.testing.assert_close(torch.from_numpy(plan), expected, atol=1e-4, rtol=0)
+            action = int(expected.argmax())
+            walked.action = torch.tensor([action])
+
+
+@pytest.mark.parametrize("name", ["bathroom_02", "tour"])
+def test_the_agent_of_8_bits_decides_as_the_agent_does(site, name):
+    session = pytest.importorskip("onnxruntime").InferenceSession(site / "mind.onnx")
+    data, facts = data_of(site, name)
+    views = np.frombuffer(gzip.decompress((site / f"{name}.f16.gz").read_bytes()), np.float16)
+    views = views.reshape(facts["states"], facts["width"]).astype(np.float32)
+    same, alike = [], []
+    for goal in data["goals"]:
+        given = {"views": views, "surrounding": np.array(data["surrounding"]), "photo": views[goal["state"]]}
+        logits, scores = session.run(None, given)
+        read = [np.frombuffer(b64decode(goal[key]), "<f4") for key in ("logits", "scores")]
+        same.append((logits.argmax(1) == read[0].reshape(-1, 4).argmax(1)).mean())
+        alike.append(np.abs(scores - read[1]).max())
+    assert np.mean(same) > 0.97
+    assert max(alike) < 0.01
+
+
+@pytest.mark.parametrize("name", ["bathroom_02", "tour"])
+def test_a_photo_is_a_goal(site, address, watched_tab, name):
+    """A place's own view leads there as in Python; a photo taken beside a place is found; another one is told of."""
+    data, _ = data_of(site, name)
+    tab = watched_tab(f"{address}viewer_{name}.html", address)
+    goal = data["goals"][2]
+    start = int(np.argmax(goal["distances"]))
+    view = io.BytesIO()
+    picture = b64decode(data["views"][goal["state"]])
+    Image.open(io.BytesIO(picture)).save(view, "PNG")
+    tab.fill("#start", str(start))
+    tab.press("#start", "Enter")
+    tab.fill("#photo-threshold", "0.95")
+    tab.set_input_files("#photo", {"name": "a.png", "mimeType": "image/png", "buffer": view.getvalue()})
+    tab.locator("#photo-said", has_text="The view most like it").wait_for(timeout=120_000)
+    assert f"state {goal['state']}, with a match of 1.00" in tab.inner_text("#photo-said")
+    tab.press("body", "e")
+    assert "this looks like the photo" in tab.inner_text("#outcome")
+    assert int(tab.evaluate("document.body.dataset.state")) == goal["state"]
+    assert tab.evaluate("taken.slice(1).join('')") == goal["walks"][0][start]
+    tab.fill("#photo-threshold", "0.85")
+    tab.click("#photos button:nth-child(1)")
+    tab.locator("#goal-title", has_text="your photo 2").wait_for(timeout=60_000)
+    tab.press("body", "e")
+    assert "this looks like the photo" in tab.inner_text("#outcome")
+    tab.set_input_files("#photo", {"name": "a.png", "mimeType": "image/png", "buffer": b"no picture"})
+    tab.locator("#photo-said", has_text="That did not work").wait_for()
+    tab.set_viewport_size({"width": 390, "height": 844})
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
