@@ -31,7 +31,8 @@ ROOM = "bathroom_02"
 TOUR = (("bedroom", "living_room"), 3)
 """Kinds and seed of the building of the tour."""
 
-SIZE, PANORAMA = (96, 128), (192, 384)
+SIZE = 96, 128
+PANORAMA = 256, 512
 MAX_STEPS = 100
 SAMPLES = 3
 PHOTO_THRESHOLD = 0.85

@@ -89,7 +89,7 @@ async function look(blob) {
     chooseGoal(goals.length - 1, path[0]);
     document.body.dataset.answered = Math.round(performance.now() - begun);
     said(`The view most like it: state ${best}, with a match of ${scores.data[best].toFixed(2)}. Answered in `
-      + `${document.body.dataset.answered} ms; ${goal.stops.size ? "the map shows the walk" : "it stops nowhere: lower the match"}.`);
+      + `${document.body.dataset.answered} ms; ${goal.stops.size ? "the map shows the walk" : "nothing matches enough to stop: move the slider down"}.`);
   } catch (error) {
     said(`That did not work: ${error.message}`);
   }

@@ -84,6 +84,7 @@ function outcome(states, step, hand = 0) {
   if (stopped(step, states) && goal.state === null) return ["good", `Stopped after ${length}: this looks like the photo`];
   if (stopped(step, states) && here) return ["good", `Stopped at the goal after ${length}${least}`];
   if (stopped(step, states)) return ["bad", `False stop after ${length}: this is not the goal`];
+  if (step >= D.max_steps && goal.state === null) return ["bad", `Gave up after ${length}: nothing looked enough like the photo`];
   if (step >= D.max_steps) return ["bad", `Failed: not at the goal after ${length}`];
   if (here && step > 0) return ["bad", `Missed: at the goal after ${length}, but not recognised`];
   if (states === path && blocked[step]) return ["", `On the way: ${length}; the last move was blocked`];
