@@ -75,12 +75,14 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
         found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
         (page,) = (tmp_path / "run").glob("viewer_*.html")
         assert [file.stat().st_size > 1000 for file in (tmp_path / "run").glob("episodes_*.mp4")] == [True]
-        assert f'"last_steps":{0 if last_steps else 3},' in page.read_text()
+        told = "map of one walk to the goal" if last_steps else "the greedy policy decides the last 3 steps"
+        assert told in page.read_text()
     assert found["1.json"] > 0.95 > found["0.json"]
     status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", "last_steps=1")
     assert status != 0
     assert "last_steps=1: only where a map leads; give image_graph=2 too" in errors
     for options, told in (
+        (["beside=run"], "beside=run: only the viewer shows two agents; give viewer=true too"),
         (["slip=0.1"], "slip, turn_error: only in a live world; give simulator=dump"),
         (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer, no video and no image_graph"),
         (["simulator=nope.yaml"], "simulator=nope.yaml: there is no such file"),

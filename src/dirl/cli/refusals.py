@@ -108,7 +108,7 @@ def _evaluation(options: EvaluateConfig) -> None:
         new_file(options.out, ending="")
     if options.beside is not None:
         if not options.viewer:
-            raise RunError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
+            raise ConfigError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
         find_checkpoint(options.beside)
     find_checkpoint(options.checkpoint)
 
