@@ -20,7 +20,7 @@ FLOORS = (
 )
 """From the bottom up: a wing imports only from floors below its own."""
 
-ARROWS = 80
+ARROWS = 66
 """Pairs of wings of which one imports the other, at most."""
 
 
