@@ -157,7 +157,7 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
     if protocol.observation.history:
         raise RunError("image_graph: needs a policy that sees four views around it; this one sees its last four")
     if not isinstance(protocol.memory, LocalisingMemory) or protocol.scores is None:
-        memory = GraphMemory(protocol.world, steps_per_state)
+        memory = GraphMemory(protocol.world, steps_per_state, recogniser=build_recogniser(trained.config))
         return trained._replace(
             policy=GuidedPolicy(trained.policy, memory, LAST_STEPS if last_steps is None else last_steps)
         )

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from odds import Odds
 from rooms import grid_scene
 from shown_goals import images_of, look_up, rooms, trained
 
@@ -70,7 +71,7 @@ def test_it_goes_to_any_photo_on_a_shortest_way(photo, navigator, explorer, worl
             passed = walk_to(navigator, world, start, goal)
             assert passed[-1] == goal
             assert len(passed) - 1 == world.scenes[0].distances[start, goal]
-        assert navigator.guide.match == pytest.approx(1, abs=1e-4)
+        assert navigator.agent.guide.match == pytest.approx(1, abs=1e-4)
 
 
 def test_the_last_steps_are_the_policys(navigator, explorer, world):
@@ -82,14 +83,14 @@ def test_the_last_steps_are_the_policys(navigator, explorer, world):
     led = []
     for state in range(24):
         explorer.graph.lose()
-        navigator.guide.action = None
+        navigator.agent.guide.action = None
         led.append(navigator.act(images_of(world.surrounding[state])).action)
     near = far <= 2
     assert (np.array(led)[near] == np.array(own)[near]).all()
     after = far[[int(world.graph[state, action]) for state, action in enumerate(led)]]
     assert (after[~near] == far[~near] - 1).all()
     navigator.reset(seen)
-    assert navigator.guide is None
+    assert navigator.agent.guide is None
 
 
 def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_path):
@@ -101,6 +102,22 @@ def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_p
     (folder / "map.json").write_text(json.dumps(facts).replace('"random"', '"other"'))
     with pytest.raises(NavigatorError, match="was made with another extractor: 'other', not 'random'"):
         navigator.reset(images_of(world.surrounding[5]), graph=folder)
+
+
+def test_an_image_graph_is_made_and_used_by_the_navigators_recogniser(world, navigator, tmp_path, monkeypatch):
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda _: Odds())
+    trained(tmp_path / "run", world)
+    sure = Navigator.load(tmp_path / "run", look_up(world), extractor="random")
+    walk = sure.explore(turns=4)
+    assert (walk.graph.threshold, walk.graph.keep, walk.graph.margin) == (0.9, 0, 1)
+    walk_through(walk, world)
+    assert len(walk.graph) == len(world)
+    folder, seen = walk.save(tmp_path / "map"), images_of(world.surrounding[13])
+    sure.reset(seen, graph=folder, last_steps=0)
+    assert walk_to(sure, world, 18, 13)[-1] == 13
+    for graph in (folder, walk.graph):
+        with pytest.raises(NavigatorError, match="was made with another recogniser: 'odds"):
+            navigator.reset(seen, graph=graph)
 
 
 @pytest.mark.parametrize(("truly", "given"), [(4, 8), (8, 4), (12, 4), (8, 12), (12, 8)])

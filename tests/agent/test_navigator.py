@@ -21,7 +21,7 @@ from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, recurrent_keys
-from dirl.recognition import NCC, Patches
+from dirl.recognition import NCC, Patches, Thresholds
 from dirl.recognition.matching import TemplateStop
 from dirl.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
@@ -103,7 +103,7 @@ def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path
 @pytest.mark.parametrize("goal_view", ["surrounding", "front"])
 def test_a_navigator_localises_as_the_evaluation_does(tmp_path, goal_view, monkeypatch):
     world, recogniser = rooms(), Odds()
-    monkeypatch.setattr("dirl.agent.navigator.build_recogniser", lambda _: recogniser)
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda _: recogniser)
     policy, seen = trained(tmp_path, world, f"goal_view={goal_view}", "episodic_memory=localising")
     starts = every_start(world)
     match = "front" if goal_view == "front" else "views"
@@ -183,6 +183,29 @@ def test_a_navigator_with_a_memory_counts_its_agents(run, world, memory):
     navigator.act(images_of(world.surrounding[torch.tensor([1, 2, 3])]))
     with pytest.raises(NavigatorError, match=r"^images of 2 agents after those of 3; call reset first$"):
         navigator.act(images_of(world.surrounding[torch.tensor([1, 2])]))
+
+
+class Sure(NCC):
+    """Correlation with thresholds of its own."""
+
+    thresholds = Thresholds(0.9, 0.95, 0.95)
+
+
+def test_a_batch_with_a_memory_decides_as_each_alone(tmp_path, world, monkeypatch):
+    """Also where some agents are at new places and others at known ones, each with a goal of its own."""
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda _: Sure())
+    trained(tmp_path, world, "episodic_memory=planning")
+    together, goals, states = load(tmp_path, world), [0, 13, 21], torch.tensor([5, 6, 7])
+    alone = [load(tmp_path, world) for _ in goals]
+    together.reset(images_of(world.surrounding[goals]))
+    for navigator, goal in zip(alone, goals, strict=True):
+        navigator.reset(images_of(world.surrounding[goal]))
+    for _ in range(12):
+        decided = together.act(images_of(world.surrounding[states]))
+        each = [one.act(images_of(world.surrounding[state])) for one, state in zip(alone, states, strict=True)]
+        assert decided.action.tolist() == [one.action for one in each]
+        assert decided.stop.tolist() == [one.stop for one in each]
+        states = world.graph[states, decided.action]
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from rooms import grid_scene, renumbered
+from stops import stop_errors
 
 from dirl.recognition.diagnostics import THRESHOLDS, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
@@ -145,7 +146,7 @@ def test_ambiguous_pairs_are_found_worst_first(match):
 
 
 def test_false_stops_are_those_of_template_matching():
-    from dirl.recognition.matching import TemplateStop, stop_errors
+    from dirl.recognition.matching import TemplateStop
 
     room = twins()
     found = inspect_scene(room)

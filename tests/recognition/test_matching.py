@@ -4,8 +4,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from rooms import grid_scene
+from stops import stop_errors
 
-from dirl.recognition.matching import TemplateStop, ncc, stop_errors
+from dirl.recognition.matching import TemplateStop, ncc
 from dirl.scenes import make_world
 
 NUMBER = st.floats(-5, 5, allow_nan=False, width=32)

@@ -1,6 +1,8 @@
 """The decisions of a policy in the states of a world, with as few forward passes as possible."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -11,6 +13,8 @@ from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.models import frozen, initial_state, recurrent_keys
 from dirl.models.fast.caching import EmbeddingCache, pack, unpack
+from dirl.recognition.matching import Arrived
+from dirl.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
 
 PAIRS_AT_ONCE = 16_384
@@ -133,3 +137,94 @@ def _batches(goals: Tensor, states: Tensor) -> Iterator[tuple[slice, Tensor, Ten
     for first in range(0, len(goals), PAIRS_AT_ONCE):
         place = slice(first, first + PAIRS_AT_ONCE)
         yield place, goals[place], states[place]
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is looked up of a world: the answers of policy and recogniser."""
+
+    world: World
+    observation: SurroundingViews
+    decide: Decide | None
+    """None for agents that are not asked."""
+    arrived: Arrived
+    """Whether agents stop; with a `LocalisingMemory` the log odds, `dirl.recognition.matching.Compared`."""
+    scores: VisitScores | None = None
+    """By which a memory knows places."""
+    shown: Tensor | None = None
+    """The goal that is shown to the policy in the place of each, int64 ``[G]``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """Agents on their way through a world, the `dirl.agent.agent.Observed` that is looked up; all int64 ``[W]``."""
+
+    known: Known
+    episode: Tensor
+    wanted: Tensor
+    """Their goals, see `Decide`."""
+    state: Tensor
+    """Where they are."""
+    ahead: Tensor
+    """What they see ahead there, by view id."""
+    view_ids: Tensor
+    """What the policy observes, ``[W, 4]``."""
+
+    def after(self, state: Tensor, ahead: Tensor) -> "Walk":
+        """The agents in their next states, with what they see ahead there."""
+        view_ids = self.known.observation.follow(self.view_ids, ahead)
+        return Walk(self.known, self.episode, self.wanted, state, ahead, view_ids)
+
+    def select(self, chosen: Tensor) -> "Walk":
+        """Some of the agents, by index."""
+        rows = (self.episode, self.wanted, self.state, self.ahead, self.view_ids)
+        return Walk(self.known, *(row.index_select(0, chosen) for row in rows))
+
+    @cached_property
+    def visit(self) -> Tensor:
+        """The view ids around the agents, int64 ``[W, 4]``."""
+        state = self.ahead % len(self.known.world)
+        return self.known.world.surrounding[state] + (self.ahead - state).unsqueeze(-1)
+
+    @cached_property
+    def shown(self) -> Tensor:
+        """The goals that the policy is shown: others in a control, in the same look."""
+        if self.known.shown is None:
+            return self.wanted
+        goals = len(self.known.shown)
+        return self.known.shown[self.wanted % goals] + self.wanted // goals * goals
+
+    def alike(self, seen: Tensor) -> Tensor:
+        """See `dirl.agent.agent.Observed`, as all below."""
+        assert self.known.scores is not None
+        return self.known.scores.of_visits(seen, self.visit)
+
+    def logits(self) -> Tensor:
+        """Those of the policy."""
+        assert self.known.decide is not None
+        return self.known.decide(self.episode, self.ahead, self.view_ids, self.shown)
+
+    def facing(self, chosen: Tensor) -> Tensor:
+        """The policy's logits facing each view; of agents that are not chosen zero."""
+        assert self.known.decide is not None
+        ahead = self.visit[chosen].flatten()
+        logits = torch.zeros((*self.visit.shape, len(ACTIONS)), device=ahead.device)
+        if len(ahead):
+            episode, shown = (rows[chosen].repeat_interleave(VIEWS) for rows in (self.episode, self.shown))
+            asked = self.known.decide(episode, ahead, self.known.observation.begin(ahead), shown)
+            logits[chosen] = asked.view(-1, VIEWS, len(ACTIONS))
+        return logits
+
+    def at_goal(self) -> Tensor:
+        """Whether the agents stop."""
+        return self.known.arrived(self.wanted, self.ahead)
+
+    def goal_around(self, chosen: Tensor) -> Tensor:
+        """Whether they would, facing each view, at what they are shown; of agents that are not chosen False."""
+        found = torch.zeros_like(self.visit, dtype=torch.bool)
+        found[chosen] = self.known.arrived(self.shown[chosen].unsqueeze(-1), self.visit[chosen])
+        return found
+
+    def goal_odds(self, visits: Tensor) -> Tensor:
+        """Log odds that visits see the goal facing each view."""
+        return self.known.arrived(self.wanted[:, None, None], visits)

@@ -1,33 +1,37 @@
 """A navigator with a map: a walk that makes one, and the path to a photo by it."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from dirl.agent.cameras import compare
 from dirl.agent.images import Images, NavigatorError
-from dirl.agent.mapping import ImageGraph, MapError, PlaceMap, load_graph, save_graph
-from dirl.agent.mapping.looks import VIEWS
+from dirl.agent.mapping import ImageGraph, PlaceMap, load_graph, save_graph
+from dirl.agent.mapping.panoramas import VIEWS
 from dirl.agent.mapping.places import ParticleMapper
-from dirl.recognition.matching import normal_vectors
+from dirl.models import LocalisingMemory
+from dirl.recognition.build import recogniser_name
+from dirl.recognition.recogniser import NCC, Recogniser, normal_vectors
 from dirl.scenes.graph import LEFT, RIGHT
-
-NO_WAY = 2**30
-"""More steps than any path has."""
 
 QUARTERS = 4
 """So many quarter turns are compared before `TurnCheck` judges."""
+
+ANY, NEARLY = -1.0, 0.05
+"""Least correlation after a quarter turn, and how much better any other turn may fit, where views change on the way."""
 
 
 class Explorer:
     """A walk through a place, by a robot or a person, that makes a map of it. Made by `dirl.Navigator.explore`.
 
     Args:
-        encode: images of four views to what the map takes: their features, float32 ``[4, D]``, or descriptions.
+        encode: images of four views to what the map takes: their descriptions, float32 ``[4, F]``.
         graph: the map, empty or of an earlier walk; or what makes one by what an agent's memory believes.
         extractor: what makes the features, written into saved maps.
-        recogniser: what makes descriptions, likewise.
+        recogniser: what makes the descriptions, likewise.
     """
 
     def __init__(
@@ -35,7 +39,7 @@ class Explorer:
         encode: Callable[[Images], Tensor],
         graph: ImageGraph | ParticleMapper,
         extractor: str,
-        recogniser: str = "none",
+        recogniser: Recogniser | None = None,
     ) -> None:
         self._encode, self.graph, self.extractor, self.recogniser = encode, graph, extractor, recogniser
         self._turns = TurnCheck(graph)
@@ -64,7 +68,7 @@ class Explorer:
         Before a walk ends in which hardly any quarter turns were compared (see `TurnCheck`), it turns around once: with
         wrong ``turns`` little seems to be unknown.
         """
-        if not self._turns.begun:
+        if not self._turns.seen:
             return None
         action = self.graph.frontier_action()
         return RIGHT if action is None and self._turns.compared < QUARTERS else action
@@ -86,15 +90,14 @@ class TurnCheck:
     """
 
     def __init__(self, graph: ImageGraph | ParticleMapper) -> None:
-        self.graph = graph
+        self.turns = graph.turns
+        self.keep, self.margin = ANY, NEARLY
+        if isinstance(graph, ImageGraph) and isinstance(graph.recogniser, NCC):
+            self.keep, self.margin = graph.keep, graph.margin
         self.fitting = self.contrary = 0
+        self.seen: list[Tensor] = []
+        """Since the last move."""
         self._side: int | None = None
-        self._seen: list[Tensor] = []
-
-    @property
-    def begun(self) -> bool:
-        """Whether anything was seen."""
-        return bool(self._seen)
 
     @property
     def compared(self) -> int:
@@ -102,25 +105,25 @@ class TurnCheck:
         return self.fitting + self.contrary
 
     def see(self, views: Tensor, action: int | None) -> None:
-        """Compare an observation, float32 ``[4, D]``, with the one a quarter turn ago, if the action ends such a turn.
+        """Compare an observation, float32 ``[4, F]``, with the one a quarter turn ago, if the action ends such a turn.
 
         Raises:
             NavigatorError: of `QUARTERS` quarter turns or more, most showed something else.
         """
-        views, quarter = views.detach().float().cpu(), self.graph.turns // VIEWS
+        views, quarter = views.detach().float().cpu(), self.turns // VIEWS
         turned = action in (RIGHT, LEFT)
         if not turned:
-            self._seen = []
+            self.seen = []
         elif action != self._side:
-            self._seen = self._seen[-1:]
+            self.seen = self.seen[-1:]
         self._side = action
-        if turned and len(self._seen) >= quarter:
-            fits = self._fits(self._seen[-quarter], views, 1 if action == RIGHT else -1)
+        if turned and len(self.seen) >= quarter:
+            fits = self._fits(self.seen[-quarter], views, 1 if action == RIGHT else -1)
             self.fitting, self.contrary = self.fitting + fits, self.contrary + (not fits)
-        self._seen = [*self._seen[-quarter:], views]
+        self.seen = [*self.seen[-quarter:], views]
         if self.compared >= QUARTERS and self.contrary > self.fitting:
             raise NavigatorError(
-                f"turns={self.graph.turns}: after {self.contrary} of {self.compared} quarter turns the "
+                f"turns={self.turns}: after {self.contrary} of {self.compared} quarter turns the "
                 "views are not those that were aside before; give the number of turns that make a full circle"
             )
 
@@ -128,83 +131,57 @@ class TurnCheck:
         """Whether the view ahead was to the right (1) or to the left (-1) before, and so on around."""
         each = torch.stack([now.roll(side + k, 0).flatten() for k in range(VIEWS)])
         scores = normal_vectors(each) @ normal_vectors(before.flatten())
-        return bool(scores[0] > self.graph.keep and scores.max() <= scores[0] + self.graph.margin)
+        return bool(scores[0] > self.keep and scores.max() <= scores[0] + self.margin)
 
 
-class Guide:
-    """The path to one goal by a topological map, step by step; errors of the map are corrected on the way.
-
-    Args:
-        graph: the map; where the agent is in it is forgotten.
-        goal_views: features of the goal's four views, float32 ``[4, D]``, or of one photo, ``[1, D]``.
-        last_steps: within so many steps of the goal it gives no advice.
-    """
-
-    def __init__(self, graph: ImageGraph, goal_views: Tensor, last_steps: int) -> None:
-        if not len(graph):
-            raise NavigatorError("the map is empty; walk before it is used, see Navigator.explore")
-        graph.lose()
-        scores = graph.scores(goal_views)
-        self.graph, self.last_steps = graph, last_steps
-        self.goal = int(scores.argmax())
-        """The node that looks most like the goal."""
-        self.match = float(scores[self.goal])
-        """How much it does, -1 to 1; a goal far from all that was seen has a low one."""
-        self.goals = (scores >= self.match - graph.margin / 2).nonzero().flatten().tolist()
-        """All nodes that look like it nearly as much: in disturbed views the same place may be several nodes."""
-        self.action: int | None = None
-        self._planned: tuple[int, Tensor] = (-1, torch.empty(0))
-
-    def advise(self, views: Tensor) -> int | None:
-        """The next action by the map, for what is seen now, float32 ``[4, D]``; None where the policy shall decide."""
-        node = self.graph.follow(views, self.action)
-        if node is None:
-            return None
-        if self._planned[0] != self.graph.changes:
-            far = self.graph.plan(self.goals)
-            nearest = torch.where(far < 0, NO_WAY, far).min(1).values
-            self._planned = self.graph.changes, torch.where(nearest == NO_WAY, -1, nearest)
-        distances = self._planned[1]
-        if distances[node] <= self.last_steps:  # -1 where no path is known
-            return None
-        return self.graph.next_action(node, distances)
+def map_to_walk_on(
+    known: ImageGraph | PlaceMap | None,
+    turns: int | None,
+    memory: object,
+    recogniser: Recogniser,
+    threshold: float,
+) -> ImageGraph | ParticleMapper:
+    """The map of a walk, a new one or one that is known; see `dirl.Navigator.explore`."""
+    if turns is not None:
+        check_turns(turns, None if isinstance(known, ImageGraph) else memory)
+    if known is not None and turns not in (None, known.turns):
+        raise NavigatorError(f"turns={turns}: this map was made with turns={known.turns}")
+    if known is None and turns is None:
+        raise NavigatorError("explore: say how many right turns make a full circle: turns=4, 8 or 12")
+    if isinstance(known, ImageGraph):
+        return known
+    if isinstance(memory, LocalisingMemory):
+        return ParticleMapper(memory, partial(compare, recogniser), known=known)
+    if known is not None:
+        raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
+    return ImageGraph(None if recogniser.calibrated else threshold, turns=turns or VIEWS, recogniser=recogniser)
 
 
-def guide_to(graph: ImageGraph, goal_views: Tensor, last_steps: int) -> Guide:
-    """A guide by a topological map.
-
-    Args:
-        graph: the map.
-        goal_views: see `Guide`.
-        last_steps: see `Guide`.
-
-    Raises:
-        NavigatorError: the map does not fit the features.
-    """
-    if isinstance(last_steps, bool) or not isinstance(last_steps, int) or last_steps < 0:
-        raise NavigatorError(f"last_steps={last_steps!r}: expected 0 or a positive integer")
-    width = graph.views.shape[-1]
-    if len(graph) and width != goal_views.shape[-1]:
-        raise NavigatorError(f"the map has {width} features a view, the navigator {goal_views.shape[-1]}")
-    return Guide(graph, torch.as_tensor(goal_views), last_steps)
-
-
-def map_of(graph: object, extractor: str, recogniser: str) -> ImageGraph | PlaceMap:
+def map_of(graph: object, extractor: str, recogniser: Recogniser) -> ImageGraph | PlaceMap:
     """A map, or the one that was saved in a folder.
 
     Args:
         graph: the map, or its folder.
         extractor: of the navigator's features.
-        recogniser: of the navigator, see `dirl.recognition.build.recogniser_name`.
+        recogniser: of the navigator.
 
     Raises:
         NavigatorError: there is no such map, or it was made with another extractor or recogniser.
     """
+    if isinstance(graph, ImageGraph):
+        own, name = recogniser_name(graph.recogniser), recogniser_name(recogniser)
+        if own != name:
+            raise NavigatorError(f"graph: was made with another recogniser: '{own}', not '{name}'")
     if isinstance(graph, ImageGraph | PlaceMap):
         return graph
     if not isinstance(graph, str | Path):
         raise NavigatorError(f"graph={graph!r}: expected a map, or the folder of a saved one")
-    try:
-        return load_graph(graph, extractor=extractor, recogniser=recogniser)
-    except MapError as error:
-        raise NavigatorError(str(error)) from None
+    return load_graph(graph, extractor=extractor, recogniser=recogniser)
+
+
+def check_turns(turns: int, memory: object = None) -> None:
+    """Raise `NavigatorError` unless so many turns make a full circle and pass the four views, and suit the memory."""
+    if isinstance(turns, bool) or not isinstance(turns, int) or turns < VIEWS or turns % VIEWS:
+        raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
+    if isinstance(memory, LocalisingMemory) and turns != VIEWS:
+        raise NavigatorError(f"turns={turns}: episodic_memory=localising needs turns of 90 degrees; use planning")

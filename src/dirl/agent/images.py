@@ -28,8 +28,8 @@ def checked_images(images: Images, name: str, *, sequential: bool) -> tuple[Tens
     """
     if not isinstance(images, Tensor | np.ndarray):
         raise NavigatorError(f"{name}: expected a numpy array or a torch tensor, found {type(images).__name__}")
-    if _cannot_be_read(images):
-        raise NavigatorError(f"{name}: expected uint8 pixels, found {_kind(images)}")
+    if (found := _unreadable(images)) is not None:
+        raise NavigatorError(f"{name}: expected uint8 pixels, found {found}")
     # Copied, because the array of a camera driver or image library may be read-only or have negative strides.
     pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.array(images, order="C"))
     shape = tuple(pixels.shape)
@@ -52,13 +52,10 @@ def _accepted(shape: tuple[int, ...], *, sequential: bool, goal: bool) -> bool:
     return (len(shape) in (4, 5) and shape[-4] == VIEWS) or (goal and len(shape) == 5 and shape[-4] == 1)
 
 
-def _cannot_be_read(images: Images) -> bool:
-    if isinstance(images, Tensor):
-        return images.is_meta or images.layout != torch.strided
-    return images.dtype != np.uint8
-
-
-def _kind(images: Images) -> str:
+def _unreadable(images: Images) -> str | None:
+    """What images are that hold no pixels; None if they do."""
     if not isinstance(images, Tensor):
-        return f"an array of {images.dtype}"
-    return "a tensor without data (device meta)" if images.is_meta else f"a tensor of layout {images.layout}"
+        return None if images.dtype == np.uint8 else f"an array of {images.dtype}"
+    if images.is_meta:
+        return "a tensor without data (device meta)"
+    return None if images.layout == torch.strided else f"a tensor of layout {images.layout}"

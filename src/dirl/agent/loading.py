@@ -1,38 +1,111 @@
 """The components of a navigator, from a checkpoint."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from dirl.agent.cameras import FeaturePolicy
 from dirl.agent.images import NavigatorError
 from dirl.backbones import ViewEncoder, load_encoder
 from dirl.backbones.patches import PATCH_SHAPE
 from dirl.backbones.registry import BATCH
+from dirl.config.choices import group_options
+from dirl.config.components import TARGET, find_class, make
+from dirl.config.saved import read_config
 from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy, reads_patches, saved_statistics
 from dirl.models.weights import check_extractor, load_weights
+from dirl.recognition.build import build_recogniser, suit
 
 Encoder = Callable[[Tensor], Any]
 """RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""
 
 
-def check_encoder(encoder: Encoder | str | Path, given: str | None, saved: Mapping[str, Any], origin: str) -> None:
-    """Raise `NavigatorError` unless the encoder, or the caller, names the extractor of the training's features."""
-    if given is None and isinstance(encoder, ViewEncoder):
-        given = encoder.extractor
-    if given is None and callable(encoder):
+def load_parts(
+    saved: dict[str, Any],
+    origin: str,
+    encoder: Encoder | str | Path,
+    extractor: str | None,
+    scene: str | None,
+    chosen: Mapping[str, str | None],
+    device: str | torch.device,
+    trust: Collection[str],
+) -> dict[str, Any]:
+    """What a `dirl.Navigator` is made of, by name, from a checkpoint of ``origin``; see `Navigator.load`.
+
+    Of component groups an option may be ``chosen`` instead of the checkpoint's.
+    """
+    if torch.device(device).type == "cuda" and not torch.cuda.is_available():
+        raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
+    changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
+    config = read_config(saved["config"], origin, changes, trust)
+    encodes = image_encoder(encoder, extractor, saved, origin, device, patches=reads_patches(config))
+    own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
+    order = saved.get("views", own)  # checkpoints of older versions name none
+    if order != own:
+        raise NavigatorError(f"{origin}: was trained on the views {order}, not {own}")
+    scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
+    policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched_view(config, order))
+    memory, recognises = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
+    suit(memory, recognises)
+    if memory is not None and order[-1] == "now":
         raise NavigatorError(
-            "say which extractor this function is with extractor=...; "
-            f"the checkpoint was trained with '{saved['extractor']}'"
+            f"{origin}: an episodic memory recognises places by surrounding views; this policy sees others"
         )
-    if given is not None:
-        _check_extractor(saved, given, origin)
+    return {
+        "policy": policy.to(device).eval(),
+        "encoder": encodes,
+        "view_order": order,
+        "threshold": config.stop.threshold,
+        "facts": {"scene": scene or "any", "extractor": saved["extractor"]},
+        "memory": memory,
+        "recogniser": recognises,
+    }
+
+
+def image_encoder(
+    encoder: Encoder | str | Path,
+    extractor: str | None,
+    saved: Mapping[str, Any],
+    origin: str,
+    device: str | torch.device,
+    *,
+    patches: bool,
+) -> Encoder:
+    """The encoder that was given, or that of its name or file; with ``patches`` their features follow the pooled ones.
+
+    Raises:
+        NavigatorError: it is another extractor than the training's, unless ``extractor`` confirms it; or a function
+            that nobody says the extractor of.
+    """
+    if extractor is None and isinstance(encoder, ViewEncoder):
+        extractor = encoder.extractor
+    if extractor is not None:
+        _check_extractor(saved, extractor, origin)
+    if callable(encoder):
+        if extractor is None:
+            raise NavigatorError(
+                "say which extractor this function is with extractor=...; "
+                f"the checkpoint was trained with '{saved['extractor']}'"
+            )
+        return encoder
+    loaded = load_encoder(str(encoder), device, patches=patches)
+    if extractor is None and not Path(encoder).is_file():
+        hint = f" (encoder={encoder}); if both names mean the same, confirm it with extractor=..."
+        _check_extractor(saved, loaded.extractor, origin, hint)
+    elif extractor is None and loaded.extractor != saved["extractor"]:
+        warnings.warn(
+            f"the weights in {encoder} are '{loaded.extractor}', and the checkpoint was trained with "
+            f"'{saved['extractor']}'; if they are the same, confirm it with extractor=...",
+            stacklevel=3,
+        )
+    return lambda images: torch.cat([_both(loaded, part) for part in images.split(BATCH)])
 
 
 def _check_extractor(saved: Mapping[str, Any], extractor: str, origin: str, hint: str = "") -> None:
@@ -74,32 +147,6 @@ def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origi
     except ConfigError as error:
         raise NavigatorError(str(error)) from None
     return policy.requires_grad_(False)
-
-
-def encoder_of_images(
-    name: str | Path,
-    device: str | torch.device,
-    saved: Mapping[str, Any],
-    origin: str,
-    *,
-    confirmed: bool,
-    patches: bool,
-) -> Encoder:
-    """Load an encoder by name or from a file, and compare it with the extractor of the training unless confirmed.
-
-    The result takes any number of images. With ``patches`` the patch features follow the pooled ones.
-    """
-    encoder = load_encoder(str(name), device, patches=patches)
-    if not confirmed and not Path(name).is_file():
-        hint = f" (encoder={name}); if both names mean the same, confirm it with extractor=..."
-        _check_extractor(saved, encoder.extractor, origin, hint)
-    elif not confirmed and encoder.extractor != saved["extractor"]:
-        warnings.warn(
-            f"the weights in {name} are '{encoder.extractor}', and the checkpoint was trained with "
-            f"'{saved['extractor']}'; if they are the same, confirm it with extractor=...",
-            stacklevel=3,
-        )
-    return lambda images: torch.cat([_both(encoder, part) for part in images.split(BATCH)])
 
 
 def _both(encoder: ViewEncoder, images: Tensor) -> Tensor:

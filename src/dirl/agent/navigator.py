@@ -1,7 +1,6 @@
 """A trained policy on a robot: from camera images to actions."""
 
 from collections.abc import Collection
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,31 +8,20 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dirl.agent.exploring import Explorer, Guide, guide_to, map_of
-from dirl.agent.feature_policy import FeaturePolicy
+from dirl.agent.agent import Agent, Memory, make_agent
+from dirl.agent.cameras import FeaturePolicy, Goal, Views
+from dirl.agent.exploring import Explorer, check_turns, map_of, map_to_walk_on
 from dirl.agent.hub import fetch_pretrained
 from dirl.agent.images import Images, NavigatorError, checked_images
 from dirl.agent.loading import (
     Encoder,
-    check_encoder,
-    choose_scene,
-    encoder_of_images,
-    matched_view,
-    rebuild,
+    load_parts,
 )
 from dirl.agent.mapping import ImageGraph, PlaceMap
-from dirl.agent.mapping.places import ParticleMapper
-from dirl.agent.mapping.policy import LAST_STEPS
-from dirl.agent.recall import CameraSight, Counting, Localising, Memory, Planning, Recall, recalling
-from dirl.config.choices import group_options
-from dirl.config.components import TARGET, find_class, make
-from dirl.config.saved import read_config
+from dirl.agent.mapping.policy import LAST_STEPS, Guide
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, LocalisingMemory, initial_state
-from dirl.models.build import reads_patches
+from dirl.models import FeatureTable, LocalisingMemory
 from dirl.models.weights import tell_of_turns, turns_of_training
-from dirl.recognition.build import build_recogniser, recogniser_name, suit
-from dirl.recognition.matching import FRONT_THRESHOLD
 from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
 
@@ -68,7 +56,7 @@ class Navigator:
         encoder: images to features, see `Encoder`.
         view_order: the names of the four views; the last name of a history is ``now``.
         threshold: stop above this matching coefficient. For a policy that matches four views, a goal given as one
-            photo needs at least `FRONT_THRESHOLD`.
+            photo needs at least `dirl.recognition.matching.FRONT_THRESHOLD`.
         facts: ``scene`` and ``extractor``, written to the metadata of exported files.
         memory: of what was done in an episode, or None.
         recogniser: by which the goal and known places are recognised; correlation if left out.
@@ -89,22 +77,17 @@ class Navigator:
         recogniser: Recogniser | None = None,
         turns: int = VIEWS,
     ) -> None:
-        check_turns(turns)
-        if isinstance(memory, LocalisingMemory) and turns != VIEWS:
-            raise NavigatorError(f"turns={turns}: episodic_memory=localising needs turns of 90 degrees; use planning")
+        check_turns(turns, memory)
         self.policy = policy
         self.view_order = view_order
         self.sequential = view_order[-1] == "now"
         self.threshold = threshold
         self.facts = facts
         self.memory, self.recogniser, self.turns = memory, recogniser or NCC(), turns
-        self.recall: Recall | None = None
-        self.guide: Guide | None = None
         self.encoder = encoder
-        self._goal: Tensor | None = None
-        self._agents: int | None = None
-        self._views: Tensor | None = None
-        self._state: tuple[Tensor, ...] | None = None
+        self.agent = Agent()
+        self._goal: Goal | None = None
+        self._seen: Views | None = None
 
     @classmethod
     def load(
@@ -143,32 +126,10 @@ class Navigator:
                 turns that are no multiple of four.
             ValueError: there is no such checkpoint, or no such encoder.
         """
-        if torch.device(device).type == "cuda" and not torch.cuda.is_available():
-            raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
-        saved = load_checkpoint(checkpoint)
+        saved, origin = load_checkpoint(checkpoint), str(checkpoint)
         chosen = {"recogniser": recogniser, "episodic_memory": episodic_memory}
-        changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
-        config = read_config(saved["config"], str(checkpoint), changes, trust)
-        check_encoder(encoder, extractor, saved, str(checkpoint))
-        own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
-        order = saved.get("views", own)  # checkpoints of older versions name none
-        if order != own:
-            raise NavigatorError(f"{checkpoint}: was trained on the views {order}, not {own}")
-        scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
-        policy = FeaturePolicy(rebuild(saved, config, scene, str(checkpoint)), matched_view(config, order))
-        if not callable(encoder):
-            given = {"confirmed": extractor is not None, "patches": reads_patches(config)}
-            encoder = encoder_of_images(encoder, device, saved, str(checkpoint), **given)
-        memory, recognises = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
-        suit(memory, recognises)
-        if memory is not None and order[-1] == "now":
-            raise NavigatorError(
-                f"{checkpoint}: an episodic memory recognises places by surrounding views; this policy sees others"
-            )
-        facts = {"scene": scene or "any", "extractor": saved["extractor"]}
-        policy = policy.to(device).eval()
-        navigator = cls(policy, encoder, order, config.stop.threshold, facts, memory, recognises, turns)
-        tell_of_turns(turns_of_training(saved), {turns}, str(checkpoint))
+        navigator = cls(**load_parts(saved, origin, encoder, extractor, scene, chosen, device, trust), turns=turns)
+        tell_of_turns(turns_of_training(saved), {turns}, origin)
         return navigator
 
     @classmethod
@@ -234,31 +195,22 @@ class Navigator:
                 map that cannot be used.
         """
         views = self._encode(goal_images, "goal_images")[0]
-        known, self.guide = None, None
-        if graph is not None:
-            self._check_alone(len(views))
-            known = map_of(graph, self.facts["extractor"], recogniser_name(self.recogniser))
-        if isinstance(known, ImageGraph):
-            self.guide = guide_to(known, self._pooled(views[0]), last_steps)
-        elif known is not None and not isinstance(self.memory, LocalisingMemory):
-            raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
         if self.sequential:
             views = views.expand(-1, VIEWS, -1)
         elif views.shape[1] == 1:  # what is not known of a goal is zeros
             views = F.pad(views, (0, 0, 0, VIEWS - 1))
-        self._goal = views
-        self._agents = self._views = self._state = None
-        self.recall = self._recalling(known) if isinstance(known, PlaceMap) else self._recalling()
-
-    def _recalling(self, known: PlaceMap | None = None) -> Recall | None:
-        """The memory at the start of an episode, of nothing or of a map."""
-        if known is None:
-            turns = torch.tensor([self.turns], device=self.device)
-            return None if self.memory is None else recalling(self.memory, CameraSight(self.recogniser), turns)
-        assert isinstance(self.memory, LocalisingMemory)
-        seen = known.seen.to(self.device)
-        odds = self._goal_scores(_each_heading(seen[0])).view(1, -1, VIEWS)
-        return Localising(self.memory, CameraSight(self.recogniser, seen), known.begin(odds))
+        goal, known, guide = Goal(self.policy, self.recogniser, views), None, None
+        if graph is not None:
+            self._check_alone(len(views))
+            found = map_of(graph, self.facts["extractor"], self.recogniser)
+            if isinstance(found, ImageGraph):
+                guide = Guide(found, goal.described[0], last_steps)
+            elif isinstance(self.memory, LocalisingMemory):
+                known = found
+            else:
+                raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
+        self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
+        self._goal, self._seen = goal, None
 
     @torch.no_grad()
     def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
@@ -275,60 +227,30 @@ class Navigator:
         if self._goal is None:
             raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
         views, batched = self._encode(images, "images")
-        agents, goals = len(views), len(self._goal)
+        agents, goals = len(views), len(self._goal.features)
         if goals not in (1, agents):
             raise NavigatorError(
                 f"images of {agents} agents for {goals} goals; give each agent a goal, or all the same"
             )
-        if self._agents not in (None, agents):
-            raise NavigatorError(f"images of {agents} agents after those of {self._agents}; call reset first")
-        self._agents = agents
-        views = self._remember(views)
-        state = self._recurrent_state(agents)
-        logits, _, matching, *after = self.policy(views, self._goal.expand(agents, -1, -1), *state)
-        self._state = tuple(after)
-        if isinstance(self.recall, Localising):
-            visit = self._described(views)
-            odds = self._goal_scores(_each_heading(visit)).unflatten(0, (-1, VIEWS))
-            stop = self.recall.arrive(visit, odds, lambda chosen: self._facing(views, chosen)[0])
-            matching, logits = odds[:, 0], self.recall.plan()
-        else:
-            matching = self._matching(views, matching)
-            stop = matching > self._threshold_now()
-        if isinstance(self.recall, Counting | Planning):
-            policy = logits
-            logits = self.recall.adjust(self._described(views), lambda: policy, partial(self._around, views))
+        before = self._seen
+        if before is not None and len(before.features) != agents:
+            raise NavigatorError(f"images of {agents} agents after those of {len(before.features)}; call reset first")
+        if self.agent.guide is not None:
+            self._check_alone(agents)
+        if self.sequential:
+            views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
+        state = () if before is None else before.state
+        now = Views(self._goal, views, self._goal.threshold(self.threshold), state)
+        stop = self.agent.arrive(now)
+        action, logits = self.agent.act(now, generator, greedy=not sample)
+        self._seen = now
+        matching = (
+            now.goal_odds(now.visit[:, None])[:, 0, 0] if isinstance(self.memory, LocalisingMemory) else now.matching
+        )
         probabilities = logits.softmax(-1)
-        if sample:
-            action = torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
-        else:
-            action = logits.argmax(-1)
-        action = self._guided(action, views)
-        if self.recall is not None:
-            self.recall.acted(action)
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
-
-    def _around(self, views: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        """See `dirl.agent.recall.Around`, of views ``[B, 4, D]``."""
-        logits, coefficient = self._facing(views, chosen)
-        goal = chosen.new_zeros(len(views), VIEWS)
-        if chosen.any():
-            matching = self._matching(_each_heading(views[chosen]), coefficient[chosen].flatten())
-            goal[chosen] = matching.unflatten(0, (-1, VIEWS)) > self._threshold_now()
-        return logits, goal
-
-    def _facing(self, views: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        """The policy's logits of the chosen agents facing each view, ``[B, 4, 4]``, and its correlation, ``[B, 4]``."""
-        assert self._goal is not None
-        agents = len(views)
-        logits, coefficient = views.new_zeros(agents, VIEWS, VIEWS), views.new_zeros(agents, VIEWS)
-        if chosen.any():
-            wanted = self._goal.expand(agents, -1, -1)[chosen].repeat_interleave(VIEWS, 0)
-            asked, _, found, *_ = self.policy(_each_heading(views[chosen]), wanted)
-            logits[chosen], coefficient[chosen] = (part.unflatten(0, (-1, VIEWS)) for part in (asked, found))
-        return logits, coefficient
 
     def explore(self, graph: ImageGraph | PlaceMap | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
@@ -347,96 +269,21 @@ class Navigator:
                 that is no multiple of four, or another one than the map's.
         """
         self._check_alone(1)
-        if turns is not None:
-            check_turns(turns)
-        if graph is not None and turns not in (None, graph.turns):
-            raise NavigatorError(f"turns={turns}: this map was made with turns={graph.turns}")
-        if graph is None and turns is None:
-            raise NavigatorError("explore: say how many right turns make a full circle: turns=4, 8 or 12")
-        if isinstance(self.memory, LocalisingMemory) and not isinstance(graph, ImageGraph):
-            if turns not in (None, VIEWS):
-                raise NavigatorError(f"turns={turns}: episodic_memory=localising needs turns of 90 degrees")
-            sight = CameraSight(self.recogniser, None if graph is None else graph.seen)
-            mapper = ParticleMapper(self.memory, sight, known=graph)
-            name = recogniser_name(self.recogniser)
-            return Explorer(lambda images: self._described(self._walked(images)), mapper, self.facts["extractor"], name)
-        if isinstance(graph, PlaceMap):
-            raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
-        made = ImageGraph(self.threshold, turns=turns or VIEWS) if graph is None else graph
-        return Explorer(lambda images: self._pooled(self._walked(images)), made, self.facts["extractor"])
+        walked = map_to_walk_on(graph, turns, self.memory, self.recogniser, self.threshold)
+        return Explorer(self._visit, walked, self.facts["extractor"], self.recogniser)
 
     @torch.no_grad()
-    def _walked(self, images: Images) -> Tensor:
-        """The features of the four views of one walker, float32 ``[4, D]``."""
+    def _visit(self, images: Images) -> Tensor:
+        """The described views of one walker, float32 ``[4, F]``."""
         views, batched = self._encode(images, "images")
         if batched:
             raise NavigatorError("images: a walk is that of one walker; expected the four views [4, H, W, 3], no batch")
-        return views[0]
+        return self.policy.describe(views[0], self.recogniser)
 
     def _check_alone(self, agents: int) -> None:
         """Raise `NavigatorError` unless a map can lead the agents."""
         if self.sequential or agents != 1:
             raise NavigatorError("a map leads one agent that sees four views around it, not a batch")
-
-    def _guided(self, action: Tensor, views: Tensor) -> Tensor:
-        """The action of the map, if it has one, for the policy's, int64 ``[B]``."""
-        if self.guide is None:
-            return action
-        self._check_alone(len(views))
-        planned = self.guide.advise(self._pooled(views[0]))
-        self.guide.action = int(action) if planned is None else planned
-        return torch.full_like(action, self.guide.action)
-
-    def _matching(self, views: Tensor, coefficient: Tensor) -> Tensor:
-        """How much views ``[B, 4, D]`` look like the goal's, ``[B]``: the recogniser's score, or the correlation."""
-        return coefficient if self.recogniser.thresholds is None else self._goal_scores(self._described(views))
-
-    def _goal_scores(self, visits: Tensor) -> Tensor:
-        """The recogniser's scores of described visits ``[B, 4, F]`` with the goal, ``[B]``."""
-        assert self._goal is not None
-        known = self._goal[:, :1] if self._is_photo() else self._goal
-        goal = self._described(known).expand(len(self._goal) if len(self._goal) > 1 else len(visits), -1, -1)
-        goal = goal.repeat_interleave(len(visits) // len(goal), 0)
-        return self.recogniser.scores(visits.unsqueeze(1), goal.unsqueeze(1)).flatten()
-
-    def _is_photo(self) -> bool:
-        """Whether the goal is given by one view, though the agent sees four."""
-        assert self._goal is not None
-        return not self.sequential and not bool(self._goal[:, 1:].any())
-
-    def _described(self, views: Tensor) -> Tensor:
-        """What the recogniser compares of views, ``[..., D]`` to ``[..., F]``."""
-        pooled = len(self._table.mean)
-        patches = self._table.patches
-        parts = None if patches is None else views[..., pooled:].unflatten(-1, patches.shape[1:])
-        return self.recogniser.describe(views[..., :pooled], parts)
-
-    def _pooled(self, views: Tensor) -> Tensor:
-        """The pooled features of views, ``[..., D']``, without those of patches."""
-        return views[..., : len(self._table.mean)]
-
-    def _threshold_now(self) -> float:
-        """The threshold in use: higher for one photo if `threshold` is meant for four views."""
-        assert self._goal is not None
-        if self.recogniser.thresholds is not None:
-            return self.recogniser.thresholds.photo if self._is_photo() else self.recogniser.thresholds.views
-        photo = self.policy.front is None and not self._goal[:, 1:].any()
-        return max(self.threshold, FRONT_THRESHOLD) if photo else self.threshold
-
-    def _recurrent_state(self, agents: int) -> tuple[Tensor, ...]:
-        if self._state is None:
-            return tuple(initial_state(self.policy.policy, agents, self.device).values())
-        return self._state
-
-    def _remember(self, views: Tensor) -> Tensor:
-        """The four views to decide by, ``[B, 4, D]``, see `dirl.envs.SequentialViews`."""
-        if not self.sequential:
-            return views
-        if self._views is None:
-            self._views = views.expand(-1, VIEWS, -1)
-        else:
-            self._views = torch.cat([self._views[:, 1:], views], 1)
-        return self._views
 
     def _encode(self, images: Images, name: str) -> tuple[Tensor, bool]:
         """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
@@ -452,14 +299,3 @@ class Navigator:
         if not features.isfinite().all():
             raise NavigatorError("the encoder returned features that are not finite")
         return features.reshape(-1, count, self.width), batched
-
-
-def check_turns(turns: int) -> None:
-    """Raise `NavigatorError` unless so many turns make a full circle and pass the four views."""
-    if isinstance(turns, bool) or not isinstance(turns, int) or turns < VIEWS or turns % VIEWS:
-        raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
-
-
-def _each_heading(views: Tensor) -> Tensor:
-    """Views ``[B, 4, D]`` as agents see them that face each of the four, ``[4 B, 4, D]``."""
-    return torch.stack([views.roll(-turns, 1) for turns in range(VIEWS)], 1).flatten(0, 1)

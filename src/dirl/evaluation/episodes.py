@@ -2,26 +2,22 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from dirl.agent.decisions import Decide, deciding
+from dirl.agent.agent import MANY, Memory, make_agent
+from dirl.agent.decisions import Known, Walk, deciding
 from dirl.agent.mapping.places import PlaceMap
-from dirl.agent.recall import Localising, Memory, Recall, WorldSight, recalling
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import RandomPolicy
-from dirl.models import LocalisingMemory, frozen
+from dirl.models import frozen
 from dirl.recognition.matching import Arrived
 from dirl.recognition.recogniser import NCC
 from dirl.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
-
-MANY = 50_000
-"""Agents for more than which actions are sampled by one random number each, where `torch.multinomial` draws four."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,40 +118,55 @@ def run_episodes(
     episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
     generator = torch.Generator(world.device).manual_seed(seed)
     wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=looks)
-    arrived = _arrived(world, stop)
     few = len(start) <= MANY
     bar = tqdm(
         total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=bar_interval(), disable=few
     )
+    if memory is not None and scores is None:
+        scores = VisitScores(NCC(), world)
     with frozen(policy), bar:
         at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
         decide = None if at_random else deciding(policy, world, observation, len(start))
-        agents = _Agents(decide, arrived, world, observation, generator, greedy, shown, looks)
-        if memory is not None and scores is None:
-            scores = VisitScores(NCC(), world)
+        known = Known(world, observation, decide, _arrived(world, stop), scores, shown)
+
+        def ahead_in(state: Tensor, goals: Tensor) -> Tensor:
+            return drawn_looks(state, len(world), world, generator, goals // len(world.goals), looks)
+
         for walking in _together(start, world, memory is not None, maps is not None):
-            goal_look = wanted[walking] // len(world.goals)
-            ahead = drawn_looks(start[walking], len(world), world, generator, goal_look, looks)
-            walk = _Walk(walking, start[walking], ahead, observation.begin(ahead))
-            if memory is not None and scores is not None:
-                scene = world.scene_of[start[walking]]
-                if maps is None:
-                    agents.recall = recalling(memory, WorldSight(scores, len(walking)), world.turns[scene])
-                else:
-                    agents.recall = _going_on(memory, scores, maps[int(scene[0])], arrived, wanted[walking])
-                agents.stop(walk, wanted[walking])  # no agent stops before its first step
+            here, goals = start[walking], wanted[walking]
+            ahead = ahead_in(here, goals)
+            walk = Walk(known, walking, goals, here, ahead, observation.begin(ahead))
+            scene = world.scene_of[here]
+            map_of_scene = None if maps is None else maps[int(scene[0])]
+            agent = make_agent(memory, world.turns[scene], map_of_scene)
+            agent.arrive(walk)  # no agent stops before its first step
             for step in range(1, max_steps + 1):
-                going = _take_step(walk, agents, episodes, wanted, step)
+                if at_random:
+                    action = torch.randint(len(ACTIONS), walk.state.shape, generator=generator, device=world.device)
+                else:
+                    action, _ = agent.act(walk, generator, greedy=greedy)
+                state = world.graph[walk.state, action]
+                walk = walk.after(state, ahead_in(state, walk.wanted))
+                stopped = agent.arrive(walk)
+                _record(episodes, walk, stopped, step)
                 if watch is not None:
-                    watch(walk.episode, walk.state, walk.action)
-                left = int(going.sum())
-                bar.update(len(going) - left)
-                if not left:
+                    watch(walk.episode, walk.state, action)
+                going = torch.nonzero(~stopped).flatten()
+                bar.update(len(stopped) - len(going))
+                if not len(going):
                     break
-                if agents.recall is not None:
-                    agents.recall.select(going)
-                walk = walk.going_on(observation, going)
+                agent.select(going)
+                walk = walk.select(going)
     return episodes
+
+
+def _record(episodes: Episodes, walk: Walk, stopped: Tensor, step: int) -> None:
+    """Note where the agents stopped, bool ``[W]``, or should have."""
+    at_goal = walk.state == walk.known.world.goals[episodes.goal_index[walk.episode]]
+    episodes.success[walk.episode] = stopped & at_goal
+    episodes.false_stop[walk.episode] = stopped & ~at_goal
+    episodes.missed_stop[walk.episode] |= at_goal & ~stopped
+    episodes.steps[walk.episode[stopped & at_goal]] = step
 
 
 def _together(start: Tensor, world: World, memory: bool, maps: bool) -> list[Tensor]:
@@ -165,13 +176,6 @@ def _together(start: Tensor, world: World, memory: bool, maps: bool) -> list[Ten
         return [episodes[world.scene_of[start] == scene] for scene in world.scene_of[start].unique()]
     # A memory of many episodes takes much space until they have ended.
     return list(episodes.split(MANY if memory else max(1, len(start))))
-
-
-def _going_on(memory: Memory, scores: VisitScores, known: PlaceMap, arrived: Arrived, wanted: Tensor) -> Localising:
-    """The memory of agents that know a map, on their way to goals, int64 ``[B]``."""
-    assert isinstance(memory, LocalisingMemory)
-    sight = WorldSight(scores, len(wanted), known.seen)
-    return Localising(memory, sight, known.begin(arrived(wanted[:, None, None], sight.seen)))
 
 
 def drawn_looks(
@@ -213,126 +217,6 @@ def _arrived(world: World, stop: Tensor | Arrived | None) -> Arrived:
     return stop
 
 
-@dataclass
-class _Walk:
-    """Agents on their way."""
-
-    episode: Tensor
-    """int64 ``[W]``."""
-    state: Tensor
-    """Where they are, int64 ``[W]``."""
-    ahead: Tensor
-    """What they see ahead there, by view id, int64 ``[W]``."""
-    view_ids: Tensor
-    """What they saw before their last step, int64 ``[W, 4]``."""
-    action: Tensor = field(default_factory=lambda: torch.empty(0))
-    """Their last step, int64 ``[W]``."""
-
-    def going_on(self, observation: SurroundingViews, going: Tensor) -> "_Walk":
-        """Those that do not stop."""
-        view_ids = observation.follow(self.view_ids, self.ahead)
-        return _Walk(self.episode[going], self.state[going], self.ahead[going], view_ids[going])
-
-
-@dataclass
-class _Agents:
-    """The agents of some episodes: what they do and where they stop."""
-
-    decide: Decide | None
-    """None for agents that do anything with the same probability."""
-    arrived: Arrived
-    world: World
-    observation: SurroundingViews
-    generator: torch.Generator
-    greedy: bool
-    shown: Tensor | None
-    looks: range | None
-    recall: Recall | None = None
-
-    def act(self, walk: _Walk, wanted: Tensor) -> Tensor:
-        """Their actions on the way to goals, see `Decide`; int64 ``[W]``."""
-        if self.decide is None:
-            return torch.randint(len(ACTIONS), wanted.shape, generator=self.generator, device=wanted.device)
-        wanted = self._shown(wanted)
-        policy = partial(self.decide, walk.episode, walk.ahead, walk.view_ids, wanted)
-        if self.recall is None:
-            return choose(policy(), self.generator, greedy=self.greedy)
-        if isinstance(self.recall, Localising):
-            logits = self.recall.plan()
-        else:
-            visit = self._visit(walk)
-            logits = self.recall.adjust(visit, policy, partial(self._around, walk.episode, visit, wanted))
-        action = choose(logits, self.generator, greedy=self.greedy)
-        self.recall.acted(action)
-        return action
-
-    def stop(self, walk: _Walk, wanted: Tensor) -> Tensor:
-        """Which agents stop where they are now, bool ``[W]``."""
-        if not isinstance(self.recall, Localising):
-            return self.arrived(wanted, walk.ahead)
-        visit = self._visit(walk)
-        odds = self.arrived(wanted.unsqueeze(-1), visit)
-        return self.recall.arrive(visit, odds, partial(self._facing, walk.episode, visit, self._shown(wanted)))
-
-    def _visit(self, walk: _Walk) -> Tensor:
-        """The view ids around the agents, int64 ``[W, 4]``."""
-        states = len(self.world)
-        return self.world.surrounding[walk.ahead % states] + (walk.ahead - walk.ahead % states).unsqueeze(-1)
-
-    def _shown(self, wanted: Tensor) -> Tensor:
-        """The goals that the policy is shown: others in a control, in the same look."""
-        if self.shown is None:
-            return wanted
-        goals = len(self.shown)
-        return self.shown[wanted % goals] + wanted // goals * goals
-
-    def _facing(self, episode: Tensor, visit: Tensor, wanted: Tensor, chosen: Tensor) -> Tensor:
-        """The policy's logits of the chosen agents, bool ``[W]``, facing each view; float32 ``[W, 4, 4]``."""
-        assert self.decide is not None
-        facing, headings = visit[chosen].flatten(), visit.shape[1]
-        there = [rows[chosen].repeat_interleave(headings) for rows in (episode, wanted)]
-        logits = torch.zeros((*visit.shape, len(ACTIONS)), device=visit.device)
-        if not len(facing):
-            return logits
-        asked = self.decide(there[0], facing, self.observation.begin(facing), there[1])
-        logits[chosen] = asked.view(-1, headings, len(ACTIONS))
-        return logits
-
-    def _around(self, episode: Tensor, visit: Tensor, wanted: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        """See `dirl.agent.recall.Around`; ``visit`` has the view ids around each agent, int64 ``[W, 4]``."""
-        goal = torch.zeros_like(visit, dtype=torch.bool)
-        goal[chosen] = self.arrived(wanted[chosen].unsqueeze(-1), visit[chosen])
-        return self._facing(episode, visit, wanted, chosen), goal
-
-
-def _take_step(walk: _Walk, agents: _Agents, episodes: Episodes, goals: Tensor, step: int) -> Tensor:
-    """One step of all agents to ``goals``, int64 ``[E]``; which of them go on, bool ``[W]``."""
-    wanted, world = goals[walk.episode], agents.world
-    walk.action = agents.act(walk, wanted)
-    walk.state = world.graph[walk.state, walk.action]
-    goal_look = wanted // len(world.goals)
-    walk.ahead = drawn_looks(walk.state, len(world), world, agents.generator, goal_look, agents.looks)
-    at_goal = walk.state == world.goals[episodes.goal_index[walk.episode]]
-    stopped = agents.stop(walk, wanted)
-    episodes.success[walk.episode] = stopped & at_goal
-    episodes.false_stop[walk.episode] = stopped & ~at_goal
-    episodes.missed_stop[walk.episode] |= at_goal & ~stopped
-    episodes.steps[walk.episode[stopped & at_goal]] = step
-    return ~stopped
-
-
 def bar_interval() -> float:
     """Seconds between two drawings of a progress bar: in a file each drawing is a line."""
     return 0.2 if sys.stderr.isatty() else 10.0
-
-
-def choose(logits: Tensor, generator: torch.Generator, *, greedy: bool) -> Tensor:
-    """The most probable action, or one sampled by its probability, of logits ``[B, 4]``; int64 ``[B]``."""
-    if greedy:
-        return logits.argmax(-1)
-    probabilities = logits.softmax(-1)
-    if len(logits) <= MANY:
-        return torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
-    drawn = torch.rand((len(logits), 1), generator=generator, device=logits.device)
-    # The last bound is 1 up to rounding, and must not let a number beyond it.
-    return (drawn >= probabilities.cumsum(-1)[:, :-1]).sum(-1)

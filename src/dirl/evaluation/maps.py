@@ -8,7 +8,6 @@ from torch import Tensor
 
 from dirl.agent.mapping.places import ParticleMapper, PlaceMap
 from dirl.agent.mapping.walks import Mapper, explore
-from dirl.agent.recall import WorldSight
 from dirl.envs.transforms import VIEWS
 from dirl.evaluation.episodes import drawn_looks
 from dirl.models import LocalisingMemory
@@ -51,7 +50,7 @@ def map_scene(
     Returns:
         The map, and the states that were passed, by their places in the scene.
     """
-    mapper = ParticleMapper(memory, WorldSight(scores, 1), seed=seed)
+    mapper = ParticleMapper(memory, scores.of_visits, seed=seed)
     passed = walk_through(world, index, mapper, lambda visit: visit, steps_per_state, seed, looks)
     return mapper.map(), passed
 

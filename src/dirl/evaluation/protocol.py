@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from dirl.agent.agent import Memory
 from dirl.agent.decisions import answers
 from dirl.agent.mapping.places import PlaceMap
-from dirl.agent.recall import Memory
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, run_episodes, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from dirl.agent.exploring import Guide
 from dirl.agent.mapping import ImageGraph
+from dirl.agent.mapping.policy import Guide
 from dirl.evaluation.episodes import Episodes, drawn_looks
 from dirl.evaluation.maps import map_quality, map_scene, walk_through
 from dirl.evaluation.protocol import EvaluationProtocol

@@ -10,7 +10,7 @@ from dirl.recognition.recogniser import NCC, Recogniser, in_blocks, ncc, normal_
 from dirl.recognition.tables import VisitScores, described_visits, matched
 from dirl.scenes.world import World
 
-__all__ = ["FRONT_THRESHOLD", "TemplateStop", "ncc", "normal_vectors", "stop_errors", "template_vectors"]
+__all__ = ["FRONT_THRESHOLD", "TemplateStop", "ncc", "normal_vectors", "template_vectors"]
 
 FRONT_THRESHOLD = 0.95
 """Above which one photo matches: other places are more like a goal in one view than in four, see docs/decisions.md."""
@@ -77,13 +77,3 @@ class TemplateStop:
         """The scores by which an agent would stop, for one that weighs them itself."""
         scores, states, goals = VisitScores(self.recogniser, world, self.match), len(world), len(world.goals)
         return lambda wanted, picture: scores(world.goals[wanted % goals] + wanted // goals * states, picture)
-
-
-def stop_errors(stop: Tensor, world: World) -> dict[str, float]:
-    """How often a stop rule errs, over states: ``false`` of those that are not the goal, ``missed`` of the goals."""
-    at_goal = world.pair(torch.arange(len(world.goals), device=world.device), world.goals)
-    elsewhere = world.distances > 0
-    return {
-        "false": float((stop & elsewhere).sum() / elsewhere.sum()),
-        "missed": float((~stop[at_goal]).float().mean()),
-    }

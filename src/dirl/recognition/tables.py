@@ -38,6 +38,13 @@ class VisitScores:
             self._compute(asked.unique())
         return self.table[self.row[reference] + self.column[seen]]
 
+    def of_visits(self, seen: Tensor, visit: Tensor) -> Tensor:
+        """How much visits ``[B, 4]`` look like earlier ones, ``[B, T, 4]``, facing each of their views; all view ids.
+
+        A node faces the view that was ahead or aside, by whose view id it is named.
+        """
+        return self(seen, visit[:, None, :1])
+
     @torch.no_grad()
     def _compute(self, reference: Tensor) -> None:
         """Fill the rows of references, int64 ``[A]``."""

@@ -20,7 +20,8 @@ from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.recognition.matching import TemplateStop
-from dirl.scenes import ACTIONS, Scene
+from dirl.recognition.tables import described_visits
+from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 from dirl.scenes.views import encode
@@ -110,8 +111,7 @@ def viewer_pages(
                     "walks": [[of_agent[row].get(offset + state) for state in range(len(scene))] for of_agent in walks],
                 }
             )
-        seen = world.features[offset : offset + len(scene)].cpu()
-        image_graph = None if graphs is None else _image_graph(graphs[index], scene, seen)
+        image_graph = None if graphs is None else _image_graph(graphs[index], world, index)
         pages[file_name(scene.name)] = page({**common, **_room(scene), "image_graph": image_graph, "goals": goals})
     return pages
 
@@ -181,9 +181,10 @@ def _room(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _image_graph(graph: ImageGraph, scene: Scene, features: Tensor) -> dict[str, Any]:
+def _image_graph(graph: ImageGraph, world: World, index: int) -> dict[str, Any]:
     """The data of a topological map that a page needs: the place that each state looks like most, and the moves."""
-    node = graph.scores(features[torch.tensor(scene.surrounding)]).argmax(1)
+    visits = described_visits(graph.recogniser, world, index)[: len(world.scenes[index])]
+    node = graph.scores(visits).argmax(1)
     moves, first = np.array(graph.moves), np.arange(len(graph))
     for _ in range(graph.turns):
         for turn in (RIGHT, LEFT):

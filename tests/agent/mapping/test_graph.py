@@ -5,10 +5,11 @@ import pytest
 import torch
 from rooms import grid_scene
 
-from dirl.agent.exploring import Guide
 from dirl.agent.mapping import ImageGraph, MapError
-from dirl.agent.mapping.looks import UNKNOWN
+from dirl.agent.mapping.panoramas import UNKNOWN
+from dirl.agent.mapping.policy import Guide
 from dirl.agent.mapping.walks import explore, step
+from dirl.recognition import NCC
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 
 ROOM = {"width": 4, "depth": 3, "blocked": [(1, 1)], "feature_width": 64}
@@ -137,6 +138,24 @@ def test_a_photo_is_found_in_the_map():
     seen = looks(scene)
     for state in (2, 9, 33):
         assert graph.scores(seen[state][:1]).argmax() == graph.scores(seen[state]).argmax()
+
+
+class Computed(NCC):
+    """Correlation that is computed as that of any recogniser."""
+
+    def scores(self, seen, references):
+        return super().scores(seen, references)
+
+
+def test_the_kept_vectors_of_correlation_give_what_a_recogniser_computes():
+    scene = grid_scene(**ROOM)
+    kept, computed = ImageGraph(), ImageGraph(recogniser=Computed())
+    for graph in (kept, computed):
+        explore(scene, graph, 5, 100)
+    assert kept.moves == computed.moves
+    seen = looks(scene)
+    for views in (seen, seen[:, :1], seen[3], seen[3][:1]):
+        torch.testing.assert_close(computed.scores(views), kept.scores(views), atol=1e-5, rtol=0)
 
 
 def test_without_a_margin_only_the_most_alike_counts():

@@ -14,12 +14,12 @@ from dirl import Navigator
 from dirl.agent.mapping import MapError, PlaceMap, load_graph, save_graph
 from dirl.agent.mapping.places import ParticleMapper, resampled
 from dirl.agent.navigator import NavigatorError
-from dirl.agent.recall import WorldSight
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import LocalisingMemory
+from dirl.recognition import NCC
 from dirl.recognition.matching import TemplateStop
 from dirl.recognition.tables import VisitScores
 from dirl.scenes import make_world
@@ -68,7 +68,7 @@ def test_many_particles_make_a_better_map_than_one_where_single_looks_err():
     def wrong(particles):
         found = []
         for seed in range(4):
-            mapper = ParticleMapper(LocalisingMemory(), WorldSight(scores, 1), particles, seed)
+            mapper = ParticleMapper(LocalisingMemory(), scores.of_visits, particles, seed)
             known, passed = walked(mapper, world, seed)
             found.append(map_quality(known, passed, world, 0))
         return sum(quality.wrong for quality in found) / len(found)
@@ -97,7 +97,7 @@ def test_the_same_seed_makes_the_same_map(world, scores, walks):
 
 def test_who_is_carried_elsewhere_finds_the_place_on_the_map_again(world, scores, walks):
     known, passed = walks[0]
-    mapper = ParticleMapper(LocalisingMemory(), WorldSight(scores, 1, known.seen), known=known)
+    mapper = ParticleMapper(LocalisingMemory(), scores.of_visits, known=known)
     for visit in (10, 3):
         node = mapper.see(world.surrounding[passed[visit]] + len(world))
         assert node == int(known.places.node[0, visit])
@@ -132,11 +132,11 @@ def known(walks):
 
 @pytest.fixture
 def saved(known, tmp_path):
-    return save_graph(known, tmp_path / "map", extractor="random", recogniser="odds")
+    return save_graph(known, tmp_path / "map", extractor="random", recogniser=Odds())
 
 
 def test_a_map_is_the_same_after_it_was_saved(saved, known):
-    again = load_graph(saved, extractor="random", recogniser="odds")
+    again = load_graph(saved, extractor="random", recogniser=Odds())
     assert isinstance(again, PlaceMap)
     assert torch.equal(again.seen, known.seen)
     for name, value in vars(known.places).items():
@@ -168,8 +168,8 @@ def test_a_damaged_map_is_refused_in_one_line(saved, name, change):
 
 
 def test_a_map_of_another_recogniser_is_refused(saved):
-    with pytest.raises(MapError, match="was made with another recogniser: 'odds', not 'other'"):
-        load_graph(saved, extractor="random", recogniser="other")
+    with pytest.raises(MapError, match=r"was made with another recogniser: 'odds.Odds sha256:.*', not 'dirl"):
+        load_graph(saved, extractor="random", recogniser=NCC())
 
 
 @pytest.fixture
@@ -180,7 +180,7 @@ def place():
 @pytest.fixture
 def navigator(tmp_path, place, monkeypatch):
     """Of a policy that has learnt nothing, with a memory that localises."""
-    monkeypatch.setattr("dirl.agent.navigator.build_recogniser", lambda _: Odds())
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda _: Odds())
     trained(tmp_path / "run", place, "episodic_memory=localising")
     return Navigator.load(tmp_path / "run", look_up(place), extractor="random")
 

@@ -1,45 +1,43 @@
 """A topological map: what was seen on a walk, merged where it looks the same, and the moves from one node to another.
 
-A *panorama* is one observation: the views ahead, right, back and left. Seen from there a quarter further to the right,
-the same four views are in another order, so that each panorama is four *nodes*: node ``4 * panorama + k`` is the
-panorama k quarters to the right. Localisation, in a walk and later, stays with the node that was expected after the
-last action while it looks enough like what is seen, and takes another one only if that looks clearly more alike
-(hysteresis). A single observation that fits nowhere is passed over.
+Localisation, in a walk and later, stays with the node that was expected after the last action while it looks enough
+like what is seen, and takes another one only if that looks clearly more alike (hysteresis). A single observation that
+fits nowhere is passed over.
 
-A place that is reached by a new edge and looks like a known one may be another (perceptual aliasing). The next move
-decides: see `dirl.agent.mapping.doubt`.
+A place that is reached by a new edge and looks like a known one may be another (perceptual aliasing): see `Doubt`.
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-import torch
 from torch import Tensor
 
-from dirl.agent.mapping.doubt import Doubt, settle
-from dirl.agent.mapping.looks import UNKNOWN, VIEWS, Looks, turned
-from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, shortest_distances
+from dirl.agent.images import NavigatorError
+from dirl.agent.mapping.panoramas import UNDOES, UNKNOWN, VIEWS, Panoramas, turned
+from dirl.recognition.recogniser import Recogniser
+from dirl.scenes.graph import AHEAD, BACK, RIGHT
 
-KEEP = 0.6
-
-UNDOES = {AHEAD: BACK, BACK: AHEAD, RIGHT: LEFT, LEFT: RIGHT}
-
-
-class MapError(ValueError):
-    """A topological map that cannot be used as asked; the message says why in one line."""
+KEEP, LIKELY = 0.6, 0.0
+"""See ``keep``."""
 
 
-class ImageGraph:
+class MapError(NavigatorError):
+    """A map that cannot be used as asked; the message says why in one line."""
+
+
+class ImageGraph(Panoramas):
     """A map of N = 4 S nodes, empty at first.
 
     Args:
-        threshold: above this correlation of four views two observations are of the same node.
-        keep: above this one the expected node is believed, unless another looks more alike by ``margin``; `KEEP` or the
-            threshold, whichever is lower, if left out.
-        margin: see ``keep``.
+        threshold: above this score two observations are of the same node; if left out 0.9, of log odds the
+            recogniser's own for a memory. That of others is too low: one wrong merge spoils the map.
+        keep: above this one the expected node is believed, unless another looks more alike by ``margin``. If left out,
+            `KEEP` or the threshold, whichever is lower; of log odds `LIKELY`.
+        margin: see ``keep``; 0.1, of log odds 1.
         turns: right turns in a full circle.
         merge: whether nodes are recognised; without it each step makes a new panorama, and the map is a list.
         verify: whether a match is believed only after a move to a neighbour that matches too.
+        recogniser: by which observations are compared; correlation if left out.
 
     Raises:
         MapError: a threshold out of bounds, or turns that are no multiple of four.
@@ -47,55 +45,44 @@ class ImageGraph:
 
     def __init__(
         self,
-        threshold: float = 0.9,
+        threshold: float | None = None,
         keep: float | None = None,
-        margin: float = 0.1,
+        margin: float | None = None,
         turns: int = 4,
         *,
         merge: bool = True,
         verify: bool = True,
+        recogniser: Recogniser | None = None,
     ) -> None:
-        keep = min(KEEP, threshold) if keep is None else keep
-        if not -1 <= keep <= threshold <= 1 or not 0 <= margin <= 2:
+        super().__init__(turns, recogniser)
+        odds, own = self.recogniser.calibrated, self.recogniser.thresholds
+        if threshold is None:
+            threshold = own.memory if odds and own is not None else 0.9
+        keep = min(LIKELY if odds else KEEP, threshold) if keep is None else keep
+        margin = (1.0 if odds else 0.1) if margin is None else margin
+        if not keep <= threshold or not margin >= 0 or not (odds or (-1 <= keep <= threshold <= 1 and margin <= 2)):
             raise MapError(
                 f"keep={keep:g}, threshold={threshold:g}, margin={margin:g}: expected -1 <= keep <= threshold <= 1 and "
                 "a margin of 0 to 2"
             )
         if turns < 4 or turns % 4:
             raise MapError(f"turns={turns}: must be a multiple of four")
-        self.threshold, self.keep, self.margin, self.turns = threshold, keep, margin, turns
+        self.threshold, self.keep, self.margin = threshold, keep, margin
         self.merge, self.verify = merge, verify
-        self.moves: list[list[int]] = []
-        """Where each action leads from each node: `UNKNOWN`, the node itself where it is blocked, or another."""
-        self.observed: list[list[bool]] = []
-        """Whether that was seen, or only inferred from the opposite move."""
         self.at: int | None = None
         """The node where the walker is; None before the first look and after `lose`."""
         self.doubt: Doubt | None = None
         """While it is not known whether the walker is in a new place or in a known one that looks the same."""
-        self.changes = 0
-        """Grows whenever the map changes."""
-        self.looks = Looks()
-        self._denied: dict[tuple[int, int], int] = {}
         self._coasting = False
-
-    def __len__(self) -> int:
-        """The number of nodes."""
-        return len(self.moves)
-
-    @property
-    def views(self) -> Tensor:
-        """The features of the four views of each panorama, float32 ``[S, 4, D]``."""
-        return self.looks.views
 
     def see(self, views: Tensor, action: int | None = None) -> int:
         """Add an observation to the map: the node where the walker is now.
 
         Args:
-            views: features ahead, right, back and left, float32 ``[4, D]``.
+            views: described, ahead, right, back and left, float32 ``[4, F]``.
             action: what the walker did since the last look; None if it stood still, or was carried.
         """
-        if self.doubt is not None and action is not None and settle(self, views, action):
+        if self.doubt is not None and action is not None and self._settle(self.doubt, views, action):
             assert self.at is not None
             return self.at
         before = self.at
@@ -115,9 +102,9 @@ class ImageGraph:
         """The node that an observation is of, None if no node looks like it; `at` is what it was before.
 
         Args:
-            views: features ahead, right, back and left, float32 ``[4, D]``.
+            views: described, ahead, right, back and left, float32 ``[4, F]``.
             action: what was done since the look at `at`; None if nothing.
-            least: the correlation that a node must have which was not expected; the threshold if left out.
+            least: the score that a node must have which was not expected; the threshold if left out.
         """
         if not len(self):
             return None
@@ -133,7 +120,7 @@ class ImageGraph:
         return bool(scores[node] > self.keep and scores.max() <= scores[node] + self.margin)
 
     def alike(self, views: Tensor) -> list[int]:
-        """The nodes that an observation could be of, float32 ``[4, D]``; the most alike first."""
+        """The nodes that an observation could be of, float32 ``[4, F]``; the most alike first."""
         scores = self.scores(views)
         possible = (scores > self.threshold) & (scores >= scores.max() - self.margin)
         return [node for node in scores.argsort(descending=True).tolist() if possible[node]]
@@ -159,34 +146,6 @@ class ImageGraph:
         self._end_doubt()
         self.at, self._coasting = None, False
 
-    def scores(self, views: Tensor) -> Tensor:
-        """The correlation of observations with every node, float32 ``[..., N]``.
-
-        Args:
-            views: features of four views, float32 ``[..., 4, D]``; or of one photo, ``[..., 1, D]``, which is compared
-                with the view ahead of each node.
-        """
-        return self.looks.scores(views)
-
-    def plan(self, goals: Sequence[int]) -> Tensor:
-        """The fewest actions from each node to each goal, int32 ``[N, G]``, -1 where no path is known."""
-        return torch.from_numpy(shortest_distances(torch.tensor(self.moves).numpy(), torch.tensor(goals).numpy()))
-
-    def next_action(self, node: int, distances: Tensor) -> int | None:
-        """The first action of a shortest path.
-
-        Args:
-            node: where the walker is.
-            distances: to one goal, of every node, int32 ``[N]``; a column of `plan`.
-
-        Returns:
-            None at the goal, and where no path is known.
-        """
-        for action, there in enumerate(self.moves[node]):
-            if there >= 0 and 0 <= distances[there] < distances[node]:
-                return action
-        return None
-
     def frontier_action(self) -> int | None:
         """What to do next to learn more: the first action on a shortest path to one whose outcome is not known.
 
@@ -196,7 +155,7 @@ class ImageGraph:
         node = self.at
         if node is None:
             return None
-        if self.doubt is not None and (testing := self.doubt.testing_action(self)) is not None:
+        if self.doubt is not None and (testing := self._testing_action(self.doubt)) is not None:
             return testing
         tried = (AHEAD, BACK) if self.turns == VIEWS else (AHEAD, BACK, RIGHT)
         first: dict[int, int | None] = {node: None}
@@ -213,38 +172,10 @@ class ImageGraph:
                     queue.append(there)
         return None
 
-    def add_station(self, views: Tensor) -> int:
-        """A new panorama with these views, float32 ``[4, D]``; the node that faces ahead."""
-        node = len(self.moves)
-        self.looks.add(views)
-        for k in range(VIEWS):
-            moves = [UNKNOWN] * len(ACTIONS)
-            if self.turns == VIEWS:
-                moves[RIGHT], moves[LEFT] = node + (k + 1) % VIEWS, node + (k - 1) % VIEWS
-            self.moves.append(moves)
-            self.observed.append([self.turns == VIEWS and action in (RIGHT, LEFT) for action in range(len(ACTIONS))])
-        self.changes += 1
-        return node
-
     def merge_stations(self, same: Mapping[int, int]) -> None:
-        """Make the last panoramas the same as earlier ones.
-
-        Args:
-            same: to which node each node of the last panoramas is equal.
-        """
-        first = min(same)
-        for node, moves in enumerate(self.moves):
-            if node >= first:
-                for action, there in enumerate(moves):
-                    if there != UNKNOWN:
-                        self.link(same[node], action, same.get(there, there), observed=self.observed[node][action])
-            else:
-                self.moves[node] = [same.get(there, there) for there in moves]
-        self._denied = {key: there for key, there in self._denied.items() if max(key[0], there) < first}
-        del self.moves[first:], self.observed[first:]
-        self.looks.shorten(first // VIEWS)
+        """See `Panoramas.merge_stations`; the walker is where it was."""
+        super().merge_stations(same)
         self.at = None if self.at is None else same.get(self.at, self.at)
-        self.changes += 1
 
     def _expected(self, action: int | None) -> int:
         """Where the walker must be after an action by the map; `UNKNOWN` if that is not known."""
@@ -276,58 +207,74 @@ class ImageGraph:
         alike = self.alike(views)
         if action in (AHEAD, BACK):
             return None if before in alike else alike
-        if {node // VIEWS for node in alike} & self._place(before):
+        if {node // VIEWS for node in alike} & self.place(before):
             return None
         return [node for node in alike if self.moves[node][UNDOES[action]] in (UNKNOWN, before)]
 
-    def _place(self, node: int) -> set[int]:
-        """The panoramas that are known to be at the place of a node, because turns lead to them."""
-        found, new = set[int](), {node // VIEWS}
-        while new:
-            found |= new
-            nodes = [VIEWS * station + k for station in new for k in range(VIEWS)]
-            new = {self.moves[one][turn] // VIEWS for one in nodes for turn in (RIGHT, LEFT)} - found - {UNKNOWN}
-        return found
+    def _testing_action(self, doubt: "Doubt") -> int | None:
+        """The first action on a shortest path to a neighbour of the best candidate; None if it has none."""
+        first: dict[int, int | None] = {doubt.candidates[0]: None}
+        queue = deque(first)
+        while queue:
+            here = queue.popleft()
+            for action, there in enumerate(self.moves[here]):
+                if there == UNKNOWN or there in first or there in doubt.same[0]:
+                    continue
+                began = action if first[here] is None else first[here]
+                if action in (AHEAD, BACK):
+                    return began
+                first[there] = began
+                queue.append(there)
+        return None
 
-    def record(self, before: int | None, action: int | None, node: int) -> None:
-        """Remember what an action did, and infer what follows: moves can be undone, and walked backwards."""
-        if before is None or action is None or (action in (RIGHT, LEFT) and before == node):
-            return
-        self.link(before, action, node, observed=True)
-        if self.moves[before][action] != node:  # not believed yet
-            return
-        if node != before:
-            self.link(node, UNDOES[action], before, observed=False)
-        if action in (AHEAD, BACK):  # facing the other way, the same move has the other name
-            self.link(turned(before, 2), UNDOES[action], turned(node, 2), observed=False)
-            if node != before:
-                self.link(turned(node, 2), action, turned(before, 2), observed=False)
-        else:
-            self._infer_turns(*((before, node) if action == RIGHT else (node, before)))
+    def _settle(self, doubt: "Doubt", views: Tensor, action: int) -> bool:
+        """See on while in doubt, which ends with most moves; whether it was seen to the end, else see as ever."""
+        scores = self.scores(views)
+        after = [self.moves[node][action] for node in doubt.candidates]
+        fitting = [i for i, node in enumerate(after) if node != UNKNOWN and self.fits(scores, node)]
+        told = [i for i in fitting if action in (AHEAD, BACK) and after[i] != doubt.candidates[i]]
+        unknown = [i for i, node in enumerate(after) if node == UNKNOWN]
+        if told or not fitting:
+            self.doubt = None
+            if told or unknown:
+                best = max(told, key=lambda i: float(scores[after[i]])) if told else unknown[0]
+                self.merge_stations(doubt.same[best])
+            return False
+        doubt.keep(fitting)
+        after = [after[i] for i in fitting]
+        back = [new for new, old in doubt.same[0].items() if old == after[0]]
+        here = back[0] if back else self.add_station(views)
+        for same, node in zip(doubt.same, after, strict=True):
+            same.update({} if back else _pairs(here, node))
+        self.record(self.at, action, here)
+        self.at, doubt.candidates = here, after
+        return True
 
-    def _infer_turns(self, left: int, right: int) -> None:
-        """What follows of a known turn to the right: that from the other headings, and the last one of a quarter."""
-        for k in range(VIEWS):
-            self.link(turned(left, k), RIGHT, turned(right, k), observed=False)
-            self.link(turned(right, k), LEFT, turned(left, k), observed=False)
-        first = right
-        for _ in range(self.turns // VIEWS - 1):
-            if first == UNKNOWN:
-                return
-            first = self.moves[first][LEFT]
-        if first != UNKNOWN:
-            for k in range(VIEWS):
-                self.link(turned(right, k), RIGHT, turned(first, k + 1), observed=False)
-                self.link(turned(first, k + 1), LEFT, turned(right, k), observed=False)
 
-    def link(self, start: int, action: int, end: int, *, observed: bool) -> None:
-        """Remember where an action leads; what was seen is only changed by what is seen twice."""
-        if self.moves[start][action] == end or not self.observed[start][action]:
-            self._denied.pop((start, action), None)
-        elif not observed or self._denied.get((start, action)) != end:
-            if observed:
-                self._denied[start, action] = end
-            return
-        self.changes += self.moves[start][action] != end
-        self.moves[start][action] = end
-        self.observed[start][action] |= observed
+class Doubt:
+    """A match that is not believed yet: the walker is in one of some known nodes, or in their twin.
+
+    A panorama is made for it, and for each of these candidates it is tracked where the walker would be. If a move leads
+    to where the candidate's neighbour is seen, that candidate and the new panorama are merged; if it leads to something
+    else, they are not. Where the map knows too little to decide, the match is believed.
+
+    Args:
+        node: the first of the new panorama.
+        candidates: the nodes that looked like it, the most alike first.
+    """
+
+    def __init__(self, node: int, candidates: list[int]) -> None:
+        self.candidates = candidates
+        """Where the walker is now, for each."""
+        self.same = [_pairs(node, candidate) for candidate in candidates]
+        """For each, which nodes those of the panoramas made since would be."""
+
+    def keep(self, chosen: list[int]) -> None:
+        """Leave these candidates, by their places in the list."""
+        self.candidates = [self.candidates[i] for i in chosen]
+        self.same = [self.same[i] for i in chosen]
+
+
+def _pairs(new: int, old: int) -> dict[int, int]:
+    """The nodes of a panorama ``new``, each with the node of the panorama of ``old`` that it would be."""
+    return {new + k: turned(old, k) for k in range(VIEWS)}

@@ -6,12 +6,12 @@ decision spoils the map. Here each of K particles is a whole map that samples it
 particle filter, as in FastSLAM (Montemerlo et al. 2002), with a recogniser's log odds in place of a sensor model.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from dirl.agent.recall import Sight
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory
 from dirl.models.localising import Places
@@ -22,10 +22,6 @@ PARTICLES = 256
 BLOCKED = 0.1
 """Prior probability that a move of a walk is blocked: a walk tries all moves, an agent those that a policy likes."""
 
-KEEP, MARGIN = -1.0, 0.05
-"""For `dirl.agent.exploring.TurnCheck`, which compares descriptions with those a quarter turn ago: the views may have
-changed, but no other turn may fit better."""
-
 
 @dataclass(frozen=True)
 class PlaceMap:
@@ -34,7 +30,7 @@ class PlaceMap:
     places: Places
     """Of one agent; see `dirl.models.localising.Places`."""
     seen: Tensor
-    """The visits, as the `Sight` of the walk keeps them, ``[1, T, 4, ...]``."""
+    """The visits, by view ids or by described views, ``[1, T, 4, ...]``."""
     turns: int = VIEWS
     """Right turns in a full circle: 4."""
 
@@ -60,7 +56,8 @@ class ParticleMapper:
 
     Args:
         memory: whose slip, bound and independence of log odds are used.
-        sight: of one walker; empty, or with the visits of ``known``.
+        compare: how much earlier visits, ``[1, T, 4, ...]``, look like a visit, ``[1, 4, ...]``: log odds,
+            ``[1, T, 4]``.
         particles: maps at once, K.
         seed: of the draws.
         known: a map to walk on with, from any place.
@@ -69,7 +66,7 @@ class ParticleMapper:
     def __init__(
         self,
         memory: LocalisingMemory,
-        sight: Sight,
+        compare: Callable[[Tensor, Tensor], Tensor],
         particles: int = PARTICLES,
         seed: int = 0,
         known: PlaceMap | None = None,
@@ -77,8 +74,8 @@ class ParticleMapper:
         evidence = {"slip": memory.slip, "least": memory.least, "independence": memory.independence}
         # All actions cost the same, so that a walk goes to the nearest unknown outcome.
         self.memory = LocalisingMemory(repeated=1.0, turn=1.0, blocked=BLOCKED, **evidence)
-        self.sight = sight
-        self.turns, self.keep, self.margin = VIEWS, KEEP, MARGIN
+        self.compare, self.seen = compare, None if known is None else known.seen
+        self.turns = VIEWS
         self.places = self.memory.begin(particles)
         if known is not None:
             self.places = known.begin(known.places.goal.expand(particles, -1, -1))
@@ -95,12 +92,16 @@ class ParticleMapper:
         """Take in what is seen around the walker: the node where it most probably is.
 
         Args:
-            visit: see `Sight.compare`, ``[4, ...]``.
+            visit: ahead, right, back and left, ``[4, ...]``, in the form of the map.
             action: what the walker did since the visit before; None at first, or if it was carried.
         """
         particles = len(self.weight)
         self.places.action = torch.full((particles,), -1 if action is None else action)
-        alike = self.sight.compare(visit[None]).cpu().expand(particles, -1, -1)
+        visit = visit[None]
+        seen = visit[:, None][:, :0] if self.seen is None else self.seen
+        alike = self.compare(seen, visit) if seen.shape[1] else torch.zeros(1, 0, VIEWS)
+        alike = alike.cpu().expand(particles, -1, -1)
+        self.seen = torch.cat([seen, visit[:, None]], 1)
         likely = self.memory.likely(self.places, alike)
         here = torch.multinomial(likely.softmax(1), 1, generator=self.generator).squeeze(1)
         nothing = torch.zeros(particles, VIEWS)
@@ -121,10 +122,9 @@ class ParticleMapper:
 
     def map(self) -> PlaceMap:
         """The most probable map."""
-        seen = self.sight.seen
-        assert seen is not None
+        assert self.seen is not None
         best = self.best.compact()
-        return PlaceMap(replace(best, action=torch.full_like(best.action, -1)), seen)
+        return PlaceMap(replace(best, action=torch.full_like(best.action, -1)), self.seen)
 
 
 def resampled(probability: Tensor, generator: torch.Generator) -> Tensor:

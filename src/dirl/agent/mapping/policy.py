@@ -7,9 +7,11 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from dirl.agent.mapping.graph import ImageGraph
-from dirl.agent.mapping.walks import explore, looks
+from dirl.agent.mapping.graph import ImageGraph, MapError
+from dirl.agent.mapping.walks import explore
 from dirl.config.bounds import Bounds
+from dirl.recognition.recogniser import NCC
+from dirl.recognition.tables import described_visits
 from dirl.scenes import ACTIONS, World
 from dirl.scenes.graph import turns_per_circle
 
@@ -19,9 +21,58 @@ NO_GOAL = -(2**60)
 CERTAIN = 30.0
 """The logit of the planned action, of others 0: sampled actions are the planned ones too."""
 
-
 LAST_STEPS = 3
 """Within so many steps of the goal a policy that a map leads decides by itself."""
+
+NO_WAY = 2**30
+"""More steps than any path has."""
+
+
+class Guide:
+    """The path to one goal by a topological map, step by step; errors of the map are corrected on the way.
+
+    Args:
+        graph: the map; where the agent is in it is forgotten.
+        goal_views: the goal's four views, described, float32 ``[4, F]``, or one photo, ``[1, F]``.
+        last_steps: within so many steps of the goal it gives no advice.
+
+    Raises:
+        MapError: the map is empty or does not fit the features, or ``last_steps`` is no count.
+    """
+
+    def __init__(self, graph: ImageGraph, goal_views: Tensor, last_steps: int) -> None:
+        if isinstance(last_steps, bool) or not isinstance(last_steps, int) or last_steps < 0:
+            raise MapError(f"last_steps={last_steps!r}: expected 0 or a positive integer")
+        if not len(graph):
+            raise MapError("the map is empty; walk before it is used, see Navigator.explore")
+        width = graph.views.shape[-1]
+        if width != goal_views.shape[-1]:
+            raise MapError(f"the map has {width} features a view, the navigator {goal_views.shape[-1]}")
+        graph.lose()
+        scores = graph.scores(goal_views)
+        self.graph, self.last_steps = graph, last_steps
+        self.goal = int(scores.argmax())
+        """The node that looks most like the goal."""
+        self.match = float(scores[self.goal])
+        """How much it does, -1 to 1; a goal far from all that was seen has a low one."""
+        self.goals = (scores >= self.match - graph.margin / 2).nonzero().flatten().tolist()
+        """All nodes that look like it nearly as much: in disturbed views the same place may be several nodes."""
+        self.action: int | None = None
+        self._planned: tuple[int, Tensor] = (-1, torch.empty(0))
+
+    def advise(self, views: Tensor) -> int | None:
+        """The next action by the map, for what is seen now, float32 ``[4, F]``; None where the policy shall decide."""
+        node = self.graph.follow(views, self.action)
+        if node is None:
+            return None
+        if self._planned[0] != self.graph.changes:
+            far = self.graph.plan(self.goals)
+            nearest = torch.where(far < 0, NO_WAY, far).min(1).values
+            self._planned = self.graph.changes, torch.where(nearest == NO_WAY, -1, nearest)
+        distances = self._planned[1]
+        if distances[node] <= self.last_steps:  # -1 where no path is known
+            return None
+        return self.graph.next_action(node, distances)
 
 
 class GraphMemory(TensorDictModuleBase):
@@ -34,9 +85,10 @@ class GraphMemory(TensorDictModuleBase):
     Args:
         world: where; the walker learns of it only what it sees and does.
         steps_per_state: length of the walk, in steps for each state of a scene.
-        threshold: above this correlation two observations are of the same place and heading.
+        threshold: above this score two observations are of the same place and heading.
         seed: of the states where the walks begin.
         merge: whether places are recognised; without it the map is a list of what was seen.
+        recogniser: by which they are; correlation if left out. One with log odds has a threshold of its own.
     """
 
     in_keys: ClassVar = ["view_ids", "goal_view_ids"]
@@ -49,19 +101,22 @@ class GraphMemory(TensorDictModuleBase):
         threshold: Annotated[float, Bounds(-1, 1)] = 0.9,
         seed: Annotated[int, Bounds(0)] = 0,
         merge: bool = True,
+        recogniser: Any = None,
     ) -> None:
         super().__init__()
+        recogniser = recogniser or NCC()
+        least = None if recogniser.calibrated else threshold
         self.graphs: list[ImageGraph] = []
         generator = torch.Generator().manual_seed(seed)
         actions, distances, row, photo, size = [], [], [], [], 0
         for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
             count, goals = len(scene), world.local_goals(index).cpu()
-            graph = ImageGraph(threshold, turns=turns_per_circle(scene.graph), merge=merge)
-            features = world.features[offset : offset + count].cpu()
+            graph = ImageGraph(least, turns=turns_per_circle(scene.graph), merge=merge, recogniser=recogniser)
+            visits = described_visits(recogniser, world, index)[:count].cpu()
             start = int(torch.randint(count, (1,), generator=generator))
-            explore(scene, graph, start, round(steps_per_state * count), looks(scene, features))
+            explore(scene, graph, start, round(steps_per_state * count), visits.__getitem__)
             graph.lose()
-            first, far = plan_table(graph, features, torch.tensor(scene.surrounding), goals)
+            first, far = plan_table(graph, visits, goals)
             actions.append(first.flatten())
             distances.append(far.flatten())
             # The place of the pair of a goal and a state is row[goal] + state, as in `World.pair`.
@@ -118,26 +173,21 @@ class GuidedPolicy(TensorDictModuleBase):
         return decided.set("logits", torch.where(led, CERTAIN * chosen, decided["logits"]))
 
 
-def plan_table(
-    graph: ImageGraph, features: Tensor, surrounding: Tensor, goals: Tensor, goal_features: Tensor | None = None
-) -> tuple[Tensor, Tensor]:
+def plan_table(graph: ImageGraph, visits: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
     """What to do in each of n states on the way to each of g goals, and how far it is.
 
     Args:
         graph: a map.
-        features: what is seen from each state, float32 ``[n, D]``.
-        surrounding: the states ahead, right, back and left of each, int64 ``[n, 4]``.
+        visits: what is seen from each state, described, float32 ``[n, 4, F]``.
         goals: states, int64 ``[g]``.
-        goal_features: of the views at goals, if they are others than ``features``, float32 ``[n, D]``.
 
     Returns:
         Actions, int8 ``[2, g, n]``, and distances in the map, int16 likewise; -1 where no path is known.
         First for goals of four views, then for goals of one photo, the view ahead.
     """
-    wanted = features if goal_features is None else goal_features
-    here = graph.scores(features[surrounding]).argmax(1)
-    four, photo = graph.scores(wanted[surrounding[goals]]), graph.scores(wanted[goals].unsqueeze(1))
-    actions = torch.empty((2, len(goals), len(features)), dtype=torch.int8)
+    here = graph.scores(visits).argmax(1)
+    four, photo = graph.scores(visits[goals]), graph.scores(visits[goals, :1])
+    actions = torch.empty((2, len(goals), len(visits)), dtype=torch.int8)
     distances = torch.empty(actions.shape, dtype=torch.int16)
     for kind, scores in enumerate((four, photo)):
         nodes, which = scores.argmax(1).unique(return_inverse=True)

@@ -9,9 +9,11 @@ import torch
 from torch import Tensor
 
 from dirl.agent.mapping.graph import ImageGraph, MapError
-from dirl.agent.mapping.looks import UNKNOWN, VIEWS
+from dirl.agent.mapping.panoramas import UNKNOWN, VIEWS
 from dirl.agent.mapping.places import PlaceMap
 from dirl.models.localising import Places
+from dirl.recognition.build import recogniser_name
+from dirl.recognition.recogniser import NCC, Recogniser
 from dirl.runs.shared import MISSING
 from dirl.scenes.graph import ACTIONS
 from dirl.scenes.io.atomic import atomic_path, write_json
@@ -26,7 +28,11 @@ PLACES = tuple(field.name for field in fields(Places))
 
 
 def save_graph(
-    graph: ImageGraph | PlaceMap, folder: str | Path, *, extractor: str = "unknown", recogniser: str = "none"
+    graph: ImageGraph | PlaceMap,
+    folder: str | Path,
+    *,
+    extractor: str = "unknown",
+    recogniser: Recogniser | None = None,
 ) -> Path:
     """Write a map into a folder; an older one there is replaced.
 
@@ -34,7 +40,7 @@ def save_graph(
         graph: with at least one place.
         folder: made if there is none.
         extractor: what made the features of its views.
-        recogniser: what described them, for a `PlaceMap`; see `dirl.recognition.build.recogniser_name`.
+        recogniser: what described the views of a `PlaceMap`; an `ImageGraph` knows its own.
 
     Raises:
         MapError: the map is empty, or safetensors is not installed.
@@ -50,10 +56,13 @@ def save_graph(
     if isinstance(graph, PlaceMap):
         tensors = {"seen": graph.seen, **{name: getattr(graph.places, name) for name in PLACES}}
         tensors = {name: value.cpu().contiguous() for name, value in tensors.items()}
-        facts: dict[str, Any] = {"kind": "places", "recogniser": recogniser}
+        facts: dict[str, Any] = {"kind": "places"}
     else:
         tensors = {"views": graph.views, "moves": torch.tensor(graph.moves), "observed": torch.tensor(graph.observed)}
         facts = {key: getattr(graph, key) for key in ("threshold", "keep", "margin", "turns", "merge", "verify")}
+        recogniser = graph.recogniser
+    if recogniser is not None:
+        facts["recogniser"] = recogniser_name(recogniser)
     content = save(tensors)
     with atomic_path(folder / TENSORS) as temporary:
         temporary.write_bytes(content)
@@ -62,14 +71,14 @@ def save_graph(
 
 
 def load_graph(
-    folder: str | Path, *, extractor: str | None = None, recogniser: str | None = None
+    folder: str | Path, *, extractor: str | None = None, recogniser: Recogniser | None = None
 ) -> ImageGraph | PlaceMap:
     """Read a map; the walker may be anywhere in it.
 
     Args:
         folder: that `save_graph` wrote.
         extractor: what will make the features to be compared; not checked if left out.
-        recogniser: what will describe them, for a `PlaceMap`; not checked if left out.
+        recogniser: what will describe and compare them; of an image graph correlation if left out.
 
     Raises:
         MapError: the folder holds no map, it is damaged, or it was made with another extractor or recogniser.
@@ -85,22 +94,37 @@ def load_graph(
         facts = json.loads(read_text(folder / FACTS))
         content = (folder / TENSORS).read_bytes()
         check_seal(facts, content)
-        graph = _places(load(content)) if facts.get("kind") == "places" else _image_graph(facts, load(content))
+        places = facts.get("kind") == "places"
+        if not places:
+            recogniser = recogniser or NCC()
+            facts.setdefault("recogniser", recogniser_name(NCC()))  # as in maps of older versions
+        graph = _places(load(content)) if places else _image_graph(facts, load(content), recogniser)
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise MapError(f"{folder}: is no map of dirl ({reason})") from None
-    wanted = {"extractor": extractor, "recogniser": recogniser if isinstance(graph, PlaceMap) else None}
+    wanted = {"extractor": extractor, "recogniser": None if recogniser is None else recogniser_name(recogniser)}
     for name, value in wanted.items():
         if value is not None and facts.get(name) != value:
             raise MapError(f"{folder}: was made with another {name}: '{facts.get(name)}', not '{value}'")
     return graph
 
 
-def _image_graph(facts: dict[str, Any], tensors: dict[str, Tensor]) -> ImageGraph:
+def _image_graph(facts: dict[str, Any], tensors: dict[str, Tensor], recogniser: Recogniser | None) -> ImageGraph:
     threshold, keep, margin = (float(facts[key]) for key in ("threshold", "keep", "margin"))
     merge, verify = bool(facts["merge"]), bool(facts.get("verify", False))
-    graph = ImageGraph(threshold, keep, margin, int(facts["turns"]), merge=merge, verify=verify)
-    _fill(graph, tensors)
+    graph = ImageGraph(threshold, keep, margin, int(facts["turns"]), merge=merge, verify=verify, recogniser=recogniser)
+    views, moves, observed = (tensors[key] for key in ("views", "moves", "observed"))
+    stations = len(views)
+    if views.ndim != 3 or views.shape[1] != VIEWS or not views.isfinite().all():
+        raise ValueError(f"views of shape {list(views.shape)}")
+    shape = (VIEWS * stations, len(ACTIONS))
+    if moves.shape != shape or observed.shape != shape or moves.is_floating_point():
+        raise ValueError(f"moves of shape {list(moves.shape)} for {stations} stations")
+    if int(moves.min()) < UNKNOWN or int(moves.max()) >= len(moves):
+        raise ValueError("a move leads to a node that is not there")
+    for one in views:
+        graph.add_station(one)
+    graph.moves, graph.observed = moves.tolist(), observed.bool().tolist()
     return graph
 
 
@@ -127,18 +151,3 @@ def _places(tensors: dict[str, Tensor]) -> PlaceMap:
     if seen.shape[:3] != (1, visits, VIEWS) or seen.ndim != 4 or not seen.isfinite().all():
         raise ValueError(f"visits of shape {list(seen.shape)}")
     return PlaceMap(Places(**{name: tensors[name] for name in shapes}), seen)
-
-
-def _fill(graph: ImageGraph, tensors: dict[str, Any]) -> None:
-    views, moves, observed = (tensors[key] for key in ("views", "moves", "observed"))
-    stations = len(views)
-    if views.ndim != 3 or views.shape[1] != VIEWS or not views.isfinite().all():
-        raise ValueError(f"views of shape {list(views.shape)}")
-    shape = (VIEWS * stations, len(ACTIONS))
-    if moves.shape != shape or observed.shape != shape or moves.is_floating_point():
-        raise ValueError(f"moves of shape {list(moves.shape)} for {stations} stations")
-    if int(moves.min()) < UNKNOWN or int(moves.max()) >= len(moves):
-        raise ValueError("a move leads to a node that is not there")
-    for one in views:
-        graph.add_station(one)
-    graph.moves, graph.observed = moves.tolist(), observed.bool().tolist()

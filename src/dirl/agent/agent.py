@@ -1,0 +1,232 @@
+"""One agent for worlds and for images: what it observes becomes where it stops and what it does next.
+
+A decision is written here once. An `Observed` says where the answers of policy and recogniser come from: agents in
+worlds look them up (`dirl.agent.decisions.Walk`), those with cameras compute them (`dirl.agent.cameras.Views`).
+"""
+
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from dirl.agent.mapping.places import PlaceMap
+from dirl.agent.mapping.policy import Guide
+from dirl.envs.transforms import VIEWS
+from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, Walked
+from dirl.models.localising import Places
+
+Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
+
+MANY = 50_000
+"""Agents for more than which actions are sampled by one random number each, where `torch.multinomial` draws four."""
+
+
+class Observed(Protocol):
+    """What B agents see now, each beside its goal."""
+
+    @property
+    def visit(self) -> Tensor:
+        """The views ahead, right, back and left, as memories keep them, ``[B, 4, ...]``: view ids or descriptions."""
+
+    def alike(self, seen: Tensor) -> Tensor:
+        """How much it looks like earlier visits, ``[B, T, 4, ...]``, facing each of their views; ``[B, T, 4]``."""
+
+    def logits(self) -> Tensor:
+        """Those of the policy, float32 ``[B, 4]``."""
+
+    def facing(self, chosen: Tensor) -> Tensor:
+        """The policy's logits of the chosen agents, bool ``[B]``, facing each view; ``[B, 4, 4]``, of others zero."""
+
+    def at_goal(self) -> Tensor:
+        """Whether the recogniser takes this visit for the goal, bool ``[B]``."""
+
+    def goal_around(self, chosen: Tensor) -> Tensor:
+        """The same of the chosen agents facing each view, bool ``[B, 4]``; of others False."""
+
+    def goal_odds(self, visits: Tensor) -> Tensor:
+        """Log odds that visits, ``[B, T, 4, ...]``, see the goal facing each of their views; float32 ``[B, T, 4]``."""
+
+
+class Agent:
+    """B agents in their episodes, without a memory; subclasses have one. A step is `arrive`, then `act`.
+
+    Args:
+        guide: leads a single agent where it knows the way.
+    """
+
+    def __init__(self, guide: Guide | None = None) -> None:
+        self.guide = guide
+        self.action = torch.empty(0)
+
+    def arrive(self, now: Observed) -> Tensor:
+        """Whether the agents stop where they are now, bool ``[B]``."""
+        return now.at_goal()
+
+    def act(
+        self, now: Observed, generator: torch.Generator | None = None, *, greedy: bool = True
+    ) -> tuple[Tensor, Tensor]:
+        """The actions of the agents that did not stop, int64 ``[B]``, and the logits behind them, ``[B, 4]``."""
+        logits = self.logits(now)
+        self.action = choose(logits, generator, greedy=greedy)
+        if self.guide is not None:
+            led = self.guide.advise(now.visit[0])
+            self.guide.action = int(self.action) if led is None else led
+            self.action = torch.full_like(self.action, self.guide.action)
+        return self.action, logits
+
+    def logits(self, now: Observed) -> Tensor:
+        """Those of the policy, changed by what the agents remember."""
+        return now.logits()
+
+    def select(self, chosen: Tensor) -> None:
+        """After a step keep some of the agents, by mask or index."""
+
+
+class Remembering(Agent):
+    """Agents that compare what they see with all that they have seen in their episodes.
+
+    A *node* is a visit and a heading: ``4 * visit + quarters``.
+
+    Args:
+        seen: in an earlier walk through the place, ``[1, T, 4, ...]``.
+        guide: see `Agent`.
+    """
+
+    def __init__(self, seen: Tensor | None = None, guide: Guide | None = None) -> None:
+        super().__init__(guide)
+        self.seen = seen
+
+    def remember(self, now: Observed) -> Tensor:
+        """How much the visit looks like each node so far, float32 ``[B, T, 4]``; it becomes the next."""
+        visit = now.visit[:, None]
+        seen = visit[:, :0] if self.seen is None else self.seen.expand(len(visit), *self.seen.shape[1:])
+        self.seen = torch.cat([seen, visit], 1)
+        return now.alike(seen) if seen.shape[1] else torch.zeros((len(visit), 0, VIEWS), device=visit.device)
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents."""
+        assert self.seen is not None
+        self.action, self.seen = self.action[chosen], self.seen[chosen]
+
+
+class Counting(Remembering):
+    """Agents with an `EpisodicMemory`, which lowers the logits of actions that were taken before."""
+
+    def __init__(self, memory: EpisodicMemory, **options: Any) -> None:
+        super().__init__(**options)
+        self.memory, self.trace = memory, memory.begin(0)
+
+    def logits(self, now: Observed) -> Tensor:
+        """Those of the policy, lowered for what was done where everything looked as it does now."""
+        alike = self.remember(now)[..., 0] > self.memory.threshold
+        agents, visits = alike.shape
+        if not visits:
+            self.trace = self.memory.begin(agents, alike.device)
+        else:
+            place = torch.full((agents,), visits, device=alike.device)
+            self.trace = self.memory.record(self.trace, place - 1, self.action, place, ~alike[:, -1])
+        here = torch.cat([alike, alike.new_ones(agents, 1)], 1)
+        return self.memory.adjust(now.logits(), self.trace, here.gather(1, self.trace.place))
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents."""
+        super().select(chosen)
+        self.trace = self.trace.select(chosen)
+
+
+class Planning(Remembering):
+    """Agents with a `PlanningMemory`; ``turns`` in a full circle, int64 ``[B]``, or ``[1]`` if all have as many."""
+
+    def __init__(self, memory: PlanningMemory, turns: Tensor, **options: Any) -> None:
+        super().__init__(**options)
+        self.memory, self.turns = memory, turns
+        self.walked: Walked | None = None
+
+    def logits(self, now: Observed) -> Tensor:
+        """Those of the plan; the policy is asked at places that are new, facing all four ways."""
+        alike = self.remember(now).flatten(1) > self.memory.threshold
+        walked = self.walked
+        if walked is None:
+            walked = self.memory.begin(self.turns.expand(len(alike)))
+        else:
+            walked.action = self.action
+        same = alike & walked.used
+        new = ~same.any(1)
+        self.walked = self.memory.arrive(walked, same, now.facing(new), now.goal_around(new))
+        return self.memory.plan(self.walked)
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents."""
+        assert self.walked is not None
+        super().select(chosen)
+        self.walked = self.walked.select(chosen)
+
+
+class Localising(Remembering):
+    """Agents with a `LocalisingMemory`, which decides where they stop too.
+
+    Args:
+        memory: localises and plans.
+        known: a map of the place, with which they begin.
+        guide: see `Agent`.
+    """
+
+    def __init__(self, memory: LocalisingMemory, known: PlaceMap | None = None, **options: Any) -> None:
+        super().__init__(None if known is None else known.seen, **options)
+        self.memory, self.known = memory, known
+        self.places: Places | None = None
+
+    def arrive(self, now: Observed) -> Tensor:
+        """Take in what the agents see; whether they stop there."""
+        agents, device = len(now.visit), now.visit.device
+        if self.places is not None:
+            self.places.action = self.action
+        elif self.known is None:
+            self.places = self.memory.begin(agents, device)
+        else:
+            seen = self.known.seen.to(device)
+            self.places = self.known.begin(now.goal_odds(seen.expand(agents, *seen.shape[1:])))
+        odds = now.goal_odds(now.visit[:, None])[:, 0]
+        self.places = self.memory.arrive(self.places, self.remember(now), odds, now.facing)
+        return self.memory.stops(self.places)
+
+    def logits(self, now: Observed) -> Tensor:
+        """Those of the plan."""
+        assert self.places is not None
+        return self.memory.plan(self.places)
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents."""
+        assert self.places is not None
+        super().select(chosen)
+        self.places = self.places.select(chosen)
+
+
+def make_agent(
+    memory: Memory | None, turns: Tensor, known: PlaceMap | None = None, guide: Guide | None = None
+) -> Agent:
+    """Agents at the start of their episodes.
+
+    Args:
+        memory: of the episode.
+        turns: of the agents in a full circle, int64 ``[B]`` or ``[1]``.
+        known: a map that a `LocalisingMemory` begins with.
+        guide: a map that leads a single agent.
+    """
+    if isinstance(memory, LocalisingMemory):
+        return Localising(memory, known, guide=guide)
+    if isinstance(memory, PlanningMemory):
+        return Planning(memory, turns, guide=guide)
+    return Agent(guide) if memory is None else Counting(memory, guide=guide)
+
+
+def choose(logits: Tensor, generator: torch.Generator | None, *, greedy: bool) -> Tensor:
+    """The most probable action, or one sampled by its probability, of logits ``[B, 4]``; int64 ``[B]``."""
+    if greedy:
+        return logits.argmax(-1)
+    probabilities = logits.softmax(-1)
+    if len(logits) <= MANY:
+        return torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
+    drawn = torch.rand((len(logits), 1), generator=generator, device=logits.device)
+    # The last bound is 1 up to rounding, and must not let a number beyond it.
+    return (drawn >= probabilities.cumsum(-1)[:, :-1]).sum(-1)

@@ -1,0 +1,225 @@
+"""A trained policy on features instead of view ids, as robots, simulators and ONNX need it."""
+
+from functools import cached_property
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
+
+from dirl.envs.transforms import VIEWS
+from dirl.models import initial_state, recurrent_keys
+from dirl.recognition.matching import FRONT_THRESHOLD, ncc
+from dirl.recognition.recogniser import Recogniser
+
+
+class FeaturePolicy(nn.Module):
+    """A trained policy of one scene with template matching, on features instead of view ids.
+
+    Args:
+        policy: a `dirl.models.ActorCritic` with the layers of one scene; its table of features is not used.
+        front: which of the four views is matched with the goal's; None to match all four.
+    """
+
+    def __init__(self, policy: Any, front: int | None) -> None:
+        super().__init__()
+        self.policy = policy
+        self.front = front
+        self.state_keys: list[str] = recurrent_keys(policy)
+        """Of the recurrent state, in the order of arguments and results."""
+        self.recurrent = _in_plain_operations(getattr(policy, "memory", None))
+
+    def forward(self, features: Tensor, goal_features: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
+        """Action logits and matching coefficient.
+
+        Args:
+            features: of the four views, as the backbone returns them, float32 ``[B, 4, D]``; if the encoder compares
+                patches, these follow the pooled features.
+            goal_features: of the goal's views, likewise. Unknown views are zeros: with one photo, all but the first.
+            state: the recurrent state, ``[B, ...]`` each; zeros at the beginning of an episode.
+
+        Returns:
+            Logits ``[B, 4]``, value ``[B, 1]``, matching coefficient ``[B]``, and the next recurrent state.
+        """
+        logits, value, *after = self.decide(features, goal_features, *state)
+        return logits, value, self.matching(features, goal_features), *after
+
+    def decide(self, features: Tensor, goal_features: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
+        """Logits, value and the next recurrent state; see `forward`."""
+        # Not `len`: ONNX would then keep the number of agents of the trace, which is a free dimension.
+        policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
+        known = (goal_features != 0).any(-1, keepdim=True)
+        goal = torch.where(known, policy.features.standardise(goal_features), 0.0)
+        encoded = policy.encoder(policy.features.standardise(features), goal)
+        after: tuple[Tensor, ...] = ()
+        if self.state_keys:
+            encoded, after = self._remember(encoded, state)
+        hidden = policy.heads.trunk(encoded, scene)
+        return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene), *after
+
+    def matching(self, features: Tensor, goal_features: Tensor) -> Tensor:
+        """The matching coefficient ``[B]``: of all views if the goal's are known, else of one; see `forward`."""
+        whole = (goal_features[:, 1:] != 0).any(-1).any(1)
+        # As in dirl.recognition.matching, the pooled features are matched as the backbone gave them.
+        pooled = len(self.policy.features.mean)
+        features, goal_features = features[..., :pooled], goal_features[..., :pooled]
+        front = ncc(features[:, self.front or 0], goal_features[:, self.front or 0])
+        if self.front is not None:
+            return front
+        return torch.where(whole, ncc(features.flatten(1), goal_features.flatten(1)), front)
+
+    def describe(self, features: Tensor, recogniser: Recogniser) -> Tensor:
+        """What a recogniser compares of views, ``[..., D]`` to ``[..., F]``."""
+        table = self.policy.features
+        pooled = len(table.mean)
+        patches = None if table.patches is None else features[..., pooled:].unflatten(-1, table.patches.shape[1:])
+        return recogniser.describe(features[..., :pooled], patches)
+
+    def _remember(self, encoded: Tensor, state: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """One step of the memory: its output, and the next state."""
+        if self.recurrent is not None:
+            layers = [part.transpose(0, 1) for part in state]
+            output, after = self.recurrent(encoded.unsqueeze(1), layers[0] if len(layers) == 1 else tuple(layers))
+            after = (after,) if isinstance(after, Tensor) else after
+            return output.squeeze(1), tuple(part.transpose(0, 1) for part in after)
+        known = dict(zip(self.state_keys, state, strict=True))
+        began = torch.zeros((len(encoded), 1), dtype=torch.bool, device=encoded.device)
+        row = TensorDict({"fused": encoded, "is_init": began, **known}, batch_size=[len(encoded)])
+        row = self.policy.memory(row)
+        return row["memory"], tuple(row["next", key] for key in self.state_keys)
+
+
+def _in_plain_operations(memory: nn.Module | None) -> nn.Module | None:
+    """The GRU or LSTM of TorchRL's module, in operations that ONNX has for any number of agents; None for others."""
+    if isinstance(memory, GRUModule):
+        kind, layers = GRU, memory.gru
+    elif isinstance(memory, LSTMModule):
+        kind, layers = LSTM, memory.lstm
+    else:
+        return None
+    sizes = layers.input_size, layers.hidden_size, layers.num_layers
+    plain: nn.Module = kind(*sizes, bias=layers.bias, batch_first=True)
+    plain.load_state_dict(layers.state_dict())
+    return plain.to(layers.weight_hh_l0.device).requires_grad_(False)
+
+
+class Goal:
+    """The goals of B agents, or one for all of them, by the features of their views.
+
+    Args:
+        policy: that goes there.
+        recogniser: of the goals.
+        features: float32 ``[B, 4, D]`` or ``[1, 4, D]``; of a single photo the last three views are zeros.
+    """
+
+    def __init__(self, policy: FeaturePolicy, recogniser: Recogniser, features: Tensor) -> None:
+        self.policy, self.recogniser, self.features = policy, recogniser, features
+        self.photo = not bool(features[:, 1:].any())
+        self.described = policy.describe(features[:, :1] if self.photo else features, recogniser)
+
+    def threshold(self, chosen: float) -> float:
+        """Above which agents stop: the recogniser's own, or the one that was chosen, which is higher for a photo."""
+        own = self.recogniser.thresholds
+        if own is not None:
+            return own.photo if self.photo else own.views
+        return max(chosen, FRONT_THRESHOLD) if self.photo and self.policy.front is None else chosen
+
+    def matching(self, features: Tensor, chosen: Tensor | None = None) -> Tensor:
+        """How much views ``[n, 4, D]`` look like the goals: score, or coefficient; see `scores`."""
+        if self.recogniser.thresholds is None:
+            return self.policy.matching(features, self.wanted(self.features, len(features), chosen))
+        return self.scores(self.policy.describe(features, self.recogniser), chosen)
+
+    def scores(self, visits: Tensor, chosen: Tensor | None = None) -> Tensor:
+        """The scores of described visits ``[n, 4, F]``, equally many of each agent, with its goal; ``[n]``.
+
+        Args:
+            visits: of the chosen agents, bool ``[B]``; of all if left out.
+            chosen: see ``visits``.
+        """
+        wanted = self.wanted(self.described, len(visits), chosen)
+        return self.recogniser.scores(visits.unsqueeze(1), wanted.unsqueeze(1)).flatten()
+
+    @staticmethod
+    def wanted(goals: Tensor, rows: int, chosen: Tensor | None = None) -> Tensor:
+        """The goals of so many rows, equally many for each chosen agent."""
+        if len(goals) == 1:
+            return goals.expand(rows, -1, -1)
+        goals = goals if chosen is None else goals[chosen]
+        return goals if len(goals) == rows else goals.repeat_interleave(rows // len(goals), 0)
+
+
+class Views:
+    """What B agents with cameras see now: the `dirl.agent.agent.Observed` that is computed.
+
+    Args:
+        goal: of the agents.
+        features: of their views, float32 ``[B, 4, D]``.
+        threshold: above which they stop.
+        state: of a recurrent policy; empty at the start of an episode.
+    """
+
+    def __init__(self, goal: Goal, features: Tensor, threshold: float, state: tuple[Tensor, ...] = ()) -> None:
+        self.goal, self.features, self.threshold, self.state = goal, features, threshold, state
+
+    @cached_property
+    def visit(self) -> Tensor:
+        """The described views, float32 ``[B, 4, F]``."""
+        return self.goal.policy.describe(self.features, self.goal.recogniser)
+
+    @cached_property
+    def matching(self) -> Tensor:
+        """How much the agents' views look like their goals', ``[B]``."""
+        return self.goal.matching(self.features)
+
+    def alike(self, seen: Tensor) -> Tensor:
+        """See `dirl.agent.agent.Observed`, as all below."""
+        return compare(self.goal.recogniser, seen, self.visit)
+
+    def logits(self) -> Tensor:
+        """Those of the policy, whose state goes on: call this once."""
+        policy, wanted = self.goal.policy, self.goal.wanted(self.goal.features, len(self.features))
+        state = self.state or initial_state(policy.policy, len(self.features), self.features.device).values()
+        logits, _, *after = policy.decide(self.features, wanted, *state)
+        self.state = tuple(after)
+        return logits
+
+    def facing(self, chosen: Tensor) -> Tensor:
+        """The policy's logits facing each view; of agents that are not chosen zero."""
+        logits = self.features.new_zeros(len(chosen), VIEWS, VIEWS)
+        if chosen.any():
+            views = each_heading(self.features[chosen])
+            asked = self.goal.policy.decide(views, self.goal.wanted(self.goal.features, len(views), chosen))[0]
+            logits[chosen] = asked.unflatten(0, (-1, VIEWS))
+        return logits
+
+    def at_goal(self) -> Tensor:
+        """Whether the agents stop."""
+        return self.matching > self.threshold
+
+    def goal_around(self, chosen: Tensor) -> Tensor:
+        """Whether they would, facing each view; of agents that are not chosen False."""
+        found = chosen.new_zeros(len(chosen), VIEWS)
+        if chosen.any():
+            matching = self.goal.matching(each_heading(self.features[chosen]), chosen)
+            found[chosen] = matching.unflatten(0, (-1, VIEWS)) > self.threshold
+        return found
+
+    def goal_odds(self, visits: Tensor) -> Tensor:
+        """Log odds that visits see the goal facing each view."""
+        return self.goal.scores(each_heading(visits.flatten(0, 1))).view(*visits.shape[:2], VIEWS)
+
+
+def compare(recogniser: Recogniser, seen: Tensor, visit: Tensor) -> Tensor:
+    """How much described visits ``[B, 4, F]`` look like earlier ones, ``[B, T, 4, F]``, facing each of their views.
+
+    An agent that turned right since a visit sees the same views rolled by minus one: rolled back they are alike.
+    """
+    facing = torch.stack([visit.roll(quarters, 1) for quarters in range(VIEWS)], 1)
+    return recogniser.scores(seen, facing)
+
+
+def each_heading(views: Tensor) -> Tensor:
+    """Views ``[B, 4, D]`` as agents see them that face each of the four, ``[4 B, 4, D]``."""
+    return torch.stack([views.roll(-turns, 1) for turns in range(VIEWS)], 1).flatten(0, 1)
