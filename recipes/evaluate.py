@@ -75,8 +75,8 @@ def main(options: EvaluateConfig) -> None:
     trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
     if options.starts is None:
         trained = trained._replace(protocol=few_enough(trained.protocol))
-    if options.image_graph is not None:
-        trained = with_map(trained, options.image_graph, options.last_steps)
+    if options.map is not None:
+        trained = with_map(trained, options.map, options.last_steps)
     if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:
         raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
     facts = describe(trained.config, trained.protocol.world)
@@ -155,7 +155,7 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
     """
     protocol = trained.protocol
     if protocol.observation.history:
-        raise RunError("image_graph: needs a policy that sees four views around it; this one sees its last four")
+        raise RunError("map: needs a policy that sees four views around it; this one sees its last four")
     if not isinstance(protocol.memory, LocalisingMemory) or protocol.scores is None:
         memory = GraphMemory(protocol.world, steps_per_state, recogniser=build_recogniser(trained.config))
         return trained._replace(

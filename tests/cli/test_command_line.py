@@ -8,7 +8,7 @@ from commands import ROOT, run_program, run_recipe, train_config
 from omegaconf import OmegaConf
 
 from dirl.cli.command_line import SCHEMAS, prepare
-from dirl.config.saved import RENAMED
+from dirl.config.saved import RENAMED, SINCE
 from dirl.config.schemas import BenchmarkConfig, ConfigError, EvaluateConfig, TrainConfig
 from dirl.config.values import in_words, option_types
 from dirl.runs.exits import one_line_exits
@@ -69,11 +69,11 @@ def test_a_value_of_another_type_is_told_the_one_that_is_wanted(recipe, argument
     assert str(raised.value) == told
 
 
-@pytest.mark.parametrize("name", RENAMED)
-def test_an_old_name_is_told_the_new_one(name):
+@pytest.mark.parametrize(("name", "new"), {**RENAMED, **SINCE}.items())
+def test_an_old_name_is_told_the_new_one(name, new):
     with pytest.raises(ConfigError) as raised:
         prepare(TrainConfig, [f"{name}=1"], CONF)
-    assert str(raised.value) == f"the option '{name}' has a new name: {RENAMED[name]}"
+    assert str(raised.value) == f"the option '{name}' has a new name: {new}"
 
 
 def test_the_new_names_exist():

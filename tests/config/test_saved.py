@@ -30,6 +30,16 @@ def test_a_saved_configuration_is_read_back_and_can_be_changed():
     assert (changed.stop.threshold, changed.goals) == (0.8, [51])
 
 
+def test_options_and_rules_saved_by_their_old_names_are_read():
+    config = train_config("scene=bathroom_02", "imitation.sampled=true", "imitation.goals=fraction:0.75", "goals=all")
+    text = config_text(config)
+    old = text.replace("  sampled: true", "  drawn: true").replace("fraction:0.75", "share:0.75")
+    assert old.count("drawn: true") == old.count("share:0.75") == 1
+    assert read_config(old, "here") == read_config(text, "here")
+    by_scene = old.replace("\ngoals: all\n", "\ngoals:\n  bathroom_02: share:0.5\n  kitchen_02: [3]\n")
+    assert read_config(by_scene, "here").goals == {"bathroom_02": "fraction:0.5", "kitchen_02": [3]}
+
+
 def test_what_it_was_started_with_is_not_saved():
     config = train_config("scene=bathroom_02", "trust=[os]")
     assert config.trust == ["os"]

@@ -27,7 +27,7 @@ TEXTS += (
     "x.h5",
     "collection:x",
     "every:0",
-    "share:nan",
+    "fraction:nan",
     "1:30",
     "_target_",
     "$x",

@@ -49,14 +49,14 @@ def test_a_memory_that_localises_goes_on_with_the_map_of_a_walk(tmp_path):
     (tmp_path / "odds.yaml").write_text("_target_: odds.Odds\n")
     asked = ["checkpoint=run", "recogniser=odds.yaml", "trust=[odds]", "episodic_memory=localising", "stop=match"]
     found = {}
-    for mapped in ([], ["image_graph=3"]):
+    for mapped in ([], ["map=3"]):
         out = f"{len(mapped)}.json"
         status, printed, errors = run_recipe(tmp_path, "evaluate", *asked, f"out={out}", *mapped)
         assert status == 0, errors
         found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
         assert ("1.00 nodes a state, 100 % of the states, 0.0 % of the moves wrong" in printed) == bool(mapped)
     assert found["1.json"] > 0.95 > found["0.json"]
-    status, _, errors = run_recipe(tmp_path, "evaluate", *asked, "image_graph=3", "last_steps=0")
+    status, _, errors = run_recipe(tmp_path, "evaluate", *asked, "map=3", "last_steps=0")
     assert status == 1
     assert "last_steps=0: a memory that localises knows its map to the end; leave it out" in errors.splitlines()[-1]
 
@@ -69,7 +69,7 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
     found = {}
     for last_steps in ([], ["last_steps=0"]):
         out = f"{len(last_steps)}.json"
-        led = ["checkpoint=run", "image_graph=2", f"out={out}", "viewer=true", "video=true", *last_steps]
+        led = ["checkpoint=run", "map=2", f"out={out}", "viewer=true", "video=true", *last_steps]
         status, _, errors = run_recipe(tmp_path, "evaluate", *led)
         assert status == 0, errors
         found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
@@ -80,11 +80,11 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
     assert found["1.json"] > 0.95 > found["0.json"]
     status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", "last_steps=1")
     assert status != 0
-    assert "last_steps=1: only where a map leads; give image_graph=2 too" in errors
+    assert "last_steps=1: only where a map leads; give map=2 too" in errors
     for options, told in (
         (["beside=run"], "beside=run: only the viewer shows two agents; give viewer=true too"),
         (["slip=0.1"], "slip, turn_error: only in a live world; give simulator=dump"),
-        (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer, no video and no image_graph"),
+        (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer, no video and no map"),
         (["simulator=nope.yaml"], "simulator=nope.yaml: there is no such file"),
     ):
         status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", *options)

@@ -19,7 +19,7 @@ from dirl.training.build import build_env
 from dirl.training.pairs import DrawnPairs
 
 RANKS = 2
-SHORT = [*TINY, "imitation.max_steps=5", "imitation.loss_threshold=0", "imitation.drawn=true"]
+SHORT = [*TINY, "imitation.max_steps=5", "imitation.loss_threshold=0", "imitation.sampled=true"]
 SHORT += ["imitation.batch_size=32", "imitation.fraction=1", "imitation.bc_coef=0"]
 
 

@@ -30,15 +30,15 @@ def test_all_and_every_n_th_state_become_goals(scene):
 
 def test_a_share_is_of_whole_places_drawn_by_the_seed(scene):
     place = places(scene.graph)
-    chosen = [states(choose_goals([scene], "share:0.5", seed=seed)) for seed in range(4)]
+    chosen = [states(choose_goals([scene], "fraction:0.5", seed=seed)) for seed in range(4)]
     for one in chosen:
         assert len(one) == 12
         assert np.isin(place, place[one]).sum() == 12
     assert len({tuple(one) for one in chosen}) > 1
-    assert set(chosen[0]) <= set(states(choose_goals([scene], "share:0.8", seed=0)))
+    assert set(chosen[0]) <= set(states(choose_goals([scene], "fraction:0.8", seed=0)))
 
 
-@pytest.mark.parametrize("rule", ["all", "every:3", "share:0.5", None, [0, 13]])
+@pytest.mark.parametrize("rule", ["all", "every:3", "fraction:0.5", None, [0, 13]])
 def test_places_held_out_are_never_trained(scene, rule):
     chosen = choose_goals([scene], rule, hold_out=1 / 3, seed=2)
     held, place = np.array(chosen.held_out["grid"]), places(scene.graph)
@@ -49,7 +49,7 @@ def test_places_held_out_are_never_trained(scene, rule):
 
 
 def test_share_and_places_held_out_make_up_the_scene(scene):
-    chosen = choose_goals([scene], "share:0.5", hold_out=0.5, seed=1)
+    chosen = choose_goals([scene], "fraction:0.5", hold_out=0.5, seed=1)
     assert sorted([*states(chosen), *chosen.held_out["grid"]]) == list(range(24))
 
 
@@ -95,9 +95,10 @@ def test_a_place_that_one_cannot_leave_takes_no_goals_from_the_others():
         ("most", 0, "must be states, or one of all, every:N"),
         ("every:0", 0, "must be states"),
         ("every:1.5", 0, "must be states"),
-        ("share:nan", 0, "must be states"),
-        ("share:1.5", 0, "must be states"),
-        ("share:0.75", 0.5, "more than all places"),
+        ("fraction:nan", 0, "must be states"),
+        ("fraction:1.5", 0, "must be states"),
+        ("share:0.5", 0, "the rule has a new name, fraction:0.5"),
+        ("fraction:0.75", 0.5, "more than all places"),
         ("every:24", 0.99, "leaves no goal"),
     ],
 )

@@ -139,7 +139,7 @@ def test_a_machine_without_a_gpu_is_told(tmp_path, monkeypatch):
 
 def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *SMALL, "hold_out=0.3", "imitation.fraction=1"]
-    parts = make_parts(*options, "imitation.drawn=true", "imitation.goals=all")
+    parts = make_parts(*options, "imitation.sampled=true", "imitation.goals=all")
     torch.manual_seed(0)
     shown = set(parts.demos.draw(2000)["goal"].tolist())
     held_out = set(build_goals(parts.config, parts.world.scenes).held_out["grid"])
@@ -149,7 +149,7 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
     with pytest.raises(ConfigError, match=r"imitation\.goals: applies to sampled pairs only"):
         make_parts(*options, "imitation.goals=all")
     with pytest.raises(SceneError, match=r"^imitation\.goals: grid: goals=some: must be states, or one of all"):
-        make_parts(*options, "imitation.drawn=true", "imitation.goals=some")
+        make_parts(*options, "imitation.sampled=true", "imitation.goals=some")
 
 
 @pytest.mark.parametrize("options", [["memory=gru"], ["observation=sequential"]])

@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config.components import GROUPS
-from dirl.config.saved import RENAMED
+from dirl.config.saved import RENAMED, SINCE
 from dirl.config.scene_schemas import COMMANDS
 from dirl.config.schemas import (
     BenchmarkConfig,
@@ -180,8 +180,8 @@ def _check_name(known: Mapping[str, Any], name: str) -> None:
     """Raise `ConfigError` unless there is such an option."""
     if name in known:
         return
-    if name in RENAMED:
-        raise ConfigError(f"the option '{name}' has a new name: {RENAMED[name]}")
+    if name in RENAMED or name in SINCE:
+        raise ConfigError(f"the option '{name}' has a new name: {RENAMED.get(name) or SINCE[name]}")
     level, _, last = name.rpartition(".")
     inside = {other.split(".")[-1]: other for other in known if other.rpartition(".")[0] == level}
     near = [other for other in known if other.split(".")[-1] == last]

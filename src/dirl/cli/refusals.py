@@ -96,12 +96,12 @@ def _scenes(options: TrainConfig) -> None:
 
 def _evaluation(options: EvaluateConfig) -> None:
     """Refuse a checkpoint that does not exist, and options that need others, or exclude them."""
-    if options.last_steps is not None and options.image_graph is None:
-        raise ConfigError(f"last_steps={options.last_steps}: only where a map leads; give image_graph=2 too")
+    if options.last_steps is not None and options.map is None:
+        raise ConfigError(f"last_steps={options.last_steps}: only where a map leads; give map=2 too")
     if options.simulator is None and (options.slip or options.turn_error):
         raise ConfigError("slip, turn_error: only in a live world; give simulator=dump or a YAML file too")
-    if options.simulator is not None and (options.viewer or options.video or options.image_graph is not None):
-        raise ConfigError("simulator: a live world has no viewer, no video and no image_graph; leave them out")
+    if options.simulator is not None and (options.viewer or options.video or options.map is not None):
+        raise ConfigError("simulator: a live world has no viewer, no video and no map; leave them out")
     if options.video and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise ConfigError("video=true needs a package that is not installed: pip install imageio-ffmpeg")
     if options.out is not None:

@@ -35,6 +35,9 @@ RENAMED: Mapping[str, str] = {
 }
 """Options of schema 1 (dirl 0.1) by the names they have had since."""
 
+SINCE: Mapping[str, str] = {"imitation.drawn": "imitation.sampled", "image_graph": "map"}
+"""Options of 0.2 before its release by the names they have had since; a saved configuration is converted."""
+
 MOVED: Mapping[str, str] = {
     "dirl.experts.": "dirl.evaluation.experts.",
     "dirl.mapping.": "dirl.agent.mapping.",
@@ -64,7 +67,7 @@ def read_config(
     try:
         values = plain_mapping(text)
         values = _upgraded(values) if isinstance(values.get("objective"), dict) else values
-        values = {**_moved(values), "resume": None, "trust": list(trust)}
+        values = {**_moved(_since(values)), "resume": None, "trust": list(trust)}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
         config: TrainConfig = typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), values))  # type: ignore[arg-type]
@@ -103,6 +106,22 @@ def plain_mapping(text: str) -> dict[str, Any]:
     if "${" in str(values):
         raise ConfigError("it has an interpolation, ${...}, which is not resolved in a file")
     return values
+
+
+def _since(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with the options and the rules of goals that had another name before 0.2 was released."""
+    imitation = values.get("imitation")
+    if isinstance(imitation, dict):
+        imitation = {"sampled" if name == "drawn" else name: value for name, value in imitation.items()}
+        values = {**values, "imitation": {**imitation, "goals": _fractions(imitation.get("goals"))}}
+    return {**values, "goals": _fractions(values.get("goals"))}
+
+
+def _fractions(goals: Any) -> Any:
+    """Goals by rule, with ``fraction:S`` for ``share:S``."""
+    if isinstance(goals, dict):
+        return {name: _fractions(rule) for name, rule in goals.items()}
+    return f"fraction:{goals[6:]}" if isinstance(goals, str) and goals.startswith("share:") else goals
 
 
 def _moved(values: Any) -> Any:

@@ -93,7 +93,7 @@ class ImitationConfig:
     loss_threshold: NotNegative = MISSING
     bc_coef: Weight = field(default_factory=Weight)
     batch_size: Positive | None = None
-    drawn: bool = False
+    sampled: bool = False
     goals: str | None = None
     scenes_at_once: Positive | None = None
     front_only: Fraction = 0.0
@@ -235,7 +235,7 @@ class EvaluateConfig:
     episodes_per_goal: Episodes | None = None
     max_steps: Episodes | None = None
     out: str | None = None
-    image_graph: Annotated[float, Bounds(0, 100)] | None = None
+    map: Annotated[float, Bounds(0, 100)] | None = None
     last_steps: Annotated[int, Bounds(0, 10**6)] | None = None
     viewer: bool = False
     beside: str | None = None

@@ -11,7 +11,7 @@ from dirl.scenes.graph import IntArray, is_connected, places
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.world import Goals
 
-RULES = "all, every:N (every N-th state) or share:S (a share of the places, above 0 and at most 1)"
+RULES = "all, every:N (every N-th state) or fraction:S (a fraction of the places, above 0 and at most 1)"
 
 
 class ChosenGoals(NamedTuple):
@@ -97,9 +97,9 @@ def _order(scene: Scene, seed: int, named: Sequence[int]) -> IntArray:
     return drawn[~np.isin(drawn, place[list(named)])]
 
 
-def _count(share: float, scene: Scene) -> int:
+def _count(fraction: float, scene: Scene) -> int:
     """The number of places in a fraction; at least one."""
-    return max(1, round(share * (int(places(scene.graph).max()) + 1)))
+    return max(1, round(fraction * (int(places(scene.graph).max()) + 1)))
 
 
 def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.ndarray:
@@ -111,7 +111,9 @@ def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.nd
     number = _number(given)
     if kind == "every" and number >= 1 and number == int(number):
         return states % int(number) == 0
-    if kind != "share" or not 0 < number <= 1:
+    if kind == "share":
+        raise SceneError(f"{scene.name}: goals={rule}: the rule has a new name, fraction:{given}")
+    if kind != "fraction" or not 0 < number <= 1:
         raise SceneError(f"{scene.name}: goals={rule}: must be states, or one of {RULES}")
     if number + hold_out > 1 + 1e-9:
         raise SceneError(f"{scene.name}: goals={rule} and hold_out={hold_out:g} are more than all places")

@@ -114,14 +114,14 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
         SceneError: a rule for their goals that does not exist, or that leaves a scene without a goal.
     """
     options = config.imitation
-    if not options.drawn:
+    if not options.sampled:
         for name in ("front_only", "goals"):
             if getattr(options, name):
-                raise ConfigError(f"imitation.{name}: applies to sampled pairs only; add imitation.drawn=true")
+                raise ConfigError(f"imitation.{name}: applies to sampled pairs only; add imitation.sampled=true")
     if options.goals is not None:
         world = _towards(config, world, options.goals)
     expert = build_expert(config, world)
-    if not options.drawn:
+    if not options.sampled:
         return demonstrations(world, expert, observation, options.fraction, options.rule, config.seed)
     shown = shown_states(world, options.fraction, options.rule, config.seed)
     return DrawnPairs(world, expert, observation, shown, options.front_only, options.scenes_at_once)

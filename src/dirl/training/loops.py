@@ -72,7 +72,7 @@ class ImitationSteps:
 @contextmanager
 def imitation_steps(run: Run, state: ImitationState, first: int) -> Iterator[ImitationSteps]:
     """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved."""
-    count, hidden = run.config.imitation.max_steps, not run.config.imitation.drawn or ranks.rank() > 0
+    count, hidden = run.config.imitation.max_steps, not run.config.imitation.sampled or ranks.rank() > 0
     options: dict[str, Any] = {"unit": " steps", "mininterval": bar_interval(), "disable": hidden}
     with interruptible() as asked, tqdm(total=count, initial=state.step - first, **options) as bar:
         steps = ImitationSteps(run, state, first + count, bar, asked, saves=not first)

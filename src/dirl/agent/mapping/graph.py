@@ -92,7 +92,7 @@ class ImageGraph(Panoramas):
             node = self._expected(action)
         elif node is None or twins is not None:
             before = None if self._coasting else before
-            node = self.add_station(views)
+            node = self.add_panorama(views)
             self.doubt = Doubt(node, twins) if twins else None
         self.record(before, action, node)
         self.at = node
@@ -172,9 +172,9 @@ class ImageGraph(Panoramas):
                     queue.append(there)
         return None
 
-    def merge_stations(self, same: Mapping[int, int]) -> None:
-        """See `Panoramas.merge_stations`; the walker is where it was."""
-        super().merge_stations(same)
+    def merge_panoramas(self, same: Mapping[int, int]) -> None:
+        """See `Panoramas.merge_panoramas`; the walker is where it was."""
+        super().merge_panoramas(same)
         self.at = None if self.at is None else same.get(self.at, self.at)
 
     def _expected(self, action: int | None) -> int:
@@ -186,7 +186,7 @@ class ImageGraph(Panoramas):
     def _end_doubt(self) -> None:
         """Believe the best match of a walk that ended before it was told from its twin."""
         if self.doubt is not None:
-            self.merge_stations(self.doubt.same[0])
+            self.merge_panoramas(self.doubt.same[0])
             self.doubt = None
 
     def _coast(self, action: int | None) -> bool:
@@ -238,12 +238,12 @@ class ImageGraph(Panoramas):
             self.doubt = None
             if told or unknown:
                 best = max(told, key=lambda i: float(scores[after[i]])) if told else unknown[0]
-                self.merge_stations(doubt.same[best])
+                self.merge_panoramas(doubt.same[best])
             return False
         doubt.keep(fitting)
         after = [after[i] for i in fitting]
         back = [new for new, old in doubt.same[0].items() if old == after[0]]
-        here = back[0] if back else self.add_station(views)
+        here = back[0] if back else self.add_panorama(views)
         for same, node in zip(doubt.same, after, strict=True):
             same.update({} if back else _pairs(here, node))
         self.record(self.at, action, here)

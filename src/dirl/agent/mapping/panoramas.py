@@ -110,7 +110,7 @@ class Panoramas:
                 return action
         return None
 
-    def add_station(self, views: Tensor) -> int:
+    def add_panorama(self, views: Tensor) -> int:
         """A new panorama with these views, float32 ``[4, D]``; the node that faces ahead."""
         node = len(self.moves)
         self._views.append(views.detach().float().cpu().clone())
@@ -123,7 +123,7 @@ class Panoramas:
         self.changes += 1
         return node
 
-    def merge_stations(self, same: Mapping[int, int]) -> None:
+    def merge_panoramas(self, same: Mapping[int, int]) -> None:
         """Make the last panoramas the same as earlier ones.
 
         Args:

@@ -114,16 +114,16 @@ def _image_graph(facts: dict[str, Any], tensors: dict[str, Tensor], recogniser: 
     merge, verify = bool(facts["merge"]), bool(facts.get("verify", False))
     graph = ImageGraph(threshold, keep, margin, int(facts["turns"]), merge=merge, verify=verify, recogniser=recogniser)
     views, moves, observed = (tensors[key] for key in ("views", "moves", "observed"))
-    stations = len(views)
+    panoramas = len(views)
     if views.ndim != 3 or views.shape[1] != VIEWS or not views.isfinite().all():
         raise ValueError(f"views of shape {list(views.shape)}")
-    shape = (VIEWS * stations, len(ACTIONS))
+    shape = (VIEWS * panoramas, len(ACTIONS))
     if moves.shape != shape or observed.shape != shape or moves.is_floating_point():
-        raise ValueError(f"moves of shape {list(moves.shape)} for {stations} stations")
+        raise ValueError(f"moves of shape {list(moves.shape)} for {panoramas} panoramas")
     if int(moves.min()) < UNKNOWN or int(moves.max()) >= len(moves):
         raise ValueError("a move leads to a node that is not there")
     for one in views:
-        graph.add_station(one)
+        graph.add_panorama(one)
     graph.moves, graph.observed = moves.tolist(), observed.bool().tolist()
     return graph
 
