@@ -145,7 +145,7 @@ function showRival() {
   if (!rival) return;
   const step = Math.min(at, rival.path.length - 1), name = D.agents[Number(byId("beside").value)];
   byId("outcome-beside").textContent = `${name}: ${outcome(rival.path, step)[1]}`;
-  document.querySelector("#seen-beside h2").textContent = `What ${name} sees`;
+  document.querySelector("#seen-beside h2").textContent = `Beside it: ${name}`;
   rivalViews.forEach((paint) => paint(rival.path[step]));
 }
 function showDecision(state) {
