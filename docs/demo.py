@@ -34,6 +34,9 @@ TOUR = (("bathroom", "bedroom"), 3)
 SIZE = 96, 128
 PANORAMA = 256, 512
 MAX_STEPS = 100
+SOURCES = ("backbones", "evaluation", "models", "recognition", "rooms", "tours")
+"""Parts of the package that what is made depends on, besides the viewer and the agent."""
+
 SAMPLES = 3
 PHOTO_THRESHOLD = 0.85
 """Where the page's slider begins: a photo that was not taken exactly at a place matches less well than its views do."""
@@ -64,7 +67,9 @@ def build(out: Path, cache: Path) -> list[Path]:
     """
     if reason := missing():
         raise RuntimeError(reason)
-    sources = [*sorted((HERE.parent / "src" / "dirl").rglob("*.py")), HERE / "demo.py"]
+    package = HERE.parent / "src" / "dirl"
+    sources = [HERE / "demo.py", package / "agents" / AGENT / "network.pt", *sorted(package.glob("reporting/viewer*"))]
+    sources += [file for folder in SOURCES for file in sorted((package / folder).rglob("*.py"))]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()[:16]
     cache.mkdir(parents=True, exist_ok=True)
     with FileLock(cache / "lock"):
