@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from dirl.reporting.trajectories import path_actions
@@ -29,8 +28,6 @@ FPS = 10
 
 SMOOTH = 3
 """The map is drawn this many times larger and scaled down: PIL draws jagged lines."""
-
-FloatArray = NDArray[np.floating]
 
 
 def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title: str, success: bool) -> None:
@@ -115,14 +112,13 @@ class _Map:
         side = step_length(scene)
         low = scene.positions.min(0) - 0.75 * side
         spans = scene.positions.max(0) + 0.75 * side - low
-        self.scale = SMOOTH * MAP_SIZE / spans.max()
-        self.side = side * self.scale
-        width, height = (SMOOTH * math.ceil(span * self.scale / SMOOTH) for span in spans)
-        self.size = (width, height)
-        x, z = (scene.positions - low).T * self.scale
-        self.at = np.stack([x, self.size[1] - z], 1)  # rows of an image count downwards
+        scale = SMOOTH * MAP_SIZE / spans.max()
+        self.side = side * scale
+        width, height = (SMOOTH * math.ceil(span * scale / SMOOTH) for span in spans)
+        x, z = (scene.positions - low).T * scale
+        self.at = np.stack([x, height - z], 1)  # rows of an image count downwards
         self.ahead = heading_directions(scene) * (1, -1)
-        self.room = Image.new("RGB", self.size, WALL_COLOR)
+        self.room = Image.new("RGB", (width, height), WALL_COLOR)
         draw = ImageDraw.Draw(self.room)
         for x, y in np.unique(self.at.round(2), axis=0):
             half = self.side / 2
@@ -143,17 +139,13 @@ class _Map:
             draw.line(points, fill=COLORS[4], width=width, joint="curve")
         for x, y in points[:1]:
             draw.ellipse((x - width, y - width, x + width, y + width), fill=COLORS[4])
-        self._pointer(draw, path[-1], 0.34, color)
-        return picture.reduce(SMOOTH)
-
-    def _pointer(self, draw: ImageDraw.ImageDraw, state: int, size: float, color: str) -> None:
-        """A dart that points along the heading, ``size`` cells in radius."""
-        ahead = self.ahead[state]
+        # A dart that points along the heading.
+        ahead = self.ahead[path[-1]]
         beside = np.array([-ahead[1], ahead[0]])
-        reach = size * self.side
         corners = [ahead, -0.8 * ahead + 0.75 * beside, -0.4 * ahead, -0.8 * ahead - 0.75 * beside]
-        points = [tuple(self.at[state] + reach * corner) for corner in corners]
-        draw.polygon(points, fill=color, outline="black", width=SMOOTH)
+        dart = [tuple(self.at[path[-1]] + 0.34 * self.side * corner) for corner in corners]
+        draw.polygon(dart, fill=color, outline="black", width=SMOOTH)
+        return picture.reduce(SMOOTH)
 
 
 def _small_view(scene: Scene, state: int) -> Image.Image | None:
@@ -175,8 +167,7 @@ def _frame(
 ) -> Image.Image:
     """The picture of one step; ``thumbnails`` are the views of the states that are shown."""
     ended = step == len(path) - 1
-    arrived = COLORS[2] if action == "goal reached" else COLORS[1]
-    color = arrived if ended else COLORS[0]
+    color = (COLORS[2] if action == "goal reached" else COLORS[1]) if ended else COLORS[0]
     picture = room.draw(path[: step + 1], color)
     height = picture.height
     named = (("what it sees", thumbnails[path[step]]), ("the goal's view", thumbnails[goal]))

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Colormap, Normalize, to_rgb
+from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -73,22 +73,21 @@ def draw_policy(
     figure = Figure((full_width, height + 0.5 + LEGEND_HEIGHT + 0.25 * (title.count("\n") + 1)), layout="constrained")
     figure.suptitle(title)
     policy_map, value_map, matching_map = figure.subplots(1, 3, sharex=True, sharey=True)
-    for axes in (policy_map, value_map, matching_map):
+    maps = policy_map, value_map, matching_map
+    titles = "most probable action", "state value", "matching with the goal's views"
+    for axes, shown in zip(maps, titles, strict=True):
         draw_room(axes, scene, side)
         axes.set_anchor("C")  # as a colour bar sets it for the maps that have one
-    value_map.set_ylabel("")
-    matching_map.set_ylabel("")
+        axes.set_title(shown, fontsize=10)
+        axes.label_outer()
 
     lost = never_arrives(scene, goal, chances.argmax(1))
     middles = scene.positions + 0.31 * side * directions
     # A quarter of the cell has room for a glyph of a third of its side; narrower wedges for less.
     glyph = 0.34 * side * min(1.0, 1.6 * math.tan(math.pi / turns_per_circle(scene.graph)))
     _draw_actions(policy_map, wedges, middles, directions, glyph, chances, lost)
-    policy_map.set_title("most probable action", fontsize=10)
-    _draw_heat(figure, value_map, wedges, values, Normalize(values.min(), values.max()), "viridis")
-    value_map.set_title("state value", fontsize=10)
-    _draw_heat(figure, matching_map, wedges, scores, Normalize(min(scores.min(), threshold), 1), "magma", threshold)
-    matching_map.set_title("matching with the goal's views", fontsize=10)
+    _draw_heat(value_map, wedges, values, values.min(), values.max(), "viridis")
+    _draw_heat(matching_map, wedges, scores, min(scores.min(), threshold), 1, "magma", threshold)
     above = np.flatnonzero(scores > threshold)
     outline = PolyCollection(list(wedges[above]), facecolors="none", edgecolors=MATCH_COLOR, linewidths=1.6, zorder=5)
     matching_map.add_collection(outline)
@@ -183,13 +182,6 @@ def _draw_actions(
     axes.add_collection(PolyCollection(glyphs, facecolors=inks, linewidths=0, zorder=3))
 
 
-def _straight_arrow() -> FloatArray:
-    """An arrow up, its outline ``[K, 2]`` in a square of side 1 around the origin."""
-    return np.array(
-        [(-0.08, -0.42), (0.08, -0.42), (0.08, 0.02), (0.34, 0.02), (0, 0.46), (-0.34, 0.02), (-0.08, 0.02)]
-    )
-
-
 def _turning_arrow() -> FloatArray:
     """An arrow that comes from below and bends to the right, its outline ``[K, 2]`` in a square of side 1."""
     bend = np.linspace(math.pi, math.pi / 2, 7)
@@ -199,29 +191,33 @@ def _turning_arrow() -> FloatArray:
     return np.concatenate([[(-0.36, -0.42)], outer, head, inner[::-1], [(-0.2, -0.42)]])
 
 
+STRAIGHT_ARROW = np.array(
+    [(-0.08, -0.42), (0.08, -0.42), (0.08, 0.02), (0.34, 0.02), (0, 0.46), (-0.34, 0.02), (-0.08, 0.02)]
+)
+
 GLYPHS = {
-    AHEAD: _straight_arrow(),
+    AHEAD: STRAIGHT_ARROW,
     RIGHT: _turning_arrow(),
     LEFT: _turning_arrow() * (-1, 1),
-    BACK: _straight_arrow() * (1, -1),
+    BACK: STRAIGHT_ARROW * (1, -1),
 }
-"""The outline of each action's arrow, for an agent that looks up."""
+"""The outline of each action's arrow, ``[K, 2]`` in a square of side 1, for an agent that looks up."""
 
 
 def _draw_heat(
-    figure: Figure,
     axes: Axes,
     wedges: FloatArray,
     values: FloatArray,
-    scale: Normalize,
-    cmap: str | Colormap,
+    low: float,
+    high: float,
+    cmap: str,
     threshold: float | None = None,
 ) -> None:
     """A wedge for each state, coloured by its value, and the scale beside the map."""
-    colors = ScalarMappable(scale, cmap)
+    colors = ScalarMappable(Normalize(low, high), cmap)
     heat = PolyCollection(list(wedges), facecolors=colors.to_rgba(values), edgecolors="face", linewidths=0.2, zorder=2)
     axes.add_collection(heat)
-    bar = figure.colorbar(colors, ax=axes, shrink=0.8, aspect=30, pad=0.02)
+    bar = axes.figure.colorbar(colors, ax=axes, shrink=0.8, aspect=30, pad=0.02)
     bar.outline.set_visible(False)
     if threshold is not None:
         bar.ax.axhline(threshold, color=MATCH_COLOR, linewidth=2)

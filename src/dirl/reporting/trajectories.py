@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -30,6 +30,9 @@ MAX_VIEWS = 8
 
 # Inches: the longer side of the map; the width of the views and the legend; the height of the views.
 MAP_SIZE, SIDE_WIDTH, VIEWS_HEIGHT = 5.0, 4.9, 4.75
+
+ARROW: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches"}
+ARROW |= {"headwidth": 5, "headlength": 5, "headaxislength": 4.5}
 
 FloatArray = NDArray[np.floating]
 
@@ -134,13 +137,7 @@ def _draw_map(
 
 
 def _draw_path(
-    axes: Axes,
-    at: FloatArray,
-    place: IntArray,
-    arrows: FloatArray,
-    path: Sequence[int],
-    color: str,
-    reached: bool,
+    axes: Axes, at: FloatArray, place: IntArray, arrows: FloatArray, path: Sequence[int], color: str, reached: bool
 ) -> Line2D:
     """Draw one path, its states ``at`` ``[N, 2]`` and headed along ``arrows`` ``[N, 2]``; return its legend's line."""
     red, green, blue = to_rgb(color)
@@ -167,20 +164,7 @@ def _draw_path(
 
 def _draw_arrows(axes: Axes, tails: FloatArray, arrows: FloatArray, color: str, *, width: float, zorder: float) -> None:
     """Arrows ``[K, 2]`` in metres; ``width`` is that of the shaft, in points."""
-    axes.quiver(
-        *tails.T,
-        *arrows.T,
-        color=color,
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        units="inches",
-        width=width / 72,
-        headwidth=5,
-        headlength=5,
-        headaxislength=4.5,
-        zorder=zorder,
-    )
+    axes.quiver(*tails.T, *arrows.T, color=color, width=width / 72, zorder=zorder, **ARROW)
 
 
 def _draw_views(figure: SubFigure, scene: Scene, goal: int, path: Sequence[int], reached: bool) -> None:
