@@ -1,6 +1,7 @@
 """Section 4.5.4: stopping by template matching in disturbed views, which the paper does not measure."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from dirl.backbones import ViewEncoder, encode_views
-from dirl.evaluation.episodes import run_episodes
 from dirl.evaluation.protocol import metrics
 from dirl.experiments.figures import save_figure
 from dirl.experiments.measures import decimals
@@ -110,12 +110,7 @@ def recommended_threshold(curves: Sequence[tuple[NDArray[np.float64], NDArray[np
 
 
 class SeesDisturbed(nn.Module):
-    """A policy on a table of twice the states: goals are known by the first half, what is observed is in the second.
-
-    Args:
-        policy: on that table.
-        states: of one half.
-    """
+    """A policy on a table of twice the ``states``: goals are in the first half, what is observed in the second."""
 
     def __init__(self, policy: Any, states: int) -> None:
         super().__init__()
@@ -128,14 +123,9 @@ class SeesDisturbed(nn.Module):
 
 
 def success(trained: Trained, scene: Scene, clean: Tensor, disturbed: Tensor, threshold: float) -> dict[str, float]:
-    """Greedy episodes in which the agent sees disturbed views and knows the clean ones of its goals.
+    """Measures of greedy episodes in a scene; the agent sees disturbed views, and knows its goals by clean ones.
 
-    Args:
-        trained: of a run.
-        scene: of its world, where the episodes take place.
-        clean: features of its views, float32 ``[N, D]``.
-        disturbed: likewise, of its disturbed views.
-        threshold: of the stop by template matching.
+    ``clean`` and ``disturbed`` are features, float32 ``[N, D]``; ``threshold`` is of the stop by template matching.
     """
     config, protocol = trained.config, trained.protocol
     trained_policy: Any = trained.policy
@@ -152,16 +142,9 @@ def success(trained: Trained, scene: Scene, clean: Tensor, disturbed: Tensor, th
     scores = (goals @ template_vectors(seen, world.surrounding, match).T)[goal_index, state]
     goal_index, start = protocol.starts
     inside = world.scene_of[start] == world.names.index(scene.name)
-    episodes = run_episodes(
-        SeesDisturbed(policy, len(world)),
-        world,
-        (goal_index[inside], start[inside]),
-        observation=protocol.observation,
-        stop=(scores > threshold) & (world.distances >= 0),
-        max_steps=protocol.max_steps,
-        seed=protocol.seed,
-    )
-    return metrics(episodes)
+    stop = (scores > threshold) & (world.distances >= 0)
+    conditions = replace(protocol, starts=(goal_index[inside], start[inside]), stop=stop, memory=None)
+    return metrics(conditions.run(SeesDisturbed(policy, len(world))))
 
 
 def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name: str, encoder: ViewEncoder) -> str:
@@ -195,7 +178,7 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
     table = Table(columns | decimals(f"{what} at {limit:g}" for limit in limits for what in MEASURED))
     for key, features in found.items():
         at_goal, away = pairs[key]
-        cells: list[Any] = [key[0], key[1], float(at_goal.mean()), float(at_goal.min())]
+        cells: list[Any] = [*key, float(at_goal.mean()), float(at_goal.min())]
         cells += [float(np.quantile(away.numpy(), 0.99)), float(away.max())]
         for limit in limits:
             place = int(np.abs(THRESHOLDS - limit).argmin())
