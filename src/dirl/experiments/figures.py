@@ -60,7 +60,8 @@ def draw_spl(lines: Sequence[Line], names: Sequence[str], out: Path, name: str, 
             error = np.maximum(0.0, [means - low, high - means])
             named = label if view == views[0] else None
             axes.errorbar(x, means, error, fmt=marker, color=color, markersize=3.5, capsize=2, label=named)
-        axes.set_xticks(range(len(names)), names, rotation=30, ha="right")
+        turned: dict[str, Any] = {"rotation": 30, "ha": "right"} if len(names) > 3 else {}
+        axes.set_xticks(range(len(names)), names, **turned)
         axes.set(title=view, ylim=(-0.03, 1.03), ylabel="SPL" if view == views[0] else None)
         axes.tick_params(axis="x", labelsize="small")
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
