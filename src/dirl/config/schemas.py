@@ -259,7 +259,7 @@ class ReportConfig:
     encoder: str = MISSING
     agents: list[str] = MISSING
     collections: list[str] = MISSING
-    rooms: int | None = None
+    rooms: Positive | None = None
 
 
 @dataclass
