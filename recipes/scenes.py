@@ -131,7 +131,7 @@ def tour(options: Any) -> None:
     """Make a dump from a 360-degree tour."""
     out = Path(options.out)
     found = read_tour(options.path, reach=options.reach, skip=options.skip)
-    chosen = {name: getattr(options, name) for name in ("headings", "tolerance", "step", "name")}
+    chosen = {name: getattr(options, name) for name in ("headings", "compare_images", "tolerance", "step", "name")}
     made = tour_scene(found, **chosen)
     encoder = chosen_encoder(options)
     print(

@@ -1,4 +1,4 @@
-"""The five swaps of docs/howto/extend.md, made from the files on that page, do what they should."""
+"""The swaps of docs/howto/extend.md, made from the files on that page, do what they should."""
 
 import io
 import re
@@ -18,6 +18,7 @@ from dirl.evaluation.protocol import metrics
 from dirl.models import ActorCritic, ActorCriticHeads, FeatureTable
 from dirl.models.fast.caching import CachedEncoder
 from dirl.objectives import ImitationLoss
+from dirl.scenes import SceneError, load_scenes
 from dirl.training.build import (
     build_demonstrations,
     build_losses,
@@ -83,9 +84,16 @@ def train(config, state, total, until=None):
 
 
 def test_each_swap_takes_one_python_file_and_one_yaml_file_at_most():
-    assert sorted(FILES) == ["attention.py", "discrete_sac.py", "gail.py", "inverse_dynamics.py", "noisy.py"]
+    assert sorted(FILES) == [
+        "attention.py",
+        "discrete_sac.py",
+        "gail.py",
+        "halls.py",
+        "inverse_dynamics.py",
+        "noisy.py",
+    ]
     yaml = re.findall(r"^:caption: (\S+\.yaml)$", PAGE, re.MULTILINE)
-    assert len(yaml) == len(set(yaml)) == 6
+    assert len(yaml) == len(set(yaml)) == 7
 
 
 @pytest.fixture
@@ -271,3 +279,49 @@ def test_own_parameters_are_trained_with_the_policys(parts):
     _, _, state = parts(*SAC)
     own = len(trained_parameters(state.policy, state.losses)) - len(trained_parameters(state.policy))
     assert own == len(list(state.losses.losses["sac"].module.loss.qvalue_network_params.parameters())) == 6
+
+
+HALLS = "source={_target_:halls.Halls,width:16}"
+
+
+def test_scenes_come_from_a_source_of_ones_own(tmp_path):
+    world = build_world(train_config("scene=[hall_4x3,hall_2x2]", HALLS))
+    assert world.names == ("hall_4x3", "hall_2x2")
+    assert [len(scene) for scene in world.scenes] == [48, 16]
+    assert world.features.shape == (64, 16)
+    assert world.source == "halls"
+    mixed = build_world(train_config(f"scene=[{room_file(tmp_path)}]", HALLS))  # a file needs no source
+    assert len(mixed.scenes[0]) == 24
+
+
+class Returns:
+    """A source that returns, or raises, what it was given."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def load(self, names):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        (["a"], r"Returns\.load\(\['x'\]\) must return a list of dirl\.scenes\.Scene, not one with str"),
+        ([], r"must return a list of dirl\.scenes\.Scene, not one without any"),
+        (None, r"source: Returns\.load\(\['x'\]\) failed \(TypeError: "),
+        (KeyError("x"), r"source: Returns\.load\(\['x'\]\) failed \(KeyError: 'x'\)"),
+        (SceneError("x: no such hall"), "^x: no such hall$"),
+    ],
+)
+def test_a_source_that_does_not_do_what_it_should_is_refused_in_one_line(answer, says):
+    with pytest.raises(SceneError, match=says) as caught:
+        load_scenes("x", source=Returns(answer))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_source_without_the_method_is_refused():
+    with pytest.raises(SceneError, match=r"^source: PurePath has no method load\(names\)"):
+        build_world(train_config("scene=x", "source={_target_:pathlib.PurePath}"))

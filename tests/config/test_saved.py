@@ -1,6 +1,7 @@
 import pytest
 import torch
 from commands import room_file, train_config
+from omegaconf import OmegaConf
 from parts import make_parts
 from schema1 import CONFIG, old_config, old_weights
 
@@ -155,3 +156,16 @@ def test_weights_that_do_not_fit_are_refused_in_one_line(tmp_path):
     with pytest.raises(ConfigError, match="here: the weights do not fit the network of its configuration") as raised:
         load_trained(saved, "here")
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("rooms", {"_target_": "dirl.scenes.catalogue.Rooms"}),
+        ("thor", {"_target_": "dirl.scenes.catalogue.Thor", "root": "/x"}),
+    ],
+)
+def test_a_source_saved_by_name_is_the_class(name, options):
+    values = OmegaConf.to_container(OmegaConf.create(config_text(train_config())))
+    text = OmegaConf.to_yaml(OmegaConf.create({**values, "source": {"name": name, "root": "/x"}}))
+    assert read_config(text, "here").source == options

@@ -11,7 +11,6 @@ from rooms import grid_scene, renumbered
 from dirl.scenes import ACTIONS, GraphError
 from dirl.scenes.graph import (
     check_graph,
-    is_connected,
     places,
     shortest_distances,
     surrounding_states,
@@ -69,23 +68,6 @@ def test_distances_equal_a_plain_search(room, data):
 def test_distances_to_some_goals_are_columns_of_all_distances(room, data):
     goals = np.array(data.draw(st.lists(st.integers(0, len(room) - 1), min_size=1, max_size=4)))
     assert (shortest_distances(room.graph, goals) == room.distances[:, goals]).all()
-
-
-@given(rooms())
-def test_a_room_is_connected_where_every_state_reaches_every_other(room):
-    assert is_connected(room.graph) == (shortest_distances(room.graph) >= 0).all()
-
-
-def test_a_place_that_nothing_leads_back_from_or_to_is_not_connected():
-    graph = grid_scene(2, 1).graph.copy()
-    assert is_connected(graph)
-    ways = np.argwhere((graph // 4 != np.arange(8)[:, None] // 4) & (graph >= 0))
-    for begins in (0, 1):  # only ways out of one of the two places are left
-        one_way = graph.copy()
-        for state, action in ways[ways[:, 0] // 4 == begins]:
-            one_way[state, action] = -1
-        assert (shortest_distances(one_way) < 0).any()
-        assert not is_connected(one_way)
 
 
 def test_distances_follow_the_direction_of_one_way_links():

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dirl.config.choices import own_options
-from dirl.config.components import make
+from dirl.config.components import TARGET, make
 from dirl.config.places import command
 from dirl.config.schemas import ConfigError, EvaluateConfig, ExperimentName, ReportConfig, TrainConfig
 from dirl.runs.finding import find_checkpoint, find_unfinished, finished_folders, initial_weights_file
@@ -85,7 +85,9 @@ def _scenes(options: TrainConfig) -> None:
 
     if find_rooms(options.scene or [], options.split, options.rooms) is not None:
         return
-    found = find_scenes(options.scene or [], source=options.source.name, root=options.source.root)
+    if not str(options.source[TARGET]).startswith("dirl."):  # it is asked when the run begins
+        return
+    found = find_scenes(options.scene or [], make("source", options.source))
     goals = options.goals
     if not isinstance(goals, Mapping):
         goals = {found[0].name: goals} if len(found) == 1 else {}

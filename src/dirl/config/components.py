@@ -30,6 +30,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
     "expert": frozenset({"world", "seed"}),
     "losses": frozenset({"policy", "actor_network", "actor", "critic_network", "world"}),
     "optimiser": frozenset({"params"}),
+    "source": frozenset(),
 }
 """The groups, and what is offered to the constructors of their classes by name of parameter."""
 
@@ -54,6 +55,7 @@ BASES = {
     # Experts, sampled pairs, caches and matching ask a transform what is seen of a state, not the environment alone.
     "observation": "dirl.envs.transforms.SurroundingViews",
     "simulator": "builtins.object",  # a protocol: `dirl.scenes.live.Simulator`
+    "source": "builtins.object",  # likewise: `dirl.scenes.catalogue.SceneSource`
 }
 """What the classes of a group are, if not a `MODULE`; by name, so that this module does not import torch."""
 

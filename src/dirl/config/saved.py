@@ -7,7 +7,7 @@ import yaml  # PyYAML comes with OmegaConf
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config.components import check_components
+from dirl.config.components import TARGET, check_components
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.values import leaves, plain, typed
 
@@ -67,7 +67,7 @@ def read_config(
     try:
         values = plain_mapping(text)
         values = _upgraded(values) if isinstance(values.get("objective"), dict) else values
-        values = {**_moved(_since(values)), "resume": None, "trust": list(trust)}
+        values = _with_source(_moved(_since(values))) | {"resume": None, "trust": list(trust)}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
         config: TrainConfig = typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), values))  # type: ignore[arg-type]
@@ -132,6 +132,15 @@ def _moved(values: Any) -> Any:
         return [_moved(value) for value in values]
     old = next((old for old in MOVED if isinstance(values, str) and values.startswith(old)), None)
     return values if old is None else MOVED[old] + values.removeprefix(old)
+
+
+def _with_source(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with the class of the source, which had a name before 0.3."""
+    source = values.get("source")
+    if not isinstance(source, dict) or "name" not in source:
+        return values
+    thor = {TARGET: "dirl.scenes.catalogue.Thor", "root": source.get("root")}
+    return values | {"source": thor if source["name"] == "thor" else {TARGET: "dirl.scenes.catalogue.Rooms"}}
 
 
 def _replace(values: dict[str, Any], name: str, value: Any) -> None:

@@ -9,7 +9,6 @@ from omegaconf import MISSING
 from dirl.config.bounds import Bounds
 
 Device = StrEnum("Device", ["cpu", "cuda"])
-SourceName = StrEnum("SourceName", ["rooms", "thor"])
 Axes = StrEnum("Axes", ["features", "principal"])
 Cache = StrEnum("Cache", ["auto", "off"])
 Precision = StrEnum("Precision", ["float32", "bfloat16"])
@@ -42,14 +41,6 @@ Frames = Annotated[int, Bounds(1, 10**12)]
 
 class ConfigError(ValueError):
     """An invalid configuration; the message names the option and its valid values."""
-
-
-@dataclass
-class SourceConfig:
-    """Where scenes are looked up by name."""
-
-    name: SourceName = MISSING
-    root: str | None = MISSING
 
 
 @dataclass
@@ -201,7 +192,7 @@ class TrainConfig:
     expert: Any = MISSING
     losses: Any = MISSING
     optimiser: Any = MISSING
-    source: SourceConfig = field(default_factory=SourceConfig)
+    source: Any = field(default_factory=lambda: {"_target_": "dirl.scenes.catalogue.Rooms"})
     network: NetworkConfig = field(default_factory=NetworkConfig)
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     reinforcement: ReinforcementConfig = field(default_factory=ReinforcementConfig)

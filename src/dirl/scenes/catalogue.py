@@ -4,6 +4,7 @@ import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from tqdm import tqdm
 
@@ -21,13 +22,65 @@ PUBLISHED_GOALS: Mapping[str, tuple[int, ...]] = {
 
 COLLECTION = "collection:"
 
-SOURCES = ("rooms", "thor")
+
+class SceneSource(Protocol):
+    """Where scenes are looked up by name: a class of one's own, named by ``source._target_``."""
+
+    def load(self, names: list[str]) -> Sequence[Scene]:
+        """The scenes of these names, as ``scene=`` gives them; `SceneError` if there is no such."""
+
+
+class Rooms:
+    """The built-in rooms."""
+
+    label = "rooms"
+
+    def folder(self) -> Path:
+        """Holds the dumps."""
+        return ROOMS
+
+    def load(self, names: list[str]) -> list[Scene]:
+        """The scenes of these names, or of these files; see `SceneSource`."""
+        scenes = read_dumps(find_scenes(names, self))
+        return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
+
+
+class Thor(Rooms):
+    """The published dumps of AI2-THOR, of which a user has a copy.
+
+    Args:
+        root: the folder they are in, one ``<name>.h5`` a scene.
+    """
+
+    label = "thor"
+
+    def __init__(self, root: str | None = None) -> None:
+        self.root = root
+
+    def folder(self) -> Path:
+        """Holds the dumps; `SceneError` if there is none."""
+        if self.root is None:
+            raise SceneError("source=thor needs the folder of your dumps: source.root=/path/to/dumps")
+        if not Path(self.root).is_dir():
+            raise SceneError(f"source.root={self.root}: there is no such folder")
+        return Path(self.root)
+
+
+def named_source(name: str, root: str | Path | None = None) -> Rooms:
+    """One of dirl's own sources: ``rooms``, or ``thor`` with its folder.
+
+    Raises:
+        SceneError: there is no source of that name.
+    """
+    if name not in ("rooms", "thor"):
+        raise SceneError(f"there is no source '{name}'; choose one of ['rooms', 'thor']")
+    return Rooms() if name == "rooms" else Thor(None if root is None else str(root))
 
 
 def load_scenes(
     scene: str | Sequence[str],
     *,
-    source: str = "rooms",
+    source: str | SceneSource = "rooms",
     root: str | Path | None = None,
     split: str | None = None,
     rooms: int | None = None,
@@ -37,19 +90,49 @@ def load_scenes(
     Args:
         scene: a name, several names, ``all`` (the four of the paper), paths of dump files, or ``collection:`` and the
             folder of a collection.
-        source: ``rooms`` for the built-in rooms, ``thor`` for the published dumps a user owns.
+        source: ``rooms`` for the built-in rooms, ``thor`` for the published dumps a user owns, or a source of one's
+            own, which is asked for all names that are no files.
         root: the folder of the published dumps, one ``<name>.h5`` a scene; required for ``thor``.
         split: of a collection's rooms; all if left out.
         rooms: the first so many of them; all if left out.
 
     Raises:
-        SceneError: no such scene (the message lists the choices), or an invalid file.
+        SceneError: no such scene (the message lists the choices), an invalid file, or a source that gives no scenes.
     """
     collection = find_rooms(scene, split, rooms)
     if collection is not None:
         return list(tqdm(collection, desc="rooms", disable=None))
-    scenes = read_dumps(find_scenes(scene, source=source, root=root))
-    return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
+    chosen = named_source(source, root) if isinstance(source, str) else source
+    names = [scene] if isinstance(scene, str) else list(scene)
+    if isinstance(chosen, Rooms):
+        return chosen.load(names)
+    own = [name for name in names if not _is_file(name)]
+    files = Rooms().load([name for name in names if _is_file(name)]) if len(own) < len(names) else []
+    return files + (_own_scenes(chosen, own) if own or not names else [])
+
+
+def _own_scenes(source: SceneSource, names: list[str]) -> list[Scene]:
+    """The scenes of a user's own source, which may do anything."""
+    kind = type(source).__name__
+    if not callable(getattr(source, "load", None)):
+        raise SceneError(f"source: {kind} has no method load(names); see dirl.scenes.catalogue.SceneSource")
+    if not names:
+        raise SceneError(f"no scene is named; choose e.g. scene=<a name that {kind} knows>")
+    try:
+        scenes = list(source.load(names))
+    except SceneError:
+        raise
+    except (LookupError, OSError, TypeError, ValueError) as error:
+        raise SceneError(f"source: {kind}.load({names}) failed ({type(error).__name__}: {error})") from error
+    others = sorted({type(one).__name__ for one in scenes if not isinstance(one, Scene)})
+    if others or not scenes:
+        found = f"with {', '.join(others)}" if others else "without any"
+        raise SceneError(f"source: {kind}.load({names}) must return a list of dirl.scenes.Scene, not one {found}")
+    return scenes
+
+
+def _is_file(name: str) -> bool:
+    return Path(name).suffix in (".h5", ".hdf5")
 
 
 def find_rooms(scene: str | Sequence[str], split: str | None, rooms: int | None) -> Collection | None:
@@ -71,13 +154,14 @@ def collection_folder(scene: str | Sequence[str]) -> Path | None:
     return Path(name.removeprefix(COLLECTION)) if name.startswith(COLLECTION) else None
 
 
-def find_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str | Path | None = None) -> list[Dump]:
-    """The dumps of the scenes a user asks for, not read yet; see `load_scenes`.
+def find_scenes(scene: str | Sequence[str], source: Rooms | None = None) -> list[Dump]:
+    """The dumps of the scenes a user asks for, not read yet; of the built-in rooms if no source is given.
 
     Raises:
         SceneError: no such scene.
     """
-    folder = _folder(source, root)
+    source = source or Rooms()
+    folder = source.folder()
     names = [scene] if isinstance(scene, str) else list(scene)
     if not names:
         raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
@@ -87,25 +171,13 @@ def find_scenes(scene: str | Sequence[str], *, source: str = "rooms", root: str 
         names = list(PUBLISHED_GOALS)
     dumps = []
     for name in names:
-        is_file = Path(name).suffix in (".h5", ".hdf5")
+        is_file = _is_file(name)
         path = Path(name) if is_file else folder / f"{name}.h5"
         if not path.is_file():
             raise SceneError(_no_such_scene(name, is_file, folder))
-        label = source if source == "thor" or not is_file else None
+        label = source.label if isinstance(source, Thor) or not is_file else None
         dumps.append(Dump(path, name=None if is_file else name, source=label))
     return dumps
-
-
-def _folder(source: str, root: str | Path | None) -> Path:
-    if source not in SOURCES:
-        raise SceneError(f"there is no source '{source}'; choose one of {list(SOURCES)}")
-    if source == "rooms":
-        return ROOMS
-    if root is None:
-        raise SceneError("source=thor needs the folder of your dumps: source.root=/path/to/dumps")
-    if not Path(root).is_dir():
-        raise SceneError(f"source.root={root}: there is no such folder")
-    return Path(root)
 
 
 def _no_such_scene(name: str, is_file: bool, folder: Path) -> str:

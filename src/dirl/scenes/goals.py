@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from dirl.scenes.graph import IntArray, is_connected, places
+from dirl.scenes.graph import IntArray, places
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.world import Goals
 
@@ -70,11 +70,11 @@ def well_reached(scene: Scene) -> np.ndarray:
 
     All states of a part can be reached from each other. A dead end that has no way out takes no goals from others.
     """
-    if is_connected(scene.graph):  # which is known long before all distances are
-        return np.ones(len(scene), bool)
     start, action = np.nonzero(scene.graph >= 0)
     moves = csr_array((np.ones(len(start)), (start, scene.graph[start, action])), shape=(len(scene), len(scene)))
     part = connected_components(moves, directed=True, connection="strong")[1]
+    if part.max() == 0:  # which is known long before all distances are
+        return np.ones(len(scene), bool)
     return np.asarray((scene.distances >= 0).sum(0) >= np.bincount(part).max())
 
 

@@ -117,16 +117,6 @@ def places(graph: IntArray) -> IntArray:
     return np.unique(first, return_inverse=True)[1]
 
 
-def is_connected(graph: IntArray) -> bool:
-    """Whether every state can be reached from every other one."""
-    leads_to = np.where(graph >= 0, graph, np.arange(len(graph))[:, None])
-    reached, count = np.arange(len(graph)) == 0, 0
-    while count < reached.sum():
-        count = reached.sum()
-        reached[leads_to[reached]] = True
-    return bool(reached.all()) and bool((shortest_distances(graph, np.array([0])) >= 0).all())
-
-
 def shortest_distances(graph: IntArray, goals: IntArray | None = None) -> NDArray[np.int32]:
     """The fewest actions from every state to each goal, by breadth-first search backwards from the goals.
 

@@ -30,7 +30,8 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
-from dirl.scenes.io.texts import read_text
+from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.texts import read_csv
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import FORMATS, ImageError, encode, open_image
@@ -171,58 +172,23 @@ def _is_panorama(data: bytes, image: Image.Image, ratio: float) -> bool:
 
 def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
     """Write ``states.csv`` of a folder, completely or not at all."""
-    unfinished = folder / f"{TABLE}.tmp"
-    with unfinished.open("w", newline="", encoding="utf-8") as stream:
+    with atomic_path(folder / TABLE) as file, file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [*REQUIRED, "back", *(["shot"] if any("shot" in row for row in rows) else [])])
         writer.writeheader()
         writer.writerows(rows)
-    unfinished.replace(folder / TABLE)
 
 
 def _read_table(folder: Path) -> list[Row]:
     file = folder / TABLE
     if not file.is_file():
         raise SceneError(f"{folder}: holds no {TABLE}; it has a row for each image: {','.join(REQUIRED)}")
-    try:
-        text = read_text(file, encoding="utf-8-sig")
-    except ValueError as error:
-        raise SceneError(f"{error}; save it as CSV UTF-8") from None
-    lines = text.splitlines()
-    if not lines:
-        raise SceneError(f"{file}: is empty; its first line names the columns: {','.join(REQUIRED)}")
-    # Spreadsheets of countries with a decimal comma separate by semicolons.
-    reader = csv.reader(lines, delimiter=";" if ";" in lines[0] and "," not in lines[0] else ",")
-    rows = []
-    try:
-        columns = [column.strip() for column in next(reader)]
-        _check_columns(columns, file)
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                rows.append(_row(columns, [cell.strip() for cell in cells], f"{file}: line {reader.line_num}", folder))
-    except csv.Error as error:
-        raise SceneError(f"{file}: line {reader.line_num}: is no line of a table ({error})") from None
+    rows = [_row(values, where, folder) for where, values in read_csv(file, REQUIRED, OPTIONAL)]
     if not rows:
         raise SceneError(f"{file}: has no rows; each says where one image was taken")
     return rows
 
 
-def _check_columns(columns: Sequence[str], file: Path) -> None:
-    for column in columns:
-        if column not in REQUIRED + OPTIONAL:
-            near = difflib.get_close_matches(column, REQUIRED + OPTIONAL, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"columns are {', '.join(REQUIRED + OPTIONAL)}"
-            raise SceneError(f"{file}: line 1: there is no column '{column}'; {hint}")
-        if columns.count(column) > 1:
-            raise SceneError(f"{file}: line 1: the column '{column}' is named twice")
-    missing = [column for column in REQUIRED if column not in columns]
-    if missing:
-        raise SceneError(f"{file}: line 1: the column '{missing[0]}' is missing; found {', '.join(columns)}")
-
-
-def _row(columns: Sequence[str], cells: Sequence[str], where: str, folder: Path) -> Row:
-    if len(cells) != len(columns):
-        raise SceneError(f"{where}: {len(cells)} cells for {len(columns)} columns")
-    values = dict(zip(columns, cells, strict=True))
+def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:
     numbers = {}
     for column in ("heading", "x", "z"):
         try:

@@ -20,7 +20,7 @@ Cell = tuple[int, int]
 
 
 @contextmanager
-def simulator_errors(name: str) -> Iterator[None]:
+def simulator_errors(name: str, then: str = "run the command again") -> Iterator[None]:
     """Within this context whatever a simulator raises, for which each has its own classes, becomes one line."""
     try:
         yield
@@ -28,7 +28,7 @@ def simulator_errors(name: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        raise SceneError(f"{name} failed ({reason}); run the command again") from None
+        raise SceneError(f"{name} failed ({reason}); {then}") from None
 
 
 def take_scene(

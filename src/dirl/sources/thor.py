@@ -5,8 +5,8 @@ Frames and moves are stored in a folder as `dirl.sources.photos` reads it, so th
 
 import csv
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,16 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.live import Pose
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import encode
 from dirl.sources.photos import write_table
+from dirl.sources.simulators import QUALITY, simulator_errors
 
 HEADINGS = (0, 90, 180, 270)
 """Degrees clockwise from +z, AI2-THOR's rotation about y."""
-
-QUALITY = 90
-"""Of the frames, as WebP."""
 
 PLAN, MOVES = "plan.json", "moves.csv"
 
@@ -203,9 +202,8 @@ def _take_frames(
                     continue
                 frame = np.asarray(event.frame)
                 _check_frame(frame, shape, f"position {name}, heading {heading}")
-                unfinished = file.with_suffix(".tmp")
-                unfinished.write_bytes(encode(frame, QUALITY))
-                unfinished.replace(file)
+                with atomic_path(file) as unfinished:
+                    unfinished.write_bytes(encode(frame, QUALITY))
     return left_out
 
 
@@ -288,11 +286,5 @@ def _image(name: str, heading: int) -> str:
     return f"images/{name}_{heading:03d}.webp"
 
 
-@contextmanager
-def _simulator_errors(where: str) -> Iterator[None]:
-    """Within this context a crash of the simulator is reported in one line, with what to do."""
-    try:
-        yield
-    except (RuntimeError, TimeoutError, OSError) as error:  # those of ai2thor.controller
-        reason = " ".join(str(error).split())[:200]
-        raise SceneError(f"{where}: AI2-THOR failed ({reason}); the same command continues from here") from None
+def _simulator_errors(where: str) -> AbstractContextManager[None]:
+    return simulator_errors(f"{where}: AI2-THOR", "the same command continues from here")

@@ -1,9 +1,9 @@
 """The pixels of panoramas: equirectangular images and tiled cubes, and the views that are cut out of them.
 
-py360convert would do the cutting, but it brings SciPy, and reads cubes by way of an equirectangular image.
+py360convert would do the cutting, but reads cubes by way of an equirectangular image.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,16 +53,17 @@ class CubeLevel:
     tiles: Mapping[str, tuple[tuple[Path, ...], ...]]
 
 
-def tiles_along(size: int, tile: int, where: str) -> int:
-    """How many tiles of ``tile`` pixels lie along a side of ``size`` pixels.
+def tiled(size: int, tile: int, where: str, path: Callable[[str, int, int], Path]) -> CubeLevel:
+    """A cube of ``size`` pixels a side in tiles of ``tile`` pixels; ``path`` takes the face, the row and the column.
 
     Raises:
-        SceneError: more than `MOST_TILES`.
+        SceneError: more than `MOST_TILES` along a side.
     """
     count = -(-size // tile)
     if count > MOST_TILES:
         raise SceneError(f"{where}: {size} pixels in tiles of {tile} are more than {MOST_TILES} tiles a side")
-    return count
+    rows = range(count)
+    return CubeLevel(size, {face: tuple(tuple(path(face, y, x) for x in rows) for y in rows) for face in FACES})
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,11 @@ class Cube:
     def files(self) -> Iterator[Path]:
         """The files of all sizes."""
         yield from (file for level in self.levels for rows in level.tiles.values() for row in rows for file in row)
+
+
+def six_images(path: Callable[[str], Path]) -> Cube:
+    """A cube of one image a face."""
+    return Cube((CubeLevel(None, {face: ((path(face),),) for face in FACES}),))
 
 
 def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]:
@@ -160,7 +166,7 @@ def density(size: tuple[int, int], field_of_view: float) -> float:
 
 
 def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], field_of_view: float) -> Pixels:
-    """A view out of a panorama, uint8 ``[height, width, 3]``, by bilinear interpolation.
+    """A view out of a panorama, uint8 ``[height, width, 3]``.
 
     Args:
         pixels: see `read_panorama`.
@@ -169,21 +175,31 @@ def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], f
         size: height and width in pixels.
         field_of_view: horizontal, degrees.
     """
-    x, y, z = _directions(np.radians(yaw), np.radians(pitch), size, density(size, field_of_view))
+    return sample(pixels, _directions(np.radians(yaw), np.radians(pitch), size, density(size, field_of_view)))
+
+
+def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
+    """What lies in some directions of a panorama, uint8 ``[H, W, 3]``, by bilinear interpolation.
+
+    Args:
+        pixels: see `read_panorama`.
+        directions: unit vectors to the right of, above and ahead of its middle, float64 ``[3, H, W]``.
+    """
+    x, y, z = directions
     if len(pixels) == 1:
         height, width = pixels[0].shape[:2]
         across = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * width - 0.5
         down = (0.5 - np.arcsin(np.clip(y, -1, 1)) / np.pi) * height - 0.5
         return _bilinear(pixels[0], across, down, wraps=True)
-    view = np.empty((*size, 3), np.uint8)
+    found = np.empty((*x.shape, 3), np.uint8)
     face, right, below = _on_cube(x, y, z)
     for index, pixels_of_face in enumerate(pixels):
         here = face == index
         if here.any():
             side = len(pixels_of_face)
             places = ((where[here] + 1) / 2 * side - 0.5 for where in (right, below))
-            view[here] = _bilinear(pixels_of_face, *places, wraps=False)
-    return view
+            found[here] = _bilinear(pixels_of_face, *places, wraps=False)
+    return found
 
 
 def _directions(yaw: float, pitch: float, size: tuple[int, int], focal: float) -> NDArray[np.float64]:

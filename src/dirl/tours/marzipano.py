@@ -5,12 +5,12 @@
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from dirl.scenes.scene import SceneError
-from dirl.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, tiles_along
+from dirl.tours.images import MOST_LEVELS, Cube, tiled
 from dirl.tours.tour import (
     Link,
     Panorama,
@@ -61,24 +61,17 @@ def _cube(scene: Mapping[str, Any], name: str, file: Path, where: str) -> Cube:
     sizes = []
     for level in entries(scene, "levels", where):
         size, tile = (int(number(level.get(key), f"{where}: {key}", 1, 2**15)) for key in ("size", "tileSize"))
-        sizes.append((size, tiles_along(size, tile, where), level.get("fallbackOnly") is True))
+        sizes.append((size, tile, level.get("fallbackOnly") is True))
     if not sizes or len(sizes) > MOST_LEVELS or sizes != sorted(sizes, key=lambda level: level[0]):
         raise SceneError(f"{where}: expected 1 to {MOST_LEVELS} levels, the smallest first")
-    levels = []
-    for number_, (size, tiles, preview) in enumerate(sizes):
-        if preview:
-            continue
-        paths = {
-            face: tuple(
-                tuple(
-                    inside(file.parent, f"tiles/{name}/{number_}/{face}/{row}/{column}.jpg", where)
-                    for column in range(tiles)
-                )
-                for row in range(tiles)
-            )
-            for face in FACES
-        }
-        levels.append(CubeLevel(size, paths))
+
+    def path_at(level: int) -> Callable[[str, int, int], Path]:
+        folder = f"tiles/{name}/{level}"
+        return lambda face, y, x: inside(file.parent, f"{folder}/{face}/{y}/{x}.jpg", where)
+
+    levels = [
+        tiled(size, tile, where, path_at(level)) for level, (size, tile, preview) in enumerate(sizes) if not preview
+    ]
     if not levels:
         raise SceneError(f"{where}: has no level with tiles")
     return Cube(tuple(levels))

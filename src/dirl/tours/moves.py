@@ -1,15 +1,17 @@
 """From a tour to a scene: aligned headings, moves along links, a map."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from dirl.scenes.graph import IntArray
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
-from dirl.tours.alignment import Alignment, align, wrap
+from dirl.tours.alignment import LEAD, Alignment, align, least_squares, wrap
+from dirl.tours.columns import Seen, columns, compare
 from dirl.tours.links import about_links, follow_links, link_ends, named
 from dirl.tours.tour import Tour
 
@@ -17,6 +19,13 @@ Array = NDArray[np.float64]
 
 AGREE = 1.0
 """Degrees that stated headings may differ from those of the links without a note."""
+
+
+CLOSED = 5.0
+"""Degrees of error up to which the median loop closes; else all linked panoramas are compared."""
+
+ASTRAY = tuple(range(-60, 61, 15))
+"""Degrees that links may be off where loops do not close."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +46,13 @@ class Converted:
 
 
 def tour_scene(
-    tour: Tour, *, headings: int = 8, tolerance: float | None = None, step: float = 2.0, name: str | None = None
+    tour: Tour,
+    *,
+    headings: int = 8,
+    tolerance: float | None = None,
+    step: float = 2.0,
+    name: str | None = None,
+    compare_images: bool = True,
 ) -> Converted:
     """The scene of a tour.
 
@@ -50,21 +65,26 @@ def tour_scene(
         tolerance: degrees that a link may lie aside of a heading that shows it; 90 if left out.
         step: metres that a link is long on the map, where the tour gives no positions.
         name: of the scene; the tour's if left out.
+        compare_images: whether headings that links do not give, or contradict, come from what the panoramas show.
 
     Raises:
-        SceneError: another number of headings, or a tour without any link that a move could follow.
+        SceneError: another number of headings, a tour without any link that a move could follow, or an image that
+            cannot be read.
     """
     if headings % 4 or not 4 <= headings <= 36:
         raise SceneError(f"headings={headings}: must be a multiple of four from 4 to 36")
     name = _scene_name(name or tour.name)
     check_name(name, tour.origin)
     turn = 360 / headings
-    aligned = align(tour)
+    by_links = aligned = align(tour)
     if not any(panorama.links for panorama in tour.panoramas):
         raise SceneError(
             f"{tour.origin}: no panorama has a link to another one, so no move is possible; panoramas of ZInD may need "
             "more reach"
         )
+    seen = _compared(tour, by_links) if compare_images else {}
+    if seen:
+        aligned = align(tour, seen)
     middles, along = _directions(tour, aligned, turn)
     facing = np.float64(_zero(along, turn)) + turn * np.arange(headings, dtype=np.float64)
     graph, off = follow_links(tour, along, facing, tolerance)
@@ -85,7 +105,8 @@ def tour_scene(
         origin=tour.origin,
     )
     contrary = _contrary(tour, middles)
-    notes = [*tour.notes, *_about(tour, aligned), *about_links(tour, off), *contrary, *_about_positions(tour, step)]
+    about = [*_about_loops(by_links, aligned, seen), *_about(tour, aligned)]
+    notes = [*tour.notes, *about, *about_links(tour, off), *contrary, *_about_positions(tour, step)]
     return Converted(scene, wrap(facing - middles[:, None]), notes, layout)
 
 
@@ -149,32 +170,49 @@ def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
     ends, _ = link_ends(tour)
     ends, along = ends[part[ends[:, 0]] == part[ends[:, 1]]], along[part[ends[:, 0]] == part[ends[:, 1]]]
     way = step * np.stack([np.sin(np.radians(along)), np.cos(np.radians(along))], 1)
-    count = len(tour.panoramas)
-    matrix, right = np.zeros((count, count)), np.zeros((count, 2))
-    for end, other, sign in ((1, 0, 1), (0, 1, -1)):
-        np.add.at(matrix, (ends[:, end], ends[:, end]), 1)
-        np.add.at(matrix, (ends[:, end], ends[:, other]), -1)
-        np.add.at(right, ends[:, end], sign * way)
-    pins = np.unique(part, return_index=True)[1]
-    matrix[pins, pins] += 1
-    places = np.linalg.solve(matrix, right)
+    places = least_squares(ends, way, np.ones(len(ends)), part)
     edge = 0.0
     for index in range(int(part.max()) + 1):
         here = part == index
         places[here] -= places[here].min(0) - [edge, 0]
         edge = places[here, 0].max() + 2 * step
-    return np.asarray(places, np.float64)
+    return places
+
+
+def _compared(tour: Tour, aligned: Alignment) -> dict[tuple[int, int], Seen]:
+    """What the panoramas show of their headings at links that do not give them, or at all if loops do not close."""
+    ends, yaws = link_ends(tour)
+    open_ = len(aligned.loops) > 0 and np.median(aligned.loops) > CLOSED
+    doubtful = {*aligned.one_way, *(pair[:2] for pair in aligned.rejected)}
+    links = {(i, j): yaw for (i, j), yaw in zip(ends.tolist(), yaws.tolist(), strict=True)}
+    chosen = [pair for pair in links if (open_ and (pair[0] < pair[1] or pair[::-1] not in links)) or pair in doubtful]
+    shown = {index: columns(tour.panoramas[index].image) for index in sorted({end for pair in chosen for end in pair})}
+    aside = ASTRAY if open_ else (0.0,)
+    return {
+        (i, j): compare(shown[i], shown[j], [links[i, j] + off for off in aside])
+        for i, j in tqdm(chosen, desc="compared", disable=None if chosen else True)
+    }
+
+
+def _about_loops(by_links: Alignment, aligned: Alignment, seen: Mapping[tuple[int, int], Seen]) -> Iterator[str]:
+    """The notes on how well headings agree, by links alone and by what panoramas show."""
+    if len(by_links.loops):
+        yield f"headings: {len(by_links.loops)} loops of links {_closing(by_links.loops)}"
+    if seen:
+        told = sum(found.lead >= LEAD for found in seen.values())
+        closing = f"; with that {len(aligned.loops)} loops {_closing(aligned.loops)}" if len(aligned.loops) else ""
+        yield f"{told} of {len(seen)} pairs of panoramas that were compared show how they are turned{closing}"
+    if not len(aligned.loops):
+        yield "no links form a loop: nothing checks the headings"
+
+
+def _closing(loops: Array) -> str:
+    return f"close with a median error of {np.median(loops):.1f} degrees, at most {loops.max():.1f}"
 
 
 def _about(tour: Tour, aligned: Alignment) -> Iterator[str]:
     """The notes on links and headings."""
     ids = [panorama.id for panorama in tour.panoramas]
-    if len(aligned.loops):
-        median, worst = np.median(aligned.loops), aligned.loops.max()
-        error = f"a median error of {median:.1f} degrees, at most {worst:.1f}"
-        yield f"headings: {len(aligned.loops)} loops of links close with {error}"
-    else:
-        yield "no links form a loop: nothing checks the headings"
     if aligned.rejected:
         i, j, off = aligned.rejected[0]
         yield (

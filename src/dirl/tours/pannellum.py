@@ -5,12 +5,12 @@ from the middle of the image.
 """
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from dirl.scenes.scene import SceneError
-from dirl.tours.images import FACES, MOST_LEVELS, Cube, CubeLevel, Equirectangular, tiles_along
+from dirl.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
 from dirl.tours.tour import (
     Link,
     Panorama,
@@ -96,9 +96,7 @@ def _image(scene: Mapping[str, Any], file: Path, where: str) -> Equirectangular 
         names = entry(scene, "cubeMap", list, where)
         if len(names) != len(FACES):
             raise SceneError(f"{where}: cubeMap has {len(names)} images, not six (front, right, back, left, up, down)")
-        return Cube(
-            (CubeLevel(None, {face: ((inside(folder, one, where),),) for face, one in zip(FACES, names, strict=True)}),)
-        )
+        return six_images(lambda face: inside(folder, names[FACES.index(face)], where))
     if kind == "multires":
         return _tiles(entry(scene, "multiRes", dict, where), folder, where)
     raise SceneError(f"{where}: type '{str(kind)[:50]}' is none of equirectangular, cubemap and multires")
@@ -113,18 +111,15 @@ def _tiles(given: Mapping[str, Any], folder: Path, where: str) -> Cube:
         for key, high in (("maxLevel", MOST_LEVELS), ("cubeResolution", 2**15), ("tileResolution", 2**15))
     )
     pattern, ending = entry(given, "path", str, where), str(given.get("extension") or "")
-    levels = []
-    for level in range(1, most + 1):
-        side = max(size // 2 ** (most - level), 1)
-        tiles = tiles_along(side, tile, where)
 
-        def path(face: str, row: int, column: int, level: int = level) -> Path:
-            values = {"%s": face, "%l": str(level), "%y": str(row), "%x": str(column)}
+    def path_at(level: int) -> Callable[[str, int, int], Path]:
+        def path(face: str, y: int, x: int) -> Path:
             name = pattern
-            for sign, value in values.items():
-                name = name.replace(sign, value)
+            for sign, value in {"%s": face, "%l": level, "%y": y, "%x": x}.items():
+                name = name.replace(sign, str(value))
             return inside(folder, name.lstrip("/") + (f".{ending}" if ending else ""), where)
 
-        paths = {face: tuple(tuple(path(face, y, x) for x in range(tiles)) for y in range(tiles)) for face in FACES}
-        levels.append(CubeLevel(side, paths))
-    return Cube(tuple(levels))
+        return path
+
+    sides = {level: max(size // 2 ** (most - level), 1) for level in range(1, most + 1)}
+    return Cube(tuple(tiled(side, tile, where, path_at(level)) for level, side in sides.items()))

@@ -10,13 +10,12 @@
 | | ``heading`` | where the middle of the image looks, degrees clockwise from +z; empty = unknown |
 """
 
-import csv
 from collections.abc import Collection
 from pathlib import Path
 
-from dirl.scenes.scene import SceneError
+from dirl.scenes.io.texts import read_csv
 from dirl.tours.images import Equirectangular
-from dirl.tours.tour import Link, Panorama, Tour, inside, make_tour, number, tour_text
+from dirl.tours.tour import MOST_TEXT, Link, Panorama, Tour, inside, make_tour, number
 
 LINKS, PLACES = "links.csv", "panoramas.csv"
 
@@ -31,12 +30,12 @@ def read_table(file: Path, skip: Collection[str] = ()) -> Tour:
     """
     folder = file.parent
     links: dict[str, list[Link]] = {}
-    for where, row in _rows(file, ("image", "to", "yaw")):
+    for where, row in read_csv(file, ("image", "to", "yaw"), most=MOST_TEXT):
         links.setdefault(row["image"], []).append(Link(row["to"], number(row["yaw"], f"{where}: yaw")))
         links.setdefault(row["to"], [])
     places: dict[str, tuple[tuple[float, float] | None, float | None]] = {}
     if (folder / PLACES).is_file():
-        for where, row in _rows(folder / PLACES, ("image", "x", "z", "heading")):
+        for where, row in read_csv(folder / PLACES, ("image", "x", "z", "heading"), most=MOST_TEXT):
             x, z, heading = (number(row[key], f"{where}: {key}") if row[key] else None for key in ("x", "z", "heading"))
             places[row["image"]] = (None if x is None or z is None else (x, z), heading)
     panoramas = []
@@ -47,22 +46,3 @@ def read_table(file: Path, skip: Collection[str] = ()) -> Tour:
     lonely = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.name not in links)
     notes = [f"{len(lonely)} images have no link and are left out, the first: {lonely[0]}"] if lonely else []
     return make_tour(folder.resolve().name, panoramas, file, notes, skip)
-
-
-def _rows(file: Path, columns: tuple[str, ...]) -> list[tuple[str, dict[str, str]]]:
-    """The rows of a table by column, each with the line that it stands in."""
-    reader = csv.reader(tour_text(file).splitlines())
-    rows = []
-    try:
-        names = [name.strip() for name in next(reader, [])]
-        if sorted(names) != sorted(columns):
-            raise SceneError(f"{file}: line 1: expected the columns {','.join(columns)}, found {','.join(names)[:100]}")
-        for cells in reader:
-            where = f"{file}: line {reader.line_num}"
-            if len(cells) not in (0, len(names)):
-                raise SceneError(f"{where}: {len(cells)} cells for {len(names)} columns")
-            if cells:
-                rows.append((where, dict(zip(names, (cell.strip() for cell in cells), strict=True))))
-    except csv.Error as error:
-        raise SceneError(f"{file}: line {reader.line_num}: is no line of a table ({error})") from None
-    return rows

@@ -44,8 +44,8 @@ def build_world(config: TrainConfig, extractor: str | None = None) -> World:
     """
     if config.device == Device.cuda and not torch.cuda.is_available():
         raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
-    where = {"source": config.source.name, "root": config.source.root, "split": config.split, "rooms": config.rooms}
-    scenes = load_scenes(config.scene or [], **where)  # type: ignore[arg-type]
+    source = make("source", config.source, config.trust)
+    scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
     if extractor is not None:
         scenes = [encoded_as(scene, extractor, patches=reads_patches(config)) for scene in scenes]
     workers, agents = config.reinforcement.workers, config.reinforcement.agents_per_scene * len(scenes)
