@@ -281,16 +281,16 @@ def test_own_parameters_are_trained_with_the_policys(parts):
     assert own == len(list(state.losses.losses["sac"].module.loss.qvalue_network_params.parameters())) == 6
 
 
-HALLS = "source={_target_:halls.Halls,width:16}"
+HALLS = ["source._target_=halls.Halls", "++source.width=16"]
 
 
 def test_scenes_come_from_a_source_of_ones_own(tmp_path):
-    world = build_world(train_config("scene=[hall_4x3,hall_2x2]", HALLS))
+    world = build_world(train_config("scene=[hall_4x3,hall_2x2]", *HALLS))
     assert world.names == ("hall_4x3", "hall_2x2")
     assert [len(scene) for scene in world.scenes] == [48, 16]
     assert world.features.shape == (64, 16)
     assert world.source == "halls"
-    mixed = build_world(train_config(f"scene=[{room_file(tmp_path)}]", HALLS))  # a file needs no source
+    mixed = build_world(train_config(f"scene=[{room_file(tmp_path)}]", *HALLS))  # a file needs no source
     assert len(mixed.scenes[0]) == 24
 
 
@@ -324,4 +324,4 @@ def test_a_source_that_does_not_do_what_it_should_is_refused_in_one_line(answer,
 
 def test_a_source_without_the_method_is_refused():
     with pytest.raises(SceneError, match=r"^source: PurePath has no method load\(names\)"):
-        build_world(train_config("scene=x", "source={_target_:pathlib.PurePath}"))
+        build_world(train_config("scene=x", "source._target_=pathlib.PurePath"))

@@ -1,15 +1,21 @@
 """Tours of rooms joined by doors: every room is in the scene, and headings that links do not give are seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from closet import closet
+from PIL import Image
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from tours import WRITERS, Camera360, Truth
+from tours import WRITERS, Camera360, Truth, grid_truth, tour_of, turned
 
 from dirl.rooms.building import Building, sample_building
 from dirl.rooms.building_tour import choose_panoramas, write_building_tour
 from dirl.tours import read_tour
+from dirl.tours.alignment import LEAD, align, wrap
+from dirl.tours.columns import Seen, columns, compare
+from dirl.tours.images import Equirectangular
 from dirl.tours.moves import tour_scene
 
 KINDS = {10101: ("living_room", "kitchen", "bedroom"), 10301: ("bathroom", "bedroom", "bathroom", "living_room")}
@@ -53,9 +59,74 @@ def test_every_room_that_a_tour_connects_is_in_the_scene(kind, seed, tmp_path):
 
 @pytest.fixture(scope="module")
 def closets(tmp_path_factory):
-    """A tour of two closets joined by a door, with what is true of it."""
+    """A tour of two closets joined by a door, and where the middle of each panorama looks."""
     pytest.importorskip("embreex")
     folder = tmp_path_factory.mktemp("closets")
     building = Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
-    found = write_building_tour(building, folder, apart=0.8, size=(96, 192))
-    return read_tour(folder), found, np.random.default_rng(0).uniform(0, 360, len(found.places))
+    found = write_building_tour(building, folder, apart=0.6, size=(96, 192))
+    return read_tour(folder), np.random.default_rng(0).uniform(0, 360, len(found.places))
+
+
+def errors(made, middles):
+    """How far off the headings of panoramas are, degrees, up to the zero that they share."""
+    off = np.radians(made.scene.headings[0] - made.yaws[:, 0] - middles)
+    return np.abs(wrap(np.degrees(off - np.angle(np.exp(1j * off).mean()))))
+
+
+def changed(tour, cut=(), off=0.0):
+    """The tour without some links, by start and end, and with arrows that are up to ``off`` degrees beside the way."""
+    rng = np.random.default_rng(0)
+    panoramas = []
+    for one in tour.panoramas:
+        links = [replace(link, yaw=link.yaw + rng.uniform(-off, off)) for link in one.links]
+        panoramas.append(replace(one, links=tuple(link for link in links if (one.id, link.target) not in cut)))
+    return replace(tour, panoramas=tuple(panoramas))
+
+
+def test_headings_that_links_one_way_leave_open_are_seen(closets):
+    tour, middles = closets
+    pairs = sorted({tuple(sorted((one.id, link.target))) for one in tour.panoramas for link in one.links})
+    one_way = changed(tour, {pair if number % 4 else pair[::-1] for number, pair in enumerate(pairs) if number % 2})
+    made = tour_scene(one_way)
+    assert errors(made, middles).max() <= 3
+    assert errors(tour_scene(one_way, compare_images=False), middles).max() > 30
+    (note,) = [note for note in made.notes if "that were compared" in note]
+    assert note.startswith(
+        f"{len(pairs) // 2} of {len(pairs) // 2} pairs of panoramas that were compared show how they"
+    )
+
+
+def test_headings_of_links_that_contradict_each_other_are_seen(closets):
+    tour, middles = closets
+    made = tour_scene(changed(tour, off=50.0))
+    assert np.median(errors(made, middles)) <= 6
+    before, after = (float(note.split("median error of ")[1].split()[0]) for note in made.notes if "median" in note)
+    assert before > 15 > after
+
+
+def test_a_tour_whose_links_tell_all_headings_is_not_compared(closets, monkeypatch):
+    monkeypatch.setattr("dirl.tours.moves.columns", None)
+    assert errors(tour_scene(closets[0]), closets[1]).max() < 0.1
+
+
+def test_what_panoramas_show_takes_the_place_of_links_that_are_missing_or_wrong():
+    truth = turned(grid_truth(4, 3), 1.0)
+    off = np.zeros(len(truth.links))
+    off[[truth.links.index(link) for link in truth.links if link[:2] == (5, 6)]] = 130
+    one_way = [(a, b) for a, b, _ in truth.links if a < b and (a + b) % 3]
+    tour = tour_of(truth, off, one_way)
+    turn = {(a, b): wrap(np.array(truth.middles[b] - truth.middles[a])) for a, b, _ in truth.links}
+    seen = {pair: Seen(float(turn[pair]), 1.0) for pair in [*((b, a) for a, b in one_way), (5, 6)]}
+    made = align(tour, seen)
+    off = np.radians(made.headings - truth.middles)
+    assert np.abs(wrap(np.degrees(off - off[0]))).max() < 1e-6
+    assert (made.part == 0).all()
+    assert made.loops.max() < 1e-6
+    unsure = {pair: replace(found, lead=LEAD / 2) for pair, found in seen.items()}
+    assert (align(tour, unsure).part > 0).any()
+
+
+def test_pictures_that_show_nothing_are_not_believed(tmp_path):
+    Image.new("RGB", (64, 32), "grey").save(tmp_path / "grey.png")
+    grey = columns(Equirectangular(tmp_path / "grey.png"))
+    assert compare(grey, grey, [0.0]).lead < LEAD
