@@ -83,6 +83,16 @@ def turns_per_circle(graph: IntArray) -> int:
     return int(_ring_lengths(graph, alive[:1])[0])
 
 
+def turns_only(places: int, headings: int) -> IntArray:
+    """Next states of so many places with so many headings each, int64 ``[P * K, 4]``: moves are blocked."""
+    state = np.arange(places * headings)
+    heading = state % headings
+    graph = np.full((len(state), len(ACTIONS)), -1, np.int64)
+    graph[:, RIGHT] = state - heading + (heading + 1) % headings
+    graph[:, LEFT] = state - heading + (heading - 1) % headings
+    return graph
+
+
 def surrounding_states(graph: IntArray) -> IntArray:
     """The states seen ahead, to the right, behind and to the left, relative to the heading.
 

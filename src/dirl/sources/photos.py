@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps
 
-from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
+from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.texts import read_csv
 from dirl.scenes.names import check_name
@@ -253,11 +253,8 @@ def _graph(places: dict[str, list[Row]], states: Sequence[Row]) -> IntArray:
     """Next states, int64 ``[N, 4]``: turns by the order of headings, moves as the rows say."""
     count = len(next(iter(places.values())))
     first = {location: count * place for place, location in enumerate(places)}
-    graph = np.full((len(states), len(ACTIONS)), -1)
+    graph = turns_only(len(places), count)
     for state, row in enumerate(states):
-        start, turn = first[row.location], state % count
-        graph[state, RIGHT] = start + (turn + 1) % count
-        graph[state, LEFT] = start + (turn - 1) % count
         for action, location in zip((AHEAD, BACK), row.moves, strict=True):
             if location:
                 graph[state, action] = _same_heading(places, first, row, ACTIONS[action], location)

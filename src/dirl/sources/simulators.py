@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 from tqdm import tqdm
 
-from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, shortest_distances
+from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only
 from dirl.scenes.live import Pose, Simulator, stride
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
@@ -56,12 +56,10 @@ def take_scene(
     ways = _explore(simulator, (x, z), step, range(0, 360, 45 if turns % 8 == 0 else 90), most)
     number = {cell: place for place, cell in enumerate(ways)}
     headings = np.arange(turns) * 360 / turns
-    graph = np.full((len(number) * turns, 4), -1)
+    graph = turns_only(len(number), turns)
     for cell, place in number.items():
         first = turns * place
         for k, heading in enumerate(headings.tolist()):
-            graph[first + k, RIGHT] = first + (k + 1) % turns
-            graph[first + k, LEFT] = first + (k - 1) % turns
             for action, way in ((AHEAD, heading), (BACK, (heading + 180) % 360)):
                 end = number.get(ways[cell].get(way, cell), place)
                 if end != place:

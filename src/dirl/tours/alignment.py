@@ -77,16 +77,16 @@ def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Ali
         for link in panorama.links
     }
     both = [pair for pair in yaw if pair[0] < pair[1] and pair[::-1] in yaw]
-    shown = {pair: found.turn for pair, found in (seen or {}).items() if found.lead >= LEAD}
+    shown = {pair: found for pair, found in (seen or {}).items() if found.lead >= LEAD}
     ends = np.array([*both, *shown], np.int64).reshape(-1, 2)
-    turns = np.array([*(yaw[i, j] - yaw[j, i] - 180 for i, j in both), *shown.values()])
+    turns = np.array([*(yaw[i, j] - yaw[j, i] - 180 for i, j in both), *(found.turn for found in shown.values())])
     by_link = np.arange(len(ends)) < len(both)
     trust = np.ones(len(ends))
     if shown:
         loops = align(tour).loops
         links_off = max(LINKS_OFF, float(np.median(loops))) if len(loops) else SEEN_OFF
-        clear = np.array([min(seen[pair].lead, 1.0) for pair in shown]) if seen else np.zeros(0)
-        trust = (LINKS_OFF / np.array([*[links_off] * len(both), *SEEN_OFF / clear])) ** 2
+        seen_off = [SEEN_OFF / min(found.lead, 1) for found in shown.values()]
+        trust = (LINKS_OFF / np.array([*[links_off] * len(both), *seen_off])) ** 2
     headings = _solved(ends, turns, trust, count)
     off = np.abs(_off(ends, turns, headings))
     kept = off <= REJECTED

@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, IntArray
+from dirl.scenes.graph import AHEAD, BACK, IntArray, turns_only
 from dirl.tours.alignment import wrap
 from dirl.tours.tour import Tour
 
@@ -53,10 +53,8 @@ def follow_links(tour: Tour, along: Array, facing: Array, tolerance: float | Non
         degrees, float64 ``[L]``, infinite where none does.
     """
     ends, _ = link_ends(tour)
-    count, states = len(facing), np.arange(len(tour.panoramas) * len(facing))
-    graph = np.full((len(states), len(ACTIONS)), -1, np.int64)
-    first, heading = states - states % count, states % count
-    graph[:, RIGHT], graph[:, LEFT] = first + (heading + 1) % count, first + (heading - 1) % count
+    count = len(facing)
+    graph = turns_only(len(tour.panoramas), count)
     aside = np.full(len(ends), np.inf)
     headings = np.arange(count)
     for panorama in range(len(tour.panoramas)):
