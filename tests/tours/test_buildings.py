@@ -63,7 +63,7 @@ def closets(tmp_path_factory):
     pytest.importorskip("embreex")
     folder = tmp_path_factory.mktemp("closets")
     building = Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
-    found = write_building_tour(building, folder, apart=0.6, size=(96, 192))
+    found = write_building_tour(building, folder, apart=0.45, size=(96, 192))
     return read_tour(folder), np.random.default_rng(0).uniform(0, 360, len(found.places))
 
 
@@ -99,7 +99,7 @@ def test_headings_that_links_one_way_leave_open_are_seen(closets):
 def test_headings_of_links_that_contradict_each_other_are_seen(closets):
     tour, middles = closets
     made = tour_scene(changed(tour, off=50.0))
-    assert np.median(errors(made, middles)) <= 6
+    assert errors(made, middles).max() <= 6
     before, after = (float(note.split("median error of ")[1].split()[0]) for note in made.notes if "median" in note)
     assert before > 15 > after
 
@@ -112,11 +112,11 @@ def test_a_tour_whose_links_tell_all_headings_is_not_compared(closets, monkeypat
 def test_what_panoramas_show_takes_the_place_of_links_that_are_missing_or_wrong():
     truth = turned(grid_truth(4, 3), 1.0)
     off = np.zeros(len(truth.links))
-    off[[truth.links.index(link) for link in truth.links if link[:2] == (5, 6)]] = 130
+    off[[truth.links.index(link) for link in truth.links if link[:2] == (4, 5)]] = 130
     one_way = [(a, b) for a, b, _ in truth.links if a < b and (a + b) % 3]
     tour = tour_of(truth, off, one_way)
     turn = {(a, b): wrap(np.array(truth.middles[b] - truth.middles[a])) for a, b, _ in truth.links}
-    seen = {pair: Seen(float(turn[pair]), 1.0) for pair in [*((b, a) for a, b in one_way), (5, 6)]}
+    seen = {pair: Seen(float(turn[pair]), 1.0) for pair in [*((b, a) for a, b in one_way), (4, 5)]}
     made = align(tour, seen)
     off = np.radians(made.headings - truth.middles)
     assert np.abs(wrap(np.degrees(off - off[0]))).max() < 1e-6

@@ -80,7 +80,7 @@ def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
     around = turns[nearest] + np.arange(-COARSE, COARSE + FINE, FINE)
     best = float(around[np.argmax([agreement(yaws[which], turn) for turn in around])])
     rivals = np.abs((turns - best + 180) % 360 - 180) > RIVAL
-    return Seen(best, float((found.max() - found[:, rivals].max()) / (found[which].std() + 1e-9)))
+    return Seen((best + 180) % 360 - 180, float((found.max() - found[:, rivals].max()) / (found[which].std() + 1e-9)))
 
 
 def _alike(first: Array, second: Array) -> Array:
