@@ -107,7 +107,7 @@ def test_a_tour_is_mapped_shown_and_walked(headings, tmp_path):
     """A graph that is no grid, on a laid-out map: in gymnasium, in the viewer, on a map, by a topological map."""
     truth = turned(grid_truth(3, 2), 0.5)
     leaning = [(i, j, heading + 10 * (i + j)) for i, j, heading in truth.links]
-    made = tour_scene(tour_of(replace(truth, links=leaning)), headings=headings, tolerance=45)
+    made = tour_scene(tour_of(replace(truth, links=leaning)), headings=headings, tolerance=45, compare_images=False)
     rng = np.random.default_rng(0)
     states = len(made.scene)
     scene = replace(made.scene, features=rng.normal(size=(states, 32)).astype(np.float32), goals=(states - 1,))

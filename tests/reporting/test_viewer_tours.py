@@ -24,7 +24,9 @@ HEADINGS = 8
 def world(tmp_path_factory):
     """A laid-out tour of three by two places; from the second one leads a way to the first, and none back."""
     file = tmp_path_factory.mktemp("tour") / "tour.h5"
-    scene = tour_scene(tour_of(turned(grid_truth(3, 2), 0.5), dropped=[(0, 1)]), headings=HEADINGS).scene
+    scene = tour_scene(
+        tour_of(turned(grid_truth(3, 2), 0.5), dropped=[(0, 1)]), headings=HEADINGS, compare_images=False
+    ).scene
     rng = np.random.default_rng(0)
     features = rng.normal(size=(len(scene), 32)).astype(np.float32)
     views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8), quality=None) for _ in range(len(scene))]
