@@ -59,16 +59,16 @@ def test_motion_outweighs_a_look_that_errs_and_strong_evidence_a_slip():
 
 
 def test_visits_of_a_place_add_up():
-    memory = LocalisingMemory(sure=5.0)
+    memory = LocalisingMemory(confidence=0.99, correlation=0.0)
     once = walk(memory, goal={0: {0: 3.0}})
     again = walk(memory, (RIGHT, {}), (LEFT, {}), goal={0: {0: 3.0}, 1: {3: 3.0}, 2: {0: 3.0}})
     assert not memory.stops(once).item()
     assert memory.stops(again).item()
-    assert not LocalisingMemory(sure=5.0, independence=0.0).stops(again).item()
+    assert not LocalisingMemory(confidence=0.99, correlation=1.0).stops(again).item()
 
 
 def test_what_is_somewhat_like_the_goal_is_left_to_see_its_neighbours_and_returned_to():
-    memory = LocalisingMemory(sure=5.0, seek=1.0, settle=2.0, independence=1.0)
+    memory = LocalisingMemory(confidence=0.95, neighbour=2.0, correlation=0.0)
     places, facing, seen = memory.begin(1), 0, 0
     position, actions = (0, 0), []
     for visit in range(40):
@@ -88,6 +88,29 @@ def test_what_is_somewhat_like_the_goal_is_left_to_see_its_neighbours_and_return
     assert position == (0, 0)
     assert facing % 4 == 0
     assert sum(action in (AHEAD, BACK) for action in actions) == 8  # four neighbours, there and back
+
+
+def test_an_equal_elsewhere_keeps_an_agent_from_stopping():
+    memory = LocalisingMemory()
+    alone = walk(memory, (AHEAD, {0: -3.0}), goal={1: {0: 5.0}})
+    twice = walk(memory, (AHEAD, {0: -3.0}), goal={0: {0: 4.9}, 1: {0: 5.0}})
+    assert memory.stops(alone).item()
+    assert not memory.stops(twice).item()
+
+
+def test_more_confidence_asks_for_more_evidence():
+    seen = walk(LocalisingMemory(), goal={0: {0: 4.0}})
+    assert [LocalisingMemory(confidence=value).stops(seen).item() for value in (0.9, 0.99)] == [True, False]
+
+
+def test_where_all_was_tried_an_uncertain_place_is_seen_again():
+    around = [(AHEAD, {0: -3.0}), (BACK, {})]
+    around = [*around, *((RIGHT, {}), *around) * 3]
+    goal = {visit: dict.fromkeys(range(4), 0.7) for visit in (0, 2, 3, 5, 6, 8, 9, 11)}
+    left = walk(LocalisingMemory(), *around, (AHEAD, {}), goal=goal)
+    assert not LocalisingMemory().stops(left).item()
+    assert LocalisingMemory().plan(left).argmax().item() == BACK
+    assert LocalisingMemory(seek=2.0).plan(left).argmax().item() != BACK
 
 
 @pytest.mark.parametrize("match", ["views", "front"])

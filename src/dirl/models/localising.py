@@ -23,6 +23,10 @@ FAR = 10_000
 """Moves between the start of an episode and where an earlier walk ended, as nothing is known of the way from there."""
 
 
+UNLIKE = -7.0
+"""The least log odds that the goal is seen: below, a calibration says nothing."""
+
+
 @dataclass
 class Places:
     """What B agents have seen and done in T visits, of P places; made by `LocalisingMemory.begin`.
@@ -82,9 +86,10 @@ class LocalisingMemory(nn.Module):
     evidence is the log odds of a calibrated recogniser, summed over the visits of a place. The most probable node is
     taken.
 
-    The goal is searched in the same way. The agent stops where the evidence is clear. Around a place that is somewhat
-    like the goal it first tries all moves that it has not tried yet, since the goal's neighbours look like it. It stops
-    there if none of them is more like the goal.
+    The goal is searched in the same way. It may be at any node seen, with odds by the evidence of its visits, or at one
+    not seen yet. The agent stops where the posterior probability exceeds ``confidence``. What looks like the goal but
+    is not lies next to it, nearly always. So the moves that were not tried at the most probable place count as nodes
+    where the goal may be, and the agent tries them first, unless the evidence is clear.
 
     Moves are assumed to be of one length, and turns of 90 degrees, up to ``slip``.
 
@@ -93,9 +98,11 @@ class LocalisingMemory(nn.Module):
         turn: cost of a turn.
         blocked: prior probability that a move not tried yet is blocked.
         slip: prior probability that an action leads anywhere else than expected.
-        sure: stop above these log odds.
-        seek: try all moves around a place above these log odds.
-        settle: stop above these where all moves around were tried.
+        confidence: stop above this probability that the goal is here. Fewer false stops cost longer paths.
+        elsewhere: how many nodes that look like the goal lie behind each move not tried, anywhere.
+        neighbour: how many more lie behind each move not tried at the most probable place.
+        seek: try all moves around a place above these log odds, and return to it to see it again.
+        correlation: of the log odds of the visits of one place, as to the goal: the share that they have in common.
         least: log odds of a single comparison below this count as this, because a recogniser can be quite wrong.
         independence: how much further visits of a place add: the mean of n log odds counts n to this power.
     """
@@ -106,15 +113,18 @@ class LocalisingMemory(nn.Module):
         turn: Annotated[float, Bounds(0.001, 1000)] = 0.1,
         blocked: Annotated[float, Bounds(0.001, 0.999)] = 0.25,
         slip: Annotated[float, Bounds(1e-9, 0.5)] = 0.02,
-        sure: float = 4.0,
+        confidence: Annotated[float, Bounds(0.01, 0.9999)] = 0.95,
+        elsewhere: Annotated[float, Bounds(1e-6, 1e6)] = 0.002,
+        neighbour: Annotated[float, Bounds(0, 1e6)] = 0.5,
         seek: float = 0.0,
-        settle: float = 2.0,
+        correlation: Annotated[float, Bounds(0, 1)] = 0.35,
         least: float = -3.0,
         independence: Annotated[float, Bounds(0, 1)] = 0.5,
     ) -> None:
         super().__init__()
         self.repeated, self.turn, self.blocked, self.slip = repeated, turn, blocked, slip
-        self.sure, self.seek, self.settle = sure, seek, settle
+        self.confidence, self.elsewhere, self.neighbour = confidence, elsewhere, neighbour
+        self.seek, self.correlation = seek, correlation
         self.least, self.independence = least, independence
 
     def begin(self, agents: int, device: torch.device | str = "cpu") -> Places:
@@ -206,22 +216,21 @@ class LocalisingMemory(nn.Module):
 
     def stops(self, places: Places) -> Tensor:
         """Whether the agents stop where they are, bool ``[B]``."""
-        odds, best = self._evidence(places.goal, places).max(1)
-        tried = ~_exits(places).any(-1).gather(1, best[:, None] // VIEWS).squeeze(1)
-        return (best == places.here) & ((odds > self.sure) | (tried & (odds > self.settle)))
+        evidence = self._goal(places)
+        return self._certain(places, evidence, places.here) & (evidence.argmax(1) == places.here)
 
     def plan(self, places: Places) -> Tensor:
         """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
-        evidence, exits = self._evidence(places.goal, places), _exits(places)
-        open_places = exits.any(-1).repeat_interleave(VIEWS, 1)
-        odds, best = torch.where(open_places | (evidence > self.settle), evidence, -math.inf).max(1)
+        evidence, exits = self._goal(places), _exits(places)
+        odds, best = evidence.max(1)
         at = torch.arange(len(best), device=best.device)
-        around = (odds > self.seek) & (odds <= self.sure) & open_places[at, best]
+        certain = self._certain(places, evidence, best)
+        around = (odds > self.seek) & ~certain & exits.any(-1)[at, best // VIEWS]
         wanted = torch.zeros_like(exits)
         wanted[at, best // VIEWS] = exits[at, best // VIEWS] & around[:, None]
         wanted = wanted.view(places.after.shape)
         goal = torch.zeros_like(wanted[..., 0])
-        goal[at, best] = (odds > self.seek) & ~around & (best != places.here)
+        goal[at, best] = ((odds > self.seek) | certain) & ~around & (best != places.here)
         known = places.after >= 0
         more = torch.full((len(ACTIONS),), self.repeated, device=best.device)
         more[[RIGHT, LEFT]] = self.turn
@@ -230,6 +239,22 @@ class LocalisingMemory(nn.Module):
         seeking = (around | goal.any(1))[:, None, None]
         found = cheapest(torch.where(seeking, nearest, places.cost + more * known), places.after, goal, places.here)
         return -torch.where(found.isinf().all(-1, keepdim=True), places.cost[at, places.here], found)
+
+    def _certain(self, places: Places, evidence: Tensor, node: Tensor) -> Tensor:
+        """Whether the goal is at these nodes, int64 ``[B]``, with the probability that is asked for, bool ``[B]``.
+
+        Args:
+            places: so far.
+            evidence: log odds that the goal is at each node, float32 ``[B, 4 P]``.
+            node: one for each agent.
+        """
+        at = torch.arange(len(node), device=node.device)
+        # A move back at one heading is the move ahead at the opposite one.
+        untried = (places.after[..., AHEAD] < 0) & places.used
+        near = untried.unflatten(1, (-1, VIEWS))[at, node // VIEWS].sum(1)
+        unseen = (self.elsewhere * (1 + untried.sum(1)) + self.neighbour * near).log()
+        every = torch.cat([evidence, unseen[:, None]], 1).logsumexp(1)
+        return evidence[at, node] - every > math.log(self.confidence)
 
     def _expected(self, places: Places) -> tuple[Tensor, Tensor]:
         """Position and heading by dead reckoning after the last action, int64 ``[B, 2]`` and ``[B]``."""
@@ -248,12 +273,20 @@ class LocalisingMemory(nn.Module):
 
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
         """Log odds of visits facing each view, float32 ``[B, T, 4]``, as those of nodes, ``[B, 4 T]``."""
+        total, visits = self._sums(odds.clamp(min=self.least), places)
+        return torch.where(visits > 0, total * visits.clamp(min=1) ** (self.independence - 1), -math.inf)
+
+    def _goal(self, places: Places) -> Tensor:
+        """Log odds that the goal is at each node, float32 ``[B, 4 P]``."""
+        total, visits = self._sums(places.goal.clamp(min=UNLIKE), places)
+        return torch.where(visits > 0, total / (1 + (visits - 1) * self.correlation), -math.inf)
+
+    def _sums(self, odds: Tensor, places: Places) -> tuple[Tensor, Tensor]:
+        """The sums of log odds of visits, float32 ``[B, T, 4]``, by node, ``[B, 4 P]``, and how many they are."""
         turned = (places.node[..., None] + torch.arange(VIEWS, device=odds.device)) % VIEWS
         node = (places.node[..., None] // VIEWS * VIEWS + turned).flatten(1)
-        odds = odds.clamp(min=self.least)
         total = odds.new_zeros(len(odds), places.cost.shape[1]).scatter_add(1, node, odds.flatten(1))
-        visits = torch.zeros_like(total).scatter_add(1, node, torch.ones_like(odds).flatten(1))
-        return torch.where(visits > 0, total * visits.clamp(min=1) ** (self.independence - 1), -math.inf)
+        return total, torch.zeros_like(total).scatter_add(1, node, torch.ones_like(odds).flatten(1))
 
 
 def _carried(places: Places) -> bool:
