@@ -2,7 +2,8 @@
 
 import torch
 
-from dirl.backbones.patches import CELLS, PROJECTION, cells_of, fit_projection, load_projection, patch_attributes
+from dirl.backbones.patches import CELLS, PROJECTION, cells_of, load_projection, patch_attributes
+from dirl.backbones.principal import principal_components
 
 
 def test_cells_are_means_row_by_row():
@@ -20,13 +21,13 @@ def test_a_projection_has_unit_variance_but_for_what_hardly_varies():
     scales = torch.tensor([4.0, 2.0, 1.0, 0.01])
     cells = torch.randn(20_000, 4, generator=generator) * scales + 7
     turned = cells @ torch.linalg.qr(torch.randn(4, 4, generator=generator))[0]
-    fitted = fit_projection(turned, channels=4)
-    projected = (turned - fitted["mean"].float()) @ fitted["components"].float()
+    fitted = principal_components(turned, 4, floor=0.05)
+    projected = (turned - fitted.mean) @ fitted.axes
     deviations = projected.std(0)
     torch.testing.assert_close(deviations[:3], torch.ones(3), rtol=0.02, atol=0)
     assert deviations[3] < 0.06  # 0.01 / (0.05 * 4)
-    torch.testing.assert_close(fitted["explained"][:2], torch.tensor([16 / 21, 4 / 21]), rtol=0.05, atol=0)
-    assert fit_projection(turned, channels=2)["components"].shape == (4, 2)
+    torch.testing.assert_close(fitted.explained[:2], torch.tensor([16 / 21, 4 / 21]), rtol=0.05, atol=0)
+    assert principal_components(turned, 2, floor=0.05).axes.shape == (4, 2)
 
 
 def test_the_shipped_projection_is_small_and_fits_the_third_stage():

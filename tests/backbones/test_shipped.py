@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dirl.backbones import load_encoder
-from dirl.backbones.shipped import DATA, PROVENANCE, WEIGHTS, decode_convolution
+from dirl.backbones.resnet import DATA, PROVENANCE, WEIGHTS, decode_convolution
 from dirl.scenes import PUBLISHED_GOALS, load_scenes
 from dirl.scenes.catalogue import ROOMS
 

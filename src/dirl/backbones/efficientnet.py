@@ -4,7 +4,7 @@
 operations of a ResNet-50. Its patches, of the fifth of seven stages, lie as those of `dirl.backbones.patches` do.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.backbones.encoder import EncoderError, ViewEncoder, weights_hash
+from dirl.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
 from dirl.backbones.patches import CELLS, load_projection, projection_hash
 from dirl.backbones.resnet import resized
 
@@ -139,28 +139,14 @@ def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) 
     }
     network = EfficientNetLite0(parameters).to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
+    def inner(views: Tensor) -> Tensor:
+        return network.inner_stage(normalised(views).to(device, memory_format=torch.channels_last))
+
     few = FEW if torch.device(device).type == "cpu" else None
-
-    def inner_stages(views: Tensor) -> Iterator[Tensor]:
-        for some in views.split(few or len(views) or 1):
-            yield network.inner_stage(normalised(some).to(device, memory_format=torch.channels_last))
-
-    @torch.inference_mode()
-    def forward(views: Tensor) -> Tensor:
-        return torch.cat([network.pool(stage) for stage in inner_stages(views)])
-
     if not patches:
-        return ViewEncoder(forward, attributes)
-    projection = load_projection(device, PROJECTION)
-
-    @torch.inference_mode()
-    def forward_patches(views: Tensor) -> tuple[Tensor, Tensor]:
-        parts = [(network.pool(stage), projection(stage)) for stage in inner_stages(views)]
-        pooled, projected = zip(*parts, strict=True)
-        return torch.cat(pooled), torch.cat(projected)
-
+        return staged_encoder(inner, network.pool, attributes, few=few)
     described = {
         "extractor": f"EfficientNet-Lite0, fifth stage, views at {SIZE[0]}x{SIZE[1]}, {CELLS[0]}x{CELLS[1]} cells",
         "projection": projection_hash(PROJECTION),
     }
-    return ViewEncoder(forward, attributes, forward_patches, described)
+    return staged_encoder(inner, network.pool, attributes, load_projection(device, PROJECTION), described, few=few)

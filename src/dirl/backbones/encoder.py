@@ -1,9 +1,10 @@
 """The interface of an encoder: a frozen backbone with its preprocessing, and its exact description."""
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+import torch
 from torch import Tensor
 
 from dirl.scenes.io.hdf5 import extractor_text
@@ -39,6 +40,38 @@ class ViewEncoder:
     def __call__(self, views: Tensor) -> Tensor:
         """Features, float32 ``[B, D]``, of RGB views, uint8 ``[B, H, W, 3]``."""
         return self.forward(views)
+
+
+def staged_encoder(
+    inner: Callable[[Tensor], Tensor],
+    pool: Callable[[Tensor], Tensor],
+    attributes: Mapping[str, str],
+    projection: Callable[[Tensor], Tensor] | None = None,
+    patch_attributes: Mapping[str, str] | None = None,
+    *,
+    few: int | None = None,
+) -> ViewEncoder:
+    """An encoder whose features and patches come from one map: ``inner`` makes it, ``pool`` and ``projection`` use it.
+
+    At most ``few`` views go through the network at a time; without a projection there are no patches.
+    """
+
+    def stages(views: Tensor) -> Iterator[Tensor]:
+        return map(inner, views.split(few or len(views) or 1))
+
+    @torch.inference_mode()
+    def forward(views: Tensor) -> Tensor:
+        return torch.cat([pool(stage).float() for stage in stages(views)])
+
+    if projection is None:
+        return ViewEncoder(forward, attributes)
+
+    @torch.inference_mode()
+    def forward_patches(views: Tensor) -> tuple[Tensor, Tensor]:
+        pooled, parts = zip(*((pool(stage).float(), projection(stage)) for stage in stages(views)), strict=True)
+        return torch.cat(pooled), torch.cat(parts)
+
+    return ViewEncoder(forward, attributes, forward_patches, patch_attributes or {})
 
 
 def weights_hash(parameters: Mapping[str, Tensor]) -> str:

@@ -13,8 +13,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dirl.backbones.principal import principal_components
-
 PATCH_SIZE = (96, 128)
 """Height and width that views are resized to, pixels."""
 
@@ -44,23 +42,6 @@ def load_projection(device: str | torch.device = "cpu", file: Path = PROJECTION)
 def cells_of(third_stage: Tensor) -> Tensor:
     """The means over cells of a map, ``[B, C, H, W]``, float32 ``[B, cells, C]``."""
     return F.adaptive_avg_pool2d(third_stage.float(), CELLS).flatten(2).transpose(1, 2)
-
-
-def fit_projection(cells: Tensor, channels: int = PATCH_SHAPE[1], floor: float = 0.05) -> dict[str, Tensor]:
-    """Principal components of cells, scaled to unit variance.
-
-    Args:
-        cells: ``[N, C]``, of training rooms only.
-        channels: how many components to keep.
-        floor: components whose variance is below this fraction of the first one's are scaled as if they had that
-            fraction, because scaling them up would amplify noise.
-
-    Returns:
-        ``mean`` ``[C]``, ``components`` ``[C, channels]`` (float16), and ``explained``, the fraction of the variance
-        that each component holds, ``[channels]``.
-    """
-    found = principal_components(cells, channels, floor)
-    return {"mean": found.mean.half(), "components": found.axes.half(), "explained": found.explained}
 
 
 def patch_attributes() -> dict[str, str]:

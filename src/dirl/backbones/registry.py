@@ -1,5 +1,7 @@
 """The available encoders by name, and the features of many views."""
 
+import hashlib
+import os
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice
@@ -13,12 +15,24 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dirl.backbones.efficientnet import lite0_encoder
-from dirl.backbones.encoder import EncoderError, ViewEncoder, weights_hash
+from dirl.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
 from dirl.backbones.huggingface import huggingface_encoder
 from dirl.backbones.patches import PATCH_SIZE, load_projection, patch_attributes
-from dirl.backbones.resnet import MEAN, SIZE, STD, ResNet50, backbone_of, fused, load_backbone, preprocess
-from dirl.backbones.shipped import PROVENANCE, shipped_backbone
-from dirl.scenes import Scene
+from dirl.backbones.resnet import (
+    MEAN,
+    PROVENANCE,
+    SIZE,
+    STD,
+    ResNet50,
+    backbone_of,
+    fused,
+    load_backbone,
+    preprocess,
+    shipped_backbone,
+)
+from dirl.scenes import Scene, SceneError, read_dump
+from dirl.scenes.io.digest import file_digest
+from dirl.scenes.io.write import replace_features
 
 BATCH = 32
 """Views that go through a backbone at a time."""
@@ -100,6 +114,47 @@ def encode_scene(scene: Scene, encoder: ViewEncoder) -> Encoded:
     return encode_all(encoder, (views[state] for state in range(len(scene))), len(scene), scene.origin)
 
 
+def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
+    """The scene with features of an encoder of the package, from its views; as it is if that is not possible.
+
+    The result is kept in the folder ``dirl`` of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), if that can
+    be written to.
+
+    Args:
+        scene: as it was read.
+        extractor: what its features shall be of, see `Scene.extractor`.
+        patches: whether they are needed too.
+    """
+    enough = scene.extractor == extractor and (scene.patches is not None or not patches)
+    if enough or scene.views is None:
+        return scene
+    name = packaged_encoder(extractor)
+    if name is None:
+        return scene
+    wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dirl"
+    kept = folder / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
+    found = _kept(kept)
+    if found is None:
+        print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
+        encoder = load_encoder(name, patches=patches)
+        features, parts = encode_scene(scene, encoder)
+        try:
+            replace_features(scene.views.path, kept, features, encoder.attributes, parts, encoder.patch_attributes)
+        except (SceneError, OSError) as error:
+            print(f"not kept: {error}", flush=True)
+        return replace(scene, features=features, patches=parts, extractor=extractor)
+    return replace(scene, features=found.features, patches=found.patches, extractor=extractor)
+
+
+def _kept(path: Path) -> Scene | None:
+    """The scene of an earlier command; None if there is none, or a damaged one."""
+    try:
+        return read_dump(path) if path.is_file() else None
+    except SceneError:
+        return None
+
+
 def encode_views(
     encoder: ViewEncoder, views: Iterable[NDArray[np.uint8]], count: int, origin: str
 ) -> NDArray[np.float32]:
@@ -168,23 +223,11 @@ def _resnet(
     def third_stage(views: Tensor) -> Tensor:
         return quick.third_stage(preprocess(views, size).to(device, dtype, memory_format=torch.channels_last))
 
-    @torch.inference_mode()
-    def forward(views: Tensor) -> Tensor:
-        return quick.pool(third_stage(views)).float()
-
-    encoder = ViewEncoder(forward, attributes | ({"provenance": provenance} if provenance else {}))
-    if not patches:
-        return encoder
-    if size != PATCH_SIZE:
-        return _beside(encoder, device, dtype)
-    projection = load_projection(device)
-
-    @torch.inference_mode()
-    def forward_patches(views: Tensor) -> tuple[Tensor, Tensor]:
-        stage = third_stage(views)
-        return quick.pool(stage).float(), projection(stage)
-
-    return replace(encoder, forward_patches=forward_patches, patch_attributes=patch_attributes())
+    attributes |= {"provenance": provenance} if provenance else {}
+    if patches and size == PATCH_SIZE:
+        return staged_encoder(third_stage, quick.pool, attributes, load_projection(device), patch_attributes())
+    encoder = staged_encoder(third_stage, quick.pool, attributes)
+    return _beside(encoder, device, dtype) if patches else encoder
 
 
 def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype) -> ViewEncoder:

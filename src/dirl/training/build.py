@@ -10,7 +10,7 @@ from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
 from torchrl.modules.utils import get_primers_from_module
 
-from dirl.backbones.again import encoded_as
+from dirl.backbones.registry import encoded_as
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
 from dirl.envs import NavigationEnv, Reward, SurroundingViews
