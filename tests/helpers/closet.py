@@ -52,7 +52,7 @@ def closet(old="", new=""):
     return parse_description(CLOSET.replace(old, new, 1) if old else CLOSET)
 
 
-def start_with_closets(settings, threads):
+def start_with_closets():
     """What a process of `dirl.rooms.collect` begins with: closets for random rooms, papered in the seed's colour."""
     from dirl.rooms import collect
     from dirl.rooms.sampling.sample import look_around

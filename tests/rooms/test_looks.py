@@ -8,9 +8,8 @@ from closet import closet
 
 pytest.importorskip("embreex")
 
-from dirl.rooms.changed import changed_room
 from dirl.rooms.checks import check_room
-from dirl.rooms.looks import Changes, look_views
+from dirl.rooms.looks import Changes, changed_room, look_views
 from dirl.rooms.navigation import walk
 from dirl.rooms.view import Renderer
 from dirl.scenes import SceneError

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dirl.rooms.description import Material, Piece, RoomDescription
-from dirl.rooms.layout import Opening, assemble, materials_of, place_of
+from dirl.rooms.description import Material, RoomDescription
+from dirl.rooms.layout import Opening, assemble, materials_of
 from dirl.rooms.light import bake
 from dirl.rooms.mesh import Array, Mesh, Part
-from dirl.rooms.navigation import clearance, footprints
+from dirl.rooms.navigation import clearance, footprint, footprints
 from dirl.rooms.sampling import KINDS, sample_room
 from dirl.rooms.scenery import Scenery
 from dirl.rooms.view import Renderer, exposure
@@ -90,18 +90,12 @@ def _cleared(room: RoomDescription, x: float, y: float) -> RoomDescription:
     """A room without the furniture in front of a doorway at a point of its wall, and without what stood on it."""
     reach = np.array([[x - APPROACH, y, x + APPROACH, y]])
     pieces = [piece for piece in room.furniture if piece.kind not in OVERHEAD]
-    boxes = np.array([_box(piece, room) for piece in pieces]).reshape(-1, 5)
+    boxes = np.array([footprint(piece, room) for piece in pieces]).reshape(-1, 5)
     near = [clearance(reach[:, :2], reach[:, 2:], box[None])[0] < DOORWAY[0] / 2 for box in boxes]
     middles, in_the_way = boxes[:, :2], boxes[np.array(near, bool)]
     on_top = clearance(middles, middles, in_the_way) == 0
     gone = {id(piece) for piece, near_it, above in zip(pieces, near, on_top, strict=True) if near_it or above}
     return replace(room, furniture=tuple(piece for piece in room.furniture if id(piece) not in gone))
-
-
-def _box(piece: Piece, room: RoomDescription) -> tuple[float, float, float, float, float]:
-    """The rectangle of a piece on the floor plan, as `footprints` gives them."""
-    x, y, yaw = place_of(piece, room)
-    return x, y, piece.size[0] / 2, piece.size[1] / 2, float(np.radians(yaw))
 
 
 def walls(building: Building) -> Array:

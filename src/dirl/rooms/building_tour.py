@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order
 
 from dirl.rooms.building import Building, building_renderer, furniture, walls
 from dirl.rooms.mesh import Array
@@ -76,10 +78,8 @@ def _links(places: Array, solid: Array) -> Array:
 
 def _reached(links: Array, count: int) -> Array:
     """Which panoramas can be reached from the first, bool ``[P]``."""
-    reached = np.arange(count) == 0
-    for _ in range(count):
-        reached[links[reached[links[:, 0]], 1]] = True
-    return reached
+    graph = coo_array((np.ones(len(links)), links.T), (count, count))
+    return np.isin(np.arange(count), breadth_first_order(graph.tocsr(), 0, return_predecessors=False))
 
 
 def write_building_tour(

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,7 +94,10 @@ def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]
     """
     if not (folder / INDEX).is_file():
         # A job that was killed before its first room was whole may have left a description and an unfinished dump.
-        if folder.exists() and not (folder.is_dir() and _names(folder) <= {f"{kind}_{seed}" for kind, seed in wanted}):
+        names = {f"{kind}_{seed}" for kind, seed in wanted}
+        if folder.exists() and not (
+            folder.is_dir() and {path.name.split(".")[0] for path in folder.iterdir()} <= names
+        ):
             raise SceneError(f"{folder}: is there already, and is no collection; it is not written to")
         return list(wanted)
     collection = read_collection(folder)
@@ -141,14 +145,13 @@ def make_rooms(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     if workers == 1 or len(wanted) == 1:
-        _start(settings)
         for one in wanted:
-            yield _index(folder, make_room(folder, one, settings, _ENCODER[0], workers))
+            yield _index(folder, make_room(folder, one, settings, workers))
         return
     processes = min(workers, len(wanted))
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _start, (settings, 1))
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _start)
     try:
-        for done in as_completed([pool.submit(_make_here, folder, one, settings) for one in wanted]):
+        for done in as_completed([pool.submit(make_room, folder, one, settings) for one in wanted]):
             yield _index(folder, done.result())
     except BrokenProcessPool:
         raise SceneError(
@@ -159,11 +162,10 @@ def make_rooms(
         pool.shutdown(cancel_futures=True)
 
 
-def make_room(
-    folder: Path, one: Wanted, settings: RoomSettings, encoder: "ViewEncoder | None", workers: int = 1
-) -> Entry | SceneError:
+def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 1) -> Entry | SceneError:
     """Draw a room, take and encode its views, and write its dump and its description; see `make_rooms`."""
     kind, seed = one
+    encoder = _encoder(settings)
     try:
         room, views = sample_views(kind, seed)
     except SceneError as error:
@@ -228,21 +230,14 @@ def _index(folder: Path, made: Entry | SceneError) -> Entry | SceneError:
     return made
 
 
-def _names(folder: Path) -> set[str]:
-    return {path.name.split(".")[0] for path in folder.iterdir()}
+@cache
+def _encoder(settings: RoomSettings) -> "ViewEncoder | None":
+    """What encodes the views, loaded once in each process."""
+    return settings.load_encoder()
 
 
-_ENCODER: "list[ViewEncoder | None]" = [None]
-"""In a process that makes rooms: what encodes their views, which is loaded once."""
+def _start() -> None:
+    """In a process beside others: each has one core."""
+    import torch
 
-
-def _start(settings: RoomSettings, threads: int | None = None) -> None:
-    if threads is not None:
-        import torch
-
-        torch.set_num_threads(threads)
-    _ENCODER[0] = settings.load_encoder()
-
-
-def _make_here(folder: Path, one: Wanted, settings: RoomSettings) -> Entry | SceneError:
-    return make_room(folder, one, settings, _ENCODER[0])
+    torch.set_num_threads(1)

@@ -201,14 +201,7 @@ def parse_description(text: str) -> RoomDescription:
 
 
 def _filled(kind: Callable[..., T], table: Any, where: str, kinds: Mapping[str, Callable[..., Any]] | None = None) -> T:
-    """A dataclass made of a table, every value checked against its type.
-
-    Args:
-        kind: the dataclass.
-        table: keys and values, as TOML has them.
-        where: named in errors.
-        kinds: if it has a ``kind``, the functions to choose from; what else the table holds is options of the chosen.
-    """
+    """A dataclass made of a table, its values checked; what it lacks are options of the one of ``kinds`` it names."""
     hints = get_type_hints(kind)
     parameters = fields(kind)  # type: ignore[arg-type]
     own = [option.name for option in parameters if option.name != "options"]

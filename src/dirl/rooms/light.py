@@ -35,7 +35,7 @@ def standpoints(scenery: Scenery) -> tuple[Array, Array]:
     normals = scenery.normals.reshape(-1, 3)[scenery.point_corner]
     around = scenery.point.ravel()
     middles = np.repeat(scenery.corners.mean(1), 3, axis=0)
-    total = np.stack([np.bincount(around, middles[:, k], count) for k in range(3)], 1)
+    total = _summed(around, middles, count)
     inwards = total / np.bincount(around, minlength=count)[:, None] - points
     # In the middle of a flat surface this is only rounding, which must not be normalised to a direction.
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-3)
@@ -105,6 +105,10 @@ def _smoothed(scenery: Scenery, light: Array, rounds: int) -> Array:
     around, count = scenery.point.ravel(), len(light)
     for _ in range(rounds):
         sums = np.repeat(light[scenery.point].sum(1), 3, axis=0)
-        total = np.stack([np.bincount(around, sums[:, k], count) for k in range(3)], 1)
-        light = total / (3 * np.bincount(around, minlength=count))[:, None]
+        light = _summed(around, sums, count) / (3 * np.bincount(around, minlength=count))[:, None]
     return light
+
+
+def _summed(group: Array, values: Array, count: int) -> Array:
+    """The sums of values, ``[n, 3]``, over the members of each group, ``[count, 3]``."""
+    return np.stack([np.bincount(group, values[:, k], count) for k in range(3)], 1)

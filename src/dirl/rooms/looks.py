@@ -1,15 +1,19 @@
-"""Further looks of a room: what its states look like at visits that differ a little from the planned ones."""
+"""Further looks of a room: what its states look like at visits that differ a little from the planned ones.
 
-from collections.abc import Iterator
+The room itself may differ too: lamps off, another daylight, chairs elsewhere, small things gone.
+"""
+
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dirl.rooms.build import QUALITY, poses
-from dirl.rooms.changed import changed_room
-from dirl.rooms.description import RoomDescription
+from dirl.rooms.checks import check_room
+from dirl.rooms.description import Material, Piece, RoomDescription
+from dirl.rooms.layout import materials_of
 from dirl.rooms.mesh import Array
-from dirl.rooms.navigation import Walk
+from dirl.rooms.navigation import Walk, walk
 from dirl.rooms.view import Renderer
 from dirl.scenes import SceneError
 from dirl.scenes.views import decode, encode
@@ -18,7 +22,19 @@ LARGEST = {"heading": 45.0, "daylight": 3.0}
 """What a visit can be called; 1 for what is not named here."""
 
 OF_ROOM = ("lamps", "daylight", "furniture", "objects")
-"""What is sampled once for a look, not for each of its visits; see `dirl.rooms.changed.changed_room`."""
+"""What is sampled once for a look, not for each of its visits; see `changed_room`."""
+
+LAMPS = ("lamp", "lampshade")
+"""Materials that glow in a lamp that is on."""
+
+DARK = "#595959"
+"""How a lamp that is off looks to the camera: grey, where #ffffff is white."""
+
+MOVABLE = ("chair", "stool", "basket", "plant", "round_table")
+THINGS = ("bottles", "bowl", "vase", "basket", "plant", "picture")
+
+ATTEMPTS = 8
+"""To move a piece of furniture, each half as far as the one before."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +48,12 @@ class Changes:
         white_balance: of the logarithm of red and of blue.
         camera_height: metres.
         lamps: probability that the lamps of one kind are off; of this and the next three see
-            `dirl.rooms.changed.changed_room`.
+            `changed_room`.
         daylight: of the logarithm of the light through each window.
         furniture: of how far a chair or the like is moved along each axis, metres.
         objects: probability that a small thing is gone.
         vary: each look has all of these times a factor sampled from ``1 - vary`` to ``1 + vary``, for rooms to train
-        in.
+            in.
 
     Raises:
         SceneError: a negative one, or one beyond what a visit can be called.
@@ -113,3 +129,72 @@ def look_views(
             gains = np.array([tint[place, 0], 1.0, tint[place, 1]])
             view = np.clip(view * gains, 0, 255).astype(np.uint8)
         yield decode(encode(view, quality))
+
+
+def changed_room(
+    room: RoomDescription, rng: np.random.Generator, *, lamps: float, daylight: float, furniture: float, objects: float
+) -> RoomDescription:
+    """The room at a later visit, with the same places to stand at.
+
+    Args:
+        room: as it is.
+        rng: draws the changes.
+        lamps: probability that the lamps of one kind, on the ceiling or with shades, are off.
+        daylight: standard deviation of the logarithm of the light through each window: cloud, and sun on another side.
+        furniture: standard deviation of how far a chair, stool, basket, plant or small round table is moved along each
+            axis, metres, and of its turn, in units of 45 degrees a metre. What would stand in the way stays.
+        objects: probability that a small thing, such as a vase or a picture, is gone.
+    """
+    kept = [piece for piece in room.furniture if piece.kind not in THINGS or rng.random() >= objects]
+    grid = replace(room.grid, places=None)  # where a thing is gone there may be more
+    changed = replace(room, furniture=tuple(kept), materials=_relit(room, rng, lamps, daylight), grid=grid)
+    if furniture:
+        places = _places(room)
+        for number, piece in enumerate(kept):
+            if piece.kind in MOVABLE and not piece.lift:
+                changed = _moved(changed, number, rng.normal(0, furniture, 3), places)
+    return changed
+
+
+def _relit(room: RoomDescription, rng: np.random.Generator, lamps: float, daylight: float) -> Mapping[str, Material]:
+    known = materials_of(room)
+    outlooks = {str(piece.options.get("outlook", "outdoors")) for piece in room.furniture if piece.kind == "window"}
+    made = dict(room.materials)
+    for name in sorted(outlooks):
+        factor = float(np.exp(rng.normal(0, 1) * daylight))
+        if daylight:
+            made[name] = replace(known[name], emit=known[name].emit * factor, glow=known[name].glow * min(1.0, factor))
+    for name in LAMPS:
+        off = rng.random() < lamps
+        if off and outlooks:  # a room without a window keeps its only light
+            made[name] = replace(known[name], emit=0.0, options={**known[name].options, "color": DARK})
+    return made
+
+
+def _moved(room: RoomDescription, number: int, errors: np.ndarray, places: set[tuple[float, ...]]) -> RoomDescription:
+    """The room with one piece moved and turned, as far as it leaves the places free and touches nothing anew."""
+    problems = set(check_room(room))
+    for attempt in range(ATTEMPTS):
+        pieces = list(room.furniture)
+        pieces[number] = _shifted(pieces[number], errors / 2**attempt)
+        moved = replace(room, furniture=tuple(pieces))
+        if places <= _places(moved) and set(check_room(moved)) <= problems:
+            return moved
+    return room
+
+
+def _places(room: RoomDescription) -> set[tuple[float, ...]]:
+    return {tuple(place) for place in walk(room).places.tolist()}
+
+
+def _shifted(piece: Piece, errors: np.ndarray) -> Piece:
+    along, across, turn = (float(error) for error in errors)
+    yaw = piece.yaw + 45 * turn
+    if piece.at is not None:
+        # A negative coordinate is measured from the far wall.
+        x, y = (
+            max(0.0, v + e) if v >= 0 else min(-1e-3, v + e) for v, e in zip(piece.at, (along, across), strict=True)
+        )
+        return replace(piece, at=(x, y), yaw=yaw)
+    assert piece.along is not None
+    return replace(piece, along=piece.along + along, off=max(0.0, piece.off + across), yaw=yaw)

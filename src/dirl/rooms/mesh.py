@@ -91,7 +91,7 @@ def _triangles(points: Array) -> Array:
     return both.reshape(-1, 3, points.shape[-1])
 
 
-def _fan(centre: Array, ring: Array) -> Array:
+def fan(centre: Array, ring: Array) -> Array:
     """Triangles from a centre to a closed ring ``[n + 1, 3]``, facing along the ring's axis reversed."""
     return np.stack([np.broadcast_to(centre, ring[:-1].shape), ring[1:], ring[:-1]], 1)
 
@@ -151,9 +151,9 @@ class Mesh:
             ring[:, 2] = z
         triangles = [_triangles(points)]
         if bottom:
-            triangles.append(_fan(points[0, :-1].mean(0), points[0]))
+            triangles.append(fan(points[0, :-1].mean(0), points[0]))
         if top:
-            triangles.append(_fan(points[-1, :-1].mean(0), points[-1])[:, ::-1])
+            triangles.append(fan(points[-1, :-1].mean(0), points[-1])[:, ::-1])
         return self.add(np.concatenate(triangles), material, smooth=smooth)
 
     def cylinder(self, x: float, y: float, z0: float, z1: float, radius: float, material: str, sides: int = 28) -> Self:
@@ -177,7 +177,7 @@ class Mesh:
         other = np.cross(along, across)
         angle = np.linspace(0, 2 * np.pi, sides + 1)[None, :, None]
         rings = points[:, None] + radius * (np.cos(angle) * across[:, None] + np.sin(angle) * other[:, None])
-        ends = [_fan(points[0], rings[0]), _fan(points[-1], rings[-1])[:, ::-1]]
+        ends = [fan(points[0], rings[0]), fan(points[-1], rings[-1])[:, ::-1]]
         return self.add(np.concatenate([_triangles(rings), *ends]), material)
 
     def quad(self, corners: ArrayLike, material: str, *, image: bool = False) -> Self:

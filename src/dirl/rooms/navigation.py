@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from dirl.rooms.description import RoomDescription
+from dirl.rooms.description import Piece, RoomDescription
 from dirl.rooms.furniture import NOT_SOLID
 from dirl.rooms.layout import place_of
 from dirl.rooms.mesh import Array
@@ -33,12 +35,18 @@ class Walk:
 
 def footprints(room: RoomDescription) -> Array:
     """The rectangles that agents cannot enter: middle x and y, half width, half depth, turn in radians, ``[n, 5]``."""
-    solid = []
-    for piece in room.furniture:
-        if piece.kind not in NOT_SOLID if piece.solid is None else piece.solid:
-            x, y, yaw = place_of(piece, room)
-            solid.append((x, y, piece.size[0] / 2, piece.size[1] / 2, np.radians(yaw)))
+    solid = [
+        footprint(piece, room)
+        for piece in room.furniture
+        if (piece.kind not in NOT_SOLID if piece.solid is None else piece.solid)
+    ]
     return np.array(solid).reshape(-1, 5)
+
+
+def footprint(piece: Piece, room: RoomDescription) -> tuple[float, ...]:
+    """The rectangle of a piece on the floor plan, see `footprints`."""
+    x, y, yaw = place_of(piece, room)
+    return x, y, piece.size[0] / 2, piece.size[1] / 2, float(np.radians(yaw))
 
 
 def clearance(a: Array, b: Array, rectangles: Array) -> Array:
@@ -98,7 +106,6 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
     if turns == 0 or turns % 4 or abs(360 / turns - turn) > 1e-9:
         raise SceneError(f"turn={turn:g}: a turn must go into 90 degrees without rest, as 90, 45 and 30 do")
     cells, points = _places(room)
-    number = {tuple(cell): place for place, cell in enumerate(cells.tolist())}
     headings = np.arange(turns) * turn
     graph = np.full((len(cells) * turns, 4), -1, np.int64)
     first = turns * np.arange(len(cells))
@@ -108,10 +115,8 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
         if round(np.degrees(heading)) % 45 == 0:
             step = np.round([1.2 * np.sin(heading), 1.2 * np.cos(heading)]).astype(int)
             for action, way in ((AHEAD, step), (BACK, -step)):
-                there = np.array([number.get(tuple(cell), -1) for cell in (cells + way).tolist()])
-                can = np.flatnonzero(there >= 0)
-                can = can[_free(points[can], points[there[can]], room)]
-                graph[first[can] + k, action] = turns * there[can] + k
+                here, there = _steps(cells, points, way, room)
+                graph[first[here] + k, action] = turns * there + k
     return Walk(points, headings, graph)
 
 
@@ -129,26 +134,21 @@ def _places(room: RoomDescription) -> tuple[IntArray, Array]:
     cells, points = cells[free], points[free]
     if not len(cells):
         raise SceneError("there is no place where the agent can stand; see [grid] and the furniture")
-    number = {tuple(cell): place for place, cell in enumerate(cells.tolist())}
-    group = np.arange(len(cells))
-    pairs = []
-    for way in ((1, 0), (0, 1)):
-        there = np.array([number.get(tuple(cell), -1) for cell in (cells + way).tolist()])
-        here = np.flatnonzero(there >= 0)
-        here = here[_free(points[here], points[there[here]], room)]
-        pairs.append(np.stack([here, there[here]]))
-    a, b = np.concatenate(pairs, 1)
-    while True:  # every place takes the lowest number among its neighbours', until nothing changes
-        lowest = group.copy()
-        np.minimum.at(lowest, a, group[b])
-        np.minimum.at(lowest, b, group[a])
-        if (lowest == group).all():
-            break
-        group = lowest
+    a, b = np.concatenate([_steps(cells, points, np.array(way), room) for way in ((1, 0), (0, 1))], 1)
+    _, group = connected_components(coo_array((np.ones(len(a)), (a, b)), (len(cells), len(cells))), directed=False)
     largest = group == np.bincount(group).argmax()
     if grid.places is not None and largest.sum() != grid.places:
         raise SceneError(f"[grid] places: the room has {largest.sum()} places, not {grid.places}")
     return cells[largest], points[largest]
+
+
+def _steps(cells: IntArray, points: Array, way: IntArray, room: RoomDescription) -> tuple[IntArray, IntArray]:
+    """From which places a step of so many cells is possible, and to which it leads."""
+    number = {tuple(cell): place for place, cell in enumerate(cells.tolist())}
+    there = np.array([number.get(tuple(cell), -1) for cell in (cells + way).tolist()])
+    here = np.flatnonzero(there >= 0)
+    here = here[_free(points[here], points[there[here]], room)]
+    return here, there[here]
 
 
 def _free(a: Array, b: Array, room: RoomDescription) -> Array:

@@ -9,6 +9,18 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from dirl.scenes.scene import SceneError
 
+NAMES = {float: "a number", int: "a whole number", bool: "true or false", str: "text", dict: "a table", list: "a list"}
+
+
+def functions_of(*modules: types.ModuleType) -> dict[str, Callable[..., Any]]:
+    """The public functions that modules define, by their names, in the order of their definitions."""
+    return {
+        name: made
+        for module in modules
+        for name, made in vars(module).items()
+        if inspect.isfunction(made) and made.__module__ == module.__name__ and not name.startswith("_")
+    }
+
 
 def check_keys(table: Mapping[str, Any], known: Collection[str], where: str, *, required: Collection[str] = ()) -> None:
     """Raise `SceneError` unless every key is known and none that is required is missing."""
@@ -81,12 +93,4 @@ def _named(kind: Any) -> str:
         if inner[-1] is Ellipsis:
             return f"a list, each {_named(inner[0])}"
         return f"[{', '.join(_named(part) for part in inner)}]"
-    names = {
-        float: "a number",
-        int: "a whole number",
-        bool: "true or false",
-        str: "text",
-        dict: "a table",
-        list: "a list",
-    }
-    return names[kind]
+    return NAMES[kind]

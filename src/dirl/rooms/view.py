@@ -92,20 +92,9 @@ class Renderer:
         return self._picture((x, y, height), size, way, 2 * np.pi / size[1])
 
     def _picture(
-        self,
-        origin: tuple[float, float, float],
-        size: tuple[int, int],
-        way: Callable[[Array, Array], Array],
-        spread: float,
+        self, origin: tuple[float, float, float], size: tuple[int, int], way: Callable[..., Array], spread: float
     ) -> Array:
-        """What is seen from a point, uint8 ``[height, width, 3]``.
-
-        Args:
-            origin: metres.
-            size: height and width in pixels.
-            way: the directions ``[height, width, 3]`` of columns ``[width]`` and rows ``[height]``, both -1 to 1.
-            spread: of a ray, see `radiance`.
-        """
+        """What is seen from a point; ``way`` maps columns and rows, -1 to 1, to directions ``[height, width, 3]``."""
         height, width = size
         origins = np.broadcast_to(np.array(origin, np.float32), (height * width, 3))
         total = np.zeros((height * width, 3), np.float32)

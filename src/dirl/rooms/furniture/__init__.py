@@ -7,46 +7,11 @@ pieces have their back at depth / 2, and ``z`` says how high they hang.
 
 from collections.abc import Callable
 
-from dirl.rooms.furniture import bathroom, bedroom, kitchen, living, openings, small, storage, tables
+from dirl.rooms.furniture import details, fixtures, standing
 from dirl.rooms.mesh import Mesh
+from dirl.rooms.options import functions_of
 
-FURNITURE: dict[str, Callable[..., Mesh]] = {
-    function.__name__: function
-    for function in (
-        bathroom.bathtub,
-        bathroom.toilet,
-        bathroom.vanity,
-        bathroom.shower,
-        bathroom.washer,
-        bathroom.towel_rail,
-        bedroom.bed,
-        kitchen.counter,
-        kitchen.fridge,
-        kitchen.hood,
-        kitchen.wall_cupboard,
-        living.sofa,
-        living.tv,
-        living.fireplace,
-        openings.door,
-        openings.window,
-        openings.picture,
-        openings.mirror,
-        storage.cabinet,
-        storage.shelf,
-        tables.table,
-        tables.round_table,
-        tables.chair,
-        tables.stool,
-        small.basket,
-        small.plant,
-        small.bottles,
-        small.bowl,
-        small.vase,
-        small.rug,
-        small.lamp,
-        small.ceiling_lamp,
-    )
-}
+FURNITURE: dict[str, Callable[..., Mesh]] = functions_of(fixtures, standing, details)
 """The kinds of furniture, by the names that room descriptions use."""
 
 NOT_SOLID = {
@@ -54,5 +19,3 @@ NOT_SOLID = {
     *("rug", "bottles", "bowl", "vase", "tv"),
 }
 """Kinds that do not stand in an agent's way: they hang, lie flat, or stand on something that does."""
-
-__all__ = ["FURNITURE", "NOT_SOLID"]

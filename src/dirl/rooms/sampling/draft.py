@@ -9,7 +9,7 @@ import numpy as np
 from dirl.rooms.checks import door_strip
 from dirl.rooms.description import SIDES, Piece, RoomDescription, Size
 from dirl.rooms.furniture import FURNITURE, NOT_SOLID
-from dirl.rooms.layout import YAW, place_of
+from dirl.rooms.layout import place_of
 from dirl.rooms.mesh import Array
 from dirl.rooms.sampling.styles import Style
 
@@ -78,14 +78,37 @@ class Draft:
         bounds = _bounds(piece.kind, piece.size, yaw, tuple(sorted(piece.options.items())))
         return bounds + np.array([x, y, z, x, y, z])
 
+    def between(self, low: float, high: float) -> float:
+        """A random length, to centimetres."""
+        return round(float(self.rng.uniform(low, high)), 2)
+
+    def any_seed(self) -> int:
+        """For a piece that is sampled at random itself."""
+        return int(self.rng.integers(*self.style.repertoire.seeds))
+
+    def has(self, kind: str) -> bool:
+        """Whether there is such a piece."""
+        return any(placed.piece.kind == kind for placed in self.placed)
+
+    def from_wall(self, wall: str, along: float, away: float) -> tuple[float, float]:
+        """The point so far along a wall and away from it."""
+        return rounded(place_of(Piece("", (0.0, 0.0, 0.0), wall=wall, along=along, off=away), self._shell))
+
     def length(self, wall: str) -> float:
         """Of a wall, metres."""
         return self.size[0] if wall in ("north", "south") else self.size[1]
 
     def against_wall(
-        self, kind: str, size: Size, *, walls: tuple[str, ...] = SIDES, tries: int = 40, **options: Any
+        self,
+        kind: str,
+        size: Size,
+        *,
+        walls: tuple[str, ...] = SIDES,
+        tries: int = 40,
+        free: bool = False,
+        **options: Any,
     ) -> Piece | None:
-        """Put a piece with its back to one of the walls, wherever there is room."""
+        """Put a piece with its back to one of the walls, wherever there is room; ``free`` keeps its front clear."""
         for _ in range(tries):
             wall = str(self.rng.choice(walls))
             low, high = size[0] / 2 + 0.05, self.length(wall) - size[0] / 2 - 0.05
@@ -93,6 +116,8 @@ class Draft:
                 along = round(float(self.rng.uniform(low, high)), 2)
                 piece = Piece(kind, size, wall=wall, along=along, options=options)
                 if self.put(piece):
+                    if free:
+                        self.keep_front_free(piece)
                     return piece
         return None
 
@@ -104,7 +129,7 @@ class Draft:
             east, north = bool(self.rng.random() < 0.5), bool(self.rng.random() < 0.5)
             at = (self.size[0] - reach if east else reach, self.size[1] - reach if north else reach)
             yaw = (-45.0 if east else 45.0) if north else (-135.0 if east else 135.0)
-            if self.put(Piece(kind, size, at=_rounded(at), yaw=yaw if yawed else 0.0, options=options)):
+            if self.put(Piece(kind, size, at=rounded(at), yaw=yaw if yawed else 0.0, options=options)):
                 return self.placed[-1].piece
         return None
 
@@ -115,10 +140,14 @@ class Draft:
         margin = PASSAGE + max(size[0], size[1]) / 2 if kind not in NOT_SOLID else max(size[0], size[1]) / 2
         for _ in range(tries):
             at = tuple(float(self.rng.uniform(margin, max(margin, length - margin))) for length in self.size[:2])
-            piece = Piece(kind, size, at=_rounded(at), yaw=float(self.rng.choice(yaws)), options=options)
+            piece = Piece(kind, size, at=rounded(at), yaw=float(self.rng.choice(yaws)), options=options)
             if self.put(piece, around=PASSAGE):
                 return piece
         return None
+
+    def above(self, below: Piece, kind: str, size: Size, **options: Any) -> bool:
+        """Hang something on the wall over the middle of a piece."""
+        return self.put(Piece(kind, size, wall=below.wall, along=below.along, options=options))
 
     def on_top(self, below: Piece, kind: str, size: Size, *, shift: float = 0.0, **options: Any) -> bool:
         """Put a small piece on another one, ``shift`` metres to the right of its middle."""
@@ -126,7 +155,7 @@ class Draft:
         turn = np.radians(yaw)
         at = (x + shift * np.cos(turn), y + shift * np.sin(turn))
         key = {"z": below.size[2]}
-        return self.put(Piece(kind, size, at=_rounded(at), yaw=yaw, solid=False, options={**key, **options}))
+        return self.put(Piece(kind, size, at=rounded(at), yaw=yaw, solid=False, options={**key, **options}))
 
     def door(self) -> str | None:
         """Put a door, and keep the space before it free; tells in which wall."""
@@ -157,7 +186,7 @@ class Draft:
         for i in range(across):
             for j in range(deep):
                 at = ((i + 0.5) / across * self.size[0], (j + 0.5) / deep * self.size[1])
-                self.put(Piece("ceiling_lamp", (width, width, round(drop, 2)), at=_rounded(at)))
+                self.put(Piece("ceiling_lamp", (width, width, round(drop, 2)), at=rounded(at)))
 
     def dress_walls(self, *, towels: bool) -> None:
         """Hang pictures, and a few mirrors and towels, until no long stretch of wall is bare at eye height."""
@@ -219,17 +248,12 @@ def _bounds(kind: str, size: Size, yaw: float, options: tuple[tuple[str, Any], .
     return np.concatenate([corners.min(0), corners.max(0)])
 
 
-def facing(wall: str) -> float:
-    """The yaw of a piece that faces a wall."""
-    return (YAW[wall] + 180) % 360
-
-
 def _meets(a: Array, b: Array, gap: float) -> bool:
     """Whether two boxes come nearer than a gap, seen from above, and overlap in height."""
     plan = (a[:2] < b[3:5] + gap).all() and (b[:2] < a[3:5] + gap).all()
     return bool(plan and a[2] < b[5] - 1e-3 and b[2] < a[5] - 1e-3)
 
 
-def _rounded(at: tuple[float, ...]) -> tuple[float, float]:
+def rounded(at: tuple[float, ...]) -> tuple[float, float]:
     """Rounded to centimetres, for readable descriptions."""
     return round(float(at[0]), 2), round(float(at[1]), 2)

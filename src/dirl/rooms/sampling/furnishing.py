@@ -7,21 +7,7 @@ from typing import Any
 
 from dirl.rooms.description import SIDES, Piece
 from dirl.rooms.sampling.draft import Draft
-from dirl.rooms.sampling.groups import (
-    above,
-    any_seed,
-    between,
-    chest,
-    corner_things,
-    counters,
-    desk,
-    dining,
-    has,
-    shelves,
-    shower,
-    sitting,
-    windows,
-)
+from dirl.rooms.sampling.groups import chest, corner_things, counters, desk, dining, shelves, shower, sitting, windows
 
 
 def bathroom(draft: Draft) -> None:
@@ -30,30 +16,27 @@ def bathroom(draft: Draft) -> None:
     door = draft.door()
     windows(draft, door, int(rng.integers(1, 3)), curtains=0.2)
     if rng.random() < 0.8:
-        draft.against_wall("bathtub", (between(rng, 1.6, 1.8), between(rng, 0.75, 0.85), 0.58))
-    if rng.random() < 0.7 or not has(draft, "bathtub"):
+        draft.against_wall("bathtub", (draft.between(1.6, 1.8), draft.between(0.75, 0.85), 0.58))
+    if rng.random() < 0.7 or not draft.has("bathtub"):
         shower(draft)
     basins = int(rng.integers(1, 3))
-    width = 0.7 * basins + between(rng, 0.1, 0.4)
+    width = 0.7 * basins + draft.between(0.1, 0.4)
     options: dict[str, Any] = {"body": style.wood(), "top": style.worktop(), "basins": basins, "doors": 2 * basins}
-    vanity = draft.against_wall("vanity", (width, 0.55, between(rng, 0.8, 0.88)), **options)
+    vanity = draft.against_wall("vanity", (width, 0.55, draft.between(0.8, 0.88)), free=True, **options)
     if vanity is not None:
-        draft.keep_front_free(vanity)
-        above(draft, vanity, "mirror", (width - 0.15, 0.06, 0.8), z=1.62, frame=style.wood())
-    toilet = draft.against_wall("toilet", (0.42, 0.7, 0.82))
-    if toilet is not None:
-        draft.keep_front_free(toilet)
+        draft.above(vanity, "mirror", (width - 0.15, 0.06, 0.8), z=1.62, frame=style.wood())
+    draft.against_wall("toilet", (0.42, 0.7, 0.82), free=True)
     if rng.random() < 0.7:
         draft.against_wall("washer", (0.62, 0.6, 0.86))
     if rng.random() < 0.8:
         contents = tuple(str(c) for c in rng.choice(["towels", "basket", "vases", "towels"], int(rng.integers(3, 6))))
-        size = (between(rng, 0.6, 1.0), 0.34, between(rng, 1.5, 2.0))
+        size = (draft.between(0.6, 1.0), 0.34, draft.between(1.5, 2.0))
         draft.against_wall("shelf", size, body=style.wood(), shelves=int(rng.integers(4, 6)), contents=contents)
     if rng.random() < 0.7:
-        chest(draft, between(rng, 0.7, 1.1))
+        chest(draft, draft.between(0.7, 1.1))
     corner_things(draft, int(rng.integers(1, 4)))
     for _ in range(int(rng.integers(1, 3))):
-        draft.freely("rug", (between(rng, 0.9, 1.4), between(rng, 0.6, 0.8), 0.01), yaws=(0, 90), image=style.rug())
+        draft.freely("rug", (draft.between(0.9, 1.4), draft.between(0.6, 0.8), 0.01), yaws=(0, 90), image=style.rug())
     draft.lamps(7)
     draft.dress_walls(towels=True)
 
@@ -67,29 +50,26 @@ def bedroom(draft: Draft) -> None:
     bedding: dict[str, Any] = {"frame": wood, "duvet": style.cloth(), "pillow": style.cloth(0.9)}
     if rng.random() < 0.6:
         bedding["throw"] = style.cloth()
-    bed = draft.against_wall("bed", (width, 2.1, between(rng, 0.9, 1.3)), **bedding)
+    bed = draft.against_wall("bed", (width, 2.1, draft.between(0.9, 1.3)), **bedding)
     if bed is not None and bed.wall and bed.along:
         for side in (-1, 1):
             nightstand(draft, bed.wall, round(bed.along + side * (width / 2 + 0.34), 2), wood)
     doors = int(rng.integers(2, 5))
     panel = style.wood() if rng.random() < 0.5 else ""
-    wardrobe = draft.against_wall(
-        "cabinet", (0.5 * doors, 0.6, between(rng, 1.9, 2.3)), doors=doors, body=style.wood(), panel=panel
-    )
-    if wardrobe is not None:
-        draft.keep_front_free(wardrobe)
+    size = (0.5 * doors, 0.6, draft.between(1.9, 2.3))
+    draft.against_wall("cabinet", size, free=True, doors=doors, body=style.wood(), panel=panel)
     if rng.random() < 0.75:
         desk(draft)
     if rng.random() < 0.7:
-        drawers = chest(draft, between(rng, 0.9, 1.3))
+        drawers = chest(draft, draft.between(0.9, 1.3))
         if drawers is not None and rng.random() < 0.6:
-            above(draft, drawers, "mirror", (between(rng, 0.5, 0.9), 0.06, 0.8), z=1.6, frame=style.wood())
+            draft.above(drawers, "mirror", (draft.between(0.5, 0.9), 0.06, 0.8), z=1.6, frame=style.wood())
     if rng.random() < 0.6:
         draft.in_corner("sofa", (0.95, 0.85, 0.85), yawed=True, seats=1, fabric=style.cloth())
     shelves(draft, int(rng.integers(0, 3)))
     corner_things(draft, int(rng.integers(1, 4)))
     for _ in range(int(rng.integers(1, 4))):
-        size = (between(rng, 1.4, 2.4), between(rng, 0.8, 1.5), 0.01)
+        size = (draft.between(1.4, 2.4), draft.between(0.8, 1.5), 0.01)
         draft.freely("rug", size, yaws=(0, 90), image=style.rug())
     draft.lamps(11)
     draft.dress_walls(towels=False)
@@ -105,7 +85,7 @@ def nightstand(draft: Draft, wall: str, along: float, wood: str) -> None:
     if rng.random() < 0.6:
         draft.on_top(stand, "lamp", (0.28, 0.28, 1.05))
     else:
-        draft.on_top(stand, "vase", (0.22, 0.22, 0.4), seed=any_seed(draft), body=draft.style.worktop())
+        draft.on_top(stand, "vase", (0.22, 0.22, 0.4), seed=draft.any_seed(), body=draft.style.worktop())
 
 
 def kitchen(draft: Draft) -> None:
@@ -121,19 +101,19 @@ def kitchen(draft: Draft) -> None:
     dining(draft, chairs=int(rng.integers(2, 5)))
     if draft.size[0] * draft.size[1] > 40 and rng.random() < 0.7:
         top, body = style.worktop(), style.wood()
-        size = (between(rng, 1.6, 2.2), 0.95, 0.92)
+        size = (draft.between(1.6, 2.2), 0.95, 0.92)
         island = draft.freely("counter", size, yaws=(0, 90, 180, 270), top=top, body=body, doors=4)
         if island is not None:
             draft.on_top(island, "bowl", (0.36, 0.36, 0.14), shift=-0.4)
-            draft.on_top(island, "vase", (0.3, 0.3, 0.5), shift=0.5, seed=any_seed(draft))
+            draft.on_top(island, "vase", (0.3, 0.3, 0.5), shift=0.5, seed=draft.any_seed())
     if rng.random() < 0.5:
         draft.against_wall("washer", (0.62, 0.6, 0.9))
-    board = chest(draft, between(rng, 1.0, 1.6)) if rng.random() < 0.7 else None
+    board = chest(draft, draft.between(1.0, 1.6)) if rng.random() < 0.7 else None
     if board is not None:
         draft.on_top(board, "bowl", (0.36, 0.36, 0.14), body="accent")
     shelves(draft, int(rng.integers(1, 3)), contents=("basket", "vases", "books", "towels"))
     corner_things(draft, int(rng.integers(1, 4)))
-    draft.freely("rug", (between(rng, 1.4, 2.0), 0.8, 0.01), yaws=(0, 90), image=style.rug())
+    draft.freely("rug", (draft.between(1.4, 2.0), 0.8, 0.01), yaws=(0, 90), image=style.rug())
     draft.lamps(14)
     draft.dress_walls(towels=True)
 
@@ -145,24 +125,24 @@ def living_room(draft: Draft) -> None:
     sitting(draft)
     if rng.random() < 0.55:
         body = "brick" if rng.random() < 0.5 else style.worktop()
-        fire = draft.against_wall("fireplace", (between(rng, 1.3, 1.7), 0.42, between(rng, 1.1, 1.25)), body=body)
+        size = (draft.between(1.3, 1.7), 0.42, draft.between(1.1, 1.25))
+        fire = draft.against_wall("fireplace", size, free=True, body=body)
         if fire is not None:
-            draft.keep_front_free(fire)
             if rng.random() < 0.5:
-                above(draft, fire, "mirror", (0.9, 0.05, 0.8), z=1.85, frame=style.wood())
+                draft.above(fire, "mirror", (0.9, 0.05, 0.8), z=1.85, frame=style.wood())
             else:
-                above(draft, fire, "picture", (1.0, 0.05, 0.7), z=1.85, image=style.painting())
+                draft.above(fire, "picture", (1.0, 0.05, 0.7), z=1.85, image=style.painting())
     windows(draft, door, int(rng.integers(1, 4)), curtains=0.8)
     if rng.random() < 0.6:
         dining(draft, chairs=int(rng.integers(2, 5)))
     shelves(draft, int(rng.integers(1, 4)))
     if rng.random() < 0.7:
-        chest(draft, between(rng, 1.0, 1.5))
+        chest(draft, draft.between(1.0, 1.5))
     if rng.random() < 0.4:
         desk(draft)
     if rng.random() < 0.7:
-        draft.in_corner("lamp", (0.4, 0.4, between(rng, 1.45, 1.75)))
+        draft.in_corner("lamp", (0.4, 0.4, draft.between(1.45, 1.75)))
     corner_things(draft, int(rng.integers(1, 4)))
-    draft.freely("rug", (between(rng, 1.4, 2.2), between(rng, 0.9, 1.4), 0.01), yaws=(0, 90), image=style.rug())
+    draft.freely("rug", (draft.between(1.4, 2.2), draft.between(0.9, 1.4), 0.01), yaws=(0, 90), image=style.rug())
     draft.lamps(13)
     draft.dress_walls(towels=False)

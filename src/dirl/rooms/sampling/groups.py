@@ -6,38 +6,18 @@ import numpy as np
 
 from dirl.rooms.description import SIDES, Piece
 from dirl.rooms.layout import YAW
-from dirl.rooms.sampling.draft import Draft, facing
-
-
-def between(rng: np.random.Generator, low: float, high: float) -> float:
-    """A length, to centimetres."""
-    return round(float(rng.uniform(low, high)), 2)
-
-
-def any_seed(draft: Draft) -> int:
-    """For a piece that is sampled at random itself."""
-    return int(draft.rng.integers(*draft.style.repertoire.seeds))
-
-
-def has(draft: Draft, kind: str) -> bool:
-    """Whether there is such a piece."""
-    return any(placed.piece.kind == kind for placed in draft.placed)
-
-
-def above(draft: Draft, below: Piece, kind: str, size: tuple[float, float, float], **options: object) -> bool:
-    """Hang something on the wall over the middle of a piece."""
-    return draft.put(Piece(kind, size, wall=below.wall, along=below.along, options=options))
+from dirl.rooms.sampling.draft import Draft, rounded
 
 
 def windows(draft: Draft, door: str | None, count: int, *, curtains: float) -> None:
     """Windows with different outlooks, rather not beside the door."""
     rng = draft.rng
     for _ in range(count):
-        width, height = between(rng, 1.1, 2.0), between(rng, 1.0, 1.3)
+        width, height = draft.between(1.1, 2.0), draft.between(1.0, 1.3)
         panes = (int(rng.integers(2, 5)), int(rng.integers(1, 3)))
         curtain = draft.style.cloth() if rng.random() < curtains else ""
         walls = tuple(side for side in SIDES if side != door)
-        made = draft.against_wall("window", (width, 0.1, height), walls=walls, z=between(rng, 1.6, 1.75), panes=panes,
+        made = draft.against_wall("window", (width, 0.1, height), walls=walls, z=draft.between(1.6, 1.75), panes=panes,
                                   curtain=curtain, outlook=draft.style.outlook())  # fmt: skip
         if made is None:  # a smaller one may fit
             draft.against_wall("window", (0.9, 0.1, 0.9), z=1.75, outlook=draft.style.outlook())
@@ -59,19 +39,19 @@ def shower(draft: Draft) -> None:
 
 def chest(draft: Draft, width: float) -> Piece | None:
     """A sideboard or a chest of drawers with something on it."""
-    rng, rows = draft.rng, int(draft.rng.integers(1, 5))
-    size = (width, 0.46, between(rng, 0.75, 0.98))
-    made = draft.against_wall("cabinet", size, body=draft.style.wood(), rows=rows, doors=max(1, round(width / 0.5)))
+    rows = int(draft.rng.integers(1, 5))
+    size = (width, 0.46, draft.between(0.75, 0.98))
+    doors = max(1, round(width / 0.5))
+    made = draft.against_wall("cabinet", size, free=True, body=draft.style.wood(), rows=rows, doors=doors)
     if made is not None:
-        draft.keep_front_free(made)
-        draft.on_top(made, "bottles", (0.3, 0.2, 0.26), shift=round(width / 4, 2), seed=any_seed(draft))
+        draft.on_top(made, "bottles", (0.3, 0.2, 0.26), shift=round(width / 4, 2), seed=draft.any_seed())
     return made
 
 
 def desk(draft: Draft) -> None:
     """A desk at a wall with a chair before it and a lamp on it."""
     rng, style = draft.rng, draft.style
-    desk = draft.against_wall("table", (between(rng, 1.1, 1.5), 0.65, 0.76), body=style.wood())
+    desk = draft.against_wall("table", (draft.between(1.1, 1.5), 0.65, 0.76), body=style.wood())
     if desk is None or desk.wall is None or desk.along is None:
         return
     chair = Piece("chair", (0.45, 0.45, 0.95), wall=desk.wall, along=desk.along, off=0.56, yaw=180,
@@ -94,7 +74,7 @@ def dining(draft: Draft, chairs: int) -> None:
     body, top, seat, wood = style.wood(), style.wood(), style.cloth(), style.wood()
     slats, yaw = int(rng.integers(0, 6)), float(rng.choice([0.0, 90.0]))
     is_round = bool(rng.random() < 0.35)
-    width, depth = (between(rng, 1.0, 1.25),) * 2 if is_round else (between(rng, 1.2, 1.8), between(rng, 0.8, 0.95))
+    width, depth = (draft.between(1.0, 1.25),) * 2 if is_round else (draft.between(1.2, 1.8), draft.between(0.8, 0.95))
     reach = depth / 2 + 0.45  # as far as the chairs stand out
     for _ in range(40):
         half = (width / 2, reach) if yaw == 0 else (reach, width / 2)
@@ -102,22 +82,21 @@ def dining(draft: Draft, chairs: int) -> None:
         highs = [length - h - 0.45 for h, length in zip(half, draft.size[:2], strict=True)]
         if any(low > high for low, high in zip(lows, highs, strict=True)):
             return
-        x, y = (between(rng, low, high) for low, high in zip(lows, highs, strict=True))
+        x, y = (draft.between(low, high) for low, high in zip(lows, highs, strict=True))
         table = Piece("round_table" if is_round else "table", (width, depth, 0.75), at=(x, y), yaw=yaw,
                       options={"body": body, "top": top})  # fmt: skip
         if draft.put(table, around=1.0):
             break
     else:
         return
-    draft.on_top(table, "vase", (0.3, 0.3, between(rng, 0.4, 0.6)), seed=any_seed(draft), body="pot")
+    draft.on_top(table, "vase", (0.3, 0.3, draft.between(0.4, 0.6)), seed=draft.any_seed(), body="pot")
     slots = [(side, k) for side in (-1, 1) for k in ((-0.25, 0.25) if width > 1.3 and not is_round else (0.0,))]
     turn = np.radians(yaw)
     for slot in rng.permutation(len(slots))[:chairs]:
         side, share = slots[slot]
         along, out = share * width, side * (depth / 2 + 0.1)
         at = (x + along * np.cos(turn) - out * np.sin(turn), y + along * np.sin(turn) + out * np.cos(turn))
-        where = (round(float(at[0]), 2), round(float(at[1]), 2))
-        chair = Piece("chair", (0.45, 0.45, 0.95), at=where, yaw=yaw if side > 0 else yaw + 180,
+        chair = Piece("chair", (0.45, 0.45, 0.95), at=rounded(at), yaw=yaw if side > 0 else yaw + 180,
                       options={"body": wood, "seat": seat, "slats": slats})  # fmt: skip
         tucked(draft, chair)
     if rng.random() < 0.7:
@@ -133,11 +112,11 @@ def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> N
     if rng.random() < 0.5:
         kinds = kinds[::-1]
     length = draft.length(wall)
-    at = 0.7 + between(rng, 0.0, 0.5)  # the corner may be another run's
+    at = 0.7 + draft.between(0.0, 0.5)  # the corner may be another run's
     for kind, extra in kinds:
         special = bool(extra) or kind == "fridge"
-        width = {"fridge": between(rng, 0.75, 0.9)}.get(
-            kind, between(rng, 1.0, 1.4) if special else between(rng, 0.6, 1.2)
+        width = {"fridge": draft.between(0.75, 0.9)}.get(
+            kind, draft.between(1.0, 1.4) if special else draft.between(0.6, 1.2)
         )
         if at + width > length - 0.1:
             return
@@ -145,7 +124,7 @@ def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> N
         if kind == "fridge":
             body = "steel" if rng.random() < 0.6 else draft.style.wood()
             piece = Piece(
-                "fridge", (width, 0.7, between(rng, 1.7, 1.95)), wall=wall, along=along, options={"body": body}
+                "fridge", (width, 0.7, draft.between(1.7, 1.95)), wall=wall, along=along, options={"body": body}
             )
         else:
             options = {**units, **extra, "doors": max(1, round(width / 0.5)), "drawers": bool(rng.random() < 0.7)}
@@ -153,16 +132,16 @@ def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> N
         if draft.put(piece):
             draft.keep_front_free(piece, 0.7)
             if extra.get("hob"):
-                above(draft, piece, "hood", (0.8, 0.5, min(1.1, draft.size[2] - 1.72)), z=1.7)
+                draft.above(piece, "hood", (0.8, 0.5, min(1.1, draft.size[2] - 1.72)), z=1.7)
             elif kind == "counter" and not extra:
                 glass = bool(rng.random() < 0.3)
                 cupboard = {"body": units["body"], "doors": max(1, round(width / 0.45)), "glass": glass, "z": 1.55}
                 if rng.random() < 0.75:
-                    above(draft, piece, "wall_cupboard", (width, 0.36, 0.75), **cupboard)
-                draft.on_top(piece, "bottles", (round(width * 0.6, 2), 0.25, 0.28), seed=any_seed(draft))
+                    draft.above(piece, "wall_cupboard", (width, 0.36, 0.75), **cupboard)
+                draft.on_top(piece, "bottles", (round(width * 0.6, 2), 0.25, 0.28), seed=draft.any_seed())
             elif extra.get("sink") and rng.random() < 0.6:
                 window = {"z": 1.8, "panes": (3, 1), "outlook": draft.style.outlook()}
-                above(draft, piece, "window", (round(width - 0.1, 2), 0.1, 0.95), **window)
+                draft.above(piece, "window", (round(width - 0.1, 2), 0.1, 0.95), **window)
         at += width + 0.03
 
 
@@ -172,19 +151,19 @@ def sitting(draft: Draft) -> None:
     for _ in range(30):
         wall = str(rng.choice(SIDES))
         deep = draft.size[1] if wall in ("north", "south") else draft.size[0]
-        width = between(rng, 1.5, 2.0)
+        width = draft.between(1.5, 2.0)
         margin = 1.7
         if draft.length(wall) < 2 * margin:
             continue
-        along = between(rng, margin, draft.length(wall) - margin)
+        along = draft.between(margin, draft.length(wall) - margin)
         board = Piece("cabinet", (width, 0.45, 0.55), wall=wall, along=along,
                       options={"body": style.wood(), "doors": int(rng.integers(2, 5))})  # fmt: skip
-        away = between(rng, 2.9, max(3.0, min(3.6, deep - 1.2)))
+        away = draft.between(2.9, max(3.0, min(3.6, deep - 1.2)))
         seats = int(rng.integers(2, 4))
         size = (0.65 * seats + 0.3, 0.92, 0.88)
         cloth = style.cloth()
         cushions = tuple(style.cloth() for _ in range(int(rng.integers(0, 4))))
-        sofa = Piece("sofa", size, at=from_wall(draft, wall, along, away), yaw=facing(wall),
+        sofa = Piece("sofa", size, at=draft.from_wall(wall, along, away), yaw=(YAW[wall] + 180) % 360,
                      options={"fabric": cloth, "seats": seats, "cushion": cushions})  # fmt: skip
         before = list(draft.placed)
         if draft.put(board) and draft.put(sofa, around=0.4):
@@ -193,23 +172,23 @@ def sitting(draft: Draft) -> None:
     else:
         return
     draft.keep_front_free(board)
-    draft.on_top(board, "tv", (between(rng, 1.1, 1.4), 0.2, 0.7))
+    draft.on_top(board, "tv", (draft.between(1.1, 1.4), 0.2, 0.7))
     middle = (away - 0.46 + 0.45) / 2 + 0.15
-    x, y = from_wall(draft, wall, along, middle)
+    x, y = draft.from_wall(wall, along, middle)
     across = 0.0 if wall in ("north", "south") else 90.0
     if rng.random() < 0.5:
-        side = between(rng, 0.7, 0.95)
+        side = draft.between(0.7, 0.95)
         table = Piece("round_table", (side, side, 0.42), at=(x, y), options={"body": style.wood()})
     else:
-        size = (between(rng, 0.9, 1.2), 0.55, 0.42)
+        size = (draft.between(0.9, 1.2), 0.55, 0.42)
         table = Piece("table", size, at=(x, y), yaw=across, options={"body": style.wood(), "top": style.wood()})
     if draft.put(table, around=0.35):
         draft.on_top(table, "bowl", (0.3, 0.3, 0.1))
-    draft.put(Piece("rug", (between(rng, 2.0, 2.6), between(rng, 1.5, 1.9), 0.01), at=(x, y), yaw=across,
+    draft.put(Piece("rug", (draft.between(2.0, 2.6), draft.between(1.5, 1.9), 0.01), at=(x, y), yaw=across,
                     options={"image": style.rug()}))  # fmt: skip
     fabric = style.cloth() if rng.random() < 0.5 else cloth
     for side in rng.permutation([-1, 1])[: int(rng.integers(0, 3))]:
-        at = from_wall(draft, wall, along + side * 1.75, middle)
+        at = draft.from_wall(wall, along + side * 1.75, middle)
         # Seen by who looks at the wall, an armchair at a larger ``along`` of north or east is on the other side.
         yaw = YAW[wall] + 90 * side * (1 if wall in ("south", "west") else -1)
         draft.put(
@@ -217,19 +196,12 @@ def sitting(draft: Draft) -> None:
         )
 
 
-def from_wall(draft: Draft, wall: str, along: float, away: float) -> tuple[float, float]:
-    """The point so far along a wall and away from it."""
-    w, d, _ = draft.size
-    x, y = {"north": (along, d - away), "south": (along, away), "west": (away, along), "east": (w - away, along)}[wall]
-    return round(x, 2), round(y, 2)
-
-
 def shelves(draft: Draft, count: int, *, contents: tuple[str, ...] = ("books", "books", "vases", "basket")) -> None:
     """Open shelves along the walls."""
     rng = draft.rng
     for _ in range(count):
         filled = tuple(str(c) for c in rng.permutation(list(contents)))
-        size = (between(rng, 0.8, 1.6), 0.36, between(rng, 1.5, 2.15))
+        size = (draft.between(0.8, 1.6), 0.36, draft.between(1.5, 2.15))
         draft.against_wall("shelf", size, body=draft.style.wood(), shelves=int(rng.integers(4, 7)), contents=filled)
 
 
@@ -238,10 +210,10 @@ def corner_things(draft: Draft, count: int) -> None:
     rng = draft.rng
     for kind in rng.choice(["plant", "plant", "basket", "stool"], count, replace=False):
         if kind == "plant":
-            side = between(rng, 0.42, 0.55)
-            size = (side, side, between(rng, 0.9, 1.7))
-            draft.in_corner("plant", size, seed=any_seed(draft), pot=str(rng.choice(["accent", "pot", "wicker"])))
+            side = draft.between(0.42, 0.55)
+            size = (side, side, draft.between(0.9, 1.7))
+            draft.in_corner("plant", size, seed=draft.any_seed(), pot=str(rng.choice(["accent", "pot", "wicker"])))
         elif kind == "basket":
-            draft.against_wall("basket", (0.42, 0.42, between(rng, 0.45, 0.65)), fill=draft.style.cloth())
+            draft.against_wall("basket", (0.42, 0.42, draft.between(0.45, 0.65)), fill=draft.style.cloth())
         else:
-            draft.against_wall("stool", (0.38, 0.38, between(rng, 0.42, 0.6)), body=draft.style.wood())
+            draft.against_wall("stool", (0.38, 0.38, draft.between(0.42, 0.6)), body=draft.style.wood())

@@ -11,7 +11,6 @@ with other sizes and options), the fabrics' weaves, the range of colours, the si
 and the plain materials of stock: paint, ceramic, metal, marble, brick, wicker.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,10 +48,6 @@ class Repertoire:
     wet_floors: tuple[str, ...]
     tiles: tuple[Tiling, ...]
     seeds: tuple[int, int]
-
-    def some_woods(self, names: Sequence[str]) -> list[str]:
-        """Those of the woods that are in the repertoire."""
-        return [name for name in names if name in self.woods]
 
 
 EVERYTHING = Repertoire(

@@ -152,7 +152,8 @@ class Style:
 
     def _one_wood(self, *names: str) -> tuple[str, str]:
         """The colours of one of some woods that is in the repertoire."""
-        return self.repertoire.woods[str(self.rng.choice(self.repertoire.some_woods(names)))]
+        woods = self.repertoire.woods
+        return woods[str(self.rng.choice([name for name in names if name in woods]))]
 
     def _add_wood(self, name: str, a: str, b: str) -> None:
         size, rough, seed = self.rng.uniform(0.7, 1.2), self.rng.uniform(0.35, 0.5), int(self.rng.integers(1 << 30))
