@@ -38,7 +38,7 @@ def explore(
     Returns:
         The states that were passed.
     """
-    look = look or looks(scene)
+    look = look or torch.tensor(scene.features)[torch.tensor(scene.surrounding)].__getitem__
     passed = [start]
     graph.see(look(start))
     for _ in range(steps):
@@ -48,15 +48,6 @@ def explore(
         passed.append(step(scene.graph, passed[-1], action))
         graph.see(look(passed[-1]), action)
     return passed
-
-
-def looks(scene: Scene, features: Tensor | None = None) -> Callable[[int], Tensor]:
-    """What is seen around each state: float32 ``[4, D]`` of the scene's features, or of others, ``[N, D]``."""
-    if features is None:
-        assert scene.features is not None
-        features = torch.tensor(scene.features, dtype=torch.float32)
-    surrounding = torch.tensor(scene.surrounding)
-    return lambda state: features[surrounding[state]]
 
 
 def step(moves: IntArray, state: int, action: int) -> int:
