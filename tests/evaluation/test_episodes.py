@@ -218,9 +218,9 @@ def test_who_walks_in_a_circle_is_asked_once_for_each_view_of_it(world):
 def test_watching_shows_the_episodes_still_going_on_after_each_step(world):
     seen = []
     options = {"observation": SurroundingViews(world), "max_steps": 3}
-    options["watch"] = lambda walking, state: seen.append((walking.tolist(), state.tolist()))
+    options["watch"] = lambda *of_step: seen.append(tuple(rows.tolist() for rows in of_step))
     run_episodes(always(RIGHT), world, from_states(0, 2, 4), **options)
-    assert seen == [([0, 1], [3, 5]), ([0, 1], [0, 6]), ([1], [7])]
+    assert seen == [([0, 1], [3, 5], [1, 1]), ([0, 1], [0, 6], [1, 1]), ([1], [7], [1])]
 
 
 def test_answers_are_those_of_the_policy_asked_for_each_pair(world):
