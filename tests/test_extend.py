@@ -1,4 +1,4 @@
-"""The swaps of docs/howto/extend.md, made from the files on that page, do what they should."""
+"""The components of docs/howto/extend.md, made from the files on that page, do what they should."""
 
 import io
 import re
@@ -10,12 +10,16 @@ import torch
 from commands import ROOT, room_file, train_config
 from parts import Loop
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torchrl.data import Unbounded
+from torchrl.envs import TensorDictPrimer
 from train import learn
 
 from dirl.config.schemas import ConfigError
+from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import ShortestPathExpert
 from dirl.evaluation.protocol import metrics
-from dirl.models import ActorCritic, ActorCriticHeads, FeatureTable
+from dirl.models import ActorCritic, ActorCriticHeads, FeatureTable, frozen, plain_weights
 from dirl.models.fast.caching import CachedEncoder
 from dirl.objectives import ImitationLoss
 from dirl.scenes import SceneError, load_scenes
@@ -29,7 +33,7 @@ from dirl.training.build import (
 )
 from dirl.training.job import begin
 from dirl.training.load import learning_policy
-from dirl.training.losses import ScheduledLoss
+from dirl.training.losses import ScheduledLoss, demonstration_batches
 from dirl.training.rollout import collect
 
 PAGE = (ROOT / "docs" / "howto" / "extend.md").read_text()
@@ -39,6 +43,9 @@ SAC = ["network.cache=off", "objective=none", "losses=[]", "imitation.fraction=0
 SAC += ["++losses.sac={_target_:discrete_sac.DiscreteSAC,width:32,batch_size:128,capacity:2000}"]
 GAIL = ["losses=[]", "++losses.gail={_target_:gail.GAILLoss,width:32}", "imitation.fraction=1"]
 INVERSE = ["++losses.inverse={_target_:inverse_dynamics.InverseDynamicsLoss,width:32,weight:1.0}"]
+STACKED = ["observation._target_=stacked.StackedViews", "++observation.steps=4"]
+SOME = ["observation._target_=narrow.SomeViews", "++observation.shown=[1,3]"]
+WINDOW = ["memory._target_=window.WindowMemory", "++memory.steps=3"]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -84,16 +91,9 @@ def train(config, state, total, until=None):
 
 
 def test_each_swap_takes_one_python_file_and_one_yaml_file_at_most():
-    assert sorted(FILES) == [
-        "attention.py",
-        "discrete_sac.py",
-        "gail.py",
-        "halls.py",
-        "inverse_dynamics.py",
-        "noisy.py",
-    ]
+    assert len(FILES) == 9
     yaml = re.findall(r"^:caption: (\S+\.yaml)$", PAGE, re.MULTILINE)
-    assert len(yaml) == len(set(yaml)) == 7
+    assert len(yaml) == len(set(yaml)) == 10
 
 
 @pytest.fixture
@@ -134,6 +134,188 @@ def test_attention_learns_what_the_expert_shows(parts):
         loss(trunk(rows.copy()))["loss_imitation"].backward()
         optimiser.step()
     assert metrics(protocol.run(policy))["spl"] == 1
+
+
+def clone(config, protocol, policy, steps=150):
+    """Learn all that the expert shows."""
+    rows = build_demonstrations(config, protocol.world, protocol.observation)
+    loss, optimiser = ImitationLoss(policy.operator().get_policy_head()), torch.optim.Adam(policy.parameters(), 3e-3)
+    trunk, draw = policy.trunk(), demonstration_batches(policy, rows, None)
+    for _ in range(steps):
+        optimiser.zero_grad()
+        loss(trunk(draw().copy()))["loss_imitation"].backward()
+        optimiser.step()
+
+
+@pytest.mark.parametrize("views", [STACKED, SOME], ids=["stacked", "some"])
+def test_an_observation_of_ones_own_is_learnt_from_and_cached_to_the_same_result(parts, views):
+    answers, ids = [], None
+    for cache in ("auto", "off"):
+        same = ["imitation.fraction=1", "network.axes=features"]
+        config, protocol, state = parts(*views, *same, f"network.cache={cache}")
+        assert (state.policy.cached is not None) == (cache == "auto")
+        clone(config, protocol, state.policy, 3)
+        train(config, state, total=400)
+        ids = ids if ids is not None else collect(state.env, state.policy.operator(), state.agents, 9)[0]
+        answers.append(state.policy(ids.select(*state.policy.in_keys).clone())["logits"])
+        with frozen(state.policy):
+            answers.append(state.policy(ids.select(*state.policy.in_keys).clone())["logits"])
+    for answer in answers[1:]:
+        torch.testing.assert_close(answer, answers[0], atol=1e-4, rtol=1e-4)
+    clone(config, protocol, state.policy)
+    train(config, state, total=20_000)
+    assert metrics(protocol.run(state.policy))["sr"] > 0.8
+
+
+def test_a_stack_holds_the_views_of_the_last_steps_and_begins_anew_with_each_episode(parts):
+    _, protocol, state = parts(*STACKED, "reinforcement.max_steps=5")
+    batch, _ = collect(state.env, state.policy.operator(), state.agents, 12)
+    assert batch["view_ids"].shape[-1] == batch["goal_view_ids"].shape[-1] == 16
+    around, done = protocol.world.surrounding[batch["state"]], batch["next", "done"].squeeze(-1)
+    assert torch.equal(batch["view_ids"][..., -4:], around)
+    assert torch.equal(batch["view_ids"][:, 1:, :12][~done[:, :-1]], batch["view_ids"][:, :-1, 4:][~done[:, :-1]])
+    assert torch.equal(batch["view_ids"][:, 1:, :4][done[:, :-1]], around[:, 1:][done[:, :-1]])
+
+
+class Broken(SurroundingViews):
+    """Fewer views than `order` names."""
+
+    def begin(self, picture):
+        return super().begin(picture)[..., :3]
+
+
+class Beyond(SurroundingViews):
+    def begin(self, picture):
+        return super().begin(picture) + 2
+
+
+class Unsteady(SurroundingViews):
+    def begin(self, picture):
+        views = super().begin(picture)
+        return torch.where(torch.rand(views.shape) < 0.5, views, self.pictures)
+
+
+class Forgetful(SurroundingViews):
+    """A history that does not say so."""
+
+    def follow(self, view_ids, picture):
+        return torch.cat([view_ids[..., 1:], picture.unsqueeze(-1)], -1)
+
+
+class Apart(SurroundingViews):
+    """Hides views from the network, and not from demonstrations and evaluation."""
+
+    def _call(self, tensordict):
+        tensordict = super()._call(tensordict)
+        return tensordict.set("view_ids", torch.full_like(tensordict["view_ids"], self.pictures))
+
+
+class Failing(SurroundingViews):
+    def begin(self, picture):
+        return self.nothing[picture]
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        (Broken, r"begin gives int64 \[24, 3\] for 24 pictures, and order names 4 views"),
+        (Beyond, "begin gives view ids from 2 to 25, where 24 denotes no view"),
+        (Unsteady, "begin or of_goal gives other views of a picture each time it is called"),
+        (Forgetful, "follow gives other views than begin, so set history = True"),
+        (Apart, "the transform writes other view ids than begin, follow and of_goal give"),
+        (Failing, "cannot be asked what is seen: AttributeError: .*nothing.*"),
+    ],
+)
+def test_an_observation_that_does_not_keep_its_contract_is_refused(parts, monkeypatch, made, told):
+    monkeypatch.setitem(sys.modules, "house", sys.modules[__name__])
+    with pytest.raises(ConfigError, match=rf"^observation: {made.__name__}: {told}$"):
+        parts(f"observation._target_=house.{made.__name__}")
+
+
+class HiddenGoals(SurroundingViews):
+    """The goal's view behind is hidden, and the observation's is not."""
+
+    def of_goal(self, picture):
+        views = super().of_goal(picture).clone()
+        views[..., 2] = self.pictures
+        return views
+
+
+class Backwards(SurroundingViews):
+    """The view ahead is hidden, the first by which a cache could know a state."""
+
+    def begin(self, picture):
+        views = super().begin(picture).clone()
+        views[..., 0] = self.pictures
+        return views
+
+
+@pytest.mark.parametrize("made", [HiddenGoals, Backwards])
+@pytest.mark.parametrize("options", [[], ["imitation.drawn=true", "imitation.front_only=0.5"]], ids=["table", "photos"])
+def test_what_a_transform_hides_is_hidden_with_a_cache_too(parts, monkeypatch, made, options):
+    monkeypatch.setitem(sys.modules, "house", sys.modules[__name__])
+    ends = []
+    same = [f"observation._target_=house.{made.__name__}", "imitation.fraction=1", "network.axes=features", *options]
+    for cache in ("auto", "off"):
+        config, _, state = parts(*same, f"network.cache={cache}")
+        train(config, state, total=400)
+        ends.append(plain_weights(state.policy)["encoder.embedding.weight"])
+    torch.testing.assert_close(*ends, atol=1e-4, rtol=1e-3)
+
+
+def test_a_window_holds_the_last_steps_of_an_episode_and_no_other(parts):
+    _, _, state = parts(*WINDOW, "reinforcement.max_steps=5")
+    batch, _ = collect(state.env, state.policy.operator(), state.agents, 12)
+    seen, done = batch["next", "seen"], batch["next", "done"].squeeze(-1)
+    assert (seen[:, 0] == 1).all()
+    assert torch.equal(seen[:, 1:], torch.where(done[:, :-1], 1, seen[:, :-1] + 1))
+    assert not batch["next", "window"][seen == 1][:, :2].any()
+    assert batch["next", "window"][seen == 2][:, 1].any(-1).all()
+
+
+def test_a_window_learns_what_the_expert_shows(parts):
+    config, protocol, state = parts(*WINDOW, "imitation.fraction=1")
+    clone(config, protocol, state.policy)
+    train(config, state, total=20_000)
+    assert metrics(protocol.run(state.policy))["sr"] > 0.9
+
+
+class Stateless(TensorDictModuleBase):
+    """A memory that does not do what one should."""
+
+    def __init__(self, in_key, out_key, states: list[str], primed: list[str], written: list[str], start: float = 0.0):
+        super().__init__()
+        self.in_keys, self.out_keys = [in_key, *states, "is_init"], [out_key, *(("next", key) for key in states)]
+        self.primed, self.written, self.start = primed, written, start
+
+    def make_tensordict_primer(self):
+        return TensorDictPrimer({key: Unbounded((3,)) for key in self.primed}, default_value=self.start)
+
+    def forward(self, tensordict):
+        tensordict["memory"] = tensordict["fused"]
+        if tensordict.ndim > 1 and "flat" in self.written:
+            tensordict["memory"] = tensordict["fused"].flatten(0, 1)
+        for key in self.written:
+            tensordict["next", key] = torch.zeros(*tensordict.shape, 3)
+        return tensordict
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("[]", "[]", "[]"), "writes no recurrent state"),
+        (("[a]", "[]", "[a]"), r"writes the state 'a', which make_tensordict_primer\(\) does not name"),
+        (("[a]", "[a]", "[a]", "1.0"), "its recurrent state must begin with zeros"),
+        (("[a]", "[a]", "[]"), r"does not write \('next', 'a'\)"),
+        (("[flat]", "[flat]", "[flat]"), "batch dimension mismatch"),
+    ],
+)
+def test_a_memory_that_does_not_keep_its_contract_is_refused(parts, monkeypatch, options, told):
+    monkeypatch.setitem(sys.modules, "house", sys.modules[__name__])
+    given = zip(("states", "primed", "written", "start"), options, strict=False)
+    with pytest.raises(ConfigError, match=f"^memory.*: .*{told}") as raised:
+        parts("memory._target_=house.Stateless", *(f"++memory.{name}={value}" for name, value in given))
+    assert "\n" not in str(raised.value)
 
 
 def test_discrete_sac_learns_from_nothing(parts):
@@ -194,7 +376,11 @@ def test_a_loss_that_compares_needs_demonstrations(parts):
         parts(*GAIL, "imitation.fraction=0")
 
 
-@pytest.mark.parametrize("options", [SAC, [*INVERSE, "memory=gru", "memory.hidden_size=16"]], ids=["sac", "gru"])
+@pytest.mark.parametrize(
+    "options",
+    [SAC, [*INVERSE, "memory=gru", "memory.hidden_size=16"], WINDOW, STACKED, SOME],
+    ids=["sac", "gru", "window", "stacked", "some"],
+)
 def test_a_training_goes_on_bit_for_bit_with_what_its_losses_hold(parts, options):
     config, _, straight = parts(*options)
     train(config, straight, total=2_000)

@@ -69,7 +69,7 @@ class Silent(nn.Module):
     ("name", "told"),
     [
         ("Flat", r"encoder: gives \[28\] for one row; expected \[1, width\]"),
-        ("Narrow", r"encoder: cannot be called as it should, on \[1, 4, D\] features: mat1 and mat2"),
+        ("Narrow", r"encoder: cannot be called as it should, on features \[1, 4, 7\]: mat1 and mat2"),
         ("Silent", r"encoder: gives NoneType for one row"),
     ],
 )

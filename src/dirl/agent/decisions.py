@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.models import frozen, initial_state, recurrent_keys
-from dirl.models.fast.caching import EmbeddingCache, pack, unpack
+from dirl.models.fast.caching import EmbeddingCache, Keys
 from dirl.recognition.matching import Arrived
 from dirl.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
@@ -23,7 +23,7 @@ WALKED = 50
 """States that an episode passes, roughly; where there are more pairs to ask for beforehand, agents ask on their way."""
 
 Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
-"""Of B agents the episode, what is seen ahead, the view ids ``[B, 4]`` and the goal, int64, to logits ``[B, 4]``.
+"""Of B agents the episode, what is seen ahead, the view ids ``[B, V]`` and the goal, int64, to logits ``[B, 4]``.
 
 What is seen ahead is a view id, ``look * N + state``. A goal is its place among the world's G goals, plus G times its
 look.
@@ -48,15 +48,15 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
 
 
 def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide:
-    pictures, goals = observation.pictures, len(world.goals) * world.looks
+    keys, goals = Keys(observation.pictures + 1, len(observation.order)), len(world.goals) * world.looks
     seen, answered = EmbeddingCache(), EmbeddingCache()
 
     def decide(episode: Tensor, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        row = seen.places(pack(view_ids, pictures), lambda keys: (unpack(keys, pictures, VIEWS),))
+        row = seen.places(keys.pack(view_ids), lambda new: (keys.unpack(new),))
 
         def answer(cases: Tensor) -> tuple[Tensor]:
-            goal, ids = cases % goals, seen.rows[0][cases // goals]
-            return (policy(observe(world, observation, ids[:, -1], ids, goal))["logits"],)
+            goal, views = cases % goals, seen.rows[0][cases // goals]
+            return (policy(observe(world, observation, views[:, -1], views, goal))["logits"],)
 
         place = answered.places(row * goals + wanted, answer)
         return answered.rows[0][place]

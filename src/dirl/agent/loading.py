@@ -50,6 +50,8 @@ def load_parts(
     order = saved.get("views", own)  # checkpoints of older versions name none
     if order != own:
         raise NavigatorError(f"{origin}: was trained on the views {order}, not {own}")
+    if len(order) != VIEWS:
+        raise NavigatorError(f"{origin}: was trained on {len(order)} views; a navigator takes {VIEWS}")
     scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
     policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched_view(config, order))
     memory, recognises = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)

@@ -21,7 +21,7 @@ Parameters = dict[str, tuple[Any, bool]]
 
 GROUPS: Mapping[str, frozenset[str]] = {
     "observation": frozenset({"world"}),
-    "encoder": frozenset({"num_features", "patch_shape"}),
+    "encoder": frozenset({"num_features", "num_views", "patch_shape"}),
     "memory": frozenset({"input_size", "in_key", "out_key"}),
     "heads": frozenset({"scenes", "in_features", "num_actions"}),
     "policy": frozenset({"world", "features", "encoder", "heads", "memory"}),

@@ -8,7 +8,7 @@ them up in the environment instead, for networks that read features. All work on
 from typing import Literal
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Categorical, TensorSpec, Unbounded
 from torchrl.envs import Transform
@@ -16,6 +16,7 @@ from torchrl.envs import Transform
 from dirl.scenes import World
 
 VIEWS = 4
+"""Of a node: ahead, right, back and left."""
 
 
 class SurroundingViews(Transform):
@@ -31,7 +32,7 @@ class SurroundingViews(Transform):
     """Whether an observation depends on earlier states too."""
 
     order: tuple[str, ...] = ("ahead", "right", "back", "left")
-    """The names of the four views; they are saved in checkpoints."""
+    """The names of the views, as many as an observation has; they are saved in checkpoints."""
 
     def __init__(self, world: World, goal_view: Literal["surrounding", "front"] = "surrounding") -> None:
         super().__init__(in_keys=["state", "goal"], out_keys=["view_ids", "goal_view_ids"])
@@ -84,16 +85,46 @@ class SurroundingViews(Transform):
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add ``view_ids`` and ``goal_view_ids``."""
-        shape = (*observation_spec.shape, VIEWS)
-        counts = {"view_ids": self.pictures, "goal_view_ids": self.pictures + (self.goal_view == "front")}
-        for key, count in counts.items():
-            observation_spec[key] = Categorical(count, shape=shape, device=observation_spec.device)
+        shape = (*observation_spec.shape, len(self.order))
+        own = type(self) not in (SurroundingViews, SequentialViews)  # one of your own may hide any view
+        unknown = {"view_ids": own, "goal_view_ids": own or self.goal_view == "front"}
+        for key, hidden in unknown.items():
+            observation_spec[key] = Categorical(self.pictures + hidden, shape=shape, device=observation_spec.device)
         return observation_spec
 
 
 def front_only(views: Tensor, unknown: int) -> Tensor:
-    """The first of the four views, int64 ``[..., 4]``; the others are ``unknown``."""
-    return torch.where(torch.arange(VIEWS, device=views.device) == 0, views, unknown)
+    """The first of the views, int64 ``[..., 4]``; the others are ``unknown``."""
+    return torch.where(torch.arange(views.shape[-1], device=views.device) == 0, views, unknown)
+
+
+def broken_promise(made: SurroundingViews) -> str | None:
+    """Which part of the contract a transform of one's own does not keep, in words; None if it keeps all of it.
+
+    Demonstrations, caches and evaluation ask `begin`, `of_goal` and `follow` what is seen; the environment goes through
+    the transform. All of them must say the same, and `history` whether steps before matter.
+    """
+    every = torch.arange(made.pictures, device=made.surrounding.device)
+    seen, goal = made.begin(every), made.of_goal(every)
+    for name, ids in (("begin", seen), ("of_goal", goal)):
+        if ids.dtype != torch.int64 or ids.shape != (len(every), len(made.order)):
+            found = f"{str(ids.dtype).removeprefix('torch.')} {list(ids.shape)}"
+            return f"{name} gives {found} for {len(every)} pictures, and order names {len(made.order)} views"
+        if ids.min() < 0 or ids.max() > made.pictures:
+            return f"{name} gives view ids from {ids.min()} to {ids.max()}, where {made.pictures} denotes no view"
+    if not (torch.equal(seen, made.begin(every)) and torch.equal(goal, made.of_goal(every))):
+        return "begin or of_goal gives other views of a picture each time it is called"
+    before = seen.roll(1, 0)
+    now = made.follow(before, every)
+    if not made.history and not torch.equal(now, seen):
+        return "follow gives other views than begin, so set history = True"
+    state, look = every % made.states, every // made.states
+    at = TensorDict({"state": state, "goal": state, "look": look, "goal_look": look}, batch_size=[len(every)])
+    left = TensorDict({"view_ids": before, "goal_view_ids": goal}, batch_size=[len(every)])
+    for found, wanted in ((made._reset(at, at.clone()), seen), (made._step(left, at.clone()), now)):
+        if not (torch.equal(found["view_ids"], wanted) and torch.equal(found["goal_view_ids"], goal)):
+            return "the transform writes other view ids than begin, follow and of_goal give"
+    return None
 
 
 class SequentialViews(SurroundingViews):
@@ -115,7 +146,7 @@ class SequentialViews(SurroundingViews):
 
     def begin(self, picture: Tensor) -> Tensor:
         """The picture four times, int64 ``[...]`` to ``[..., 4]``."""
-        return picture.unsqueeze(-1).expand(*picture.shape, VIEWS).clone()
+        return picture.unsqueeze(-1).expand(*picture.shape, len(self.order)).clone()
 
     def follow(self, view_ids: Tensor, picture: Tensor) -> Tensor:
         """``view_ids`` without the oldest, and the new picture, int64 ``[..., 4]``."""
@@ -153,7 +184,7 @@ class ViewFeatures(Transform):
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add ``observation`` and ``goal_observation``."""
-        shape = (*observation_spec.shape, VIEWS, self.table.shape[1])
-        for key in self.out_keys:
+        for ids, key in zip(self.in_keys, self.out_keys, strict=True):
+            shape = (*observation_spec[ids].shape, self.table.shape[1])
             observation_spec[key] = Unbounded(shape, device=observation_spec.device, dtype=self.table.dtype)
         return observation_spec

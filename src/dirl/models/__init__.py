@@ -10,6 +10,7 @@ from dirl.models.actor_critic import (
     noisy,
     plain_weights,
     recurrent_keys,
+    state_primer,
 )
 from dirl.models.comparing import ComparingEncoder
 from dirl.models.episodic import EpisodicMemory, Trace
@@ -39,5 +40,6 @@ __all__ = [
     "noisy",
     "plain_weights",
     "recurrent_keys",
+    "state_primer",
     "whitening",
 ]

@@ -9,8 +9,9 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torch.distributions import Categorical
+from torchrl.data import Composite
+from torchrl.envs import TensorDictPrimer
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
-from torchrl.modules.utils import get_primers_from_module
 
 from dirl.envs.transforms import VIEWS
 from dirl.models.fast.caching import Cacheable, CachedEncoder
@@ -77,33 +78,50 @@ class ActorCritic(TensorDictModuleBase):
         self.memory = memory
         self.heads = heads
         self.cached: CachedEncoder | None = None
-        self.in_keys = [*VIEW_IDS, "scene", *([] if memory is None else memory.in_keys[1:])]
-        self.out_keys = ["hidden", "logits", "state_value", *([] if memory is None else memory.out_keys[1:])]
+        self.in_keys = [
+            *VIEW_IDS,
+            "scene",
+            *([] if memory is None else [key for key in memory.in_keys if key != "fused"]),
+        ]
+        self.out_keys = [
+            "hidden",
+            "logits",
+            "state_value",
+            *([] if memory is None else [key for key in memory.out_keys if key != "memory"]),
+        ]
 
     def cache(
-        self, surrounding: Tensor | None, *, front: bool = False, noisy: bool = False, principal: bool = False
+        self,
+        surrounding: Tensor | None,
+        *,
+        views: int = VIEWS,
+        front: bool = False,
+        noisy: bool = False,
+        principal: bool = False,
     ) -> None:
         """Embed each distinct observation once, if the encoder can be cached; see `dirl.models.fast`.
 
         Args:
             surrounding: as for `CachedEncoder`.
+            views: as for `CachedEncoder`.
             front: as for `CachedEncoder`.
             noisy: views will be read with noise, which the specialised form of a Siamese encoder draws twice.
             principal: learn a Siamese encoder's embedding in principal axes, see `CachedSiamese`; to be called before
                 an optimiser is made.
         """
+        read: dict[str, Any] = {"views": views, "front": front}
         # A subclass may embed or fuse otherwise, which the specialised form would not know.
         if type(self.encoder) is SiameseEncoder and not noisy:
-            self.cached = CachedSiamese(self.encoder, self.features, surrounding, front=front, principal=principal)
-        elif isinstance(self.encoder, Cacheable) and self._is_its_parts():
-            self.cached = CachedEncoder(self.encoder, self.features, surrounding, front=front)
+            self.cached = CachedSiamese(self.encoder, self.features, surrounding, principal=principal, **read)
+        elif isinstance(self.encoder, Cacheable) and self._is_its_parts(views):
+            self.cached = CachedEncoder(self.encoder, self.features, surrounding, **read)
 
     @torch.no_grad()
-    def _is_its_parts(self) -> bool:
+    def _is_its_parts(self, views: int) -> bool:
         """Whether the encoder is what `Cacheable` says; one that overrides ``forward`` may not."""
         encoder: Any = self.encoder
         device = self.features.table.device
-        drawn = torch.randn(2, 3, VIEWS, self.features.width, generator=torch.Generator().manual_seed(0)).to(device)
+        drawn = torch.randn(2, 3, views, self.features.width, generator=torch.Generator().manual_seed(0)).to(device)
         with torch.random.fork_rng(devices=[]):
             embed_goal = getattr(encoder, "embed_goal", encoder.embed)
             whole, parts = encoder(*drawn), encoder.fuse(encoder.embed(drawn[0]), embed_goal(drawn[1]))
@@ -192,9 +210,27 @@ def recurrent_keys(policy: nn.Module) -> list[str]:
     return [key[1] for key in written]
 
 
+def state_primer(policy: nn.Module) -> TensorDictPrimer:
+    """TorchRL's transform that gives every episode the recurrent state to begin with, zeros.
+
+    Raises:
+        ValueError: the memory names no such state for a key that it writes.
+    """
+    specs = Composite()
+    for module in policy.modules():
+        if hasattr(module, "make_tensordict_primer"):
+            primer = module.make_tensordict_primer()
+            if primer.random or any(value != 0 for value in primer.default_value.values()):
+                raise ValueError("its recurrent state must begin with zeros, see make_tensordict_primer()")
+            specs.update(primer.primers)
+    if missing := [key for key in recurrent_keys(policy) if key not in specs.keys()]:  # noqa: SIM118, of a Composite
+        raise ValueError(f"writes the state '{missing[0]}', which make_tensordict_primer() does not name")
+    return TensorDictPrimer(specs, expand_specs=True)
+
+
 def initial_state(policy: nn.Module, batch: int, device: torch.device) -> dict[str, Tensor]:
     """A policy's recurrent state at the beginning of an episode, ``[batch, ...]`` by key; empty without memory."""
     if not recurrent_keys(policy):
         return {}
-    primer = get_primers_from_module(policy)
-    return {key: primer.primers[key].zero([batch]).to(device) for key in recurrent_keys(policy)}
+    specs = state_primer(policy).primers
+    return {key: specs[key].zero([batch]).to(device) for key in recurrent_keys(policy)}

@@ -7,12 +7,13 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
+from torchrl.modules import set_recurrent_mode
 
 from dirl.backbones.patches import PATCH_SHAPE
 from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, feature_statistics, initial_state, whitening
+from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
 from dirl.scenes import ACTIONS, World
 
 
@@ -22,6 +23,7 @@ def build_policy(
     scenes: Collection[str],
     *,
     world: World | None = None,
+    views: int = VIEWS,
 ) -> nn.Module:
     """The policy with its initial weights, which depend on the seed alone.
 
@@ -30,6 +32,7 @@ def build_policy(
         features: of the world's states.
         scenes: the scenes' names.
         world: where it walks; a policy that is loaded outside of its scenes has none.
+        views: how many an observation has.
 
     Raises:
         ConfigError: components that do not fit together.
@@ -38,34 +41,45 @@ def build_policy(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         # Patches have one shape wherever they are computed, see dirl.backbones.patches.
-        encoder = make("encoder", config.encoder, trust, num_features=width, patch_shape=PATCH_SHAPE)
-        fused = _output_width("encoder", lambda: encoder(*torch.zeros(2, 1, VIEWS, width)))
+        read = {"num_features": width, "num_views": views, "patch_shape": PATCH_SHAPE}
+        encoder = make("encoder", config.encoder, trust, **read)
+        fused = _output_width("encoder", lambda: encoder(*torch.zeros(2, 1, views, width)), [1, views, width])
         memory = make("memory", config.memory, trust, input_size=fused, in_key="fused", out_key="memory")
-        encoded = fused if memory is None else _output_width("memory", lambda: _remember(memory, fused))
+        encoded = fused if memory is None else _output_width("memory", lambda: _remember(memory, fused), [1, fused])
         heads = make("heads", config.heads, trust, scenes=list(scenes), in_features=encoded, num_actions=len(ACTIONS))
         parts = {"encoder": encoder, "memory": memory, "heads": heads, "features": features, "world": world}
         policy: nn.Module = make("policy", config.policy, trust, **parts)
+        if memory is not None:
+            _output_width("memory, of three steps of a rollout", lambda: _remember(memory, fused, 3), [1, 3, fused])
     return policy.to(features.table.device)
 
 
-def _output_width(name: str, call: Any) -> int:
+def _output_width(name: str, call: Any, shape: list[int]) -> int:
     """The width of what a component gives for one row."""
     try:
         with torch.no_grad():
             result = call()
     except (RuntimeError, TypeError, ValueError, KeyError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ConfigError(f"{name}: cannot be called as it should, on [1, 4, D] features: {reason}") from None
+        raise ConfigError(f"{name}: cannot be called as it should, on features {shape}: {reason}") from None
     if not isinstance(result, Tensor) or result.ndim != 2 or len(result) != 1:
         found = list(result.shape) if isinstance(result, Tensor) else type(result).__name__
         raise ConfigError(f"{name}: gives {found} for one row; expected [1, width]")
     return result.shape[1]
 
 
-def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
-    row = TensorDict({"fused": torch.zeros(1, width), "is_init": torch.ones(1, 1, dtype=torch.bool)}, batch_size=[1])
-    result: Tensor = memory(row.update(initial_state(memory, 1, torch.device("cpu"))))["memory"]
-    return result
+def _remember(memory: TensorDictModuleBase, width: int, steps: int | None = None) -> Tensor:
+    """What a memory makes of one row; of the rows of a rollout, ``[1, steps]``, as losses call it."""
+    if not recurrent_keys(memory):
+        raise ValueError('writes no recurrent state, ("next", ...) among its out_keys')
+    states = {"is_init": torch.ones(1, 1, dtype=torch.bool), **initial_state(memory, 1, torch.device("cpu"))}
+    rows = TensorDict({"fused": torch.zeros(1, width), **states}, batch_size=[1])
+    with set_recurrent_mode(steps is not None):
+        result = memory(rows if steps is None else rows.unsqueeze(1).expand(1, steps).clone())
+    if missing := {*memory.out_keys} - {*result.keys(include_nested=True)}:
+        raise ValueError(f"does not write {min(missing, key=str)}, which is among its out_keys")
+    made: Tensor = result["memory"]
+    return made if steps is None else made.flatten(1)
 
 
 def feature_table(

@@ -16,12 +16,15 @@ class SiameseEncoder(nn.Module):
     Args:
         num_features: D, of a view.
         width: of the embedding and of the fused vector.
+        num_views: how many an observation has.
     """
 
-    def __init__(self, num_features: int, width: Annotated[int, Bounds(1, 65_536)] = 512) -> None:
+    def __init__(
+        self, num_features: int, width: Annotated[int, Bounds(1, 65_536)] = 512, num_views: int = VIEWS
+    ) -> None:
         super().__init__()
-        self.width = width
-        self.embedding = nn.Linear(VIEWS * num_features, width)
+        self.width, self.num_views = width, num_views
+        self.embedding = nn.Linear(num_views * num_features, width)
         self.fusion = nn.Linear(2 * width, width)
 
     def embed(self, observation: Tensor) -> Tensor:

@@ -8,17 +8,16 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
-from torchrl.modules.utils import get_primers_from_module
 
 from dirl.backbones.registry import encoded_as
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
-from dirl.envs import NavigationEnv, Reward, SurroundingViews
-from dirl.envs.transforms import VIEWS
+from dirl.envs import NavigationEnv, Reward, SequentialViews, SurroundingViews
+from dirl.envs.transforms import VIEWS, broken_promise
 from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
+from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys, state_primer
 from dirl.models.build import reads_patches
 from dirl.objectives import ImitationLoss
 from dirl.recognition.build import build_recogniser, matching, suit
@@ -62,9 +61,21 @@ def build_goals(config: TrainConfig, scenes: Sequence[Scene]) -> ChosenGoals:
 
 
 def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
-    """The transform that computes what agents observe."""
-    made: SurroundingViews = make("observation", config.observation, config.trust, world=world)
-    return made.to(world.device)
+    """The transform that computes what agents observe.
+
+    Raises:
+        ConfigError: one of your own does not keep its contract, see `dirl.envs.transforms.broken_promise`.
+    """
+    made: SurroundingViews = make("observation", config.observation, config.trust, world=world).to(world.device)
+    kind = type(made).__name__
+    if type(made) not in (SurroundingViews, SequentialViews):
+        try:
+            broken = broken_promise(made)
+        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            broken = f"cannot be asked what is seen: {type(error).__name__}: {str(error).splitlines()[0]}"
+        if broken:
+            raise ConfigError(f"observation: {kind}: {broken}")
+    return made
 
 
 def build_env(
@@ -102,7 +113,7 @@ def build_env(
     )
     transforms = [StepCounter(max_steps=config.reinforcement.max_steps), observation.clone()]
     if recurrent_keys(policy):
-        transforms += [InitTracker(), get_primers_from_module(policy)]
+        transforms += [InitTracker(), state_primer(policy)]
     return TransformedEnv(env, Compose(*transforms))
 
 

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from dirl.config.saved import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
-from dirl.envs import SurroundingViews
+from dirl.envs import SequentialViews, SurroundingViews
+from dirl.envs.transforms import front_only
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models.build import build_policy, feature_table
 from dirl.models.weights import check_extractor, load_weights, tell_of_turns, turns_of_training
@@ -82,9 +83,8 @@ def learning_policy(
         initial: weights that the training begins with, see `dirl.training.initial`; sampled with the seed if left out.
     """
     everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
-    policy = build_policy(
-        config, feature_table(config, world, initial, str(config.init)), world.names, world=everywhere
-    )
+    table, views = feature_table(config, world, initial, str(config.init)), len(observation.order)
+    policy = build_policy(config, table, world.names, world=everywhere, views=views)
     if initial is not None:
         load_weights(policy, initial, str(config.init), world.names)
     noisy, front = config.imitation.noise > 0, config.imitation.front_only > 0
@@ -112,15 +112,34 @@ def cached(
 ) -> nn.Module:
     """The policy, with cached embeddings if ``network.cache`` is ``auto``."""
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
-        # With more states than features of a view there is next to nothing to save by principal axes.
-        front = front or observation.goal_view == "front"
-        principal = principal and not front and len(world) <= world.features.shape[1]
-        # What is observed, not the world's own: a transform of one's own may hide views.
-        everything = torch.arange(observation.pictures, device=world.device)
-        surrounding = None if observation.history else observation.begin(everything)
-        policy.cache(surrounding, front=front, noisy=noisy, principal=principal)
+        surrounding, fronts = _seen_of_each(observation, front=front)
+        # With more states than features of a view there is next to nothing to save by principal axes. A history of
+        # one's own may hide views at any time.
+        known = surrounding is not None or type(observation) is SequentialViews
+        principal = principal and known and not fronts and len(world) <= world.features.shape[1]
+        policy.cache(surrounding, views=len(observation.order), front=fronts, noisy=noisy, principal=principal)
     made: nn.Module = policy
     return made
+
+
+def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor | None, bool]:
+    """What is observed in each picture, int64 ``[N, V]``, and whether goals may be given by their front view alone.
+
+    It is what the transform says, not the world's own: one's own may hide views. None unless the first view id tells
+    the others of observation and goal, so that a cache may go by it.
+
+    Args:
+        observation: the transform.
+        front: whether drawn pairs have such goals, see `DrawnPairs`.
+    """
+    every = torch.arange(observation.pictures, device=observation.surrounding.device)
+    seen, goal = observation.begin(every), observation.of_goal(every)
+    alone = not torch.equal(goal, seen)
+    fronts = front or alone
+    told = torch.equal(seen[:, 0], every) and not (alone and not torch.equal(goal, front_only(seen, len(every))))
+    if observation.history or not told or (fronts and bool((seen == len(every)).any())):
+        return None, fronts
+    return seen, fronts
 
 
 def trained_policy(
@@ -140,7 +159,8 @@ def trained_policy(
     """
     check_extractor(saved, world.scenes[0].extractor, origin)
     names = _scenes(saved["scenes"], world.names)
-    policy = build_policy(config, feature_table(config, world, saved["network"], origin), names, world=world)
+    table, views = feature_table(config, world, saved["network"], origin), len(observation.order)
+    policy = build_policy(config, table, names, world=world, views=views)
     load_weights(policy, saved["network"], origin, names)
     return cached(policy, config, world, observation)
 

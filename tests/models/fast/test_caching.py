@@ -13,22 +13,30 @@ from torch import nn
 from dirl.envs.transforms import front_only
 from dirl.models import ComparingEncoder, SiameseEncoder
 from dirl.models.fast import caching
-from dirl.models.fast.caching import CachedEncoder, EmbeddingCache, pack, unpack
+from dirl.models.fast.caching import CachedEncoder, EmbeddingCache, Keys
 from dirl.models.fast.siamese import CachedSiamese
 from dirl.objectives import TFRMSprop
 
 
 @given(st.lists(st.lists(st.integers(0, 55_107), min_size=4, max_size=4), min_size=1, max_size=20))
 def test_packed_rows_unpack_to_themselves(rows):
-    view_ids = torch.tensor(rows)
-    keys = pack(view_ids, 55_108)
-    assert torch.equal(unpack(keys, 55_108, 4), view_ids)
-    assert len(keys.unique()) == len({tuple(row) for row in rows})
+    view_ids, keys = torch.tensor(rows), Keys(55_108, 4)
+    packed = keys.pack(view_ids)
+    assert torch.equal(keys.unpack(packed), view_ids)
+    assert len(packed.unique()) == len({tuple(row) for row in rows})
+    assert not keys.halves
 
 
-def test_too_large_a_world_is_refused():
-    with pytest.raises(ValueError, match="55109 states is too large"):
-        pack(torch.zeros(1, 4, dtype=torch.int64), 55_109)
+@pytest.mark.parametrize(("ids", "slots"), [(55_109, 4), (181, 16), (3, 41)])
+def test_rows_that_do_not_fit_into_one_integer_keep_their_keys(ids, slots):
+    keys, generator = Keys(ids, slots), torch.Generator().manual_seed(0)
+    rows = [torch.randint(ids - 2, ids, (50, slots), generator=generator) for _ in range(3)]
+    packed = [keys.pack(some) for some in rows]
+    assert keys.halves
+    for some, those in zip(rows, packed, strict=True):
+        assert torch.equal(keys.unpack(those), some)
+        assert torch.equal(keys.pack(some), those)
+    assert len(torch.cat(packed).unique()) == len(torch.cat(rows).unique(dim=0))
 
 
 @pytest.mark.parametrize("every", [None, 41])

@@ -21,30 +21,6 @@ def avoid_host_sync(tensor: Tensor) -> bool:
     return tensor.is_cuda or is_batchedtensor(tensor)
 
 
-def pack(view_ids: Tensor, states: int) -> Tensor:
-    """One integer for each row of view ids, int64 ``[B, V]`` to ``[B]``; see `unpack`.
-
-    Args:
-        view_ids: integers below ``states``.
-        states: V integers below it must fit into one int64; for V = 4, that is up to 55,108 states.
-
-    Raises:
-        ValueError: the world is too large.
-    """
-    slots = view_ids.shape[1]
-    if states**slots >= 2**63:
-        raise ValueError(f"a world of {states} states is too large; at most 55108 can be handled together")
-    keys = view_ids[:, 0].contiguous()
-    for slot in range(1, slots):
-        keys = keys * states + view_ids[:, slot]
-    return keys
-
-
-def unpack(keys: Tensor, states: int, slots: int) -> Tensor:
-    """The rows of view ids that ``keys`` of `pack` stand for, int64 ``[R]`` to ``[R, slots]``."""
-    return torch.stack([keys // states**power % states for power in reversed(range(slots))], -1)
-
-
 class EmbeddingCache:
     """A cache of rows by key, each computed once; valid until the weights that compute them change.
 
@@ -84,6 +60,45 @@ class EmbeddingCache:
         return self._places[at]
 
 
+class Keys:
+    """One integer for each row of view ids, and the row again.
+
+    Four ids of up to 55,108 pictures are packed into one int64. Of longer rows, as those of a stack of observations,
+    the halves are numbered in the order in which they were first seen.
+
+    Args:
+        ids: how many view ids there are.
+        slots: V, how many are in a row.
+    """
+
+    def __init__(self, ids: int, slots: int) -> None:
+        self.ids, self.slots = ids, slots
+        self.halves: list[tuple[Keys, EmbeddingCache]] = []
+        if ids**slots >= 2**63:
+            self.halves = [(Keys(ids, part), EmbeddingCache()) for part in (slots // 2, slots - slots // 2)]
+
+    def pack(self, view_ids: Tensor) -> Tensor:
+        """The keys of rows, int64 ``[B, V]`` to ``[B]``."""
+        if self.halves:
+            parts = zip(self.halves, view_ids.split([half.slots for half, _ in self.halves], 1), strict=True)
+            first, second = (
+                numbers.places(half.pack(part), lambda keys, half=half: (half.unpack(keys),))  # type: ignore[misc]
+                for (half, numbers), part in parts
+            )
+            return first << 32 | second
+        keys = view_ids[:, 0].contiguous()
+        for slot in range(1, self.slots):
+            keys = keys * self.ids + view_ids[:, slot]
+        return keys
+
+    def unpack(self, keys: Tensor) -> Tensor:
+        """The rows that keys of `pack` stand for, int64 ``[R]`` to ``[R, V]``."""
+        if self.halves:
+            places = (keys >> 32, keys & (2**32 - 1))
+            return torch.cat([n.rows[0][place] for (_, n), place in zip(self.halves, places, strict=True)], 1)
+        return torch.stack([keys // self.ids**power % self.ids for power in reversed(range(self.slots))], -1)
+
+
 @runtime_checkable
 class Cacheable(Protocol):
     """An encoder that can be cached: ``forward(o, g)`` equals ``fuse(embed(o), embed(g))``, row by row.
@@ -111,13 +126,21 @@ class CachedEncoder(nn.Module):
         table: the features of the N states that view ids stand for.
         surrounding: the four states observed from each state, int64 ``[N, 4]``, where the observation depends on the
             state alone; None where any four states can be observed together.
+        views: how many an observation has, four unless it is one of your own.
         front: whether goals may also be given by their front view alone, see `dirl.envs.SurroundingViews`.
     """
 
     def __init__(
-        self, encoder: Cacheable, table: FeatureTable, surrounding: Tensor | None = None, *, front: bool = False
+        self,
+        encoder: Cacheable,
+        table: FeatureTable,
+        surrounding: Tensor | None = None,
+        *,
+        views: int = VIEWS,
+        front: bool = False,
     ) -> None:
         super().__init__()
+        self.keys = Keys(len(table) + 1, views if surrounding is None else 1)
         self._wrapped: tuple[Any, FeatureTable] = (encoder, table)  # in a tuple, which torch does not register
         self.front = front and surrounding is not None
         if front and surrounding is not None:
@@ -159,16 +182,11 @@ class CachedEncoder(nn.Module):
         unknown = len(self._wrapped[1])
         if self.front:  # states first, then goals of which only the front view is known
             return view_ids[:, 0] + unknown * (view_ids[:, 1] == unknown)
-        return pack(view_ids[:, : self.slots], unknown + 1)
+        return self.keys.pack(view_ids[:, : self.keys.slots])
 
     def _views(self, keys: Tensor) -> Tensor:
         """The view ids of keys, int64 ``[R]`` to ``[R, 4]``."""
-        return unpack(keys, len(self._wrapped[1]) + 1, VIEWS) if self.surrounding is None else self.surrounding[keys]
-
-    @property
-    def slots(self) -> int:
-        """How many of the four view ids determine the whole observation."""
-        return VIEWS if self.surrounding is None else 1
+        return self.keys.unpack(keys) if self.surrounding is None else self.surrounding[keys]
 
     def _valid_cache(self) -> Any:
         """The cache, a new one if the weights have changed: each in-place change counts a tensor's version up."""

@@ -27,6 +27,7 @@ class CachedSiamese(CachedEncoder):
         encoder: to wrap. With ``principal`` its embedding becomes an `AxesLinear` until `restore`.
         table: as for `CachedEncoder`.
         surrounding: as for `CachedEncoder`.
+        views: as for `CachedEncoder`.
         front: as for `CachedEncoder`.
         principal: learn the embedding in principal axes; not with ``front``.
     """
@@ -37,10 +38,11 @@ class CachedSiamese(CachedEncoder):
         table: FeatureTable,
         surrounding: Tensor | None,
         *,
+        views: int = VIEWS,
         front: bool = False,
         principal: bool = False,
     ) -> None:
-        super().__init__(encoder, table, surrounding, front=front)
+        super().__init__(encoder, table, surrounding, views=views, front=front)
         self.axes: PrincipalAxes | None = None
         self._projected: Tensor | None = None
         if principal:
@@ -113,7 +115,7 @@ class CachedSiamese(CachedEncoder):
         The embedding is a sum of projections, one for each of the four views, so that any four views are then embedded
         by adding four rows. Equal to the plain form up to rounding.
         """
-        table, slots = self._wrapped[1].table, VIEWS
+        table, slots = self._wrapped[1].table, self._wrapped[0].num_views
         if self.axes is not None:
             table, slots = self.axes.table, self.axes.slots
         weight = self._wrapped[0].embedding.weight.detach().unflatten(1, (slots, -1))
