@@ -21,20 +21,17 @@ from typing import Any
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from dirl.config.places import CONF
-from dirl.config.schemas import Precision, TrainConfig
-from dirl.evaluation.experts import label
+from dirl.config.schemas import TrainConfig
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
-from dirl.models import caching, noisy, recurrent_keys
+from dirl.models import caching, noisy
 from dirl.runs.folder import Run
-from dirl.runs.ranks import average_gradients
 from dirl.training import hogwild
-from dirl.training.build import build_env, build_expert, build_imitation_loss, trained_parameters
+from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, run_job
-from dirl.training.loops import Updates, imitation_steps, updates, write_evaluation
+from dirl.training.loops import Updates, imitation_steps, labelled_walks, updates, write_evaluation
 from dirl.training.losses import (
     Advantages,
     clip_gradients,
@@ -45,30 +42,27 @@ from dirl.training.losses import (
 )
 from dirl.training.pairs import Demonstrations, with_labels
 from dirl.training.rollout import collect, summarise
-from dirl.training.state import TrainState, begin_imitation, in_imitation
-
-NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
-"""What a summary says of a run without reinforcement."""
+from dirl.training.state import TrainState
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
 def main(composed: DictConfig) -> float:
     """Train: one run, or one job of a sweep; returns the greedy SPL, which sweepers maximise."""
-    return run_job(composed, HydraConfig.get(), train)["greedy"]["spl"]
+    return run_job(composed, train)["greedy"]["spl"]
 
 
 def train(run: Run, components: Components) -> dict[str, Any]:
     """Imitation, then reinforcement; returns what the summary says of them (paper section 3, algorithm 1)."""
-    policy, demos, protocol, state = components.policy, components.demos, components.protocol, components.state
-    walked = {}
-    begins = run.saved is None or in_imitation(run)
-    if begins and len(demos):
+    policy, demos, protocol = components.policy, components.demos, components.protocol
+    found = {}
+    if components.begins and len(demos):
         step = imitate(run, policy, demos)
-        walked = aggregate(run, policy, protocol, demos, step)
-    if begins and run.config.evaluation.times:
+        found = aggregate(run, policy, protocol, demos, step)
+    if components.begins and run.config.evaluation.times:
         write_evaluation(run, policy, protocol, 0)
-    trained = NOT_REINFORCED if state is None else reinforce(run, state, protocol)
-    return trained | walked
+    if components.state is not None:
+        found = reinforce(run, components.state, protocol) | found
+    return found
 
 
 def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
@@ -85,8 +79,9 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
     """
     options = run.config.imitation
     draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()
-    loss, state = build_imitation_loss(run.config, policy), begin_imitation(run, policy, done)
-    with imitation_steps(run, state, done) as steps:
+    loss = build_imitation_loss(run.config, policy)
+    with imitation_steps(run, policy, done) as steps:
+        state = steps.state
         while steps.goes_on:
             if options.lr_decay:
                 set_learning_rate(state.optimiser, options.lr * (1 - (state.step - done) / options.max_steps))
@@ -95,7 +90,7 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
                 result = loss(trunk(rows.copy()))
             state.optimiser.zero_grad()
             result["loss_imitation"].backward()
-            average_gradients(policy.parameters(), len(rows))
+            steps.average_gradients(policy.parameters(), len(rows))
             state.optimiser.step()
             steps.record(result["loss_imitation"].item(), result["accuracy"].item(), len(rows))
     print(f"{len(demos)} demonstrations, {state.step} steps of imitation: {state.accuracy:.1%} of the actions learned")
@@ -108,21 +103,13 @@ def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: Demons
     Writes a row of ``dagger.csv`` a round: frames walked so far, states and goals labelled so far, and the metrics of
     the clone. Returns what the summary says of it.
     """
-    config, world = run.config, protocol.world
-    options = config.imitation
-    if options.rounds == 0:
-        return {}
-    env, operator = build_env(config, world, protocol.observation, policy), policy.operator()
-    expert = build_expert(config, world)
-    agents, frames = env.reset(), 0
-    for number in range(1, options.rounds + 1):
-        batch, agents = collect(env, operator, agents, options.walk_steps)
-        frames += batch.numel()
-        demos = with_labels(demos, label(expert, batch.reshape(-1)))
+    frames = 0
+    for number, rows, frames in labelled_walks(run.config, policy, protocol):
+        demos = with_labels(demos, rows)
         done = imitate(run, policy, demos, done)
         row = {"round": number, "frames": frames, "labels": len(demos)}
         run.write("dagger", number, row | metrics(protocol.run(policy)))
-    return {"frames": frames, "demonstrations": len(demos)}
+    return {"frames": frames, "demonstrations": len(demos)} if frames else {}
 
 
 def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict[str, Any]:
@@ -138,8 +125,8 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
     """Collect, losses, backward, clip, step; as long as the loop goes on."""
     options, optimiser, policy = config.reinforcement, state.optimiser, state.policy
     operator, advantages = policy.operator(), Advantages(policy, options.gamma, options.lmbda)
-    parameters, rate = trained_parameters(policy, state.losses), optimiser.defaults["lr"]
-    by_agent, bfloat16 = bool(recurrent_keys(policy)), config.precision == Precision.bfloat16
+    parameters, rate = state.parameters, optimiser.defaults["lr"]
+    by_agent, bfloat16 = bool(state.losses.recurrent), config.precision == "bfloat16"
     while loop.goes_on:
         set_learning_rate(optimiser, rate * loop.left)
         with caching(policy), torch.autocast(state.env.device.type, torch.bfloat16, enabled=bfloat16):
@@ -149,7 +136,7 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
                 losses = state.losses(part, loop.left)
                 optimiser.zero_grad()
                 total_loss(losses).backward()
-                average_gradients(parameters, len(part))
+                loop.average_gradients(parameters, len(part))
                 norm = clip_gradients(parameters, options.max_grad_norm, per_variable=options.clip_per_variable)
                 optimiser.step()
         loop.record(summarise(state.env, batch, losses.set("gradient_norm", norm)))

@@ -26,7 +26,7 @@ from dirl.recognition.tables import VisitScores
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.world import Goals
-from dirl.training.losses import Losses, ScheduledLoss
+from dirl.training.losses import Losses, ScheduledLoss, trained_parameters
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 
@@ -214,12 +214,6 @@ def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | 
     """The optimiser of the policy's weights, and of the losses' own."""
     made: Optimizer = make("optimiser", config.optimiser, config.trust, params=trained_parameters(policy, losses))
     return made
-
-
-def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> list[nn.Parameter]:
-    """The parameters of the policy, then the losses' own; each once."""
-    both = [*policy.parameters(), *(losses.parameters() if losses is not None else [])]
-    return list(dict.fromkeys(parameter for parameter in both if parameter.requires_grad))
 
 
 def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | Arrived | None:

@@ -8,17 +8,22 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from torch import nn
 
-from dirl.config.components import check_components
+from dirl.config.components import check_components, packages_to_trust
+from dirl.config.places import command
 from dirl.config.values import typed
-from dirl.evaluation.protocol import EvaluationProtocol, mean_shortest
+from dirl.evaluation.protocol import EvaluationProtocol, assess, mean_shortest
 from dirl.evaluation.stability import EpisodeMeter
-from dirl.models import count_parameters
-from dirl.reporting import run_title
+from dirl.models import count_parameters, plain_weights
+from dirl.recognition.build import matching
+from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs import ranks
 from dirl.runs.exits import job_errors, one_line_exits
 from dirl.runs.folder import Run, open_run
+from dirl.runs.memory import peak_memory_mb
 from dirl.runs.states import check_state
 from dirl.training.build import (
     build_demonstrations,
@@ -31,9 +36,7 @@ from dirl.training.build import (
     build_world,
     describe,
 )
-from dirl.training.conclusion import conclude, conclude_untrained
-from dirl.training.initial import initial_weights, with_architecture
-from dirl.training.load import learning_policy
+from dirl.training.load import initial_weights, learning_policy, with_architecture
 from dirl.training.losses import Losses
 from dirl.training.pairs import Demonstrations
 from dirl.training.state import TrainState, in_imitation
@@ -50,23 +53,31 @@ class Components:
     """Where and how the policy is evaluated; its world and observation are those of the training."""
     state: TrainState | None
     """Of the reinforcement; None if the run has none."""
+    begins: bool
+    """Whether the run is before its reinforcement: it is new, or goes on from a checkpoint of its imitation."""
 
+
+NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
+"""What a summary says of a run without reinforcement."""
+
+DRAWN_SCENES = 8
+"""Of how many scenes there are pictures at most; those of one take seconds."""
 
 Stages = Callable[[Run, Components], dict[str, Any]]
 """Trains the policy; returns what the summary says of it."""
 
 
-def run_job(composed: DictConfig, hydra: Any, stages: Stages) -> dict[str, Any]:
+def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
     """Run one job of Hydra: alone, or of a sweep, in which an error fails the job and the others run.
 
     Args:
         composed: the configuration.
-        hydra: of the job, ``HydraConfig.get()``.
         stages: the training.
 
     Returns:
         The summary.
     """
+    hydra: Any = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
     if hydra.mode.name == "MULTIRUN":
@@ -109,7 +120,7 @@ def _components(run: Run, initial: Any) -> Components:
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
-    return Components(policy, demos, protocol, state)
+    return Components(policy, demos, protocol, state, begins=run.saved is None or in_imitation(run))
 
 
 def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
@@ -134,6 +145,35 @@ def _train(run: Run, components: Components, stages: Stages) -> dict[str, Any]:
     facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)}
     print(f"{run_title(facts)}: {run.folder}")
     if not count_parameters(policy):
-        return ranks.from_first(lambda: conclude_untrained(run, policy, protocol, facts))
+        return ranks.from_first(lambda: _conclude_untrained(run, policy, protocol, facts))
     trained = stages(run, components)
-    return ranks.from_first(lambda: conclude(run, policy, protocol, facts | trained))
+    return ranks.from_first(lambda: _conclude(run, policy, protocol, facts | NOT_REINFORCED | trained))
+
+
+def _conclude_untrained(
+    run: Run, policy: nn.Module, protocol: EvaluationProtocol, facts: dict[str, Any]
+) -> dict[str, Any]:
+    """Evaluate a policy that learns nothing, and write the summary."""
+    summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
+    run.write_summary(summary)
+    print(summary_table(summary))
+    run.clean_up(summary)
+    return summary
+
+
+def _conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> dict[str, Any]:
+    """Evaluate, write the summary, show it as a table and in pictures."""
+    if hasattr(policy, "restore"):
+        policy.restore()
+    measures = assess(policy, protocol)
+    summary = summary | {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()} | measures
+    run.finish({"frames": summary["frames"], "network": plain_weights(policy)}, summary)
+    print(summary_table(summary))
+    draw_learning_curve(run.folder, run.folder / "learning_curve.png")
+    for index in range(min(DRAWN_SCENES, len(protocol.world.scenes))):
+        draw_scene(policy, protocol, index, run.folder, matching=matching(run.config), facts=summary)
+    run.clean_up(summary)
+    print(f"pictures, metrics and weights: {run.folder}")
+    if outside := packages_to_trust(run.config):
+        print(f"evaluate it with: {command('evaluate')} checkpoint={run.folder} trust=[{','.join(outside)}]")
+    return summary

@@ -14,6 +14,8 @@ from dirl.envs.transforms import front_only
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models.build import build_policy, feature_table
 from dirl.models.weights import check_extractor, load_weights, tell_of_turns, turns_of_training
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.finding import ARCHITECTURE, initial_weights_file
 from dirl.scenes import World
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.scene import turns_of
@@ -80,7 +82,7 @@ def learning_policy(
         config: of the run.
         world: where it walks.
         observation: what it observes.
-        initial: weights that the training begins with, see `dirl.training.initial`; sampled with the seed if left out.
+        initial: weights that the training begins with, see `initial_weights`; sampled with the seed if left out.
     """
     everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
     table, views = feature_table(config, world, initial, str(config.init)), len(observation.order)
@@ -168,3 +170,49 @@ def trained_policy(
 def _scenes(trained: Sequence[str], names: Sequence[str]) -> Sequence[str]:
     """The names by which a policy's heads serve the scenes of a world: their own, or of as many others in order."""
     return names if set(names) <= set(trained) or len(names) != len(trained) else trained
+
+
+def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:
+    """The configuration with the architecture of the checkpoint that ``init`` names; unchanged without it.
+
+    Args:
+        config: as composed.
+        overrides: of the command line.
+
+    Returns:
+        The configuration, and the checkpoint, for `initial_weights`; None without ``init``.
+
+    Raises:
+        ConfigError: an option of the architecture is given beside ``init``.
+        RunError: there is no such checkpoint, or it is damaged.
+    """
+    if config.init is None:
+        return config, None
+    saved = load_checkpoint(initial_weights_file(config.init, overrides))
+    trained = read_config(saved["config"], config.init, trust=config.trust or [])
+    return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
+
+
+def initial_weights(
+    config: TrainConfig, world: World, saved: Mapping[str, Any] | None = None
+) -> Mapping[str, Tensor] | None:
+    """The weights that a training begins with, by name; None without ``init``.
+
+    Args:
+        config: of the run, see `with_architecture`.
+        world: where it walks.
+        saved: the checkpoint that ``init`` names, if it has been read; or the one that the run itself resumes from.
+
+    Raises:
+        ConfigError: they were trained on the features of another extractor, or have heads for other scenes.
+        RunError: there is no such checkpoint, or it is damaged.
+    """
+    if config.init is None:
+        return None
+    saved = saved or load_checkpoint(config.init)
+    check_extractor(saved, world.scenes[0].extractor, f"init={config.init}")
+    unknown = sorted(set(world.names) - set(saved["scenes"]))
+    if unknown and not config.heads.get("shared"):
+        raise ConfigError(f"init={config.init}: has heads for the scenes {saved['scenes']}, none for {unknown[0]}")
+    weights: Mapping[str, Tensor] = saved["network"]
+    return weights

@@ -14,18 +14,21 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
+from tensordict import TensorDictBase
 from torch import nn
 from tqdm import tqdm
 
+from dirl.config.schemas import TrainConfig, Until
 from dirl.evaluation.episodes import bar_interval
+from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.runs import ranks
 from dirl.runs.exits import interruptible, leave
 from dirl.runs.finding import RunError
 from dirl.runs.folder import Run
-from dirl.training.progress import due, is_done
-from dirl.training.rollout import Update, together
-from dirl.training.state import ImitationState, TrainState
+from dirl.training.build import build_env, build_expert
+from dirl.training.rollout import Update, collect, together
+from dirl.training.state import ImitationState, TrainState, begin_imitation
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -43,6 +46,7 @@ class ImitationSteps:
     saves: bool
     stop: list[int] = field(default_factory=list)
     """Signals that ask the loop to end."""
+    average_gradients = staticmethod(ranks.average_gradients)
 
     @property
     def goes_on(self) -> bool:
@@ -70,8 +74,9 @@ class ImitationSteps:
 
 
 @contextmanager
-def imitation_steps(run: Run, state: ImitationState, first: int) -> Iterator[ImitationSteps]:
+def imitation_steps(run: Run, policy: Any, first: int) -> Iterator[ImitationSteps]:
     """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved."""
+    state = begin_imitation(run, policy, first)
     count, hidden = run.config.imitation.max_steps, not run.config.imitation.sampled or ranks.rank() > 0
     options: dict[str, Any] = {"unit": " steps", "mininterval": bar_interval(), "disable": hidden}
     with interruptible() as asked, tqdm(total=count, initial=state.step - first, **options) as bar:
@@ -94,6 +99,7 @@ class Updates:
     asked: list[int]
     stop: list[int] = field(default_factory=list)
     """Signals that ask the loop to end, or 0 where the training is done before all frames are."""
+    average_gradients = staticmethod(ranks.average_gradients)
 
     @property
     def goes_on(self) -> bool:
@@ -107,8 +113,10 @@ class Updates:
 
     @property
     def done(self) -> bool:
-        """Whether the training is over."""
-        return is_done(self.run.config, self.state.meter, self.state.frames, self.total)
+        """Whether all frames are done, or with ``until=stable`` every goal is stable and was evaluated since."""
+        config, frames = self.run.config, self.state.frames
+        stable = self.state.meter.stable_at if config.reinforcement.until == Until.stable else None
+        return frames >= self.total or (stable is not None and due(stable, frames, self.total, config.evaluation.times))
 
     def record(self, update: Update, paused: AbstractContextManager[None] | None = None) -> None:
         """Count an update; write, evaluate and save when they are due, the latter two within ``paused``."""
@@ -172,6 +180,27 @@ def _noticing_divergence() -> Iterator[None]:
         raise RunError(
             "the policy has diverged, its logits are not finite: lower optimiser.lr or reward.scale"
         ) from None
+
+
+def labelled_walks(
+    config: TrainConfig, policy: Any, protocol: EvaluationProtocol
+) -> Iterator[tuple[int, TensorDictBase, int]]:
+    """The rounds of DAgger: number, labels of where the learner walked, ``[M]``, and frames walked so far."""
+    options, world = config.imitation, protocol.world
+    if options.rounds == 0:
+        return
+    env, operator = build_env(config, world, protocol.observation, policy), policy.operator()
+    expert = build_expert(config, world)
+    agents, frames = env.reset(), 0
+    for number in range(1, options.rounds + 1):
+        batch, agents = collect(env, operator, agents, options.walk_steps)
+        frames += batch.numel()
+        yield number, label(expert, batch.reshape(-1)), frames
+
+
+def due(before: int, now: int, total: int, times: int) -> bool:
+    """Whether one of ``times`` moments, evenly spread over ``total`` frames, lies between two counts of frames."""
+    return before * times // total < now * times // total
 
 
 def write_evaluation(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:

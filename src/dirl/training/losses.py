@@ -175,6 +175,12 @@ def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorD
     return demonstrations.copy().update({"is_init": begins, **initial_state(policy, count, device)})
 
 
+def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> list[nn.Parameter]:
+    """The parameters of the policy, then the losses' own; each once."""
+    both = [*policy.parameters(), *(losses.parameters() if losses is not None else [])]
+    return list(dict.fromkeys(parameter for parameter in both if parameter.requires_grad))
+
+
 def total_loss(losses: TensorDictBase) -> Tensor:
     """The sum of the ``loss_*`` entries."""
     return sum(value for key, value in losses.items() if key.startswith("loss_"))

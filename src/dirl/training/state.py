@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import EnvBase
 
@@ -17,7 +17,7 @@ from dirl.models import plain_weights
 from dirl.runs import ranks
 from dirl.runs.folder import Run
 from dirl.runs.states import check_state
-from dirl.training.losses import Losses
+from dirl.training.losses import Losses, trained_parameters
 from dirl.training.rollout import Update
 
 
@@ -38,6 +38,11 @@ class TrainState:
     """Spent on updates, without evaluation."""
     began: float = field(default_factory=time.perf_counter)
     """When the current update began."""
+
+    @property
+    def parameters(self) -> list[nn.Parameter]:
+        """What is trained: the policy's parameters and the losses' own."""
+        return trained_parameters(self.policy, self.losses)
 
     def start_clock(self) -> None:
         """Start to time an update."""
