@@ -251,7 +251,9 @@ class Backwards(SurroundingViews):
 
 
 @pytest.mark.parametrize("made", [HiddenGoals, Backwards])
-@pytest.mark.parametrize("options", [[], ["imitation.sampled=true", "imitation.front_only=0.5"]], ids=["table", "photos"])
+@pytest.mark.parametrize(
+    "options", [[], ["imitation.sampled=true", "imitation.front_only=0.5"]], ids=["table", "photos"]
+)
 def test_what_a_transform_hides_is_hidden_with_a_cache_too(parts, monkeypatch, made, options):
     monkeypatch.setitem(sys.modules, "house", sys.modules[__name__])
     ends = []
