@@ -99,6 +99,7 @@ class LocalisingMemory(nn.Module):
         blocked: prior probability that a move not tried yet is blocked.
         slip: prior probability that an action leads anywhere else than expected.
         confidence: stop above this probability that the goal is here. Fewer false stops cost longer paths.
+        settle: the same where no move is left that was not tried, as in a place that a map shows whole.
         elsewhere: how many nodes that look like the goal lie behind each move not tried, anywhere.
         neighbour: how many more lie behind each move not tried at the most probable place.
         seek: try all moves around a place above these log odds, and return to it to see it again.
@@ -114,6 +115,7 @@ class LocalisingMemory(nn.Module):
         blocked: Annotated[float, Bounds(0.001, 0.999)] = 0.25,
         slip: Annotated[float, Bounds(1e-9, 0.5)] = 0.02,
         confidence: Annotated[float, Bounds(0.01, 0.9999)] = 0.95,
+        settle: Annotated[float, Bounds(0.01, 0.9999)] = 0.5,
         elsewhere: Annotated[float, Bounds(1e-6, 1e6)] = 0.002,
         neighbour: Annotated[float, Bounds(0, 1e6)] = 0.5,
         seek: float = 0.0,
@@ -123,7 +125,8 @@ class LocalisingMemory(nn.Module):
     ) -> None:
         super().__init__()
         self.repeated, self.turn, self.blocked, self.slip = repeated, turn, blocked, slip
-        self.confidence, self.elsewhere, self.neighbour = confidence, elsewhere, neighbour
+        self.confidence, self.settle = confidence, settle
+        self.elsewhere, self.neighbour = elsewhere, neighbour
         self.seek, self.correlation = seek, correlation
         self.least, self.independence = least, independence
 
@@ -254,7 +257,8 @@ class LocalisingMemory(nn.Module):
         near = untried.unflatten(1, (-1, VIEWS))[at, node // VIEWS].sum(1)
         unseen = (self.elsewhere * (1 + untried.sum(1)) + self.neighbour * near).log()
         every = torch.cat([evidence, unseen[:, None]], 1).logsumexp(1)
-        return evidence[at, node] - every > math.log(self.confidence)
+        probability = (evidence[at, node] - every).exp()
+        return probability > torch.where(untried.any(1), self.confidence, self.settle)
 
     def _expected(self, places: Places) -> tuple[Tensor, Tensor]:
         """Position and heading by dead reckoning after the last action, int64 ``[B, 2]`` and ``[B]``."""
