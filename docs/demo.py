@@ -324,7 +324,7 @@ def built_in_room() -> tuple[Path, list[int]]:
     """The dump of a built-in room, and goals."""
     from dirl.scenes.catalogue import find_scenes
 
-    (dump,) = find_scenes(ROOM, source="rooms")
+    (dump,) = find_scenes(ROOM)
     return Path(dump.path), list(range(3, 180, 9))
 
 

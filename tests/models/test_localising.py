@@ -98,6 +98,26 @@ def test_an_equal_elsewhere_keeps_an_agent_from_stopping():
     assert not memory.stops(twice).item()
 
 
+def test_who_knows_the_whole_place_stops_at_the_most_probable_node():
+    memory = LocalisingMemory()
+    steps = [
+        (AHEAD, {0: 9.0}),
+        (RIGHT, {}),
+        (AHEAD, {2: 9.0}),
+        (RIGHT, {}),
+        (AHEAD, {4: 9.0}),
+        (RIGHT, {}),
+        (AHEAD, {6: 9.0}),
+    ]
+    # Like the goal to the left of the start, and less so ahead of it.
+    goal = {visit: {(3 - visit // 2) % 4: 0.3, -(visit // 2) % 4: 0.0} for visit in range(8)}
+    closed, open_ahead = walk(memory, *steps, goal=goal), walk(memory, *steps[:-1], goal=goal)
+    assert (closed.after >= 0)[closed.used].all()
+    assert memory.stops(closed).item()
+    assert not memory.stops(open_ahead).item()
+    assert not LocalisingMemory(settle=0.95).stops(closed).item()
+
+
 def test_more_confidence_asks_for_more_evidence():
     seen = walk(LocalisingMemory(), goal={0: {0: 4.0}})
     assert [LocalisingMemory(confidence=value).stops(seen).item() for value in (0.9, 0.99)] == [True, False]
