@@ -77,6 +77,10 @@ class Keys:
         if ids**slots >= 2**63:
             self.halves = [(Keys(ids, part), EmbeddingCache()) for part in (slots // 2, slots - slots // 2)]
 
+    def forget(self) -> None:
+        """Number anew, so that numbers, and the order of what is computed by them, do not depend on earlier updates."""
+        self.halves = [(Keys(half.ids, half.slots), EmbeddingCache()) for half, _ in self.halves]
+
     def pack(self, view_ids: Tensor) -> Tensor:
         """The keys of rows, int64 ``[B, V]`` to ``[B]``."""
         if self.halves:
@@ -155,6 +159,8 @@ class CachedEncoder(nn.Module):
     def forward(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
         """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
         encoder, _ = self._wrapped
+        if not self._keeps:
+            self.keys.forget()
         keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
         known, goals = (None, None) if torch.is_grad_enabled() else self._valid_cache()
         if hasattr(encoder, "embed_goal"):
@@ -209,6 +215,7 @@ class CachedEncoder(nn.Module):
     def caching(self) -> Iterator[None]:
         """A context in which embeddings computed without gradients are kept until the weights change."""
         self._keeps, self._cache = True, None
+        self.keys.forget()
         try:
             yield
         finally:
