@@ -322,10 +322,10 @@ def light(model: Any, smallest: int = 1024) -> Any:
 
 def built_in_room() -> tuple[Path, list[int]]:
     """The dump of a built-in room, and goals."""
-    from dirl.scenes.catalogue import find_scenes
+    from dirl.scenes import load_scenes
 
-    (dump,) = find_scenes(ROOM)
-    return Path(dump.path), list(range(3, 180, 9))
+    (scene,) = load_scenes(ROOM)
+    return Path(scene.views.path), list(range(3, len(scene), 9))
 
 
 def tour(folder: Path) -> dict[str, tuple[Path, list[int]]]:
