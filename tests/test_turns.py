@@ -18,7 +18,7 @@ from dirl.agent.navigator import Navigator
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start, run_episodes
 from dirl.evaluation.experts import ShortestPathPolicy
-from dirl.evaluation.protocol import metrics
+from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.recognition.build import matching
 from dirl.recognition.matching import TemplateStop
 from dirl.reporting import draw_scene, draw_scene_map, viewer_pages
@@ -74,8 +74,8 @@ def test_maps_paths_and_film_are_drawn(trained):
 
 def test_the_viewer_knows_every_heading(trained):
     parts, _ = trained
-    shown = {"stop": parts.protocol.stop, "max_steps": 20, "title": "a test"}
-    (page,) = viewer_pages(parts.policy, parts.world, parts.observation, matching=TemplateStop(0.9), **shown).values()
+    protocol = replace(parts.protocol, max_steps=20)
+    (page,) = viewer_pages(parts.policy, protocol, matching=TemplateStop(0.9), title="a test").values()
     data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
     assert data["surrounding"][GOAL] == [19, 22, 13, 16]
     sine, cosine = 0.5, round(3**0.5 / 2, 4)
@@ -119,9 +119,9 @@ def test_a_tour_is_mapped_shown_and_walked(headings, tmp_path):
     scene = load_scenes(str(tmp_path / "tour.h5"))[0]
     draw_scene_map(scene, np.zeros(states, int), tmp_path / "map.png")
     world = make_world([scene])
-    shown = {"stop": None, "max_steps": 60, "title": "a test", "matching": TemplateStop(0.9)}
-    shown["graphs"] = GraphMemory(world, 3.0).graphs
-    (page,) = viewer_pages(ShortestPathPolicy(world), world, SurroundingViews(world), **shown).values()
+    protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), max_steps=60)
+    shown = {"title": "a test", "matching": TemplateStop(0.9), "graphs": GraphMemory(world, 3.0).graphs}
+    (page,) = viewer_pages(ShortestPathPolicy(world), protocol, **shown).values()
     data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
     assert data["source"] == "tour, laid out"
     # With 12 headings two moves of this tour lead elsewhere than back, and one place counts as two.

@@ -24,7 +24,7 @@ def test_options_are_named_with_dots():
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["scene=[bathroom_02,kitchen_02]", "seed=0,1,2", "preset=paper", "source.root=/a/b"],
+        ["scene=[bathroom_02,kitchen_02]", "seed=0,1,2", "preset=paper", "source=thor"],
         ["reward.goal=5", "device=cuda", "resume=null", "seed=range(0,3)", "objective=ppo", "imitation.rounds=${seed}"],
         ["goals={bathroom_02:[26]}", "hydra.run.dir=x", "hydra/launcher=joblib", "+reinforcement.gamma=0.5"],
         ["--cfg", "job"],

@@ -83,7 +83,7 @@ def test_help_names_the_command_and_needs_no_torch(tmp_path, arguments, told):
         (["evaluate"], "checkpoint must be given: the folder of a run, or a .pt file in one"),
         (["evaluate", "checkpoint=nowhere"], "nowhere: holds no checkpoint"),
         (["evaluate", "checkpoint=general", "out=/"], "out=/: this file exists already"),
-        (["report"], "experiment must be given: table1 | "),
+        (["report"], "experiment must be given: of runs: table1 | "),
         (
             ["report", "experiment=fig8", "runs=nowhere"],
             "nowhere/fast: holds no finished run; make some by: dirl",

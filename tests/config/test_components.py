@@ -88,7 +88,7 @@ def test_nothing_is_made_where_no_class_is_named():
 
 def test_options_handed_on_are_those_of_the_base():
     assert list(class_parameters(Deeper)) == ["num_features", "depth", "rate", "kind", "name", "gated", "layers"]
-    assert set(class_parameters(SiameseEncoder)) == {"num_features", "width"}
+    assert set(class_parameters(SiameseEncoder)) == {"num_features", "num_views", "width"}
 
 
 @pytest.mark.parametrize(

@@ -232,7 +232,7 @@ def test_benchmark_measures_every_loop(tmp_path):
         ("train", ["scene=bathroom_02", "goals=[180]"], ["bathroom_02", "goal 180", "0..179"]),
         ("train", ["scene=bathroom_02", "source=thor"], ["source.root="]),
         ("train", ["resume=nowhere"], ["nowhere", "not the folder of a run"]),
-        ("evaluate", [], ["checkpoint="]),
+        ("evaluate", [], ["checkpoint must be given"]),
         ("evaluate", ["checkpoint=nowhere"], ["nowhere", "no checkpoint"]),
         ("benchmark", ["repeats=0"], ["repeats=0", "at least 1"]),
     ],

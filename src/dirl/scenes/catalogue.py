@@ -41,7 +41,7 @@ class Rooms:
 
     def load(self, names: list[str]) -> list[Scene]:
         """The scenes of these names, or of these files; see `SceneSource`."""
-        scenes = read_dumps(find_scenes(names, self))
+        scenes = read_dumps(find_scenes(names, self), stacklevel=4)  # names who called `load_scenes`
         return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
 
 

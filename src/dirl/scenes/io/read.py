@@ -75,8 +75,11 @@ def read_dump(path: str | Path, *, name: str | None = None, source: str | None =
     return read_dumps([Dump(Path(path), name, source)], isolated=isolated)[0]
 
 
-def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
-    """Read several scenes, see `read_dump`; one process serves all that are to be isolated."""
+def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True, stacklevel: int = 3) -> list[Scene]:
+    """Read several scenes, see `read_dump`; one process serves all that are to be isolated.
+
+    ``stacklevel`` says whose call a warning names, as of ``warnings.warn``.
+    """
     for dump in dumps:
         if not dump.path.is_file():
             raise SceneError(f"{dump.path}: there is no such file")
@@ -90,7 +93,7 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
         except SceneError as error:
             raise SceneError(f"{dump.path}: {error}") from None
         if contents.warning:
-            warnings.warn(f"{dump.path}: {contents.warning}", SceneWarning, stacklevel=3)
+            warnings.warn(f"{dump.path}: {contents.warning}", SceneWarning, stacklevel=stacklevel)
         scenes.append(_scene(dump, contents, intact=known))
     return scenes
 
