@@ -1,6 +1,6 @@
 """The whole network (paper figure 2), and its form as TorchRL's actor-critic operator."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -218,8 +218,9 @@ def state_primer(policy: nn.Module) -> TensorDictPrimer:
     """
     specs = Composite()
     for module in policy.modules():
-        if hasattr(module, "make_tensordict_primer"):
-            primer = module.make_tensordict_primer()
+        make: Callable[[], TensorDictPrimer] | None = getattr(module, "make_tensordict_primer", None)
+        if make is not None:
+            primer = make()
             if primer.random or any(value != 0 for value in primer.default_value.values()):
                 raise ValueError("its recurrent state must begin with zeros, see make_tensordict_primer()")
             specs.update(primer.primers)
