@@ -118,6 +118,11 @@ def test_who_knows_the_whole_place_stops_at_the_most_probable_node():
     assert not LocalisingMemory(settle=0.95).stops(closed).item()
 
 
+def test_more_places_that_may_look_like_the_goal_ask_for_more_evidence():
+    seen = walk(LocalisingMemory(), goal={0: {0: 4.0}})
+    assert [LocalisingMemory(elsewhere=value).stops(seen).item() for value in (0.002, 0.2)] == [True, False]
+
+
 def test_more_confidence_asks_for_more_evidence():
     seen = walk(LocalisingMemory(), goal={0: {0: 4.0}})
     assert [LocalisingMemory(confidence=value).stops(seen).item() for value in (0.9, 0.99)] == [True, False]

@@ -1,6 +1,7 @@
 """Embedding once what many frames share, with encoders of any kind; `dirl.models.fast.siamese` has tests of its own."""
 
 import copy
+from contextlib import nullcontext
 
 import pytest
 import torch
@@ -15,6 +16,7 @@ from dirl.models import ComparingEncoder, SiameseEncoder
 from dirl.models.fast import caching
 from dirl.models.fast.caching import CachedEncoder, EmbeddingCache, Keys
 from dirl.models.fast.siamese import CachedSiamese
+from dirl.models.features import FeatureTable
 from dirl.objectives import TFRMSprop
 
 
@@ -37,6 +39,22 @@ def test_rows_that_do_not_fit_into_one_integer_keep_their_keys(ids, slots):
         assert torch.equal(keys.unpack(those), some)
         assert torch.equal(keys.pack(some), those)
     assert len(torch.cat(packed).unique()) == len(torch.cat(rows).unique(dim=0))
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["as in imitation", "as in reinforcement"])
+def test_what_an_update_computes_does_not_depend_on_earlier_ones(kept):
+    generator, inputs = torch.Generator().manual_seed(0), []
+    rows = torch.randint(180, (60, 16), generator=generator)
+    table = FeatureTable(torch.rand(180, 8, generator=generator))
+    for updates in ([rows], [rows[30:31], rows]):
+        encoder = SiameseEncoder(8, 16, num_views=16)
+        encoder.embed = lambda seen, embed=encoder.embed: inputs.append(seen) or embed(seen)
+        cached = CachedEncoder(encoder, table, views=16)
+        for view_ids in updates:
+            with cached.caching() if kept else nullcontext():
+                cached(view_ids, view_ids.flip(0))
+    assert len(inputs) == 3
+    assert torch.equal(inputs[0], inputs[2])
 
 
 @pytest.mark.parametrize("every", [None, 41])
