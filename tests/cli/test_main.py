@@ -93,6 +93,11 @@ def test_help_names_the_command_and_needs_no_torch(tmp_path, arguments, told):
         (["scenes", "tour", "out=x.h5"], "path must be given: the folder of the tour"),
         (["scenes", "build", "description=nothing", "out=x.h5"], "there is no built-in room 'nothing'"),
         (["scenes", "sample", "out=x", "kind=garage"], "kind: there is no 'garage'"),
+        (["scenes", "sample", "kind=bedroom", "out=/proc/x"], "out=/proc/x: cannot be written ("),
+        (
+            ["scenes", "sample", "kind=bedroom", "out=" + "x" * 300],
+            f"out={'x' * 300}: cannot be written (File name too",
+        ),
         (["scenes", "encode", "scene=bathroom_02", "out=x"], "out=x: the name must end in .h5"),
         (["scenes", "encode", "scene=bathroom_02"], "out must be given: the dump to write"),
         (["scenes", "export", "scene=nothing", "out=x.h5"], "there is no scene 'nothing'"),

@@ -13,8 +13,12 @@ import torch
 from commands import SHORT, room_file
 from forks import Child, no_pictures, run
 from injection import KINDS, Faults
+from rooms import grid_scene
 from spoilt_checkpoints import spoil_bytes, spoil_contents
 
+from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
+from dirl.agent.mapping.walks import explore
+from dirl.reporting.sharing import save_pretrained
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.runs.finding import RunError, is_finished, training_checkpoints
 
@@ -196,6 +200,41 @@ def damaged_bytes(bench, times, rng):
     yield "a damaged checkpoint in a run", bench.finish(folder)
 
 
+def folders(bench, times, rng):
+    """A shared policy or a saved map with a damaged file is refused, or read as it was: of JSON a space may be lost."""
+    explored = ImageGraph()
+    explore(grid_scene(), explored, 0, 12)
+    policy = save_pretrained(bench.whole, bench.folder / "policy")
+    readers = {policy: load_checkpoint, save_graph(explored, bench.folder / "map"): contents}
+    for _ in range(times):
+        folder, read = rng.choice(sorted(readers.items(), key=lambda item: item[0].name))
+        file = rng.choice(sorted(one for one in folder.iterdir() if one.suffix in (".safetensors", ".json", ".yaml")))
+        good, data = read(folder), file.read_bytes()
+        spoilt, what = spoil_bytes(data, rng)
+        if spoilt == data or file.name == "summary.json":
+            continue
+        file.write_bytes(spoilt)
+        try:
+            same = alike(read(folder), good)
+            yield f"{file.name}: {what}", "" if same and file.suffix == ".json" else "accepted"
+        except (RunError, MapError) as error:
+            yield f"{file.name}: {what}", "" if len(str(error).splitlines()) == 1 else f"not one line: {error}"
+        finally:
+            file.write_bytes(data)
+
+
+def contents(folder):
+    """What a saved map holds."""
+    return {key: value for key, value in vars(load_graph(folder)).items() if key != "recogniser"}
+
+
+def alike(one, other):
+    """Whether two contents are the same, tensors included."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(alike(one[key], other[key]) for key in one)
+    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
+
+
 def machine(bench, times, rng):
     """Cases that stand for themselves, so many rounds of them."""
     for _ in range(times):
@@ -264,6 +303,7 @@ CASES = {
     "faults": faults,
     "checkpoints": checkpoints,
     "bytes": damaged_bytes,
+    "folders": folders,
     "machine": machine,
 }
 """Each takes a `Bench`, how often, and a random number generator; yields what was done, and what was wrong with it."""

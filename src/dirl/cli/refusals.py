@@ -37,6 +37,7 @@ def check_values(recipe: str, options: Any, overrides: Sequence[str] = ()) -> No
             _report(options)
         case "sample":
             _room_kind(options.kind)
+            check_writable(options.out)
         case "benchmark":
             pass
         case _:
@@ -145,15 +146,21 @@ def new_file(name: str, ending: str = ".h5") -> Path:
     path = Path(name)
     if ending and path.suffix != ending:
         raise ConfigError(f"out={name}: the name must end in {ending}")
+    if os.path.exists(name):  # of a name that is too long a Path would raise
+        raise ConfigError(f"out={name}: this file exists already; it is not overwritten")
+    check_writable(name)
+    return path
+
+
+def check_writable(name: str) -> None:
+    """Refuse what cannot be made, and a folder in which nothing can be."""
+    path = Path(name).absolute()
     try:
-        if path.exists():
-            raise ConfigError(f"out={name}: this file exists already; it is not overwritten")
-        above = next(folder for folder in path.absolute().parents if folder.exists())
+        above = next(folder for folder in (path, *path.parents) if folder.exists())
         with tempfile.TemporaryFile(dir=above):
             pass
     except OSError as error:
         raise ConfigError(f"out={name}: cannot be written ({error.strerror})") from None
-    return path
 
 
 def _room_kind(kind: str) -> None:

@@ -31,7 +31,7 @@ HINTS = {
     errno.EROFS: "choose a folder that can be written to",
     errno.EACCES: "choose a folder that can be written to",
     errno.EPERM: "choose a folder that can be written to",
-    errno.ENOENT: "was it deleted or moved meanwhile?",
+    errno.ENOENT: "was it deleted or moved meanwhile, or can nothing be made there?",
     errno.EMFILE: "raise the limit of open files (ulimit -n)",
 }
 """What to do about an error of the operating system."""

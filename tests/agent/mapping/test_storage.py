@@ -82,3 +82,10 @@ def test_a_fact_that_changed_is_found_by_the_digest(saved):
     file.write_text(file.read_text().replace("0.85", "0.95"))
     with pytest.raises(MapError, match="its files are not those that were written: the digest differs"):
         load_graph(saved[1])
+
+
+def test_a_digest_whose_name_is_damaged_is_one(saved):
+    file = saved[1] / "map.json"
+    file.write_text(file.read_text().replace('"digest"', '"dige3t"'))
+    with pytest.raises(MapError, match="its files are not those that were written: the digest differs"):
+        load_graph(saved[1])
