@@ -34,7 +34,7 @@ TOUR = (("bathroom", "bedroom"), 3)
 SIZE = 96, 128
 PANORAMA = 256, 512
 MAX_STEPS = 100
-SOURCES = ("backbones", "evaluation", "models", "recognition", "rooms", "tours")
+SOURCES = ("evaluation", "models", "perception", "sources")
 """Parts of the package that what is made depends on, besides the viewer and the agent."""
 
 SAMPLES = 3
@@ -145,8 +145,8 @@ class Camera(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        from dirl.backbones.efficientnet import PROJECTION, EfficientNetLite0, lite0_weights
-        from dirl.backbones.patches import cells_of
+        from dirl.perception.backbones.efficientnet import PROJECTION, EfficientNetLite0, lite0_weights
+        from dirl.perception.backbones.patches import cells_of
 
         self.network = EfficientNetLite0(lite0_weights())
         stored = torch.load(PROJECTION, weights_only=True)
@@ -157,7 +157,7 @@ class Camera(nn.Module):
 
     def forward(self, pixels: Tensor) -> Tensor:
         """See the class."""
-        from dirl.backbones.efficientnet import MEAN, STD
+        from dirl.perception.backbones.efficientnet import MEAN, STD
 
         stage = self.network.inner_stage(((pixels - MEAN) / STD).permute(2, 0, 1).unsqueeze(0))
         patches = (self.cells @ stage.flatten(2).transpose(1, 2) - self.mean) @ self.components
@@ -176,7 +176,7 @@ class Mind(nn.Module):
 
         As `dirl.agent.feature_policy`, but each view and the photo are read once.
         """
-        from dirl.recognition.recogniser import ncc
+        from dirl.perception.recognition.recogniser import ncc
 
         table, encoder, heads = self.policy.features, self.policy.encoder, self.policy.heads
         read = table.standardise(views)
@@ -330,12 +330,12 @@ def built_in_room() -> tuple[Path, list[int]]:
 
 def tour(folder: Path) -> dict[str, tuple[Path, list[int]]]:
     """A dump of a tour of a generated building, as `scenes.py tour` makes it, and goals, by its name."""
-    from dirl.rooms.building import sample_building
-    from dirl.rooms.building_tour import write_building_tour
     from dirl.scenes import write_dump
-    from dirl.tours.images import cut_views
-    from dirl.tours.moves import tour_scene
-    from dirl.tours.read import read_tour
+    from dirl.sources.rooms.building import sample_building
+    from dirl.sources.rooms.building_tour import write_building_tour
+    from dirl.sources.tours.images import cut_views
+    from dirl.sources.tours.moves import tour_scene
+    from dirl.sources.tours.read import read_tour
 
     building = sample_building(*TOUR)
     panoramas = folder / "panoramas"
@@ -364,11 +364,11 @@ def take_photos(name: str, scene: Any, folder: Path) -> None:
 
 def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path) -> str:
     """The page of a place with the agent's episodes there; its features and what else the browser needs are written."""
-    from dirl.backbones import encode_scene, load_encoder
     from dirl.config.choices import goal_view_options
-    from dirl.recognition.build import matching
-    from dirl.recognition.recogniser import NCC
-    from dirl.recognition.tables import described_visits
+    from dirl.perception.backbones import encode_scene, load_encoder
+    from dirl.perception.recognition.build import matching
+    from dirl.perception.recognition.recogniser import NCC
+    from dirl.perception.recognition.tables import described_visits
     from dirl.reporting import viewer_pages
     from dirl.runs.checkpoints import load_checkpoint
     from dirl.runs.finding import packaged_agent

@@ -34,7 +34,7 @@ COMPONENTS = (
 RECIPES = {
     "recipes/evaluate.py": "evaluate/evaluate.yaml",
     "recipes/report.py": "report/report.yaml",
-    "benchmarks/benchmark.py": "benchmark.yaml",
+    "recipes/benchmark.py": "benchmark.yaml",
 }
 """The recipes without groups, and the files of their options."""
 

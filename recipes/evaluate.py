@@ -24,7 +24,6 @@ from tqdm import tqdm
 from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
-from dirl.backbones.registry import packaged_encoder
 from dirl.cli.refusals import load_simulator
 from dirl.config.choices import goal_view_options, group_options
 from dirl.config.schemas import EvaluateConfig, GoalView
@@ -33,7 +32,8 @@ from dirl.evaluation.live import Remembered, evaluate_live, shortest_move
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, metrics
 from dirl.models import LocalisingMemory
-from dirl.recognition.build import build_recogniser, matching
+from dirl.perception.backbones.registry import packaged_encoder
+from dirl.perception.recognition.build import build_recogniser, matching
 from dirl.reporting import film_scene, run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.finding import RunError, packaged_agent

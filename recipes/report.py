@@ -18,7 +18,6 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from dirl.backbones.registry import load_encoder
 from dirl.cli.refusals import OF_AGENTS, reported_runs
 from dirl.config.places import CONF
 from dirl.config.schemas import ExperimentName, ReportConfig, Split, TrainConfig
@@ -34,6 +33,7 @@ from dirl.experiments.stopping import report_stopping
 from dirl.experiments.unseen_rooms import report_unseen_rooms
 from dirl.experiments.walked_once import report_walked_once
 from dirl.models.build import reads_patches
+from dirl.perception.backbones.registry import load_encoder
 from dirl.reporting.tables import scene_names
 from dirl.runs.finding import RunError
 

@@ -29,16 +29,11 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from dirl.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.cli.refusals import load_simulator
 from dirl.config.places import command as command_of
-from dirl.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene
+from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
+from dirl.perception.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
-from dirl.rooms import build_room, read_description
-from dirl.rooms.collect import RoomSettings, make_rooms, missing_rooms
-from dirl.rooms.looks import Changes
-from dirl.rooms.sampling import KINDS
-from dirl.rooms.sheet import draw_sheet, preview
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
 from dirl.scenes.io.icra17 import export_icra17
@@ -49,12 +44,17 @@ from dirl.scenes.views import encode as webp
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.recordings import unpack_recording
+from dirl.sources.rooms import build_room, read_description
+from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
+from dirl.sources.rooms.looks import Changes
+from dirl.sources.rooms.sampling import KINDS
+from dirl.sources.rooms.sheet import draw_sheet, preview
 from dirl.sources.simulators import take_scene
 from dirl.sources.thor import start_simulator, take_views
+from dirl.sources.tours import read_tour
+from dirl.sources.tours.images import cut_views
+from dirl.sources.tours.moves import tour_scene
 from dirl.sources.vizdoom import VizDoom
-from dirl.tours import read_tour
-from dirl.tours.images import cut_views
-from dirl.tours.moves import tour_scene
 
 SHOWN_PAIRS = 10
 """Of the ambiguous ones."""

@@ -19,7 +19,7 @@ settings.register_profile("dirl", deadline=None, derandomize=True, max_examples=
 settings.load_profile("dirl")
 
 
-QUICK = ("agent", "config", "envs", "evaluation", "files", "models", "objectives", "recognition", "training")
+QUICK = ("agent", "config", "envs", "evaluation", "models", "perception/recognition", "training")
 """Folders whose tests are run by ``pytest -m quick``, besides `test_layout.py`."""
 
 
@@ -27,7 +27,7 @@ def pytest_collection_modifyitems(config, items):
     """Mark the quick tests."""
     for item in items:
         inside = item.path.relative_to(Path(__file__).parent)
-        if inside.parts[0] in QUICK or inside.name == "test_layout.py":
+        if inside.as_posix().startswith(QUICK) or inside.name == "test_layout.py":
             item.add_marker("quick")
 
 

@@ -21,7 +21,6 @@ from dirl.evaluation.experts import ShortestPathExpert
 from dirl.evaluation.protocol import metrics
 from dirl.models import ActorCritic, ActorCriticHeads, FeatureTable, frozen, plain_weights
 from dirl.models.fast.caching import CachedEncoder
-from dirl.objectives import ImitationLoss
 from dirl.scenes import SceneError, load_scenes
 from dirl.training.build import (
     build_demonstrations,
@@ -34,6 +33,7 @@ from dirl.training.build import (
 from dirl.training.job import begin
 from dirl.training.load import learning_policy
 from dirl.training.losses import ScheduledLoss, demonstration_batches
+from dirl.training.objectives import ImitationLoss
 from dirl.training.rollout import collect
 
 PAGE = (ROOT / "docs" / "howto" / "extend.md").read_text()

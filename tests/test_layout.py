@@ -9,9 +9,8 @@ ROOT = Path(dirl.__file__).parent
 
 FLOORS = (
     ("config", "scenes"),
-    ("backbones", "runs", "sources", "tours"),
-    ("envs", "recognition"),
-    ("models", "objectives", "rooms"),
+    ("envs", "perception", "runs"),
+    ("models", "sources"),
     ("agent", "cli"),
     ("evaluation",),
     ("reporting",),
@@ -20,7 +19,7 @@ FLOORS = (
 )
 """From the bottom up: a wing imports only from floors below its own."""
 
-ARROWS = 66
+ARROWS = 54
 """Pairs of wings of which one imports the other, at most."""
 
 

@@ -19,12 +19,12 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start, run_episodes
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
-from dirl.recognition.build import matching
-from dirl.recognition.matching import TemplateStop
+from dirl.perception.recognition.build import matching
+from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting import draw_scene, draw_scene_map, viewer_pages
 from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.views import encode
-from dirl.tours.moves import tour_scene
+from dirl.sources.tours.moves import tour_scene
 from dirl.training.build import describe
 
 GOAL = 19

@@ -5,7 +5,7 @@ import torch
 from dirl.agent.agent import Planning
 from dirl.agent.cameras import compare
 from dirl.models import PlanningMemory
-from dirl.recognition.recogniser import NCC
+from dirl.perception.recognition.recogniser import NCC
 
 
 class Seen:

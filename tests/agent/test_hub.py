@@ -14,8 +14,8 @@ from shown_goals import images_of, look_up, rooms, trained
 from dirl import Navigator
 from dirl.agent import hub
 from dirl.agent.hub import HubError, fetch_pretrained
-from dirl.backbones import load_encoder
 from dirl.config.schemas import ConfigError
+from dirl.perception.backbones import load_encoder
 from dirl.reporting.sharing import model_card, push_to_hub, save_pretrained
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.finding import RunError

@@ -16,14 +16,14 @@ from dirl import Navigator
 from dirl.agent.decisions import observe
 from dirl.agent.navigator import NavigatorError
 from dirl.agent.onnx import export_onnx
-from dirl.backbones import ResNet50
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, recurrent_keys
-from dirl.recognition import NCC, Patches, Thresholds
-from dirl.recognition.matching import TemplateStop
-from dirl.recognition.tables import VisitScores
+from dirl.perception.backbones import ResNet50
+from dirl.perception.recognition import NCC, Patches, Thresholds
+from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.scenes import make_world
 
@@ -137,7 +137,7 @@ def test_a_memory_that_localises_needs_log_odds(tmp_path, world):
 def test_memory_and_recogniser_of_a_navigator_can_be_chosen(tmp_path, world):
     trained(tmp_path / "run", world)
     own = tmp_path / "mine.yaml"
-    own.write_text("{_target_: dirl.recognition.NCC}\n")
+    own.write_text("{_target_: dirl.perception.recognition.NCC}\n")
     navigator = load(tmp_path / "run", world, recogniser="patches", episodic_memory="planning")
     assert (type(navigator.recogniser), type(navigator.memory)) == (Patches, PlanningMemory)
     assert navigator.memory.threshold == navigator.recogniser.thresholds.memory

@@ -11,8 +11,8 @@ from rooms import grid_scene
 
 from dirl import Navigator
 from dirl.agent.navigator import NavigatorError
-from dirl.backbones import ResNet50, load_encoder
 from dirl.models.build import build_policy, feature_table
+from dirl.perception.backbones import ResNet50, load_encoder
 from dirl.runs.folder import Run
 from dirl.scenes import make_world
 from dirl.training.build import build_observation
@@ -77,7 +77,7 @@ def test_an_encoder_of_another_package_is_loaded_by_name(source, tmp_path, monke
         (tmp_path / "vit" / "preprocessor_config.json").write_text(json.dumps(settings))
     else:
         name, backbone = source, ResNet50().eval()  # in place of weights that would be downloaded
-        monkeypatch.setattr("dirl.backbones.registry._torchvision_backbone", lambda: backbone)
+        monkeypatch.setattr("dirl.perception.backbones.registry._torchvision_backbone", lambda: backbone)
     extractor = load_encoder(name)
     run = finished_run(tmp_path / "run", extractor.extractor, extractor(torch.from_numpy(IMAGES)).shape[1])
     navigator = Navigator.load(run, name)

@@ -166,8 +166,7 @@ def test_an_error_of_the_program_keeps_its_traceback():
 def test_help_says_what_a_recipe_does_with_examples(tmp_path, recipe):
     status, printed, _ = run_recipe(tmp_path, recipe, "--help")
     assert status == 0
-    folder = "benchmarks" if recipe == "benchmark" else "recipes"
-    assert f"python {folder}/{recipe}.py" in printed
+    assert f"python recipes/{recipe}.py" in printed
     schema = {"train": TrainConfig, "evaluate": EvaluateConfig, "benchmark": BenchmarkConfig}[recipe]
     assert all(f"{name}:" in printed for name in schema.__dataclass_fields__)
 

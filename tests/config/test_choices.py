@@ -10,7 +10,7 @@ def test_a_choice_is_a_file_of_the_group_or_of_ones_own(tmp_path):
     own = tmp_path / "mine.yaml"
     own.write_text("_target_: mine.Recogniser\nwidth: 3\n")
     assert group_options("recogniser", None) is None
-    assert group_options("recogniser", "ncc") == {"_target_": "dirl.recognition.NCC"}
+    assert group_options("recogniser", "ncc") == {"_target_": "dirl.perception.recognition.NCC"}
     assert group_options("recogniser", str(own)) == {"_target_": "mine.Recogniser", "width": 3}
 
 

@@ -51,7 +51,7 @@ def test_each_way_has_its_recogniser_memory_and_stop(asked, way, recogniser, mem
     _, episodes = changes.walked("general", "rooms", "front", way)
     ((agent, given),) = asked
     assert (agent, given["scene"], given["stop.evaluation"]) == ("general", "collection:rooms", stop)
-    assert given["recogniser"]["_target_"] == f"dirl.recognition.{recogniser}"
+    assert given["recogniser"]["_target_"] == f"dirl.perception.recognition.{recogniser}"
     assert given["episodic_memory"]["_target_"] == f"dirl.models.{memory}"
     assert given["observation.goal_view"] == "front"
     if way in ("told when it has arrived", *changes.RECOGNISED):

@@ -13,12 +13,12 @@ import torch
 from commands import SAVED, TINY, room_file, run_recipe, start_recipe, train_config, wait_until
 from rooms import grid_scene
 
-from dirl.backbones.registry import ViewEncoder, encode_views
 from dirl.experiments.any_goal import main_variant, nearest_trained, variant
 from dirl.experiments.measures import ambiguous, wrong_goals
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.results import published
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
+from dirl.perception.backbones.registry import ViewEncoder, encode_views
 from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import load_scenes, make_world, write_dump

@@ -15,8 +15,8 @@ from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.experiments import walked_once
 from dirl.models import LocalisingMemory
-from dirl.recognition.matching import TemplateStop
-from dirl.recognition.tables import VisitScores
+from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.finding import RunError
 from dirl.scenes import make_world, read_dump, write_dump
 from dirl.training.load import Trained

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from dirl.rooms.description import parse_description
+from dirl.sources.rooms.description import parse_description
 
 CLOSET = """
 name = "closet"
@@ -53,9 +53,9 @@ def closet(old="", new=""):
 
 
 def start_with_closets():
-    """What a process of `dirl.rooms.collect` begins with: closets for random rooms, papered in the seed's colour."""
-    from dirl.rooms import collect
-    from dirl.rooms.sampling.sample import look_around
+    """What a process that makes rooms begins with: closets for random rooms, papered in the seed's colour."""
+    from dirl.sources.rooms import collect
+    from dirl.sources.rooms.sampling.sample import look_around
 
     def draw(kind, seed):
         room = replace(closet("#c8553d", f"#{seed:06d}"), name=f"{kind}_{seed}")

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 def recipe_file(name):
     """The program of that name: a recipe, or the benchmark."""
-    return ROOT / ("benchmarks" if name == "benchmark" else "recipes") / f"{name}.py"
+    return ROOT / "recipes" / f"{name}.py"
 
 
 @dataclass

@@ -1,6 +1,6 @@
 """A recogniser whose scores are log odds, of a few lines."""
 
-from dirl.recognition import NCC
+from dirl.perception.recognition import NCC
 
 
 class Odds(NCC):

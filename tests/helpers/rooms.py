@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 
-from dirl.backbones.patches import PATCH_SHAPE
+from dirl.perception.backbones.patches import PATCH_SHAPE
 from dirl.scenes import Scene, read_dump
 
 CELL = 0.5

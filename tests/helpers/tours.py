@@ -8,12 +8,12 @@ import numpy as np
 from closet import closet
 from PIL import Image
 
-from dirl.rooms.description import Camera
-from dirl.rooms.navigation import walk
-from dirl.rooms.view import Renderer
 from dirl.scenes.graph import AHEAD
-from dirl.tours.images import Equirectangular
-from dirl.tours.tour import Link, Panorama, Tour
+from dirl.sources.rooms.description import Camera
+from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.view import Renderer
+from dirl.sources.tours.images import Equirectangular
+from dirl.sources.tours.tour import Link, Panorama, Tour
 
 HEADINGS = 8
 CUBE = {"f": (0, 0), "r": (90, 0), "b": (180, 0), "l": (270, 0), "u": (0, 90), "d": (0, -90)}

@@ -16,15 +16,15 @@ from scenes import COMMANDS
 from simulator import Simulator
 from tours import Camera360, grid_truth, turned, write_table
 
-from dirl.backbones import ResNet50
 from dirl.cli.command_line import SCHEMAS, choose_command, prepare, register
 from dirl.cli.start import checked
 from dirl.config.scene_schemas import command_meanings
 from dirl.config.schemas import ConfigError, Match
-from dirl.recognition.diagnostics import inspect_scene
-from dirl.rooms.checks import far_apart
+from dirl.perception.backbones import ResNet50
+from dirl.perception.recognition.diagnostics import inspect_scene
 from dirl.scenes import SceneError, load_scenes, make_world, read_dump, write_dump
 from dirl.scenes.views import encode
+from dirl.sources.rooms.checks import far_apart
 
 
 @pytest.fixture
@@ -221,7 +221,7 @@ def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch
         asked.append((kind, seed))
         return replace(closet(), name=f"{kind}_{seed}"), []
 
-    monkeypatch.setattr("dirl.rooms.collect.sample_views", room)
+    monkeypatch.setattr("dirl.sources.rooms.collect.sample_views", room)
     line = "sample kind=bedroom seed=29999 count=2 out=many height=24 width=32 fine=false workers=1 encoder=weights.pth"
     run(line)
     first, *table = capsys.readouterr().out.splitlines()

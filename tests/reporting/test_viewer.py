@@ -18,8 +18,8 @@ from dirl.config.schemas import TrainConfig
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import plain_weights
-from dirl.recognition.build import matching
-from dirl.recognition.matching import TemplateStop
+from dirl.perception.recognition.build import matching
+from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting import viewer_pages
 from dirl.runs.folder import Run
 from dirl.scenes import World, write_dump

@@ -11,11 +11,11 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.recognition.matching import TemplateStop
+from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting import viewer_pages
 from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.views import encode
-from dirl.tours.moves import tour_scene
+from dirl.sources.tours.moves import tour_scene
 
 HEADINGS = 8
 

@@ -10,8 +10,8 @@ from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 
 from dirl.envs.transforms import VIEWS
 from dirl.models import initial_state, recurrent_keys
-from dirl.recognition.matching import FRONT_THRESHOLD, ncc
-from dirl.recognition.recogniser import Recogniser
+from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
+from dirl.perception.recognition.recogniser import Recogniser
 
 
 class FeaturePolicy(nn.Module):
@@ -61,7 +61,7 @@ class FeaturePolicy(nn.Module):
     def matching(self, features: Tensor, goal_features: Tensor) -> Tensor:
         """The matching coefficient ``[B]``: of all views if the goal's are known, else of one; see `forward`."""
         whole = (goal_features[:, 1:] != 0).any(-1).any(1)
-        # As in dirl.recognition.matching, the pooled features are matched as the backbone gave them.
+        # As in dirl.perception.recognition.matching, the pooled features are matched as the backbone gave them.
         pooled = len(self.policy.features.mean)
         features, goal_features = features[..., :pooled], goal_features[..., :pooled]
         front = ncc(features[:, self.front or 0], goal_features[:, self.front or 0])

@@ -13,8 +13,8 @@ from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.models import frozen, initial_state, recurrent_keys
 from dirl.models.fast.caching import EmbeddingCache, Keys
-from dirl.recognition.matching import Arrived
-from dirl.recognition.tables import VisitScores
+from dirl.perception.recognition.matching import Arrived
+from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
 
 PAIRS_AT_ONCE = 16_384
@@ -148,7 +148,7 @@ class Known:
     decide: Decide | None
     """None for agents that are not asked."""
     arrived: Arrived
-    """Whether agents stop; with a `LocalisingMemory` the log odds, `dirl.recognition.matching.Compared`."""
+    """Whether agents stop; with a `LocalisingMemory` the log odds, `dirl.perception.recognition.matching.Compared`."""
     scores: VisitScores | None = None
     """By which a memory knows places."""
     shown: Tensor | None = None

@@ -10,9 +10,6 @@ from torch import Tensor, nn
 
 from dirl.agent.cameras import FeaturePolicy
 from dirl.agent.images import NavigatorError
-from dirl.backbones import ViewEncoder, load_encoder
-from dirl.backbones.patches import PATCH_SHAPE
-from dirl.backbones.registry import BATCH
 from dirl.config.choices import group_options
 from dirl.config.components import TARGET, find_class, make
 from dirl.config.saved import read_config
@@ -21,7 +18,10 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy, reads_patches, saved_statistics
 from dirl.models.weights import check_extractor, load_weights
-from dirl.recognition.build import build_recogniser, suit
+from dirl.perception.backbones import ViewEncoder, load_encoder
+from dirl.perception.backbones.patches import PATCH_SHAPE
+from dirl.perception.backbones.registry import BATCH
+from dirl.perception.recognition.build import build_recogniser, suit
 
 Encoder = Callable[[Tensor], Any]
 """RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""

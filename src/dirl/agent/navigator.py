@@ -22,7 +22,7 @@ from dirl.agent.mapping.policy import LAST_STEPS, Guide
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, LocalisingMemory
 from dirl.models.weights import tell_of_turns, turns_of_training
-from dirl.recognition.recogniser import NCC, Recogniser
+from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
 
 
@@ -56,7 +56,7 @@ class Navigator:
         encoder: images to features, see `Encoder`.
         view_order: the names of the four views; the last name of a history is ``now``.
         threshold: stop above this matching coefficient. For a policy that matches four views, a goal given as one
-            photo needs at least `dirl.recognition.matching.FRONT_THRESHOLD`.
+            photo needs at least `dirl.perception.recognition.matching.FRONT_THRESHOLD`.
         facts: ``scene`` and ``extractor``, written to the metadata of exported files.
         memory: of what was done in an episode, or None.
         recogniser: by which the goal and known places are recognised; correlation if left out.
@@ -107,8 +107,8 @@ class Navigator:
 
         Args:
             checkpoint: the folder of a run, or a ``.pt`` file in one.
-            encoder: a name or a file of ResNet-50 weights for `dirl.backbones.load_encoder`; an encoder that it has
-                loaded; or a function of images (see `Encoder`). If left out, that of the built-in rooms.
+            encoder: a name or a file of ResNet-50 weights for `dirl.perception.backbones.load_encoder`; an encoder that
+                it has loaded; or a function of images (see `Encoder`). If left out, that of the built-in rooms.
             extractor: the description of the encoder in the dump whose features it reproduces (``Scene.extractor``),
                 which must equal the checkpoint's. Required for a function; encoders of dirl describe themselves. A
                 dump may describe the same file of weights differently: if the texts differ, there is a warning

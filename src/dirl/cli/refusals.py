@@ -54,7 +54,7 @@ def _scene_command(name: str, options: Any) -> None:
             if name == "encode" and options.encoder is None:
                 raise ConfigError("encoder=null: encode needs one")
         case "build":
-            from dirl.rooms.build import describe_room
+            from dirl.sources.rooms.build import describe_room
 
             describe_room(options.description)
         case "photos":
@@ -164,8 +164,8 @@ def check_writable(name: str) -> None:
 
 
 def _room_kind(kind: str) -> None:
-    from dirl.rooms.options import check_keys
-    from dirl.rooms.sampling import KINDS
+    from dirl.sources.rooms.options import check_keys
+    from dirl.sources.rooms.sampling import KINDS
 
     check_keys({} if kind == "all" else {kind: 0}, KINDS, "kind")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[1]
 
 HOME = PACKAGE if (PACKAGE / "recipes").is_dir() else PACKAGE.parents[1]
-"""The folder of ``recipes``, ``benchmarks`` and ``conf``: the package itself in a wheel, else the repository."""
+"""The folder of ``recipes`` and ``conf``: the package itself in a wheel, else the repository."""
 
 CONF = HOME / "conf"
 
@@ -20,7 +20,7 @@ RECIPES = {
     "evaluate": ("recipes/evaluate.py", "evaluate trained weights"),
     "scenes": ("recipes/scenes.py", "take, build, convert, encode and check scenes"),
     "report": ("recipes/report.py", "write a table or figure of the paper from finished runs"),
-    "benchmark": ("benchmarks/benchmark.py", "measure the speed of training and evaluation on this machine"),
+    "benchmark": ("recipes/benchmark.py", "measure the speed of training and evaluation on this machine"),
 }
 """The file of each recipe below `HOME`, and what it does."""
 

@@ -7,7 +7,7 @@ import yaml  # PyYAML comes with OmegaConf
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config.components import TARGET, check_components
+from dirl.config.components import TARGET, check_components, moved
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.values import leaves, plain, typed
 
@@ -37,12 +37,6 @@ RENAMED: Mapping[str, str] = {
 
 SINCE: Mapping[str, str] = {"imitation.drawn": "imitation.sampled", "image_graph": "map"}
 """Options of 0.2 before its release by the names they have had since; a saved configuration is converted."""
-
-MOVED: Mapping[str, str] = {
-    "dirl.experts.": "dirl.evaluation.experts.",
-    "dirl.mapping.": "dirl.agent.mapping.",
-}
-"""Beginnings of class names in configurations saved before 0.3, and what they are today."""
 
 
 def config_text(config: TrainConfig) -> str:
@@ -130,8 +124,7 @@ def _moved(values: Any) -> Any:
         return {name: _moved(value) for name, value in values.items()}
     if isinstance(values, list):
         return [_moved(value) for value in values]
-    old = next((old for old in MOVED if isinstance(values, str) and values.startswith(old)), None)
-    return values if old is None else MOVED[old] + values.removeprefix(old)
+    return moved(values) if isinstance(values, str) else values
 
 
 def _with_source(values: dict[str, Any]) -> dict[str, Any]:

@@ -188,7 +188,7 @@ class TrainConfig:
     heads: Any = MISSING
     policy: Any = MISSING
     episodic_memory: Any = field(default_factory=lambda: {"_target_": None})
-    recogniser: Any = field(default_factory=lambda: {"_target_": "dirl.recognition.NCC"})
+    recogniser: Any = field(default_factory=lambda: {"_target_": "dirl.perception.recognition.NCC"})
     expert: Any = MISSING
     losses: Any = MISSING
     optimiser: Any = MISSING
@@ -255,7 +255,7 @@ class ReportConfig:
 
 @dataclass
 class BenchmarkConfig:
-    """Everything ``benchmarks/benchmark.py`` takes."""
+    """Everything ``recipes/benchmark.py`` takes."""
 
     worlds: list[Any] = MISSING
     frames_per_scene: Frames = MISSING

@@ -43,8 +43,8 @@ class NavigationEnv(EnvBase):
         num_agents: how many agents, B.
         reward: of a step.
         stop: where an agent stops on its way to each goal, bool ``[P]``, see
-            `dirl.recognition.matching.TemplateStop`. A stop anywhere but at the goal ends the episode with the reward
-            of an ordinary step.
+            `dirl.perception.recognition.matching.TemplateStop`. A stop anywhere but at the goal ends the episode with
+            the reward of an ordinary step.
         seed: of the generator that draws goals and starts. The policy draws the actions.
     """
 

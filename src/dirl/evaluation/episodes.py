@@ -14,9 +14,9 @@ from dirl.agent.mapping.places import PlaceMap
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import RandomPolicy
 from dirl.models import frozen
-from dirl.recognition.matching import Arrived
-from dirl.recognition.recogniser import NCC
-from dirl.recognition.tables import VisitScores
+from dirl.perception.recognition.matching import Arrived
+from dirl.perception.recognition.recogniser import NCC
+from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
 
 
@@ -101,8 +101,9 @@ def run_episodes(
         world: where.
         starts: goal indices and start states, int64 ``[E]`` each, see `every_start`.
         observation: the transform that the policy was trained with.
-        stop: where an agent stops, bool ``[P]``, see `World.pair`, or see `dirl.recognition.matching.Arrived`; at the
-            goal itself if left out. With a `LocalisingMemory` its log odds, `dirl.recognition.matching.Compared`.
+        stop: where an agent stops, bool ``[P]``, see `World.pair`, or see
+            `dirl.perception.recognition.matching.Arrived`; at the goal itself if left out. With a `LocalisingMemory`
+            its log odds, `dirl.perception.recognition.matching.Compared`.
         max_steps: after so many steps an episode has failed.
         greedy: take the most probable action (of equal ones the first), else draw one.
         seed: of the draws.

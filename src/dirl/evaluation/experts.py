@@ -28,7 +28,8 @@ class ShortestPathExpert(TensorDictModuleBase):
 
     An expert is any module that reads ``state`` and ``goal``, int64 ``[B]``, and writes ``expert_action``, int64
     ``[B]``: -1 where it has no advice, here at the goal and where the goal cannot be reached. It may also write
-    ``optimal_actions``, bool ``[B, 4]``, all actions that it accepts, for `dirl.objectives.OptimalActionsLoss`.
+    ``optimal_actions``, bool ``[B, 4]``, all actions that it accepts, for
+    `dirl.training.objectives.OptimalActionsLoss`.
 
     Args:
         world: where to walk.

@@ -11,7 +11,7 @@ from dirl.agent.mapping.walks import Mapper, explore
 from dirl.envs.transforms import VIEWS
 from dirl.evaluation.episodes import drawn_looks
 from dirl.models import LocalisingMemory
-from dirl.recognition.tables import VisitScores
+from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import World
 from dirl.scenes.graph import AHEAD, BACK
 

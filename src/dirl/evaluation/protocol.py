@@ -13,8 +13,8 @@ from dirl.agent.mapping.places import PlaceMap
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, run_episodes, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
-from dirl.recognition.matching import Arrived
-from dirl.recognition.tables import VisitScores
+from dirl.perception.recognition.matching import Arrived
+from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import World
 
 

@@ -84,7 +84,7 @@ def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path)
     """Measure, and write tables and a figure. What was measured is kept in the folder, and not measured again.
 
     Args:
-        collections: folders with looks, see `dirl.rooms.looks`, in the order of the strength of the changes.
+        collections: folders with looks, see `dirl.sources.rooms.looks`, in the order of the strength of the changes.
         agents: the controls are of the first.
         out: a folder; what was measured is kept in it, and not measured again.
     """

@@ -33,7 +33,7 @@ from dirl.experiments.measures import (
     wrong_goals,
 )
 from dirl.experiments.results import Table, write_tables
-from dirl.recognition.matching import FRONT_THRESHOLD, TemplateStop
+from dirl.perception.recognition.matching import FRONT_THRESHOLD, TemplateStop
 from dirl.reporting.statistics import iqm
 from dirl.runs.finding import RunError
 from dirl.scenes import Scene, World, make_world

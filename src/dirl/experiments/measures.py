@@ -15,7 +15,7 @@ from dirl.evaluation.experts import RandomPolicy
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.experiments.results import Table
 from dirl.models import PlanningMemory
-from dirl.recognition.matching import TemplateStop
+from dirl.perception.recognition.matching import TemplateStop
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
 from dirl.scenes.io.atomic import write_json

@@ -13,7 +13,6 @@ from PIL import Image, ImageEnhance, ImageFilter
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from dirl.backbones import ViewEncoder, encode_views
 from dirl.evaluation.protocol import metrics
 from dirl.experiments.figures import save_figure
 from dirl.experiments.measures import decimals
@@ -21,7 +20,8 @@ from dirl.experiments.results import Result, Table, published, write_tables
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy
 from dirl.models.weights import load_weights
-from dirl.recognition.matching import ncc, template_vectors
+from dirl.perception.backbones import ViewEncoder, encode_views
+from dirl.perception.recognition.matching import ncc, template_vectors
 from dirl.reporting.style import plain, tell_cut
 from dirl.runs.finding import RunError
 from dirl.scenes import Scene

@@ -1,6 +1,7 @@
 """Walk once, come back later: maps of places that change, and goals found with them.
 
-A collection with looks (see `dirl.rooms.looks`) is named by its folder, or two of the same rooms with a colon between
+A collection with looks (see `dirl.sources.rooms.looks`) is named by its folder, or two of the same rooms with a colon
+between
 them: then the walk sees the first one, and the later episodes see the further looks of the second, in which furniture
 may have moved.
 """
@@ -24,7 +25,7 @@ from dirl.experiments.figures import draw_spl
 from dirl.experiments.measures import MEASURES, by_measure, decimals, kept, load_agent, measure_table, wrong_goals
 from dirl.experiments.results import Table, write_tables
 from dirl.models import LocalisingMemory
-from dirl.recognition.recogniser import normal_vectors
+from dirl.perception.recognition.recogniser import normal_vectors
 from dirl.runs.finding import RunError
 from dirl.scenes import World, read_dump
 from dirl.scenes.collection import read_collection

@@ -9,11 +9,11 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.modules import set_recurrent_mode
 
-from dirl.backbones.patches import PATCH_SHAPE
 from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
+from dirl.perception.backbones.patches import PATCH_SHAPE
 from dirl.scenes import ACTIONS, World
 
 
@@ -40,7 +40,7 @@ def build_policy(
     trust, width = config.trust, features.width
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        # Patches have one shape wherever they are computed, see dirl.backbones.patches.
+        # Patches have one shape wherever they are computed, see dirl.perception.backbones.patches.
         read = {"num_features": width, "num_views": views, "patch_shape": PATCH_SHAPE}
         encoder = make("encoder", config.encoder, trust, **read)
         fused = _output_width("encoder", lambda: encoder(*torch.zeros(2, 1, views, width)), [1, views, width])

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-from dirl.backbones.principal import principal_components
+from dirl.perception.backbones.principal import principal_components
 
 ROWS_AT_ONCE = 20_000
 
@@ -32,7 +32,8 @@ class FeatureTable(nn.Module):
         features: pooled ones of every state, float32 ``[N, D]``.
         mean: subtracted from the pooled features, float32 ``[D]``; zero if left out.
         std: divided by, float32 ``[D]``; one if left out.
-        axes: what they are multiplied by, float32 ``[D, components]``, see `dirl.backbones.principal`; or None.
+        axes: what they are multiplied by, float32 ``[D, components]``, see `dirl.perception.backbones.principal`; or
+        None.
         patches: which follow them, floats ``[N, cells, channels]``; or None.
     """
 

@@ -47,7 +47,7 @@ def draw_policy(
         goal: a state of the scene; the policy's, the value's and the matching's.
         probabilities: of the actions in each state, float ``[N, 4]`` in the order of `ACTIONS`.
         value: of each state, float ``[N]``.
-        matching: of each state with the goal, float ``[N]``, see `dirl.recognition.matching.TemplateStop`.
+        matching: of each state with the goal, float ``[N]``, see `dirl.perception.recognition.matching.TemplateStop`.
         file: the image to write.
         title: of the figure.
         threshold: states that match better than this are outlined: there the agent stops.

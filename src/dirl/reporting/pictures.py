@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from dirl.evaluation.protocol import EvaluationProtocol, action_values
-from dirl.recognition.matching import TemplateStop
+from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting.animation import episode_frames, write_gif, write_mp4
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.tables import run_title

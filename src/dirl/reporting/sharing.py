@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dirl.agent.hub import HubError, first_line, hub_library
-from dirl.backbones.registry import SHIPPED, load_encoder
+from dirl.perception.backbones.registry import SHIPPED, load_encoder
 from dirl.reporting.tables import run_title, summary_table
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.shared import write_shared

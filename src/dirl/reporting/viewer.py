@@ -19,8 +19,8 @@ from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
-from dirl.recognition.matching import TemplateStop
-from dirl.recognition.tables import described_visits
+from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.tables import described_visits
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT

@@ -43,8 +43,8 @@ class Scene:
         source: its origin: ``rooms`` (built in), ``synthetic`` (generated) or ``thor``.
         extractor: what made the features; scenes with different extractors cannot share a `World`.
         origin: the file or function that made it, named in errors.
-        patches: features of the parts of each view (`dirl.backbones.patches`), float16 ``[N, cells, channels]``, or
-            None; those of a scene that was read from a file are memory-mapped.
+        patches: features of the parts of each view (`dirl.perception.backbones.patches`), float16 ``[N, cells,
+            channels]``, or None; those of a scene that was read from a file are memory-mapped.
         look_features: of further looks, what a state looks like at other visits, float16 or float32 ``[K, N, D]``; or
             None.
         look_patches: likewise, float16 ``[K, N, cells, channels]``; there if both ``patches`` and looks are.

@@ -1,1 +1,1 @@
-"""Sources of scenes besides files: a simulator, photographs."""
+"""What becomes a scene: photographs, recordings, simulators, 360-degree tours, generated rooms."""

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
 
-from dirl.backbones.registry import encoded_as
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
 from dirl.envs import NavigationEnv, Reward, SequentialViews, SurroundingViews
@@ -19,14 +18,15 @@ from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys, state_primer
 from dirl.models.build import reads_patches
-from dirl.objectives import ImitationLoss
-from dirl.recognition.build import build_recogniser, matching, suit
-from dirl.recognition.matching import Arrived, Compared
-from dirl.recognition.tables import VisitScores
+from dirl.perception.backbones.registry import encoded_as
+from dirl.perception.recognition.build import build_recogniser, matching, suit
+from dirl.perception.recognition.matching import Arrived, Compared
+from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.world import Goals
 from dirl.training.losses import Losses, ScheduledLoss, trained_parameters
+from dirl.training.objectives import ImitationLoss
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 

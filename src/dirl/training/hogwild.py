@@ -22,7 +22,6 @@ from torch.optim import Optimizer
 
 from dirl.config.schemas import ConfigError, Precision, TrainConfig
 from dirl.models import caching, plain_weights, recurrent_keys
-from dirl.objectives import TFRMSprop
 from dirl.training.build import (
     build_demonstrations,
     build_env,
@@ -34,6 +33,7 @@ from dirl.training.build import (
 from dirl.training.load import learning_policy
 from dirl.training.loops import Updates
 from dirl.training.losses import Advantages, clip_gradients, minibatches, set_learning_rate, total_loss
+from dirl.training.objectives import TFRMSprop
 from dirl.training.rollout import Update, collect, summarise
 from dirl.training.state import TrainState
 

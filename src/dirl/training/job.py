@@ -18,7 +18,7 @@ from dirl.config.values import typed
 from dirl.evaluation.protocol import EvaluationProtocol, assess, mean_shortest
 from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import count_parameters, plain_weights
-from dirl.recognition.build import matching
+from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs import ranks
 from dirl.runs.exits import job_errors, one_line_exits

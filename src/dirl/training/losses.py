@@ -14,9 +14,9 @@ from torchrl.modules import set_recurrent_mode
 
 from dirl.config.schemas import ConfigError, Schedule
 from dirl.models import initial_state, recurrent_keys
-from dirl.objectives import bootstrap, clip_each
-from dirl.objectives.reinforcement import make_advantages
 from dirl.runs import ranks
+from dirl.training.objectives import bootstrap, clip_each
+from dirl.training.objectives.reinforcement import make_advantages
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 EXPERT = {"expert_action", "optimal_actions"}

@@ -8,8 +8,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dirl.evaluation.episodes import bar_interval, drawn_looks
-from dirl.recognition import Learned
-from dirl.recognition.learned import COLUMNS
+from dirl.perception.recognition import Learned
+from dirl.perception.recognition.learned import COLUMNS
 from dirl.scenes import World
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 from dirl.training.losses import set_learning_rate

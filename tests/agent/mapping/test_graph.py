@@ -9,7 +9,7 @@ from dirl.agent.mapping import ImageGraph, MapError
 from dirl.agent.mapping.panoramas import UNKNOWN
 from dirl.agent.mapping.policy import Guide
 from dirl.agent.mapping.walks import explore, step
-from dirl.recognition import NCC
+from dirl.perception.recognition import NCC
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 
 ROOM = {"width": 4, "depth": 3, "blocked": [(1, 1)], "feature_width": 64}

@@ -19,9 +19,9 @@ from dirl.evaluation.episodes import every_start
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import LocalisingMemory
-from dirl.recognition import NCC
-from dirl.recognition.matching import TemplateStop
-from dirl.recognition.tables import VisitScores
+from dirl.perception.recognition import NCC
+from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import make_world
 
 SIZE = {"feature_width": 64, "patches": True, "looks": 3}

@@ -17,7 +17,7 @@ from dirl.models.fast import caching
 from dirl.models.fast.caching import CachedEncoder, EmbeddingCache, Keys
 from dirl.models.fast.siamese import CachedSiamese
 from dirl.models.features import FeatureTable
-from dirl.objectives import TFRMSprop
+from dirl.training.objectives import TFRMSprop
 
 
 @given(st.lists(st.lists(st.integers(0, 55_107), min_size=4, max_size=4), min_size=1, max_size=20))

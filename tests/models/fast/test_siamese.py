@@ -6,7 +6,7 @@ from networks import SURROUNDING, WIDTH, embedded_rows, gradients, plain, seen, 
 
 from dirl.models.fast import caching
 from dirl.models.fast.siamese import CachedSiamese
-from dirl.objectives import TFRMSprop
+from dirl.training.objectives import TFRMSprop
 
 FORMS = [
     pytest.param(surrounding, principal, late, id=f"{seen_as}-{axes}-{device}")

@@ -2,11 +2,11 @@ import os
 
 import pytest
 
-from dirl.rooms import read_description
 from dirl.scenes import SceneError
 from dirl.scenes.collection import INDEX, read_collection
 from dirl.scenes.io.texts import MOST, read_rows, read_text
 from dirl.sources.photos import read_photos
+from dirl.sources.rooms import read_description
 
 
 def sparse(file, begin=b""):

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dirl.agent.images import NavigatorError
 from dirl.agent.mapping.panoramas import UNDOES, UNKNOWN, VIEWS, Panoramas, turned
-from dirl.recognition.recogniser import Recogniser
+from dirl.perception.recognition.recogniser import Recogniser
 from dirl.scenes.graph import AHEAD, BACK, RIGHT
 
 KEEP, LIKELY = 0.6, 0.0

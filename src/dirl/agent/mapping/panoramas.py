@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from dirl.recognition.recogniser import NCC, Recogniser, normal_vectors
+from dirl.perception.recognition.recogniser import NCC, Recogniser, normal_vectors
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, shortest_distances
 
 UNKNOWN, VIEWS = -1, 4

@@ -10,8 +10,8 @@ from torch import Tensor
 from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.walks import explore
 from dirl.config.bounds import Bounds
-from dirl.recognition.recogniser import NCC
-from dirl.recognition.tables import described_visits
+from dirl.perception.recognition.recogniser import NCC
+from dirl.perception.recognition.tables import described_visits
 from dirl.scenes import ACTIONS, World
 from dirl.scenes.graph import turns_per_circle
 

@@ -12,8 +12,8 @@ from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.panoramas import UNKNOWN, VIEWS
 from dirl.agent.mapping.places import PlaceMap
 from dirl.models.localising import Places
-from dirl.recognition.build import recogniser_name
-from dirl.recognition.recogniser import NCC, Recogniser
+from dirl.perception.recognition.build import recogniser_name
+from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.shared import MISSING
 from dirl.scenes.graph import ACTIONS
 from dirl.scenes.io.atomic import atomic_path, write_json

@@ -1,0 +1,239 @@
+"""Measure the speed of training and evaluation on this machine, everything in one run.
+
+    python recipes/benchmark.py out=benchmark.json
+    python recipes/benchmark.py 'worlds=[kitchen_02]' "train=['reinforcement.agents_per_scene=400']"
+
+Training is ``reinforce`` of recipes/train.py unchanged. It is compared with the loops of dirl.experiments.other_loops:
+stock TorchRL and Stable-Baselines3. All run alternately, so that other load on the machine affects all; medians are
+shown. The limit is the machine's throughput of float32 matrix products. All options: conf/benchmark.yaml.
+"""
+
+from dirl.cli.start import start
+
+if __name__ == "__main__":
+    start("benchmark")  # answers help and refuses options, before the imports below take their time
+
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra import compose
+from omegaconf import DictConfig
+from torch.utils.flop_counter import FlopCounterMode
+from tqdm import tqdm
+from train import imitate, reinforce
+
+from dirl.cli.command_line import prepare
+from dirl.config.components import check_components
+from dirl.config.places import CONF
+from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig
+from dirl.config.values import typed
+from dirl.experiments.other_loops import stable_baselines3, stock_torchrl
+from dirl.experiments.results import Table
+from dirl.models import caching
+from dirl.runs.exits import one_line_exits
+from dirl.runs.folder import Run
+from dirl.runs.memory import peak_memory_mb
+from dirl.scenes.io.atomic import write_json
+from dirl.training.build import (
+    build_demonstrations,
+    build_env,
+    build_losses,
+    build_observation,
+    build_protocol,
+    build_world,
+)
+from dirl.training.job import begin
+from dirl.training.load import learning_policy
+from dirl.training.rollout import collect
+
+SLOW = 20
+"""The loops of other libraries make so many times fewer updates than ours."""
+
+SMALL = 256
+"""Rows and columns of a small matrix."""
+
+
+@hydra.main(version_base="1.3", config_path=str(CONF), config_name="benchmark")
+def main(composed: DictConfig) -> None:
+    """Measure, print the tables, write the file."""
+    with one_line_exits():
+        options: BenchmarkConfig = typed(composed)
+        if options.out is not None and Path(options.out).exists():
+            raise ConfigError(f"out={options.out}: this file exists already; it is not overwritten")
+        fixed = [f"reinforcement.frames_per_scene={options.frames_per_scene}", *options.train]
+        asked = [train_config([f"scene={_text(scene)}", *fixed]) for scene in options.worlds]
+        for config in asked:
+            check_components(config)
+            build_world(config)
+    result: dict[str, Any] = {"threads": torch.get_num_threads()}
+    result["limits"] = {name: matrix_product_rate(getattr(torch, name)) for name in ("float32", "bfloat16")}
+    result["rows"] = [
+        compare(_text(scene), config, options, result["limits"]["float32"])
+        for scene, config in zip(options.worlds, asked, strict=True)
+    ]
+    result["peak_memory_mb"] = peak_memory_mb()
+    print(tables(result))
+    if options.out is not None:
+        write_json(Path(options.out), result)
+
+
+def compare(name: str, config: TrainConfig, options: BenchmarkConfig, limit: float) -> dict[str, Any]:
+    """One row: our loop and the others in one world, and how long it takes to learn it."""
+    scenes = len(build_world(config).scenes)
+    updates = config.reinforcement.frames_per_scene // (
+        config.reinforcement.agents_per_scene * config.reinforcement.n_steps
+    )
+    few = max(2, updates // SLOW)
+    loops: dict[str, Callable[[], float]] = {
+        "training": lambda: training(config),
+        "rollout": lambda: rollout(config, updates),
+        "stock_torchrl": lambda: stock_torchrl(config, few),
+    }
+    if options.sb3:
+        loops["stable_baselines3"] = lambda: stable_baselines3(config, few)
+    rates: dict[str, list[float]] = {loop: [] for loop in loops}
+    for _ in tqdm(range(options.repeats), desc=name, disable=not sys.stderr.isatty()):
+        for loop, measure in loops.items():
+            rates[loop].append(measure())
+    needed = operations_per_frame(config)
+    row: dict[str, Any] = {"world": name, "scenes": scenes, "operations_per_frame": needed}
+    row["frames_per_second"] = {loop: statistics.median(of_loop) for loop, of_loop in rates.items()}
+    row["times_faster"] = {
+        loop: statistics.median(ours / other for ours, other in zip(rates["training"], of_loop, strict=True))
+        for loop, of_loop in rates.items()
+    }
+    row["share_of_limit"] = row["frames_per_second"]["training"] * needed / limit
+    row |= evaluation_seconds(config)
+    return row | (learning(train_config([f"scene={name}", *options.train])) if options.learning else {})
+
+
+def matrix_product_rate(dtype: torch.dtype, size: int = 2048, repeats: int = 10) -> float:
+    """Operations per second of a matrix product, the median of several; of small ones where large ones take seconds.
+
+    Some processors have no instructions for bfloat16, and take a hundred times as long.
+    """
+    if size > SMALL and 2 * size**3 / (small := matrix_product_rate(dtype, SMALL, repeats)) > 1:
+        return small
+    a, b = torch.randn(2, size, size).to(dtype)
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        a @ b
+        seconds.append(time.perf_counter() - began)
+    return 2 * size**3 / statistics.median(seconds)
+
+
+def train_config(overrides: Sequence[str]) -> TrainConfig:
+    """A configuration of recipes/train.py in which nothing but training takes time."""
+    quiet = ["evaluation.times=0", "checkpoint.every_seconds=1e9"]
+    config: TrainConfig = typed(compose("train", prepare(TrainConfig, [*quiet, *overrides], CONF)))
+    return config
+
+
+def trained(config: TrainConfig, *, imitation: bool = False) -> dict[str, Any]:
+    """Train in a folder that is thrown away."""
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy = learning_policy(config, world, observation)
+    demos = build_demonstrations(config, world, observation)
+    losses = build_losses(config, policy, world, demos)
+    protocol = build_protocol(config, world, observation)
+    with tempfile.TemporaryDirectory() as folder:
+        run = Run(Path(folder), config)
+        state = begin(run, policy, losses, protocol)
+        run.begin(world, observation.order)
+        torch.manual_seed(config.seed)
+        if imitation:
+            imitate(run, policy, demos)
+        result: dict[str, Any] = reinforce(run, state, protocol)
+        run.close()
+        return result
+
+
+def training(config: TrainConfig) -> float:
+    """Frames per second of our training loop."""
+    return float(trained(config)["frames_per_second"])
+
+
+def rollout(config: TrainConfig, updates: int) -> float:
+    """Frames per second of walking alone."""
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy: Any = learning_policy(config, world, observation)
+    env, operator = build_env(config, world, observation, policy), policy.operator()
+    agents, frames = env.reset(), 0
+    began = time.perf_counter()
+    for _ in range(updates):
+        with caching(policy):
+            batch, agents = collect(env, operator, agents, config.reinforcement.n_steps)
+        frames += batch.numel()
+    return frames / (time.perf_counter() - began)
+
+
+def learning(config: TrainConfig) -> dict[str, float]:
+    """When a whole training became stable: at which frame, and after how many seconds (imitation included)."""
+    began = time.perf_counter()
+    result = trained(config, imitation=True)
+    seconds = time.perf_counter() - began
+    stable, frames = result["stable_at_frame"], result["frames"]
+    # All frames take about equally long.
+    before = seconds - frames / result["frames_per_second"]
+    return {"stable_at_frame": stable, "stable_at_second": stable and before + stable / result["frames_per_second"]}
+
+
+def operations_per_frame(config: TrainConfig) -> float:
+    """Floating-point operations of matrix products that our training loop makes for a frame."""
+    with FlopCounterMode(display=False) as counter:
+        result = trained(config)
+    return float(counter.get_total_flops() / result["frames"])
+
+
+def evaluation_seconds(config: TrainConfig) -> dict[str, Any]:
+    """How long episodes take, with the network as it begins, which walks longest: every start, and 100,000 sampled."""
+    world = build_world(config)
+    observation = build_observation(config, world)
+    policy = learning_policy(config, world, observation)
+    every = build_protocol(config, world, observation)
+    goal_index, start = every.starts
+    draws = torch.randint(len(start), (100_000,))
+    many = replace(every, starts=(goal_index[draws], start[draws]))
+    result: dict[str, Any] = {"episodes": len(start)}
+    for name, protocol, greedy in (("greedy_seconds", every, True), ("sampled_100k_seconds", many, False)):
+        began = time.perf_counter()
+        protocol.run(policy, greedy=greedy)
+        result[name] = time.perf_counter() - began
+    return result
+
+
+def tables(result: dict[str, Any]) -> str:
+    """The result for people, as Markdown."""
+    limits = ", ".join(f"{name} {rate / 1e9:.0f} GFLOP/s" for name, rate in result["limits"].items())
+    text = f"{result['threads']} threads; matrix products: {limits}; peak memory {result['peak_memory_mb']:.0f} MB\n\n"
+    speeds = Table({"world": "", "loop": "", "frames/s": ",.0f", "training is x times it": ".2f"})
+    speeds.columns |= {"MFLOP a frame": ".2f", "fraction of limit": ".0%"}
+    times = Table({"world": "", "every start, greedy": "", "100,000 episodes, sampled": "", "stable at": ""})
+    for row in result["rows"]:
+        for loop, rate in row["frames_per_second"].items():
+            ours = (row["operations_per_frame"] / 1e6, row["share_of_limit"]) if loop == "training" else (None, None)
+            speeds.add(row["world"], loop.replace("_", " "), rate, row["times_faster"][loop], *ours)
+        stable = row.get("stable_at_frame", 0)
+        when = "never" if stable is None else f"frame {stable:,}, {row['stable_at_second']:.1f} s" if stable else ""
+        greedy, sampled = f"{row['episodes']} in {row['greedy_seconds']:.2f} s", f"{row['sampled_100k_seconds']:.2f} s"
+        times.add(row["world"], greedy, sampled, when)
+    return f"{text}{speeds.markdown()}\n\n{times.markdown()}\n"
+
+
+def _text(scene: Any) -> str:
+    return scene if isinstance(scene, str) else f"[{','.join(scene)}]"
+
+
+if __name__ == "__main__":
+    main()

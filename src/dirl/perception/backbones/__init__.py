@@ -1,0 +1,19 @@
+"""Frozen image encoders, which turn views into features."""
+
+from dirl.perception.backbones.encoder import EncoderError, ViewEncoder
+from dirl.perception.backbones.registry import Encoded, encode_all, encode_scene, encode_views, load_encoder
+from dirl.perception.backbones.resnet import ResNet50, encode, load_backbone, preprocess
+
+__all__ = [
+    "Encoded",
+    "EncoderError",
+    "ResNet50",
+    "ViewEncoder",
+    "encode",
+    "encode_all",
+    "encode_scene",
+    "encode_views",
+    "load_backbone",
+    "load_encoder",
+    "preprocess",
+]

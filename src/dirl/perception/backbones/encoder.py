@@ -1,0 +1,85 @@
+"""The interface of an encoder: a frozen backbone with its preprocessing, and its exact description."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from dirl.scenes.io.hdf5 import extractor_text
+
+
+class EncoderError(ValueError):
+    """An encoder that is not available, or cannot encode these views."""
+
+
+@dataclass(frozen=True)
+class ViewEncoder:
+    """A frozen backbone with its preprocessing, made by `load_encoder`; `dirl.Navigator` takes it too.
+
+    Args:
+        forward: RGB views, uint8 ``[B, H, W, 3]``, to features, float32 ``[B, D]``.
+        attributes: its description, as dumps store it: ``extractor``, ``preprocessing``, ``weights`` (a SHA-256 over
+            the parameters that are used, whatever file they came in), ``provenance``.
+        forward_patches: RGB views to features and patches (see `dirl.perception.backbones.patches`), float32 ``[B, D]``
+            and ``[B, cells, channels]``; None where no patches were asked for.
+        patch_attributes: how the patches are made, as dumps store it: ``extractor``, ``projection``.
+    """
+
+    forward: Callable[[Tensor], Tensor]
+    attributes: Mapping[str, str]
+    forward_patches: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
+    patch_attributes: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def extractor(self) -> str:
+        """The attributes as one text; scenes can share a world only if theirs are equal (``Scene.extractor``)."""
+        return extractor_text(self.attributes)
+
+    def __call__(self, views: Tensor) -> Tensor:
+        """Features, float32 ``[B, D]``, of RGB views, uint8 ``[B, H, W, 3]``."""
+        return self.forward(views)
+
+
+def staged_encoder(
+    inner: Callable[[Tensor], Tensor],
+    pool: Callable[[Tensor], Tensor],
+    attributes: Mapping[str, str],
+    projection: Callable[[Tensor], Tensor] | None = None,
+    patch_attributes: Mapping[str, str] | None = None,
+    *,
+    few: int | None = None,
+) -> ViewEncoder:
+    """An encoder whose features and patches come from one map: ``inner`` makes it, ``pool`` and ``projection`` use it.
+
+    At most ``few`` views go through the network at a time; without a projection there are no patches.
+    """
+
+    def stages(views: Tensor) -> Iterator[Tensor]:
+        return map(inner, views.split(few or len(views) or 1))
+
+    @torch.inference_mode()
+    def forward(views: Tensor) -> Tensor:
+        return torch.cat([pool(stage).float() for stage in stages(views)])
+
+    if projection is None:
+        return ViewEncoder(forward, attributes)
+
+    @torch.inference_mode()
+    def forward_patches(views: Tensor) -> tuple[Tensor, Tensor]:
+        pooled, parts = zip(*((pool(stage).float(), projection(stage)) for stage in stages(views)), strict=True)
+        return torch.cat(pooled), torch.cat(parts)
+
+    return ViewEncoder(forward, attributes, forward_patches, patch_attributes or {})
+
+
+def weights_hash(parameters: Mapping[str, Tensor]) -> str:
+    """``sha256:`` and 64 digits, over the names, shapes and values (as float32) of a state_dict, in order of names."""
+    digest = hashlib.sha256()
+    for name in sorted(parameters):
+        values = parameters[name].detach().cpu()
+        values = values.float() if values.is_floating_point() else values
+        digest.update(f"{name} {list(values.shape)}\n".encode())
+        digest.update(values.contiguous().numpy().tobytes())
+    return f"sha256:{digest.hexdigest()}"

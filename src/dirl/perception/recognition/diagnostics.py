@@ -1,0 +1,242 @@
+"""Inspection of a scene before training: its contents, and what in it would mislead an agent or a reader."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from dirl.perception.recognition.matching import template_vectors
+from dirl.scenes import Scene, SceneError
+from dirl.scenes.geometry import heading_directions, step_length
+from dirl.scenes.graph import AHEAD, BACK, RIGHT, IntArray, places, turns_per_circle
+
+MAX_STATES = 5_000
+"""All pairs of states are compared; of a scene with more states that would take gigabytes."""
+
+THRESHOLDS = np.linspace(0.5, 1.0, 101)
+"""At which the false stops of template matching are counted."""
+
+BLANK = 6.0
+"""A view whose grey levels (0 to 255) deviate less than this from their mean shows next to nothing."""
+
+FAR = 2
+"""Ambiguous states that are nearer than this many actions are neighbours that only look alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What `inspect_scene` found. N states."""
+
+    facts: dict[str, str]
+    """What the scene holds, for a table."""
+    problems: list[str]
+    """What should be mended, or known: each names the first state, and what to do."""
+    parts: IntArray
+    """Which part each state is in, int64 ``[N]``, 0 is the largest; within a part every state reaches every other."""
+    ambiguous: list[tuple[int, int, float, int]]
+    """Pairs of states that match above the threshold: both states, coefficient, actions between them; worst first."""
+    false_stops: NDArray[np.floating] | None
+    """Of all pairs of a goal and a state that reaches it, the fraction that matches above each of `THRESHOLDS`."""
+    goal_false_stops: NDArray[np.floating] | None
+    """The same for the scene's own goals."""
+
+
+def inspect_scene(scene: Scene, *, threshold: float = 0.9, match: str = "views") -> Inspection:
+    """Check a scene.
+
+    Args:
+        scene: N states, at most `MAX_STATES`.
+        threshold: two states that match better are ambiguous.
+        match: ``views`` or ``front``, see `dirl.perception.recognition.matching.TemplateStop`.
+
+    Raises:
+        SceneError: the scene has too many states.
+        ValueError: a view cannot be decoded.
+    """
+    if len(scene) > MAX_STATES:
+        raise SceneError(f"{scene.origin}: {len(scene)} states; all pairs are compared, of at most {MAX_STATES}")
+    parts = _parts(scene)
+    problems = [*_graph_problems(scene, parts), *_map_problems(scene), *_view_problems(scene)]
+    ambiguous, false_stops, goal_false_stops = [], None, None
+    if scene.features is None:
+        problems.append("there are no features; add them by: scenes.py encode")
+    else:
+        problems += _feature_problems(scene)
+        vectors = template_vectors(
+            torch.from_numpy(scene.features.astype(np.float32)), torch.from_numpy(scene.surrounding.copy()), match
+        )
+        scores = (vectors @ vectors.T).numpy()
+        ambiguous = _ambiguous(scene, scores, threshold)
+        every = np.arange(len(scene))
+        false_stops = _false_stops(scene, scores, every)
+        goal_false_stops = _false_stops(scene, scores, np.array(scene.goals, np.int64)) if scene.goals else None
+        problems += _matching_problems(scene, scores, ambiguous, threshold)
+    return Inspection(_facts(scene, parts), problems, parts, ambiguous, false_stops, goal_false_stops)
+
+
+def _facts(scene: Scene, parts: IntArray) -> dict[str, str]:
+    turns = turns_per_circle(scene.graph)
+    reached = scene.distances[scene.distances > 0]
+    blocked = (scene.graph[:, [AHEAD, BACK]] < 0).mean()
+    sizes = np.bincount(parts)
+    width, depth = np.ptp(scene.positions, axis=0) + step_length(scene)
+    views = "none" if scene.views is None else "x".join(map(str, scene.views[0].shape[:2]))
+    features = "none" if scene.features is None else f"{scene.features.shape[1]} {scene.features.dtype}"
+    return {
+        "name": scene.name,
+        "source": scene.source,
+        "states": f"{len(scene)}",
+        "places": f"{places(scene.graph).max() + 1}",
+        "turn": f"{360 / turns:g} degrees",
+        "step": f"{step_length(scene):.2f} m",
+        "extent": f"{width:.1f} x {depth:.1f} m",
+        "parts": f"{len(sizes)}" + (f" (states: {', '.join(map(str, sizes[:8]))})" if len(sizes) > 1 else ""),
+        "blocked moves": f"{blocked:.0%}",
+        "farthest pair": f"{reached.max()} actions",
+        "mean distance": f"{reached.mean():.2f} actions",
+        "goals": ", ".join(map(str, scene.goals)) or "none",
+        "views": views,
+        "features": features,
+        "extractor": scene.extractor,
+    }
+
+
+def _parts(scene: Scene) -> IntArray:
+    """The strongly connected parts, numbered from the largest on, int64 ``[N]``."""
+    both_ways = (scene.distances >= 0) & (scene.distances.T >= 0)
+    first = both_ways.argmax(1)
+    _, part, sizes = np.unique(first, return_inverse=True, return_counts=True)
+    return np.argsort(np.argsort(-sizes, kind="stable"))[part]
+
+
+def _graph_problems(scene: Scene, parts: IntArray) -> Iterator[str]:
+    apart = np.flatnonzero(parts > 0)
+    if len(apart):
+        state = apart[0]
+        yield (
+            f"state {state} (at {_at(scene, state)}) and {len(apart) - 1} more are not connected with the largest part "
+            "in both directions: give them links, or choose goals and starts within one part"
+        )
+    lost = [goal for goal in scene.goals if parts[goal] > 0]
+    if lost:
+        yield f"goal {lost[0]} lies outside the largest part: choose one that most states reach"
+    for action, undo, name in ((AHEAD, BACK, "ahead"), (BACK, AHEAD, "back")):
+        leads = np.flatnonzero(scene.graph[:, action] >= 0)
+        one_way = leads[scene.graph[scene.graph[leads, action], undo] != leads]
+        if len(one_way):
+            state = one_way[0]
+            yield (
+                f"state {state}: a move {name} leads to state {scene.graph[state, action]}, and the opposite move does "
+                f"not lead back ({len(one_way)} such moves): is a link missing?"
+            )
+
+
+def _map_problems(scene: Scene) -> Iterator[str]:
+    turn = 360 / turns_per_circle(scene.graph)
+    moving = np.flatnonzero(scene.graph[:, RIGHT] >= 0)
+    turned = _difference(scene.headings[scene.graph[moving, RIGHT]], scene.headings[moving])
+    sense = -1 if np.median(turned) < 0 else 1  # some files count headings the other way round
+    wrong = moving[np.abs(turned - sense * turn) > 1]
+    if len(wrong):
+        state = wrong[0]
+        after = scene.graph[state, RIGHT]
+        yield (
+            f"state {state}: a turn goes from heading {scene.headings[state]:g} to {scene.headings[after]:g}, but a "
+            f"full circle has {360 / turn:g} turns ({len(wrong)} such turns): check rotation, or maps will be wrong"
+        )
+    leads = np.flatnonzero(scene.graph[:, AHEAD] >= 0)
+    moves = scene.positions[scene.graph[leads, AHEAD]] - scene.positions[leads]
+    lengths = np.hypot(*moves.T)
+    still = leads[lengths < 1e-3]
+    if len(still):
+        state = still[0]
+        yield (
+            f"state {state}: a move ahead leads to state {scene.graph[state, AHEAD]} at the same location "
+            f"({len(still)} such moves): check location, or the map is wrong"
+        )
+    with np.errstate(invalid="ignore"):
+        aside = (moves * heading_directions(scene)[leads]).sum(1) < np.cos(np.deg2rad(45)) * lengths
+    if aside.any():
+        state = leads[aside][0]
+        yield (
+            f"state {state}: a move ahead goes more than 45 degrees aside of its heading, {scene.headings[state]:g} "
+            f"({aside.sum()} such moves): check rotation and location, or the arrows of the map are wrong"
+        )
+
+
+def _view_problems(scene: Scene) -> Iterator[str]:
+    if scene.views is None:
+        yield "there are no views; pictures, the viewer and encode need them"
+        return
+    seen: dict[bytes, int] = {}
+    blank, twins, shapes = [], [], set()
+    for state in range(len(scene)):
+        view = scene.views[state]
+        shapes.add(view.shape)
+        if view.mean(2).std() < BLANK:
+            blank.append(state)
+        twin = seen.setdefault(view.tobytes(), state)
+        if twin != state:
+            twins.append((state, twin))
+    if len(shapes) > 1:
+        yield f"views have {len(shapes)} different shapes, {sorted(shapes)[:2]}: scale them to one, encode needs that"
+    if blank:
+        yield f"state {blank[0]} sees next to nothing ({len(blank)} blank views): such views cannot tell places apart"
+    if twins:
+        state, twin = twins[0]
+        yield f"state {state} has the very same view as state {twin} ({len(twins)} such states): was a file copied?"
+
+
+def _feature_problems(scene: Scene) -> Iterator[str]:
+    assert scene.features is not None
+    constant = np.flatnonzero(np.ptp(scene.features, axis=1) == 0)
+    if len(constant):
+        yield f"state {constant[0]} has features that are all equal ({len(constant)} such states): encode anew"
+    if scene.extractor == "unknown":
+        yield "what made the features is not said: it cannot be noticed when they are mixed with others; encode anew"
+
+
+def _ambiguous(scene: Scene, scores: NDArray[np.floating], threshold: float) -> list[tuple[int, int, float, int]]:
+    pairs = np.argwhere(np.triu(scores > threshold, 1))
+    order = np.argsort(-scores[tuple(pairs.T)], kind="stable")
+    distances = scene.distances
+    return [(int(a), int(b), float(scores[a, b]), int(distances[a, b])) for a, b in pairs[order]]
+
+
+def _false_stops(scene: Scene, scores: NDArray[np.floating], goals: IntArray) -> NDArray[np.floating]:
+    """The fraction of (goal, state that reaches it) whose coefficient is above each of `THRESHOLDS`."""
+    wrong = np.sort(scores[:, goals][scene.distances[:, goals] > 0])
+    return 1 - np.searchsorted(wrong, THRESHOLDS, side="right") / len(wrong)
+
+
+def _matching_problems(
+    scene: Scene, scores: NDArray[np.floating], ambiguous: list[tuple[int, int, float, int]], threshold: float
+) -> Iterator[str]:
+    far = [pair for pair in ambiguous if pair[3] < 0 or pair[3] >= FAR]
+    if far:
+        a, b, score, distance = far[0]
+        apart = "unconnected" if distance < 0 else f"{distance} actions apart"
+        yield (
+            f"states {a} and {b} match with {score:.3f} though {apart} ({len(far)} pairs above {threshold:g}): on its "
+            "way to one an agent stops at the other; choose other goals or a higher threshold"
+        )
+    for goal in scene.goals:
+        reaching = np.flatnonzero((scene.distances[:, goal] > 0) & (scores[:, goal] > threshold))
+        if len(reaching):
+            worst = reaching[scores[reaching, goal].argmax()]
+            yield (
+                f"goal {goal} is taken for reached in {len(reaching)} other states, most in state {worst} "
+                f"({scores[worst, goal]:.3f}): raise the threshold above that, or choose another goal"
+            )
+
+
+def _difference(to: NDArray[np.floating], start: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Degrees from one heading to another, -180 to 180."""
+    return (to - start + 180) % 360 - 180
+
+
+def _at(scene: Scene, state: int) -> str:
+    x, z = scene.positions[state]
+    return f"x {x:.2f}, z {z:.2f}"

@@ -1,0 +1,183 @@
+"""A recogniser that is learned from rooms in which every place was seen more than once."""
+
+from pathlib import Path
+from typing import Annotated, Self
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from dirl.config.bounds import Bounds
+from dirl.perception.backbones.principal import principal_components
+from dirl.perception.recognition.recogniser import Thresholds
+
+WEIGHTS = Path(__file__).parent / "data" / "learned.pt"
+"""For patches and features of the included ResNet-50 at 96x128 pixels (docs/results_changes.md says how they came)."""
+
+ROWS, COLUMNS, VIEWS = 2, 4, 4
+RING = COLUMNS * VIEWS
+"""Columns of patches in the four views together: they lie around the agent, 22.5 degrees each."""
+
+OFFSETS = 2
+"""A column of the reference is compared with so many columns at either side of the seen one: 45 degrees."""
+
+POOLED, WHITENED, PROJECTED = 128, 64, 48
+"""Components of pooled features, those compared without training, and width of the learned projection of patches."""
+
+SCALE = 4.0
+"""Of the cosines, so that the layers on them learn as fast as the others."""
+
+PAIRS_AT_ONCE = 4096
+
+
+class Learned(nn.Module):
+    """The log odds that two visits are of the same place and heading.
+
+    The patches of the four views form a ring of columns around the agent. Each column of the reference is compared, by
+    cosines, with the columns of the ring near it. Layers that are shared by all columns read the cosines, and
+    convolutions over the columns how they go together: an error of heading shifts all columns alike, a step aside
+    shifts those ahead and behind against each other. A single photo has four columns, which are compared with all of
+    the ring.
+
+    Args:
+        views: above these log odds four views are the goal's; see `Thresholds`.
+        photo: above these log odds one view is the goal's.
+        memory: above these log odds two visits are of the same place and heading.
+        width: of the layers.
+        dropout: of whitened features and patches, in training.
+        features: pooled ones of a view, D.
+        weights: a file of `state_dict`; those of the package if left out, none with ``""``.
+
+    Raises:
+        ValueError: the file of weights cannot be read, or is of another network.
+    """
+
+    reads_patches = True
+    calibrated = True
+
+    def __init__(
+        self,
+        views: float = 4.0,
+        photo: float = 4.0,
+        memory: float = 2.0,
+        width: Annotated[int, Bounds(1, 4096)] = 64,
+        dropout: Annotated[float, Bounds(0, 0.9)] = 0.25,
+        features: Annotated[int, Bounds(1)] = 2048,
+        weights: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.thresholds = Thresholds(views, photo, memory)
+        self.register_buffer("mean", torch.zeros(features))
+        self.register_buffer("axes", torch.zeros(features, POOLED))
+        self.register_buffer("patch_mean", torch.zeros(96))
+        self.register_buffer("patch_axes", torch.zeros(96, 96))
+        self.register_buffer("calibration", torch.tensor([[1.0, 0.0], [1.0, 0.0]]))
+        self.dropout = nn.Dropout(dropout)
+        self.patch = nn.Linear(96, PROJECTED, bias=False)
+        self.view = nn.Linear(POOLED, WHITENED, bias=False)
+        self.column = nn.Linear((2 * OFFSETS + 1) * ROWS * ROWS * 2 + 2, width)
+        self.near = nn.ModuleList(nn.Conv1d(width, width, 3) for _ in range(2))
+        self.odds = nn.ModuleList(
+            nn.Sequential(nn.Linear(2 * width + 1, 64), nn.ReLU(), nn.Linear(64, 1)) for _ in ("photo", "views")
+        )
+        if weights != "":
+            self._read(Path(weights or WEIGHTS))
+            self.eval()
+
+    mean: Tensor
+    axes: Tensor
+    patch_mean: Tensor
+    patch_axes: Tensor
+    calibration: Tensor
+    """Slope and intercept for a photo, and for four views, float32 ``[2, 2]``: the network is too sure in new rooms."""
+
+    def _read(self, file: Path) -> None:
+        if not file.is_file():
+            raise ValueError(f"weights={file}: there is no such file")
+        try:
+            stored = torch.load(file, map_location="cpu", weights_only=True)
+        except Exception as error:  # what unpickling a broken file raises can be anything
+            raise ValueError(f"weights={file}: torch cannot read it as weights ({error!r:.200})") from None
+        try:
+            self.load_state_dict(stored)
+        except (RuntimeError, TypeError, AttributeError) as error:
+            reason = " ".join(str(error).split())[:300]
+            raise ValueError(f"weights={file}: not of a network of these options: {reason}") from None
+
+    def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
+        """Itself: it was trained for unseen places."""
+        return self
+
+    def measure(self, features: Tensor, patches: Tensor) -> None:
+        """Whiten by N views of training rooms: pooled features, float ``[N, D]``, and patches, ``[N, 8, 96]``."""
+        self.mean, axes, _ = principal_components(features.float(), POOLED)
+        self.axes = F.pad(axes, (0, POOLED - axes.shape[1]))
+        self.patch_mean, self.patch_axes, _ = principal_components(patches.flatten(0, 1).float(), 96)
+
+    def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
+        """Patches and pooled features, whitened and projected, each of length one; see `Recogniser.describe`."""
+        if patches is None or features.shape[-1] != len(self.mean) or patches.shape[-2:] != (ROWS * COLUMNS, 96):
+            raise ValueError(
+                "recogniser=learned compares 8 patches and 2048 features a view, and these views have others: encode "
+                "them with encoder=resnet50_small patches=true"
+            )
+        return self.project(*self.whiten(features, patches))
+
+    def whiten(self, features: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
+        """Pooled features and patches by the statistics of training rooms, ``[..., 128]`` and ``[..., 8, 96]``."""
+        return (features.float() - self.mean) @ self.axes, (patches.float() - self.patch_mean) @ self.patch_axes
+
+    def project(self, pooled: Tensor, patches: Tensor) -> Tensor:
+        """The description of whitened features and patches, float32 ``[..., F]``; see `describe`."""
+        # Rows of patches become columns: [..., 4 columns, 2 rows, channels].
+        parts = self.dropout(patches).unflatten(-2, (ROWS, COLUMNS)).transpose(-3, -2)
+        pooled = self.dropout(pooled)
+        described = (self.patch(parts), parts[..., :WHITENED], self.view(pooled), pooled[..., :WHITENED])
+        lengths = [F.normalize(part, dim=-1) for part in described]
+        return torch.cat([part.flatten(-3) for part in lengths[:2]] + lengths[2:], -1)
+
+    def scores(self, seen: Tensor, references: Tensor) -> Tensor:
+        """The log odds of every two; see `Recogniser.scores`."""
+        rows = max(1, PAIRS_AT_ONCE // references.shape[-3])
+        blocks = [self.log_odds(part.unsqueeze(-3), references.unsqueeze(-4)) for part in seen.split(rows, -3)]
+        return torch.cat(blocks, -2)
+
+    def log_odds(self, seen: Tensor, reference: Tensor) -> Tensor:
+        """Of visits, float32 ``[..., 4, F]``, with references, ``[..., V, F]``, broadcast; ``[...]``."""
+        several = int(reference.shape[-2] > 1)
+        slope, intercept = self.calibration[several]
+        return slope * self.of_columns(self.compare(seen, reference)) + intercept
+
+    def compare(self, seen: Tensor, reference: Tensor) -> Tensor:
+        """Cosines of each column of the reference, float32 ``[..., 4 V, features]``; see `log_odds`."""
+        ring, columns = _parts(seen), _parts(reference)
+        count = columns[0].shape[-3]
+        near = torch.arange(count)[:, None] + torch.arange(-OFFSETS, OFFSETS + 1)
+        near = near.to(seen.device)
+        found = []
+        for around, ahead in zip(ring[:2], columns[:2], strict=True):
+            cosines = torch.einsum("...iaw,...kbw->...kiab", around, ahead)
+            index = (near % RING)[..., None, None].expand(*cosines.shape[:-3], near.shape[1], ROWS, ROWS)
+            found.append(cosines.gather(-3, index).flatten(-3))
+        whole = [(a[..., : count // COLUMNS, :] * b).sum(-1) for a, b in zip(ring[2:], columns[2:], strict=True)]
+        found.append(torch.stack(whole, -1).repeat_interleave(COLUMNS, -2))
+        return SCALE * torch.cat(found, -1)
+
+    def of_columns(self, compared: Tensor) -> Tensor:
+        """The log odds by what was compared of four columns, a photo's, or of sixteen; see `compare`."""
+        several = int(compared.shape[-2] == RING)
+        read = F.relu(self.column(compared))
+        read = read.reshape(-1, *read.shape[-2:]).transpose(1, 2)
+        for layer in self.near:
+            read = read + F.relu(layer(F.pad(read, (1, 1), mode="circular" if several else "constant")))
+        whole = compared[..., -2:].mean((-1, -2)).flatten().unsqueeze(-1)
+        odds: Tensor = self.odds[several](torch.cat([read.mean(-1), read.amax(-1), whole], -1))
+        return odds.view(compared.shape[:-2])
+
+
+def _parts(described: Tensor) -> tuple[Tensor, ...]:
+    """Of V views, ``[..., V, F]``: two kinds of columns, ``[..., 4 V, 2, W]``, and two of views, ``[..., V, W]``."""
+    sizes = (ROWS * COLUMNS * PROJECTED, ROWS * COLUMNS * WHITENED, WHITENED, WHITENED)
+    projected, whitened, *views = described.split(sizes, -1)
+    columns = (part.unflatten(-1, (COLUMNS, ROWS, -1)).flatten(-4, -3) for part in (projected, whitened))
+    return *columns, *views

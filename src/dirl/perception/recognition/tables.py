@@ -1,0 +1,72 @@
+"""A recogniser's scores in a world, computed once and looked up: the fast form of `Recogniser.scores`."""
+
+import torch
+from torch import Tensor
+
+from dirl.perception.recognition.recogniser import Recogniser, in_blocks
+from dirl.scenes import World
+
+
+class VisitScores:
+    """The scores between every two visits of each scene of a world.
+
+    A visit is named by its first view id, ``look * N + state``: the other three follow from it. All scores of
+    a reference are computed when it is first asked for.
+
+    Args:
+        recogniser: compares them.
+        world: N states in L looks each.
+        match: ``views``, all four of them, or ``front``, the one ahead.
+    """
+
+    @torch.no_grad()
+    def __init__(self, recogniser: Recogniser, world: World, match: str = "views") -> None:
+        self.recogniser, self.match = recogniser, match
+        self.visits = [described_visits(recogniser, world, index) for index in range(len(world.scenes))]
+        sizes = torch.tensor([len(visits) for visits in self.visits], device=world.device)
+        order = torch.cat([world.pictures(index) for index in range(len(world.scenes))]).argsort()
+        self.scene = torch.arange(len(sizes), device=world.device).repeat_interleave(sizes)[order]
+        self.column = torch.cat([torch.arange(size, device=world.device) for size in sizes.tolist()])[order]
+        self.row = (sizes**2).cumsum(0)[self.scene] - sizes[self.scene] * (sizes[self.scene] - self.column)
+        self.table = torch.empty(int((sizes**2).sum()), device=world.device)
+        self.known = torch.zeros(len(order), dtype=torch.bool, device=world.device)
+
+    def __call__(self, reference: Tensor, seen: Tensor) -> Tensor:
+        """The scores of visits by their first view ids in one scene, int64 ``[...]`` each, broadcast; float32."""
+        asked = reference[~self.known[reference]]
+        if len(asked):
+            self._compute(asked.unique())
+        return self.table[self.row[reference] + self.column[seen]]
+
+    def of_visits(self, seen: Tensor, visit: Tensor) -> Tensor:
+        """How much visits ``[B, 4]`` look like earlier ones, ``[B, T, 4]``, facing each of their views; all view ids.
+
+        A node faces the view that was ahead or aside, by whose view id it is named.
+        """
+        return self(seen, visit[:, None, :1])
+
+    @torch.no_grad()
+    def _compute(self, reference: Tensor) -> None:
+        """Fill the rows of references, int64 ``[A]``."""
+        for index in self.scene[reference].unique().tolist():
+            visits, rows = self.visits[index], reference[self.scene[reference] == index]
+            found = in_blocks(self.recogniser, visits, matched(visits[self.column[rows]], self.match)).T
+            self.table[self.row[rows][:, None] + torch.arange(len(visits), device=rows.device)] = found
+        self.known[reference] = True
+
+
+def described_visits(recogniser: Recogniser, world: World, index: int) -> Tensor:
+    """The described views of the visits of one scene, float32 ``[M, 4, F]``, in the order of `World.pictures`."""
+    pictures = world.pictures(index)
+    patches = None if world.patches is None or not recogniser.reads_patches else world.patches[pictures]
+    features, default = world.features[pictures], len(world.scenes[index])
+    own = recogniser.fit(features[:default], None if patches is None else patches[:default])
+    views = own.describe(features, patches)
+    states, offset = len(world.scenes[index]), world.offsets[index]
+    local = world.surrounding[offset : offset + states] - offset
+    return views[torch.cat([local + look * states for look in range(world.looks)])]
+
+
+def matched(visits: Tensor, match: str) -> Tensor:
+    """The views of references that are compared: all, or with ``front`` the one ahead, ``[M, 1, F]``."""
+    return visits[:, :1] if match == "front" else visits

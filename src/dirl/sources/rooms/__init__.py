@@ -1,0 +1,21 @@
+"""Synthetic furnished rooms: described in TOML or sampled at random, lit and seen on a CPU, written as scene dumps.
+
+The built-in rooms were made with it.
+"""
+
+from dirl.sources.rooms.build import build_room, built_in_rooms, describe_room
+from dirl.sources.rooms.checks import check_room
+from dirl.sources.rooms.description import RoomDescription, read_description, write_description
+from dirl.sources.rooms.sampling import KINDS, sample_room
+
+__all__ = [
+    "KINDS",
+    "RoomDescription",
+    "build_room",
+    "built_in_rooms",
+    "check_room",
+    "describe_room",
+    "read_description",
+    "sample_room",
+    "write_description",
+]

@@ -1,0 +1,243 @@
+"""Many random rooms in a collection, made in parallel; an interrupted command can be continued."""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dirl.scenes import Scene, SceneError, read_dump
+from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
+from dirl.scenes.io.digest import file_digest
+from dirl.sources.rooms.build import check_packages, check_size, poses, scene_of, take_views, write_room
+from dirl.sources.rooms.checks import check_room, check_views, far_apart
+from dirl.sources.rooms.description import RoomDescription, description_text
+from dirl.sources.rooms.looks import Changes, look_views
+from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.sampling.sample import LOOK, sample_views
+from dirl.sources.rooms.sampling.splits import split_of
+from dirl.sources.rooms.view import Renderer
+
+if TYPE_CHECKING:  # the models are built on the scenes
+    from dirl.perception.backbones import ViewEncoder
+
+LOOK_SEEDS = 1000
+"""Looks of a room at most; the seed of a look is this many times the room's, and its number."""
+
+Wanted = tuple[str, int]
+"""A kind and a seed."""
+
+
+@dataclass(frozen=True)
+class RoomSettings:
+    """How the rooms of a collection are made; the same for all of them.
+
+    Args:
+        height, width: of the views, pixels.
+        turn: degrees of a turn.
+        fine: the light of the built-in rooms; otherwise a coarser one, ten times faster.
+        encoder: see `dirl.perception.backbones.load_encoder`; None for no features.
+        precision: of the encoder.
+        patches: whether to store patches too.
+        device: of the encoder; the only setting that rooms of one collection need not share.
+        looks: further looks of each state; needs an encoder, since their views are not stored.
+        changes: by how much these differ from the views of the dump.
+    """
+
+    height: int = 300
+    width: int = 400
+    turn: float = 90
+    fine: bool = True
+    encoder: str | None = "resnet50"
+    precision: str = "float32"
+    patches: bool = False
+    device: str = "cpu"
+    looks: int = 0
+    changes: Changes = field(default_factory=Changes)
+
+    def load_encoder(self) -> "ViewEncoder | None":
+        """The encoder that the settings name."""
+        if self.encoder is None:
+            return None
+        from dirl.perception.backbones import load_encoder
+
+        return load_encoder(self.encoder, self.device, precision=self.precision, patches=self.patches)
+
+    def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
+        """The settings as the index stores them: the encoder by its description, not by its name."""
+        apart = ("encoder", "device", "patches", "looks", "changes")
+        kept = {key: value for key, value in asdict(self).items() if key not in apart}
+        if self.looks:
+            kept |= {"looks": self.looks, **{f"changes.{key}": value for key, value in asdict(self.changes).items()}}
+        kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
+        if encoder is not None and self.patches:
+            kept |= {"patches": "; ".join(encoder.patch_attributes.values())}
+        return kept
+
+
+def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]) -> list[Wanted]:
+    """The rooms that a collection lacks, or does not have completely and as the index describes them.
+
+    Args:
+        folder: of the collection; it may not exist yet.
+        wanted: kinds and seeds.
+        stored: the settings, see `RoomSettings.stored`.
+
+    Raises:
+        SceneError: the folder holds something else, or rooms that were made with other settings.
+    """
+    if not (folder / INDEX).is_file():
+        # A job that was killed before its first room was whole may have left a description and an unfinished dump.
+        names = {f"{kind}_{seed}" for kind, seed in wanted}
+        if folder.exists() and not (
+            folder.is_dir() and {path.name.split(".")[0] for path in folder.iterdir()} <= names
+        ):
+            raise SceneError(f"{folder}: is there already, and is no collection; it is not written to")
+        return list(wanted)
+    collection = read_collection(folder)
+    for entry in collection.entries:
+        for key, value in stored.items():
+            older = 0.0 if key.startswith("changes.") else None  # collections made before there was such a change
+            if entry.settings.get(key, older) != value:
+                raise SceneError(
+                    f"{folder}: {entry.name} was made with {key}={entry.settings.get(key)}, not {value}; give the same "
+                    "options, or another folder"
+                )
+    whole = {(e.kind, e.seed) for e in collection.entries if is_whole(collection.path(e), e)}
+    return [one for one in wanted if one not in whole]
+
+
+def make_rooms(
+    folder: str | Path, wanted: Sequence[Wanted], settings: RoomSettings, workers: int | None = None
+) -> Iterator[Entry | SceneError]:
+    """Make random rooms: the dump of each, its description beside it, and a line in the index.
+
+    Each process makes one room at a time; the views of a single room are rendered by all. The rooms do not depend on
+    the number of processes.
+
+    Args:
+        folder: the collection's.
+        wanted: kinds and seeds.
+        settings: how they are made.
+        workers: processes; all cores if left out. Each needs about 1 GB.
+
+    Yields:
+        The entries of complete rooms; for a seed of which no attempt passed the checks, the error.
+
+    Raises:
+        SceneError: the rooms cannot be made, or a process was killed, perhaps because memory ran out.
+    """
+    check_packages()
+    check_size((settings.height, settings.width))
+    if not 0 <= settings.looks <= LOOK_SEEDS:
+        raise SceneError(f"looks={settings.looks}: must be 0 to {LOOK_SEEDS}")
+    if settings.looks and settings.encoder is None:
+        raise SceneError(f"looks={settings.looks}: their views are encoded and not stored; give an encoder")
+    workers = os.cpu_count() or 1 if workers is None else workers
+    if workers < 1:
+        raise SceneError(f"workers={workers}: at least one process is needed")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    if workers == 1 or len(wanted) == 1:
+        for one in wanted:
+            yield _index(folder, make_room(folder, one, settings, workers))
+        return
+    processes = min(workers, len(wanted))
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _start)
+    try:
+        for done in as_completed([pool.submit(make_room, folder, one, settings) for one in wanted]):
+            yield _index(folder, done.result())
+    except BrokenProcessPool:
+        raise SceneError(
+            f"{folder}: a process that made a room was killed, perhaps because memory ran out; the same command "
+            f"continues; if it happens again, give workers={max(1, processes // 2)}"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 1) -> Entry | SceneError:
+    """Draw a room, take and encode its views, and write its dump and its description; see `make_rooms`."""
+    kind, seed = one
+    encoder = _encoder(settings)
+    try:
+        room, views = sample_views(kind, seed)
+    except SceneError as error:
+        return error
+    way, size = walk(room, settings.turn), (settings.height, settings.width)
+    wanted = size != LOOK or settings.fine or settings.turn != 90  # else the views of the check serve
+    renderer = Renderer.of(room, fine=settings.fine) if wanted or settings.looks else None
+    if wanted and renderer is not None:
+        views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
+    about = {"room": description_text(room), "step": room.grid.step, "turn": settings.turn, "seed": seed}
+    dump = folder / f"{room.name}.h5"
+    unfinished = folder / f"{room.name}.toml.tmp"
+    unfinished.write_text(description_text(room), encoding="utf-8")
+    os.replace(unfinished, folder / f"{room.name}.toml")  # also over what a killed job left
+    looks = []
+    if renderer is not None:
+        seeds = range(LOOK_SEEDS * seed, LOOK_SEEDS * seed + settings.looks)
+        looks = [
+            list(look_views(renderer, room, way, size, settings.changes, look, fine=settings.fine)) for look in seeds
+        ]
+    write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks)
+    thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
+    problems = check_room(room) + check_views(thumbnails, contrasts, way)
+    scene = read_dump(dump, isolated=False)  # just written here
+    return Entry(
+        name=room.name,
+        kind=kind,
+        seed=seed,
+        split=split_of(seed),
+        states=len(scene),
+        checks=checks(room, scene, problems),
+        settings=settings.stored(encoder),
+        sha256=file_digest(dump),
+    )
+
+
+def checks(room: RoomDescription, scene: Scene, problems: list[str]) -> dict[str, Any]:
+    """What the index says of a room: its measures, connected parts, and with features how many far states match.
+
+    ``alike_front`` and ``alike_views`` count pairs of states that are far apart (`far_apart`) and match above 0.9 by
+    one view, and by the four views that decide a stop.
+    """
+    from dirl.perception.recognition.diagnostics import inspect_scene
+
+    found = {match: inspect_scene(scene, match=match) for match in ("front", "views")}
+    apart = far_apart(scene.positions, scene.headings)
+    measures = {
+        "size": list(room.size),
+        "pieces": len(room.furniture),
+        "places": room.grid.places,
+        "parts": int(found["views"].parts.max() + 1),
+    }
+    if scene.features is None:
+        return measures | {"problems": problems}
+    far = {f"alike_{match}": sum(bool(apart[a, b]) for a, b, *_ in one.ambiguous) for match, one in found.items()}
+    return measures | far | {"problems": problems + found["views"].problems}
+
+
+def _index(folder: Path, made: Entry | SceneError) -> Entry | SceneError:
+    if isinstance(made, Entry):
+        add_entry(folder, made)
+    return made
+
+
+@cache
+def _encoder(settings: RoomSettings) -> "ViewEncoder | None":
+    """What encodes the views, loaded once in each process."""
+    return settings.load_encoder()
+
+
+def _start() -> None:
+    """In a process beside others: each has one core."""
+    import torch
+
+    torch.set_num_threads(1)

@@ -1,0 +1,140 @@
+"""Draw random rooms until one passes every check."""
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dirl.scenes.scene import SceneError
+from dirl.sources.rooms.build import View, poses, take_views
+from dirl.sources.rooms.checks import check_room, check_views
+from dirl.sources.rooms.description import Grid, RoomDescription
+from dirl.sources.rooms.layout import assemble
+from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.options import check_keys
+from dirl.sources.rooms.sampling import furnishing
+from dirl.sources.rooms.sampling.draft import Draft
+from dirl.sources.rooms.sampling.splits import repertoire_of
+from dirl.sources.rooms.sampling.styles import Style
+from dirl.sources.rooms.view import Renderer
+
+ATTEMPTS = 60
+"""Rooms that are sampled before giving up. About one in three passes."""
+
+LOOK = (48, 64)
+"""Height and width of the views that are checked, pixels."""
+
+GOALS = 5
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of room: how it is furnished, how wide and deep it may be in metres, the fewest places, what it needs."""
+
+    furnish: Callable[[Draft], None]
+    extent: tuple[float, float]
+    places: int
+    needs: tuple[str, ...]
+    wet: bool = False
+
+
+KINDS = {
+    "bathroom": Kind(furnishing.bathroom, (3.6, 5.0), 20, ("toilet", "vanity"), wet=True),
+    "bedroom": Kind(furnishing.bedroom, (4.4, 6.8), 30, ("bed",)),
+    "kitchen": Kind(furnishing.kitchen, (4.6, 7.4), 35, ("counter", "table"), wet=True),
+    "living_room": Kind(furnishing.living_room, (5.0, 7.4), 40, ("sofa", "tv")),
+}
+
+
+def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True) -> RoomDescription:
+    """A random room that passes `check_room` and, in small views, `check_views`; kind and seed determine it.
+
+    Args:
+        kind: bathroom, bedroom, kitchen or living_room.
+        seed: any number from 0 on; every one gives another room.
+        attempts: rooms to draw before giving up.
+        look: check the views too, which takes some ten seconds an attempt; else only the furniture and the places.
+
+    Raises:
+        SceneError: there is no such kind, the seed is negative, or no attempt passed; the message says why the last
+            one did not.
+    """
+    return sample_views(kind, seed, attempts=attempts, look=look)[0]
+
+
+def sample_views(
+    kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True
+) -> tuple[RoomDescription, list[View]]:
+    """The room that `sample_room` returns, and the views of its check: of `LOOK` pixels, in coarse light.
+
+    They are those that `dirl.sources.rooms.build_room` takes with that ``size`` and without ``fine``; none without
+    ``look``.
+    """
+    check_keys({kind: 0}, KINDS, "kind")
+    if seed < 0:
+        raise SceneError(f"seed={seed}: must not be negative")
+    problems = ["attempts must be at least 1"]
+    for attempt in range(attempts):
+        room = draw_room(kind, seed, attempt)
+        problems = problems_of(room, KINDS[kind])
+        views = look_around(room) if look and not problems else []
+        if views:
+            thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
+            problems = check_views(thumbnails, contrasts, walk(room))
+        if not problems:
+            return room, views
+    raise SceneError(f"kind={kind} seed={seed}: none of {attempts} rooms passed the checks; the last: {problems[0]}")
+
+
+def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
+    """A random room, unchecked."""
+    rng = np.random.default_rng([zlib.crc32(kind.encode()), seed, attempt])
+    made = KINDS[kind]
+    width, depth = (round(float(rng.uniform(*made.extent)), 1) for _ in range(2))
+    size = (width, depth, round(float(rng.uniform(2.5, 2.9)), 2))
+    style = Style(rng, wet=made.wet, repertoire=repertoire_of(seed))
+    walls, floor = style.walls(size[2]), style.floor()
+    skirting = "white_paint" if rng.random() < 0.6 else style.wood()
+    draft = Draft(size, style, rng)
+    made.furnish(draft)
+    pieces = tuple(placed.piece for placed in draft.placed)
+    origin = tuple(round(0.25 + (length - 0.5) % 0.5 / 2, 2) for length in size[:2])
+    room = RoomDescription(
+        name=f"{kind}_{seed}",
+        size=size,
+        floor=floor,
+        walls=walls,
+        furniture=pieces,
+        skirting=skirting,
+        rail=skirting,
+        grid=Grid(origin=(origin[0], origin[1])),
+    )
+    room = replace(room, materials=style.materials)
+    used = {part.material for part in assemble(room)}
+    room = replace(room, materials={name: one for name, one in style.materials.items() if name in used})
+    try:
+        places = len(walk(room).places)
+    except SceneError:  # no place at all: what the checks will say
+        return room
+    chosen = rng.choice(places, min(GOALS, places), replace=False)
+    goals = tuple(sorted(int(4 * place + rng.integers(4)) for place in chosen))
+    return replace(room, goals=goals, grid=Grid(origin=room.grid.origin, places=places))
+
+
+def problems_of(room: RoomDescription, kind: Kind) -> list[str]:
+    """The problems of a room's furniture and places, one line each."""
+    try:
+        way = walk(room)
+    except SceneError as error:
+        return [str(error)]
+    if len(way.places) < kind.places:
+        return [f"only {len(way.places)} places; at least {kind.places} are wanted"]
+    kinds = {piece.kind for piece in room.furniture} | {"table" for piece in room.furniture if "table" in piece.kind}
+    return [f"there was no room for a {need}" for need in kind.needs if need not in kinds] + check_room(room)
+
+
+def look_around(room: RoomDescription) -> list[View]:
+    """The views of all states, of `LOOK` pixels, in coarse light."""
+    renderer = Renderer.of(room, fine=False)
+    return list(take_views(renderer, room.camera, poses(walk(room)), LOOK, progress=False))

@@ -1,0 +1,170 @@
+"""A room prepared for ray casting: finely divided triangles, textures at every size, and first hits."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dirl.sources.rooms.description import Material, RoomDescription
+from dirl.sources.rooms.layout import assemble, materials_of
+from dirl.sources.rooms.materials import paint
+from dirl.sources.rooms.mesh import Array, Part
+
+
+class Hits(NamedTuple):
+    """What rays met first: triangle (-1: nothing), its coordinates there, and how far away; ``[n]`` each."""
+
+    triangle: Array
+    u: Array
+    v: Array
+    distance: Array
+
+
+class Scenery:
+    """Triangles, materials and textures of one room.
+
+    Args:
+        parts: see `dirl.sources.rooms.layout.assemble`.
+        materials: by the names that the parts use.
+        edge: no side of a triangle is longer, in metres; light is known at their corners.
+        texture_limit: pixels a side of a texture at most.
+
+    Attributes:
+        corners, normals: float32 ``[n, 3, 3]``; uv: float32 ``[n, 3, 2]``; material: int ``[n]``.
+        facing, area: of each triangle, float32 ``[n, 3]`` and float64 ``[n]``.
+        point: which of the P distinct corners (of equal position and normal) each corner is, int ``[n, 3]``.
+        rough, emit, glow, metal, mirror: of each material.
+    """
+
+    def __init__(
+        self, parts: list[Part], materials: dict[str, Material], *, edge: float = 0.10, texture_limit: int = 2048
+    ) -> None:
+        names = sorted({part.material for part in parts})
+        used = [materials[name] for name in names]
+        index = {name: number for number, name in enumerate(names)}
+        soup = np.concatenate([np.concatenate([part.corners, part.normals, _uv(part)], -1) for part in parts])
+        material = np.concatenate([np.full(len(part.corners), index[part.material]) for part in parts])
+        soup, self.material = divide(soup, material, edge)
+        soup = soup.astype(np.float32)
+        self.corners, self.uv = np.ascontiguousarray(soup[..., :3]), np.ascontiguousarray(soup[..., 6:])
+        self.normals = unit(soup[..., 3:6])
+        crossed = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
+        self.facing, self.area = unit(crossed), np.linalg.norm(crossed.astype(np.float64), axis=1) / 2
+        self.point, self.point_corner = _distinct(self.corners, self.normals)
+        self.rough, self.emit, self.glow, self.size = (
+            np.array([getattr(one, key) for one in used], np.float32) for key in ("rough", "emit", "glow", "size")
+        )
+        self.size[self.size == 0] = 1.0
+        self.metal, self.mirror = np.array([one.metal for one in used]), np.array([one.mirror for one in used])
+        self._store_textures([paint(name, one, texture_limit) for name, one in zip(names, used, strict=True)])
+        self._embree: Any = None
+
+    @classmethod
+    def of(cls, room: RoomDescription, *, edge: float = 0.10, texture_limit: int = 2048) -> "Scenery":
+        """The scenery of a described room; raises `SceneError` if something in it cannot be made."""
+        return cls(assemble(room), materials_of(room), edge=edge, texture_limit=texture_limit)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_embree": None}  # Embree's tree cannot be pickled; it is rebuilt
+
+    def trace(self, origins: Array, directions: Array) -> Hits:
+        """The first hit of each ray; origins and directions ``[n, 3]``."""
+        if self._embree is None:
+            from embreex import mesh_construction, rtcore_scene
+
+            self._embree = rtcore_scene.EmbreeScene()
+            mesh_construction.TriangleMesh(self._embree, self.corners)
+        rays = (np.ascontiguousarray(values, np.float32) for values in (origins, directions))
+        found = self._embree.run(*rays, query="INTERSECT", output=1)
+        return Hits(found["primID"].astype(np.int64), found["u"], found["v"], found["tfar"])
+
+    def color(self, triangle: Array, u: Array, v: Array, footprint: Array | None = None) -> Array:
+        """Linear texture colour, float32 ``[n, 3]``; ``footprint`` is what a pixel covers, in metres, ``[n]``."""
+        material = self.material[triangle]
+        mip = self._first[material]
+        if footprint is not None:
+            texel = self.size[material] / self._side[mip]
+            level = np.round(np.log2(np.maximum(footprint / texel, 1e-6))).astype(np.int64)
+            mip += np.clip(level, 0, self._last[material] - mip)
+        side, start = self._side[mip], self._start[mip]
+        at = interpolate(self.uv[triangle], u, v) * side[:, None] - np.float32(0.5)
+        low = np.floor(at)
+        share = at - low
+        (x0, y0), (x1, y1) = (low.astype(np.int64).T & (side - 1)), ((low.astype(np.int64) + 1).T & (side - 1))
+        fx, fy = share[:, :1], share[:, 1:]
+        texels = self._texels
+        above = texels[start + y0 * side + x0] * (1 - fx) + texels[start + y0 * side + x1] * fx
+        below = texels[start + y1 * side + x0] * (1 - fx) + texels[start + y1 * side + x1] * fx
+        return above * (1 - fy) + below * fy
+
+    def _store_textures(self, textures: list[Array]) -> None:
+        """All textures in one long array of texels, each at every size down to one pixel."""
+        sizes: list[int] = []
+        texels: list[Array] = []
+        self._first = np.zeros(len(textures), np.int64)
+        self._last = np.zeros(len(textures), np.int64)
+        for number, texture in enumerate(textures):
+            self._first[number] = len(sizes)
+            level: Array = linear(texture).astype(np.float32)
+            while True:
+                sizes.append(len(level))
+                texels.append(level.reshape(-1, 3))
+                if len(level) == 1:
+                    break
+                level = (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2]) / 4
+            self._last[number] = len(sizes) - 1
+        self._side = np.array(sizes)
+        self._start = np.concatenate([[0], np.cumsum(self._side**2)[:-1]])
+        self._texels = np.concatenate(texels)
+        self.mean_color = self._texels[self._start[self._last]]
+
+
+def _uv(part: Part) -> Array:
+    return np.zeros((*part.corners.shape[:2], 2)) if part.uv is None else part.uv
+
+
+def divide(soup: Array, material: Array, edge: float) -> tuple[Array, Array]:
+    """Halve the longest sides of triangles, ``[n, 3, k]`` with the position first, until none exceeds ``edge``."""
+    done = []
+    while len(soup):
+        lengths = np.linalg.norm(soup[:, [1, 2, 0], :3] - soup[:, :, :3], axis=2)
+        longest = lengths.argmax(1)
+        rows = np.arange(len(soup))
+        long = lengths[rows, longest] > edge
+        done.append((soup[~long], material[~long]))
+        soup, material, longest = soup[long], material[long], longest[long]
+        rows = rows[: len(soup)]
+        a, b, c = (soup[rows, (longest + k) % 3] for k in range(3))
+        middle = (a + b) / 2
+        soup = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+        material = np.concatenate([material, material])
+    return np.concatenate([part for part, _ in done]), np.concatenate([part for _, part in done])
+
+
+def _distinct(corners: Array, normals: Array) -> tuple[Array, Array]:
+    """Which distinct point each corner is, int32 ``[n, 3]``, and for each point one of its corners, int ``[P]``.
+
+    Corners are one point if they lie within half a millimetre of each other and face about the same way.
+    """
+    key = np.zeros(corners.size // 3, np.uint64)
+    for value in np.round((corners.reshape(-1, 3) + 1) * 2e3).T:  # 16 bits each: up to 32 metres
+        key = (key << np.uint64(16)) | value.astype(np.uint64)
+    for value in np.round((normals.reshape(-1, 3) + 1) * 8).T:
+        key = (key << np.uint64(5)) | value.astype(np.uint64)
+    _, corner, point = np.unique(key, return_index=True, return_inverse=True)
+    return point.reshape(-1, 3).astype(np.int32), corner
+
+
+def linear(srgb: Array) -> Array:
+    """Linear light from sRGB values in [0, 1]."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def unit(vectors: Array) -> Array:
+    """Vectors ``[..., 3]`` scaled to length 1."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def interpolate(values: Array, u: Array, v: Array) -> Array:
+    """Values at the corners of triangles, ``[n, 3, k]``, between them, ``[n, k]``."""
+    u, v = u[:, None], v[:, None]
+    return values[:, 0] * (1 - u - v) + values[:, 1] * u + values[:, 2] * v

@@ -1,0 +1,261 @@
+"""The headings of the panoramas of a tour, from the yaws of its links and from what the panoramas show.
+
+Where the link from i to j stands at yaw a of image i and the link back at yaw b of image j, the headings of both
+images differ by a - b - 180 degrees. Where b is not known, or links contradict each other, what the two panoramas show
+tells the same (`dirl.sources.tours.columns`). Over a graph with loops these equations are overdetermined. They are
+solved by least squares, reweighted so that wrong ones lose weight (Geman and McClure's function, its width shrinking).
+The beginning are headings along a spanning tree of the equations whose short loops close best.
+"""
+
+import heapq
+import itertools
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.sources.tours.columns import Seen
+from dirl.sources.tours.tour import Tour
+
+WIDTHS = (40.0, 25.0, 15.0, 10.0)
+"""Degrees at which the weight of an equation falls to a quarter, one round after the other."""
+
+LOOPS, REACHED = 3, 200
+"""Of each equation so many loops without common ones are tried, among so many panoramas around it."""
+
+REJECTED = 20.0
+"""Degrees off from which on an equation is left out of the solution."""
+
+LEAD = 0.5
+"""Of `Seen.lead`: with less, what two panoramas show is not used."""
+
+LINKS_OFF, SEEN_OFF = 1.0, 3.0
+"""Degrees that links are off at least, where panoramas are compared, and that turns by what panoramas show are off."""
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Headings, and how far they can be trusted. P panoramas.
+
+    Args:
+        headings: where the middle of each image looks, degrees clockwise, float64 ``[P]``; those of one part share an
+            unknown zero.
+        part: which part each panorama is in, int64 ``[P]``, 0 is the largest; parts are joined by links both ways, or
+            by what panoramas show.
+        loops: how far off each independent loop of links both ways closes, degrees, float64 ``[L]``; rejected links
+            included. What panoramas show takes the place of their links.
+        rejected: panoramas of the links that were left out, and how many degrees off they are, worst first.
+        unchecked: panoramas on no loop: their headings are as good as one pair of yaws.
+        one_way: links without one back, as pairs of panoramas.
+    """
+
+    headings: Array
+    part: Integers
+    loops: Array
+    rejected: list[tuple[int, int, float]]
+    unchecked: list[int]
+    one_way: list[tuple[int, int]]
+
+
+def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Alignment:
+    """The headings that agree best with a tour's links.
+
+    Args:
+        tour: of P panoramas.
+        seen: what linked panoramas show, by their places in the tour; nothing if left out.
+    """
+    count = len(tour.panoramas)
+    number = {panorama.id: index for index, panorama in enumerate(tour.panoramas)}
+    yaw = {
+        (index, number[link.target]): link.yaw
+        for index, panorama in enumerate(tour.panoramas)
+        for link in panorama.links
+    }
+    both = [pair for pair in yaw if pair[0] < pair[1] and pair[::-1] in yaw]
+    shown = {pair: found for pair, found in (seen or {}).items() if found.lead >= LEAD}
+    ends = np.array([*both, *shown], np.int64).reshape(-1, 2)
+    turns = np.array([*(yaw[i, j] - yaw[j, i] - 180 for i, j in both), *(found.turn for found in shown.values())])
+    by_link = np.arange(len(ends)) < len(both)
+    trust = np.ones(len(ends))
+    if shown:
+        loops = align(tour).loops
+        links_off = max(LINKS_OFF, float(np.median(loops))) if len(loops) else SEEN_OFF
+        seen_off = [SEEN_OFF / min(found.lead, 1) for found in shown.values()]
+        trust = (LINKS_OFF / np.array([*[links_off] * len(both), *seen_off])) ** 2
+    headings = _solved(ends, turns, trust, count)
+    off = np.abs(_off(ends, turns, headings))
+    kept = off <= REJECTED
+    part = _walk(ends[kept], turns[kept], count).part
+    headings = _relaxed(ends[kept], turns[kept], headings, trust[kept], part)
+    told = ~by_link | np.array([pair not in shown for pair in [*both, *shown]], bool)
+    worst = sorted(np.flatnonzero(~kept & by_link).tolist(), key=lambda one: -off[one])
+    on_loop = _loops(ends, turns, kept, count)[1]
+    return Alignment(
+        headings % 360,
+        part,
+        _loops(ends[told], turns[told], kept[told], count)[0],
+        [(*both[one], float(off[one])) for one in worst],
+        [index for index in range(count) if index not in on_loop],
+        [pair for pair in yaw if pair[::-1] not in yaw],
+    )
+
+
+def wrap(degrees: Array) -> Array:
+    """Angles from -180 to below 180 degrees."""
+    return (degrees + 180) % 360 - 180
+
+
+def least_squares(ends: Integers, offsets: Array, weight: Array, part: Integers) -> Array:
+    """Values that differ by given offsets as nearly as they can, 0 for the first of each part.
+
+    Args:
+        ends: pairs of values, int64 ``[E, 2]``.
+        offsets: by how much the second is larger, float64 ``[E, ...]``.
+        weight: of each, float64 ``[E]``.
+        part: which values are joined by pairs, int64 ``[N]``.
+
+    Returns:
+        float64 ``[N, ...]``.
+    """
+    count = len(part)
+    matrix, right = np.zeros((count, count)), np.zeros((count, *offsets.shape[1:]))
+    for end, other, sign in ((1, 0, 1), (0, 1, -1)):
+        np.add.at(matrix, (ends[:, end], ends[:, end]), weight)
+        np.add.at(matrix, (ends[:, end], ends[:, other]), -weight)
+        np.add.at(right, ends[:, end], sign * (offsets.T * weight).T)
+    first = np.unique(part, return_index=True)[1]
+    matrix[first, first] += 1
+    return np.asarray(np.linalg.solve(matrix, right))
+
+
+def _off(ends: Integers, turns: Array, headings: Array) -> Array:
+    """How much larger each turn is than the difference of the headings, degrees."""
+    return wrap(turns - headings[ends[:, 1]] + headings[ends[:, 0]])
+
+
+def _relaxed(ends: Integers, turns: Array, headings: Array, weight: Array, part: Integers) -> Array:
+    """One step of Gauss and Newton, exact where no turn wraps around; the first heading of each part stays."""
+    return headings + least_squares(ends, _off(ends, turns, headings), weight, part)
+
+
+def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
+    """Headings that most equations agree with: along a tree of those whose loops close best, then reweighted."""
+    errors = _loop_errors(ends, turns, count)
+    rank = np.argsort(np.argsort(errors, kind="stable"))
+    headings, part = _walk(ends, turns, count, rank)[:2]
+    for width in WIDTHS:
+        for _ in range(2):
+            weight = 1 / (1 + (_off(ends, turns, headings) / width) ** 2) ** 2
+            headings = _relaxed(ends, turns, headings, weight * trust, part)
+    return headings
+
+
+def _neighbours(ends: Integers, count: int) -> list[list[tuple[int, int, int]]]:
+    """Of each panorama its neighbours, the equation with each, and whether it is to be added or subtracted."""
+    near: list[list[tuple[int, int, int]]] = [[] for _ in range(count)]
+    for equation, (i, j) in enumerate(ends.tolist()):
+        near[i].append((j, equation, 1))
+        near[j].append((i, equation, -1))
+    return near
+
+
+def _loop_errors(ends: Integers, turns: Array, count: int) -> Array:
+    """How far off the best of a few short loops through each equation closes, degrees, float64 ``[E]``; 180 without."""
+    near = _neighbours(ends, count)
+    errors = np.full(len(ends), 180.0)
+    for index, (i, j) in enumerate(ends.tolist()):
+        used = {index}
+        for _ in range(LOOPS):
+            path = _short_path(i, j, near, used)
+            if path is None:
+                break
+            used |= {equation for equation, _ in path}
+            off = turns[index] - sum(sign * turns[equation] for equation, sign in path)
+            errors[index] = min(errors[index], abs(wrap(off)))
+    return errors
+
+
+def _short_path(
+    start: int, end: int, near: list[list[tuple[int, int, int]]], used: Collection[int]
+) -> list[tuple[int, int]] | None:
+    """Equations with their signs along a shortest path without those used, among the nearest `REACHED` panoramas."""
+    came: dict[int, tuple[int, int, int]] = {start: (-1, -1, 0)}
+    queue = [start]
+    for here in queue:
+        if here == end or len(queue) > REACHED:
+            break
+        for there, equation, sign in near[here]:
+            if there not in came and equation not in used:
+                came[there] = (here, equation, sign)
+                queue.append(there)
+    if end not in came:
+        return None
+    path = []
+    while end != start:
+        end, equation, sign = came[end]
+        path.append((equation, sign))
+    return path
+
+
+class _Walk(NamedTuple):
+    """A spanning forest of equations."""
+
+    headings: Array
+    """Along it, from 0 at the first panorama of each part."""
+    part: Integers
+    """Of each panorama, the largest part first."""
+    parent: Integers
+    """-1 for the first of a part."""
+    depth: Integers
+    used: NDArray[np.bool_]
+    """Which equations it takes."""
+
+
+def _walk(ends: Integers, turns: Array, count: int, rank: Integers | None = None) -> _Walk:
+    """A forest with the equations of lowest rank, Prim's; without ranks the nearest panoramas come first."""
+    near = _neighbours(ends, count)
+    headings, used = np.zeros(count), np.zeros(len(ends), bool)
+    part, parent, depth = np.full((3, count), -1)
+    steps = itertools.count()
+    for first in range(count):
+        todo = [(0, first, -1, -1, 0.0)]
+        number = part.max() + (part[first] < 0)
+        while todo:
+            _, here, before, equation, heading = heapq.heappop(todo)
+            if part[here] >= 0:
+                continue
+            part[here], parent[here], headings[here] = number, before, heading
+            depth[here] = depth[before] + 1 if before >= 0 else 0
+            if equation >= 0:
+                used[equation] = True
+            for there, step, sign in near[here]:
+                if part[there] < 0:
+                    cost = next(steps) if rank is None else int(rank[step])
+                    heapq.heappush(todo, (cost, there, here, step, heading + sign * turns[step]))
+    order = np.argsort(np.argsort(-np.bincount(part), kind="stable"))
+    return _Walk(headings, order[part], parent, depth, used)
+
+
+def _loops(ends: Integers, turns: Array, kept: NDArray[np.bool_], count: int) -> tuple[Array, set[int]]:
+    """How far off loops close, degrees, float64 ``[L]``, and the panoramas on any.
+
+    Each equation makes one that is not in a forest of those that are kept.
+    """
+    walk = _walk(ends[kept], turns[kept], count)
+    in_forest = np.zeros(len(ends), bool)
+    in_forest[np.flatnonzero(kept)[walk.used]] = True
+    closing = ~in_forest & (walk.part[ends[:, 0]] == walk.part[ends[:, 1]])
+    on_loop: set[int] = set()
+    for i, j in ends[closing].tolist():
+        while i != j:
+            if walk.depth[i] < walk.depth[j]:
+                i, j = j, i
+            on_loop |= {i, j}
+            i = int(walk.parent[i])
+        on_loop.add(i)
+    return np.abs(_off(ends, turns, walk.headings))[closing], on_loop

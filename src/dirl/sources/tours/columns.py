@@ -1,0 +1,129 @@
+"""How two panoramas are turned against each other, from what they show.
+
+A column of a panorama is what lies in one direction. If panorama j stands in a known direction from panorama i, a thing
+at a supposed distance in a column of i is seen from j in another column, larger or smaller. For each turn between the
+two images every column takes the distance at which it looks most like its counterpart; the turn at which the columns of
+both images agree best is the one (plane sweeping; the distance between the panoramas is the unit).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.sources.tours.images import Cube, Equirectangular, read_panorama, sample
+
+COLUMNS, ROWS = 180, 48
+"""Of a panorama that is compared."""
+
+HIGHEST, LOWEST = 1.0, -1.3
+"""Tangents of the angles above the horizon between which rows are spread evenly: a thing's grow by its nearness."""
+
+SCALES = np.exp(np.linspace(-1, 1, 11))
+"""How much larger things may be in the other panorama."""
+
+DISTANCES = np.exp(np.linspace(np.log(0.4), np.log(6), 12))
+"""That are supposed, in distances between the two panoramas."""
+
+COARSE, FINE = 2.0, 0.5
+"""Degrees between the turns that are tried, everywhere and around the best."""
+
+RIVAL = 20.0
+"""Degrees from the best turn on, another one contradicts it."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What two panoramas show of their headings.
+
+    Args:
+        turn: the heading of the second less that of the first, degrees.
+        lead: how much better they agree at that turn than at any rival, in standard deviations over all turns.
+    """
+
+    turn: float
+    lead: float
+
+
+def columns(image: Equirectangular | Cube) -> Array:
+    """How colours change downwards in each column, clockwise from the one behind, float64 ``[COLUMNS, ROWS, 3]``.
+
+    Raises:
+        SceneError: the image cannot be read.
+    """
+    yaw = np.radians((np.arange(COLUMNS) + 0.5) * 360 / COLUMNS - 180)
+    up, yaws = np.meshgrid(np.linspace(HIGHEST, LOWEST, ROWS), yaw)
+    directions = np.stack([np.sin(yaws), up, np.cos(yaws)])
+    seen = sample(read_panorama(image, COLUMNS / (2 * np.pi)), directions / np.linalg.norm(directions, axis=0))
+    return np.asarray(np.gradient(seen / 255.0, axis=1))
+
+
+def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
+    """How much two panoramas are turned against each other.
+
+    Args:
+        first: see `columns`.
+        second: likewise.
+        yaws: where the second may stand in the image of the first, degrees clockwise from its middle.
+    """
+    alike, alike_back = _alike(first, second), _alike(second, first)
+
+    def agreement(yaw: float, turn: float) -> float:
+        return _agreement(alike, yaw, turn) + _agreement(alike_back, yaw - turn + 180, -turn)
+
+    turns = np.arange(-180, 180, COARSE)
+    found = np.array([[agreement(yaw, turn) for turn in turns] for yaw in yaws])
+    which, nearest = (int(index) for index in np.unravel_index(found.argmax(), found.shape))
+    around = turns[nearest] + np.arange(-COARSE, COARSE + FINE, FINE)
+    best = float(around[np.argmax([agreement(yaws[which], turn) for turn in around])])
+    rivals = np.abs((turns - best + 180) % 360 - 180) > RIVAL
+    return Seen((best + 180) % 360 - 180, float((found.max() - found[:, rivals].max()) / (found[which].std() + 1e-9)))
+
+
+def _alike(first: Array, second: Array) -> Array:
+    """The correlation of each column of one panorama, scaled, with each of another, ``[SCALES, COLUMNS, COLUMNS]``."""
+    rows = np.linspace(HIGHEST, LOWEST, ROWS)
+    alike = []
+    for scale in SCALES:
+        place = (rows / scale - HIGHEST) / (LOWEST - HIGHEST) * (ROWS - 1)
+        inside = (place >= 0) & (place <= ROWS - 1)
+        above = np.clip(place[inside].astype(int), 0, ROWS - 2)
+        below = (place[inside] - above)[:, None]
+        scaled = first[:, above] * (1 - below) + first[:, above + 1] * below
+        matches = _normalised(scaled) @ _normalised(second[:, inside]).T
+        alike.append(sum(np.roll(matches, (step, step), (0, 1)) for step in (-1, 0, 1)) / 3)
+    return np.array(alike)
+
+
+def _normalised(values: Array) -> Array:
+    flat = values.reshape(len(values), -1)
+    flat = flat - flat.mean(1, keepdims=True)
+    return np.asarray(flat / (np.linalg.norm(flat, axis=1, keepdims=True) + 1e-3))
+
+
+AZIMUTHS = (np.arange(COLUMNS) + 0.5) * 360 / COLUMNS - 180
+"""Of columns, degrees clockwise from the way to the other panorama."""
+
+_RIGHT = DISTANCES * np.sin(np.radians(AZIMUTHS))[:, None]
+_AHEAD = DISTANCES * np.cos(np.radians(AZIMUTHS))[:, None] - 1
+THERE = np.degrees(np.arctan2(_RIGHT, _AHEAD))
+"""In which direction from the other panorama a thing lies, by azimuth and distance here, degrees."""
+
+_GROWTH = np.log(DISTANCES / np.hypot(_RIGHT, _AHEAD)) / np.log(SCALES[1] / SCALES[0]) + len(SCALES) // 2
+SCALE = np.clip(_GROWTH.round().astype(int), 0, len(SCALES) - 1)
+"""Which of `SCALES` it has there."""
+TOO_NEAR = np.abs(_GROWTH - SCALE) > 0.75
+
+
+def _agreement(alike: Array, yaw: float, turn: float) -> float:
+    """How well the columns of two panoramas agree, on average, each with its best distance."""
+    here = np.round((AZIMUTHS + yaw + 180) * COLUMNS / 360 - 0.5).astype(int) % COLUMNS
+    place = (THERE + yaw - turn + 180) * COLUMNS / 360 - 0.5
+    left = np.floor(place).astype(int)
+    share = place - left
+    matches = [alike[SCALE, here[:, None], (left + step) % COLUMNS] for step in (0, 1)]
+    matched = np.where(TOO_NEAR, -0.5, matches[0] * (1 - share) + matches[1] * share)
+    return float(matched.max(1).mean())

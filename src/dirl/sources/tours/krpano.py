@@ -1,0 +1,137 @@
+"""Tours of krpano: ``tour.xml`` with a ``<scene>`` for each panorama; spheres, cube faces or tiles at several sizes.
+
+Angles are degrees, clockwise from the middle of the front face. Scripts in the file are not run, includes not followed.
+Names of scenes are not case-sensitive: MakeVTour itself writes ``name="scene_Hall"`` and ``linkedscene="scene_hall"``.
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from dirl.scenes.scene import SceneError
+from dirl.sources.tours.images import MOST_LEVELS, Cube, CubeLevel, Equirectangular, six_images, tiled
+from dirl.sources.tours.tour import Link, Panorama, Tour, inside, make_tour, number, tour_text
+
+
+def read_krpano(file: Path, skip: Collection[str] = ()) -> Tour:
+    """The tour that a ``tour.xml`` describes, but for the panoramas in ``skip``.
+
+    Raises:
+        SceneError: it is invalid, or an image is missing.
+    """
+    root = _root(file)
+    if root.tag == "encrypted":
+        raise SceneError(f"{file}: is encrypted; make the tour again with encrypt=false, or ask its author for the XML")
+    scenes = list(root.iter("scene"))
+    unlinked = sum(
+        "loadscene" in spot.get("onclick", "") and not spot.get("linkedscene")
+        for one in scenes
+        for spot in one.iter("hotspot")
+    )
+    notes = (
+        [f"{unlinked} hotspots call loadscene() in a script instead of naming a linkedscene: left out"]
+        if unlinked
+        else []
+    )
+    names: dict[str, str] = {}
+    for scene in scenes:
+        name = scene.get("name", "")
+        if name.lower() in names:
+            raise SceneError(f"{file}: two scenes have the name '{name}', in which case does not count")
+        names[name.lower()] = name
+    panoramas = [_panorama(scene, index, file, names) for index, scene in enumerate(scenes)]
+    if not any(panorama.heading for panorama in panoramas):  # MakeVTour writes 0.0 where nothing is known
+        panoramas = [replace(panorama, heading=None) for panorama in panoramas]
+    return make_tour(file.resolve().parent.name, panoramas, file, notes, skip)
+
+
+def _root(file: Path) -> ET.Element:
+    """The parsed file. A document type, which can declare entities, is refused before anything is expanded."""
+    text = tour_text(file)
+    if "<!DOCTYPE" in text:
+        raise SceneError(f"{file}: has a document type (DOCTYPE), which no tour needs")
+    try:
+        return ET.fromstring(text)
+    except (ET.ParseError, ValueError, RecursionError) as error:
+        raise SceneError(f"{file}: is not XML ({error})") from None
+
+
+def _panorama(scene: ET.Element, index: int, file: Path, names: Mapping[str, str]) -> Panorama:
+    name = scene.get("name", "")
+    where = f"{file}: scene '{name or index}'"
+    if not name:
+        raise SceneError(f"{where}: has no name")
+    links = [
+        Link(names.get(target.lower(), target), number(spot.get("ath"), f"{where}: ath"))
+        for spot in scene.iter("hotspot")
+        if (target := spot.get("linkedscene"))
+    ]
+    heading = scene.get("heading")
+    return Panorama(
+        name,
+        _image(scene, file, where),
+        tuple(links),
+        heading=number(heading, f"{where}: heading") if heading else None,
+    )
+
+
+def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
+    image = scene.find("image")
+    if image is None:
+        raise SceneError(f"{where}: has no image")
+    _check_whole(image, where)
+    sphere = image.find("sphere")
+    if sphere is not None:
+        return Equirectangular(inside(file.parent, _name(sphere.get("url", ""), {}), where))
+
+    def level_of(url: str, size: int, tile: int, level: int) -> CubeLevel:
+        return tiled(size, tile, where, lambda face, y, x: _file(url, face, level, y + 1, x + 1, file, where))
+
+    of_levels = [(level, cube) for level in image.iter("level") if (cube := level.find("cube")) is not None]
+    if of_levels:
+        levels = []
+        for level, cube in of_levels:
+            size = int(number(level.get("tiledimagewidth"), f"{where}: tiledimagewidth", 1, 2**15))
+            tile = int(number(image.get("tilesize"), f"{where}: tilesize", 1, 2**15))
+            levels.append(level_of(cube.get("url", ""), size, tile, 0))
+        return Cube(tuple(sorted(levels, key=lambda level: level.size or 0)))
+    cube = image.find("cube")
+    if cube is None:
+        raise SceneError(f"{where}: its image is none of sphere, cube and levels of cubes")
+    url, sizes = cube.get("url", ""), cube.get("multires")
+    if sizes is None:
+        return six_images(lambda face: _file(url, face, 0, 1, 1, file, where))
+    tile, *sides = (int(number(one, f"{where}: multires", 1, 2**15)) for one in sizes.split(","))
+    if not 0 < len(sides) <= MOST_LEVELS or sides != sorted(sides):
+        raise SceneError(f"{where}: multires={sizes[:50]}: expected the size of tiles, then sizes of the cube, growing")
+    return Cube(tuple(level_of(url, side, tile, level) for level, side in enumerate(sides, 1)))
+
+
+def _check_whole(image: ET.Element, where: str) -> None:
+    """Raise `SceneError` for part of a panorama, or for one that krpano turns before it is shown."""
+    for partial in ("hfov", "vfov"):
+        if image.get(partial) not in (None, "", "360", "360.0", "180", "180.0"):
+            raise SceneError(f"{where}: {partial}={image.get(partial)}: only whole panoramas can be cut into views")
+    turned = image.get("prealign") or ""
+    if any(part.strip().strip("+-0.") for part in turned.split("|")):
+        raise SceneError(f"{where}: prealign={turned[:50]}: turns the panorama; export the tour without it")
+
+
+def _file(url: str, face: str, level: int, row: int, column: int, file: Path, where: str) -> Path:
+    values: dict[str, str | int] = {"s": face, "l": level, "v": row, "y": row, "h": column, "x": column, "u": column}
+    return inside(file.parent, _name(url, values), where)
+
+
+def _name(url: str, values: dict[str, str | int]) -> str:
+    """The URL with ``%s``, ``%l``, ``%v``, ``%h`` replaced; as many zeros as stand before the letter pad a number."""
+
+    def put(match: re.Match[str]) -> str:
+        zeros, letter = match.groups()
+        value = values.get(letter)
+        return match.group() if value is None else str(value).rjust(len(zeros) + 1, "0") if zeros else str(value)
+
+    return re.sub(
+        r"%(0*)([a-z])", put, url.replace("%FIRSTXML%/", "").replace("%CURRENTXML%/", "").replace("%SWFPATH%/", "")
+    )

@@ -1,0 +1,263 @@
+"""From a tour to a scene: aligned headings, moves along links, a map."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from dirl.scenes.graph import IntArray
+from dirl.scenes.names import check_name
+from dirl.scenes.scene import Scene, SceneError
+from dirl.sources.tours.alignment import LEAD, Alignment, align, least_squares, wrap
+from dirl.sources.tours.columns import Seen, columns, compare
+from dirl.sources.tours.links import about_links, follow_links, link_ends, named
+from dirl.sources.tours.tour import Tour
+
+Array = NDArray[np.float64]
+
+AGREE = 1.0
+"""Degrees that stated headings may differ from those of the links without a note."""
+
+
+CLOSED = 5.0
+"""Degrees of error up to which the median loop closes; else all linked panoramas are compared."""
+
+ASTRAY = tuple(range(-60, 61, 15))
+"""Degrees that links may be off where loops do not close."""
+
+
+@dataclass(frozen=True, eq=False)
+class Converted:
+    """What became of a tour of P panoramas.
+
+    Args:
+        scene: K states for each panorama, in their order; without views and features.
+        yaws: where the view of each state looks, degrees clockwise from the middle of its panorama, float64 ``[P, K]``.
+        notes: what a user must know: what was left out, how well headings agree, what is not aligned, a line each.
+        layout: whether positions are no measured ones but were laid out by the links.
+    """
+
+    scene: Scene
+    yaws: Array
+    notes: list[str]
+    layout: bool
+
+
+def tour_scene(
+    tour: Tour,
+    *,
+    headings: int = 8,
+    tolerance: float | None = None,
+    step: float = 2.0,
+    name: str | None = None,
+    compare_images: bool = True,
+) -> Converted:
+    """The scene of a tour.
+
+    Each link has a heading of its own, see `dirl.sources.tours.links.follow_links`, along which a move ahead leads. A
+    move back leads along the link of the opposite heading. Both keep the heading.
+
+    Args:
+        tour: see `dirl.sources.tours.read_tour`.
+        headings: of each panorama, a multiple of four.
+        tolerance: degrees that a link may lie aside of a heading that shows it; 90 if left out.
+        step: metres that a link is long on the map, where the tour gives no positions.
+        name: of the scene; the tour's if left out.
+        compare_images: whether headings that links do not give, or contradict, come from what the panoramas show.
+
+    Raises:
+        SceneError: another number of headings, a tour without any link that a move could follow, or an image that
+            cannot be read.
+    """
+    if headings % 4 or not 4 <= headings <= 36:
+        raise SceneError(f"headings={headings}: must be a multiple of four from 4 to 36")
+    name = _scene_name(name or tour.name)
+    check_name(name, tour.origin)
+    turn = 360 / headings
+    by_links = aligned = align(tour)
+    if not any(panorama.links for panorama in tour.panoramas):
+        raise SceneError(
+            f"{tour.origin}: no panorama has a link to another one, so no move is possible; panoramas of ZInD may need "
+            "more reach"
+        )
+    seen = _compared(tour, by_links) if compare_images else {}
+    if seen:
+        aligned = align(tour, seen)
+    middles, along = _directions(tour, aligned, turn)
+    facing = np.float64(_zero(along, turn)) + turn * np.arange(headings, dtype=np.float64)
+    graph, off = follow_links(tour, along, facing, tolerance)
+    shown = np.isfinite(off)
+    if not shown.any():
+        raise SceneError(
+            f"{tour.origin}: no heading shows any of the {len(shown)} links; give more headings or tolerance"
+        )
+    layout = any(panorama.position is None for panorama in tour.panoramas)
+    places = _layout(tour, along, aligned.part, step) if layout else np.array([p.position for p in tour.panoramas])
+    scene = Scene(
+        name=name,
+        graph=graph,
+        positions=np.repeat(places, headings, axis=0),
+        headings=np.tile(facing.round(6) % 360, len(tour.panoramas)),
+        source="tour, laid out" if layout else "tour",
+        extractor="none",
+        origin=tour.origin,
+    )
+    contrary = _contrary(tour, middles)
+    about = [*_about_loops(by_links, aligned, seen), *_about(tour, aligned)]
+    notes = [*tour.notes, *about, *about_links(tour, off), *contrary, *_about_positions(tour, step)]
+    return Converted(scene, wrap(facing - middles[:, None]), notes, layout)
+
+
+def _scene_name(text: str) -> str:
+    """A tour's title as a name: letters, digits and some signs, see `dirl.scenes.names`."""
+    kept = "".join(sign if sign.isalnum() or sign in " _.,()+-" else "_" for sign in text)
+    return kept.encode()[:100].decode(errors="ignore").strip() or "tour"
+
+
+def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Array]:
+    """Where the middle of each panorama and each link look on the map, degrees clockwise.
+
+    The zero of each part is the one of its stated headings that agrees best with the others; where none is stated, the
+    one that has most links along a heading of the agent.
+    """
+    ends, yaws = link_ends(tour)
+    known, stated = _stated(tour)
+    middles = aligned.headings.copy()
+    for part in range(int(aligned.part.max()) + 1):
+        here = np.flatnonzero(aligned.part == part)
+        mine = np.isin(known, here)
+        if mine.any():
+            off = stated[mine] - middles[known[mine]]
+            middles[here] += off[np.abs(wrap(off[:, None] - off)).sum(1).round(6).argmin()]
+        else:
+            middles[here] -= _zero((middles[ends[:, 0]] + yaws)[np.isin(ends[:, 0], here)], turn)
+    return middles % 360, (middles[ends[:, 0]] + yaws) % 360
+
+
+def _stated(tour: Tour) -> tuple[IntArray, Array]:
+    """The panoramas that state headings, int64 ``[H]``, and the headings, degrees, float64 ``[H]``."""
+    found = [(index, one.heading) for index, one in enumerate(tour.panoramas) if one.heading is not None]
+    return np.array([index for index, _ in found], np.int64), np.array([heading for _, heading in found], np.float64)
+
+
+def _contrary(tour: Tour, middles: Array) -> Iterator[str]:
+    """A note where stated headings are not those that are used, which the links give."""
+    known, stated = _stated(tour)
+    off = np.abs(wrap(stated - middles[known]))
+    if (off > AGREE).any():
+        worst = tour.panoramas[known[off.argmax()]].id
+        yield (
+            f"{(off > AGREE).sum()} of {len(known)} stated headings differ from those of the links, which are used, by "
+            f"up to {off.max():.0f} degrees, the worst: '{worst}'"
+        )
+
+
+def _zero(along: Array, turn: float) -> float:
+    """The offset of headings, half a turn at most, that has links along them: a circular mean."""
+    if not len(along):
+        return 0.0
+    mean = np.exp(1j * np.radians(along) * 360 / turn).mean()
+    return float(np.degrees(np.angle(mean)) * turn / 360) if abs(mean) > 1e-9 else 0.0
+
+
+def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
+    """Positions at which every link is one step long in its direction, as nearly as they can be, float64 ``[P, 2]``.
+
+    Parts that are not linked both ways with each other stand side by side.
+    """
+    ends, _ = link_ends(tour)
+    ends, along = ends[part[ends[:, 0]] == part[ends[:, 1]]], along[part[ends[:, 0]] == part[ends[:, 1]]]
+    way = step * np.stack([np.sin(np.radians(along)), np.cos(np.radians(along))], 1)
+    places = least_squares(ends, way, np.ones(len(ends)), part)
+    edge = 0.0
+    for index in range(int(part.max()) + 1):
+        here = part == index
+        places[here] -= places[here].min(0) - [edge, 0]
+        edge = places[here, 0].max() + 2 * step
+    return places
+
+
+def _compared(tour: Tour, aligned: Alignment) -> dict[tuple[int, int], Seen]:
+    """What the panoramas show of their headings at links that do not give them, or at all if loops do not close."""
+    ends, yaws = link_ends(tour)
+    open_ = len(aligned.loops) > 0 and np.median(aligned.loops) > CLOSED
+    doubtful = {*aligned.one_way, *(pair[:2] for pair in aligned.rejected)}
+    links = {(i, j): yaw for (i, j), yaw in zip(ends.tolist(), yaws.tolist(), strict=True)}
+    chosen = [pair for pair in links if (open_ and (pair[0] < pair[1] or pair[::-1] not in links)) or pair in doubtful]
+    shown = {index: columns(tour.panoramas[index].image) for index in sorted({end for pair in chosen for end in pair})}
+    aside = ASTRAY if open_ else (0.0,)
+    return {
+        (i, j): compare(shown[i], shown[j], [links[i, j] + off for off in aside])
+        for i, j in tqdm(chosen, desc="compared", disable=None if chosen else True)
+    }
+
+
+def _about_loops(by_links: Alignment, aligned: Alignment, seen: Mapping[tuple[int, int], Seen]) -> Iterator[str]:
+    """The notes on how well headings agree, by links alone and by what panoramas show."""
+    if len(by_links.loops):
+        yield f"headings: {len(by_links.loops)} loops of links {_closing(by_links.loops)}"
+    if seen:
+        told = sum(found.lead >= LEAD for found in seen.values())
+        closing = f"; with that {len(aligned.loops)} loops {_closing(aligned.loops)}" if len(aligned.loops) else ""
+        yield f"{told} of {len(seen)} pairs of panoramas that were compared show how they are turned{closing}"
+    if not len(aligned.loops):
+        yield "no links form a loop: nothing checks the headings"
+
+
+def _closing(loops: Array) -> str:
+    return f"close with a median error of {np.median(loops):.1f} degrees, at most {loops.max():.1f}"
+
+
+def _about(tour: Tour, aligned: Alignment) -> Iterator[str]:
+    """The notes on links and headings."""
+    ids = [panorama.id for panorama in tour.panoramas]
+    if aligned.rejected:
+        i, j, off = aligned.rejected[0]
+        yield (
+            f"{len(aligned.rejected)} links both ways contradict the others and were not used to align headings, the "
+            f"worst: '{ids[i]}' and '{ids[j]}', {off:.0f} degrees off"
+        )
+    yield from _about_parts(tour, aligned.part)
+    lonely = [ids[index] for index in aligned.unchecked if aligned.part[index] == 0]
+    if lonely and len(aligned.loops):
+        yield f"{len(lonely)} panoramas are on no loop, nothing checks their headings: {named(lonely)}"
+    if aligned.one_way:
+        i, j = aligned.one_way[0]
+        yield f"{len(aligned.one_way)} links lead one way only, the first: '{ids[i]}' to '{ids[j]}'"
+
+
+def _about_parts(tour: Tour, part: NDArray[np.int64]) -> Iterator[str]:
+    """The notes on parts that are not joined with the largest by links both ways; all their panoramas are named."""
+    ends, _ = link_ends(tour)
+    parts = part[ends]
+    touched = set(parts[parts[:, 0] != parts[:, 1]].flatten().tolist())
+    stated = set(part[_stated(tour)[0]].tolist())
+    whys = {
+        False: "without any link to or from the others",
+        True: "joined with others only by links one way or by links that contradict",
+    }
+    for linked, why in whys.items():
+        for known in (True, False):
+            chosen = [
+                index
+                for index in range(1, int(part.max()) + 1)
+                if (index in touched) == linked and ({0, index} <= stated) == known
+            ]
+            if not chosen:
+                continue
+            names = ", ".join(f"'{tour.panoramas[index].id}'" for index in np.flatnonzero(np.isin(part, chosen)))
+            sizes = " and ".join(str((part == index).sum()) for index in chosen)
+            headings = (
+                "their stated headings are used" if known else "their headings cannot be aligned with the others'"
+            )
+            yield f"{len(chosen)} parts {why}, of {sizes} panoramas; {headings}: {names}"
+
+
+def _about_positions(tour: Tour, step: float) -> Iterator[str]:
+    """The note on a map that is a layout."""
+    known, count = sum(panorama.position is not None for panorama in tour.panoramas), len(tour.panoramas)
+    if known < count:
+        about = f"known of {known} of {count} panoramas only, so they are not used" if known else "not known"
+        yield f"positions are {about}: the map is a layout in which each link is {step:g} m long"

@@ -1,0 +1,125 @@
+"""Tours of Pannellum: a configuration with ``scenes``, each an equirectangular image, a cube or a tiled cube.
+
+It is a JSON file, or an object in JavaScript or in a script of a page; no code is run. Angles are degrees, clockwise
+from the middle of the image.
+"""
+
+import re
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from dirl.scenes.scene import SceneError
+from dirl.sources.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
+from dirl.sources.tours.tour import (
+    Link,
+    Panorama,
+    Tour,
+    entries,
+    entry,
+    inside,
+    make_tour,
+    number,
+    read_json,
+    tour_text,
+)
+
+SCENES = re.compile(r"""(?:"scenes"|'scenes'|\bscenes)\s*:""")
+"""What the configuration of a tour has, and little else."""
+
+MOST_OBJECTS = 100
+"""That may begin before the scenes in the same text and be no configuration."""
+
+
+def read_pannellum(file: Path, skip: Collection[str] = ()) -> Tour:
+    """The tour that a configuration describes, but for the panoramas in ``skip``.
+
+    Raises:
+        SceneError: it is invalid, or an image is missing.
+    """
+    text = tour_text(file)
+    data = read_json(text, file) if text.lstrip().startswith("{") else _within(text, file)
+    common = data.get("default")
+    common = common if isinstance(common, Mapping) else {}
+    scenes = entry(data, "scenes", dict, str(file))
+    panoramas = [_panorama(name, {**common, **_object(scene, name, file)}, file) for name, scene in scenes.items()]
+    return make_tour(str(common.get("title") or file.resolve().parent.name), panoramas, file, skip=skip)
+
+
+def _within(text: str, file: Path) -> dict[str, Any]:
+    """The configuration in a page or a script: the smallest object with scenes.
+
+    Raises:
+        SceneError: there is none.
+    """
+    why = SceneError(f"{file}: has no object with 'scenes', as pannellum.viewer(...) takes it")
+    for scenes in SCENES.finditer(text):
+        begins = [match.start() for match in re.finditer("{", text[: scenes.start()])]
+        for begin in begins[: -MOST_OBJECTS - 1 : -1]:
+            try:
+                found = read_json(text[begin:], file)
+            except SceneError as error:
+                why = error
+                continue
+            if "scenes" in found:
+                return found
+    raise why
+
+
+def _object(scene: Any, name: str, file: Path) -> Mapping[str, Any]:
+    if not isinstance(scene, Mapping):
+        raise SceneError(f"{file}: scene '{name}': expected a JSON object")
+    return scene
+
+
+def _panorama(name: str, scene: Mapping[str, Any], file: Path) -> Panorama:
+    where = f"{file}: scene '{name}'"
+    links = [
+        Link(entry(spot, "sceneId", str, where), number(spot.get("yaw"), f"{where}: yaw"))
+        for spot in entries(scene, "hotSpots", where)
+        if spot.get("type") == "scene"
+    ]
+    north = scene.get("northOffset")
+    heading = None if north is None else number(north, f"{where}: northOffset")
+    return Panorama(name, _image(scene, file, where), tuple(links), heading=heading)
+
+
+def _image(scene: Mapping[str, Any], file: Path, where: str) -> Equirectangular | Cube:
+    kind, base = scene.get("type", "equirectangular"), scene.get("basePath", "")
+    folder = inside(file.parent, base, where) if base else file.parent
+    for key, whole in (("haov", 360), ("vaov", 180)):
+        if number(scene.get(key, whole), f"{where}: {key}") != whole:
+            raise SceneError(f"{where}: {key}={scene[key]}: only whole panoramas can be cut into views")
+    if kind == "equirectangular":
+        return Equirectangular(inside(folder, scene.get("panorama"), where))
+    if kind == "cubemap":
+        names = entry(scene, "cubeMap", list, where)
+        if len(names) != len(FACES):
+            raise SceneError(f"{where}: cubeMap has {len(names)} images, not six (front, right, back, left, up, down)")
+        return six_images(lambda face: inside(folder, names[FACES.index(face)], where))
+    if kind == "multires":
+        return _tiles(entry(scene, "multiRes", dict, where), folder, where)
+    raise SceneError(f"{where}: type '{str(kind)[:50]}' is none of equirectangular, cubemap and multires")
+
+
+def _tiles(given: Mapping[str, Any], folder: Path, where: str) -> Cube:
+    """Levels 1 to ``maxLevel``; each is half as large as the next, rounded down as Pannellum's generate.py does."""
+    if given.get("basePath"):
+        folder = inside(folder, given["basePath"], where)
+    most, size, tile = (
+        int(number(given.get(key), f"{where}: {key}", 1, high))
+        for key, high in (("maxLevel", MOST_LEVELS), ("cubeResolution", 2**15), ("tileResolution", 2**15))
+    )
+    pattern, ending = entry(given, "path", str, where), str(given.get("extension") or "")
+
+    def path_at(level: int) -> Callable[[str, int, int], Path]:
+        def path(face: str, y: int, x: int) -> Path:
+            name = pattern
+            for sign, value in {"%s": face, "%l": level, "%y": y, "%x": x}.items():
+                name = name.replace(sign, str(value))
+            return inside(folder, name.lstrip("/") + (f".{ending}" if ending else ""), where)
+
+        return path
+
+    sides = {level: max(size // 2 ** (most - level), 1) for level in range(1, most + 1)}
+    return Cube(tuple(tiled(side, tile, where, path_at(level)) for level, side in sides.items()))

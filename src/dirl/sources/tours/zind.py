@@ -1,0 +1,156 @@
+"""Tours of the Zillow Indoor Dataset: ``zind_data.json`` and ``panos/``.
+
+The file has no links: it has positions, rotations and the layouts of rooms. Two panoramas of a floor are linked if they
+are near each other, and the straight line between them crosses walls only where there is a door or an opening.
+
+Floors are not linked with each other; on the map they are drawn side by side.
+
+Coordinates of the file run to the left and ahead of a panorama's middle; maps of dirl run to the right, metres.
+"""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.scenes.scene import SceneError
+from dirl.sources.tours.images import Equirectangular
+from dirl.sources.tours.tour import Link, Panorama, Tour, entry, inside, make_tour, number, read_json, tour_text
+
+REACH = 3.0
+"""Metres between linked panoramas at most."""
+
+APART = 3.0
+"""Metres between two floors on the map."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class _Floor:
+    """What is known of a floor, in metres: walls and gaps in them are segments ``[2, 2]``."""
+
+    standing: dict[str, tuple[Array, float, Path]] = field(default_factory=dict)
+    walls: list[Array] = field(default_factory=list)
+    gaps: list[Array] = field(default_factory=list)
+
+
+def read_zind(file: Path, reach: float = REACH, skip: Collection[str] = ()) -> Tour:
+    """The tour that a ``zind_data.json`` describes.
+
+    Args:
+        file: its path.
+        reach: metres between linked panoramas at most.
+        skip: ids of panoramas that are left out.
+
+    Raises:
+        SceneError: it is invalid, or an image is missing.
+    """
+    data = read_json(tour_text(file), file)
+    scales = data.get("scale_meters_per_coordinate")
+    panoramas: list[Panorama] = []
+    notes, edge = [], None
+    for name, rooms in entry(data, "merger", dict, str(file)).items():
+        scale = scales.get(name) if isinstance(scales, Mapping) else None
+        if scale is None:
+            notes.append(f"floor '{name}' has no scale: its lengths are heights of the camera, taken for 1.5 m")
+        metres = 1.5 if scale is None else number(scale, f"{file}: scale of '{name}'", 1e-3, 1e3)
+        floor = _read_floor(rooms, metres, name, file)
+        across = [at[0] for at, _, _ in floor.standing.values()]
+        if edge is not None and across:
+            shift = edge + APART - min(across)
+            notes.append(f"floor '{name}' is drawn beside the one before, {shift:.1f} m to the right of its place")
+        else:
+            shift = 0.0
+        edge = max(across) + shift if across else edge
+        panoramas += _linked(floor, reach, shift)
+    return make_tour(file.resolve().parent.name, panoramas, file, notes, skip)
+
+
+def _read_floor(rooms: Any, metres: float, name: str, file: Path) -> _Floor:
+    floor = _Floor()
+    for room, parts in _objects(rooms, f"{file}: {name}"):
+        for part, panoramas in _objects(parts, f"{file}: {name}: {room}"):
+            for pano, about in _objects(panoramas, f"{file}: {name}: {room}: {part}"):
+                _read_panorama(floor, f"{name}/{part}/{pano}", about, metres, file)
+    return floor
+
+
+def _objects(values: Any, where: str) -> list[tuple[str, Mapping[str, Any]]]:
+    if not isinstance(values, Mapping) or not all(isinstance(value, Mapping) for value in values.values()):
+        raise SceneError(f"{where}: expected a JSON object of objects")
+    return list(values.items())
+
+
+def _read_panorama(floor: _Floor, name: str, about: Mapping[str, Any], metres: float, file: Path) -> None:
+    where = f"{file}: {name}"
+    given = entry(about, "floor_plan_transformation", dict, where)
+    rotation = number(given.get("rotation"), f"{where}: rotation")
+    scale = number(given.get("scale"), f"{where}: scale", 1e-3, 1e3)
+    shift = _points([given.get("translation")], where)[0]
+    cos, sin = np.cos(np.radians(rotation)), np.sin(np.radians(rotation))
+
+    def on_map(points: Array) -> Array:
+        turned = points @ np.array([[cos, sin], [-sin, cos]]) * scale + shift
+        return turned * [-metres, metres]
+
+    floor.standing[name] = (on_map(np.zeros((1, 2)))[0], rotation, inside(file.parent, about.get("image_path"), where))
+    layout = about.get("layout_raw")
+    if isinstance(layout, Mapping):
+        corners = on_map(_points(layout.get("vertices"), where))
+        floor.walls += list(np.stack([corners, np.roll(corners, -1, 0)], 1))
+        for kind in ("doors", "openings"):  # of each the left and right end, then the heights of its two edges
+            ends = _points(layout.get(kind) or [], where)
+            floor.gaps += [on_map(ends[first : first + 2]) for first in range(0, len(ends) - 1, 3)]
+
+
+def _points(values: Any, where: str) -> Array:
+    if not isinstance(values, list) or not all(isinstance(one, list) and len(one) == 2 for one in values):
+        raise SceneError(f"{where}: expected points [x, y]")
+    return np.array([[number(one, where) for one in point] for point in values], float).reshape(-1, 2)
+
+
+def _linked(floor: _Floor, reach: float, shift: float) -> Iterator[Panorama]:
+    """The panoramas of a floor with their links, drawn ``shift`` metres to the right."""
+    links: dict[str, list[Link]] = {name: [] for name in floor.standing}
+    for here, there in permutations(floor.standing, 2):
+        start, heading, _ = floor.standing[here]
+        end = floor.standing[there][0]
+        way = end - start
+        if 0 < np.hypot(*way) <= reach and _is_free(start, end, floor):
+            links[here].append(Link(there, float((np.degrees(np.arctan2(*way)) - heading + 180) % 360 - 180)))
+    for name, (at, heading, image) in floor.standing.items():
+        place = (float(at[0]) + shift, float(at[1]))
+        yield Panorama(name, Equirectangular(image), tuple(links[name]), place, heading % 360)
+
+
+def _is_free(start: Array, end: Array, floor: _Floor) -> bool:
+    """Whether the way crosses no wall, or only where a gap is."""
+    for wall in floor.walls:
+        met = _crossing(start, end, *wall)
+        if met is not None and not any(_lies_on(met, *gap) for gap in floor.gaps):
+            return False
+    return True
+
+
+def _crossing(a: Array, b: Array, c: Array, d: Array) -> Array | None:
+    """Where the segments ab and cd cross."""
+    first, second = b - a, d - c
+    cross = first[0] * second[1] - first[1] * second[0]
+    if cross == 0:
+        return None
+    apart = c - a
+    along = (apart[0] * second[1] - apart[1] * second[0]) / cross
+    across = (apart[0] * first[1] - apart[1] * first[0]) / cross
+    return a + along * first if 0 <= along <= 1 and 0 <= across <= 1 else None
+
+
+def _lies_on(point: Array, start: Array, end: Array, near: float = 0.2) -> bool:
+    """Whether a point is within ``near`` metres of a segment: the two sides of a wall are not drawn as one line."""
+    way = end - start
+    share = np.clip((point - start) @ way / np.maximum(way @ way, 1e-12), 0, 1)
+    return bool(np.hypot(*(point - start - share * way)) <= near)

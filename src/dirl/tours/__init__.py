@@ -1,6 +1,0 @@
-"""Scenes from 360-degree tours: Marzipano, krpano, Pannellum, a folder of panoramas, the Zillow Indoor Dataset."""
-
-from dirl.tours.read import FORMATS, read_tour
-from dirl.tours.tour import Link, Panorama, Tour
-
-__all__ = ["FORMATS", "Link", "Panorama", "Tour", "read_tour"]

@@ -1,0 +1,64 @@
+"""The encoder that comes with the package is the one that made the built-in rooms."""
+
+import hashlib
+
+import h5py
+import numpy as np
+import pytest
+import torch
+
+from dirl.perception.backbones import load_encoder
+from dirl.perception.backbones.resnet import DATA, PROVENANCE, WEIGHTS, decode_convolution
+from dirl.scenes import PUBLISHED_GOALS, load_scenes
+from dirl.scenes.catalogue import ROOMS
+
+
+@pytest.fixture(scope="module")
+def encoder():
+    return load_encoder()
+
+
+@pytest.mark.parametrize("name", PUBLISHED_GOALS)
+def test_a_built_in_room_says_that_these_weights_made_its_features(encoder, name):
+    assert load_scenes(name)[0].extractor == encoder.extractor
+    with h5py.File(ROOMS / f"{name}.h5") as file:
+        stored = dict(file["resnet_feature"].attrs)
+    assert stored == encoder.attributes
+    assert stored["provenance"] == PROVENANCE
+
+
+@pytest.mark.parametrize(("name", "states"), [("bathroom_02", [0, 53, 179]), ("kitchen_02", [7, 675])])
+def test_features_are_the_stored_ones_as_float16(encoder, name, states):
+    (scene,) = load_scenes(name)
+    stored = scene.features[states]
+    features = encoder(torch.from_numpy(np.stack([scene.views[state] for state in states]))).numpy()
+    # Computed on another machine, a float32 differs in its last digits, and where it lies in the middle between two
+    # float16 it becomes the other one: half a float16 off, and no more.
+    error = np.abs(features - stored.astype(np.float32))
+    assert (error <= 0.5 * np.spacing(stored).astype(np.float32) + 2e-5).all()
+    assert (features.astype(np.float16) == stored).mean() > 0.99
+
+
+def test_the_small_one_sees_fewer_pixels_and_is_not_mistaken_for_it(encoder):
+    small = load_encoder("resnet50_small")
+    assert small.attributes["weights"] == encoder.attributes["weights"]
+    assert "96x128" in small.extractor
+    assert small.extractor != encoder.extractor
+
+
+def test_blocks_of_a_convolution_are_put_together():
+    # Two output channels of two input channels, 1x1 kernels, blocks of one weight: the blocks of input 0 come first.
+    centroids = torch.tensor([[10.0], [20.0], [30.0]])
+    weight = decode_convolution(centroids, torch.tensor([0, 1, 2, 0]), n_blocks=2, k=1)
+    assert weight.tolist() == [[[[10.0]], [[30.0]]], [[[20.0]], [[10.0]]]]
+    # A block holds whole kernels of neighbouring inputs.
+    pairs = decode_convolution(torch.arange(36.0).reshape(2, 18), torch.tensor([1, 0]), n_blocks=1, k=3)
+    assert pairs.shape == (2, 2, 3, 3)
+    assert pairs[1].flatten().tolist() == list(range(18))
+
+
+def test_licence_attribution_and_hash_lie_beside_the_weights():
+    assert "Attribution-NonCommercial 4.0" in (DATA / "LICENSE.CC-BY-NC-4.0.txt").read_text()
+    notice = (DATA / "NOTICE.md").read_text()
+    assert hashlib.sha256(WEIGHTS.read_bytes()).hexdigest() in notice
+    assert "And the Bit Goes Down" in notice

@@ -1,0 +1,191 @@
+"""What inspect finds in scenes that have something to find, and its pictures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from rooms import grid_scene, renumbered
+from stops import stop_errors
+
+from dirl.perception.recognition.diagnostics import THRESHOLDS, inspect_scene
+from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
+from dirl.scenes import SceneError, make_world, read_dump, write_dump
+from dirl.scenes.views import encode
+
+
+def with_views(folder, room, view=None):
+    """The room with noise as its views, or as ``view`` gives them."""
+    rng = np.random.default_rng(7)
+    views = [rng.integers(0, 256, (30, 40, 3), np.uint8) if view is None else view(s) for s in range(len(room))]
+    write_dump(folder / "room.h5", room, map(encode, views))
+    return read_dump(folder / "room.h5")
+
+
+def changed_scene(room, **changes):
+    arrays = {name: getattr(room, name).copy() for name in ("graph", "positions", "headings", "features")}
+    for name, (where, value) in changes.items():
+        arrays[name][where] = value
+    return replace(room, **arrays)
+
+
+def problems_of(room, **options):
+    return "\n".join(inspect_scene(room, **options).problems)
+
+
+@pytest.mark.parametrize("headings", [4, 8, 12])
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_a_good_room_has_no_problems(tmp_path, headings, shuffled):
+    room = grid_scene(3, 2, headings=headings, goals=(0, 13), blocked=[(1, 0)], feature_width=64)
+    if shuffled:
+        room = renumbered(room, np.random.default_rng(1).permutation(len(room)))
+    found = inspect_scene(with_views(tmp_path, room))
+    assert found.problems == []
+    assert found.parts.tolist() == [0] * len(room)
+    assert found.ambiguous == []
+    facts = {"states": str(5 * headings), "places": "5", "turn": f"{360 / headings:g} degrees", "step": "0.50 m"}
+    facts |= {"parts": "1", "extent": "1.5 x 1.0 m", "views": "30x40", "features": "64 float32", "extractor": "random"}
+    facts |= {"farthest pair": f"{room.distances.max()} actions", "goals": ", ".join(map(str, room.goals))}
+    assert facts.items() <= found.facts.items()
+
+
+def test_parts_that_are_not_connected_are_found():
+    room = grid_scene(4, 2, blocked=[(2, 0), (2, 1)], goals=(20,))
+    found = inspect_scene(room)
+    assert found.parts.tolist() == [0] * 8 + [1] * 4 + [0] * 8 + [1] * 4
+    assert found.facts["parts"] == "2 (states: 16, 8)"
+    text = "\n".join(found.problems)
+    assert "state 8 (at x 1.50, z 0.00) and 7 more are not connected with the largest part" in text
+    assert "goal 20 lies outside the largest part" in text
+
+
+def test_a_part_that_can_only_be_entered_is_one_of_its_own():
+    room = grid_scene(2, 1)
+    graph = room.graph.copy()
+    graph[4:, [0, 3]] = -1  # once in the second place, nothing leads out
+    parts = inspect_scene(replace(room, graph=graph)).parts
+    assert parts[:4].tolist() in ([0] * 4, [1] * 4)
+    assert (parts[4:] == 1 - parts[0]).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        (
+            {"graph": ((0, 0), -1)},
+            "state 12: a move back leads to state 0, and the opposite move does not",
+        ),
+        (
+            {"headings": ([5, 6], 0)},
+            "state 4: a turn goes from heading 0 to 0, but a full circle has 4 turns (3 ",
+        ),
+        ({"positions": (slice(None), 0)}, "a move ahead leads to state 12 at the same location (14 such moves)"),
+        ({"features": (9, 2.5)}, "state 9 has features that are all equal (1 such states): encode anew"),
+    ],
+)
+def test_a_problem_names_the_first_state_and_what_to_do(changes, says):
+    assert says in problems_of(changed_scene(grid_scene(goals=()), **changes))
+
+
+def test_headings_that_disagree_with_the_moves_are_found():
+    room = grid_scene(3, 3)
+    headings = room.headings.copy()
+    headings[16:20] = (headings[16:20] + 180) % 360
+    assert "state 16: a move ahead goes more than 45 degrees aside of its heading, 180 (4 such moves)" in problems_of(
+        replace(room, headings=headings)
+    )
+
+
+def test_views_that_show_nothing_or_the_same_twice_are_found(tmp_path):
+    def view(state):
+        if state == 7:
+            return np.full((30, 40, 3), 99, np.uint8)
+        return np.random.default_rng(99 if state in (11, 12) else state).integers(0, 256, (30, 40, 3), np.uint8)
+
+    text = problems_of(with_views(tmp_path, grid_scene(), view))
+    assert "state 7 sees next to nothing (1 blank views)" in text
+    assert "state 12 has the very same view as state 11 (1 such states)" in text
+
+
+def test_views_of_different_shapes_are_found(tmp_path):
+    text = problems_of(with_views(tmp_path, grid_scene(), lambda s: np.zeros((20 + s % 2, 30, 3), np.uint8)))
+    assert "views have 2 different shapes" in text
+
+
+def test_a_room_without_views_and_features_is_looked_at_too():
+    found = inspect_scene(replace(grid_scene(), features=None, extractor="none"))
+    assert found.false_stops is None
+    assert [problem.split(";")[0] for problem in found.problems] == ["there are no views", "there are no features"]
+
+
+def test_unknown_extractors_are_told():
+    assert "what made the features is not said" in problems_of(grid_scene(extractor="unknown"))
+
+
+def twins():
+    """Places 0 and 5, six actions apart, look the same."""
+    room = grid_scene(goals=(0, 9), feature_width=64)
+    return changed_scene(room, features=(slice(20, 24), room.features[:4]))
+
+
+@pytest.mark.parametrize("match", ["views", "front"])
+def test_ambiguous_pairs_are_found_worst_first(match):
+    room = changed_scene(
+        twins(), features=(23, twins().features[3] + 0.1 * np.random.default_rng(0).random(64, np.float32))
+    )
+    found = inspect_scene(room, match=match)
+    pairs = [(a, b, distance) for a, b, _, distance in found.ambiguous]
+    assert sorted(pairs) == [(s, s + 20, room.distances[s, s + 20]) for s in range(4)]
+    scores = [score for _, _, score, _ in found.ambiguous]
+    assert scores == sorted(scores, reverse=True)
+    assert scores[0] == pytest.approx(1, abs=0.01)
+    text = "\n".join(found.problems)
+    assert "(4 pairs above 0.9): on its way to one an agent stops at the other" in text
+    assert "goal 0 is taken for reached in 1 other states, most in state 20 (" in text
+    assert "goal 9" not in text
+
+
+def test_false_stops_are_those_of_template_matching():
+    from dirl.perception.recognition.matching import TemplateStop
+
+    room = twins()
+    found = inspect_scene(room)
+    for index in (0, 40, 80, 99):
+        for goals, shares in ((range(len(room)), found.false_stops), (room.goals, found.goal_false_stops)):
+            world = make_world([room], list(goals))
+            wanted = stop_errors(TemplateStop(float(THRESHOLDS[index]))(world), world)["false"]
+            assert shares[index] == pytest.approx(wanted, abs=1e-6), THRESHOLDS[index]
+    assert found.goal_false_stops[80] == pytest.approx(1 / 46)
+    assert (np.diff(found.false_stops) <= 0).all()
+
+
+def test_a_room_of_too_many_states_is_refused(monkeypatch):
+    monkeypatch.setattr("dirl.perception.recognition.diagnostics.MAX_STATES", 23)
+    with pytest.raises(SceneError, match="grid_scene: 24 states; all pairs are compared, of at most 23"):
+        inspect_scene(grid_scene())
+
+
+@pytest.mark.parametrize("headings", [4, 12])
+def test_the_pictures_show_the_room(tmp_path, headings):
+    room = with_views(tmp_path, grid_scene(4, 2, headings=headings, blocked=[(2, 0), (2, 1)], goals=(0,)))
+    found = inspect_scene(room)
+    draw_scene_map(room, found.parts, tmp_path / "map.png")
+    draw_contact_sheet(room, tmp_path / "sheet.jpg")
+    draw_distances(room, tmp_path / "distances.png")
+    draw_false_stops(room, THRESHOLDS, found.false_stops, found.goal_false_stops, 0.9, tmp_path / "stops.png")
+    for name in ("map.png", "sheet.jpg", "distances.png", "stops.png"):
+        with Image.open(tmp_path / name) as image:
+            assert min(image.size) > 150, name
+            assert np.asarray(image.convert("L")).std() > 10, name
+
+
+def test_a_contact_sheet_of_a_large_room_shows_places_from_all_over_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("dirl.reporting.inspection.MAX_THUMBNAILS", 8)
+    colours = [np.full((30, 40, 3), 10 * (state // 4), np.uint8) for state in range(24)]
+    room = with_views(tmp_path, grid_scene(), lambda state: colours[state])
+    draw_contact_sheet(room, tmp_path / "sheet.jpg")
+    with Image.open(tmp_path / "sheet.jpg") as image:
+        greys = np.asarray(image.convert("L"))
+    assert (np.abs(greys.astype(int) - 0) < 3).sum() > 4000  # the first place
+    assert (np.abs(greys.astype(int) - 50) < 3).sum() > 4000  # and the last, of which six there are
+    assert (np.abs(greys.astype(int) - 20) < 3).sum() < 500

@@ -1,0 +1,115 @@
+"""The learned recogniser: what it compares, and that it learns."""
+
+import pytest
+import torch
+from rooms import grid_scene
+
+from dirl.perception.recognition import Learned
+from dirl.scenes import make_world
+from dirl.training.recogniser import NEAR, calibrate, learn_recogniser
+
+
+def changing(rooms=2, noise=0.8, seed=0):
+    size = {"feature_width": 32, "patches": True, "looks": 2, "noise": noise}
+    return make_world([grid_scene(4, 3, name=f"room_{seed}_{i}", seed=10 * seed + i, **size) for i in range(rooms)])
+
+
+def untrained(world):
+    torch.manual_seed(0)
+    network = Learned(weights="", features=32)
+    network.measure(world.features, world.patches)
+    return network.eval()
+
+
+def visits(world, network, count=6):
+    ids = world.surrounding[:count]
+    return network.describe(world.features[ids], world.patches[ids])
+
+
+def test_a_turn_of_both_visits_changes_nothing_and_a_turn_of_one_does():
+    world = changing()
+    network = untrained(world)
+    seen, reference = visits(world, network).split(3)
+    found = network.log_odds(seen, reference)
+    turned = network.log_odds(seen.roll(1, 1), reference.roll(1, 1))
+    torch.testing.assert_close(found, turned, atol=1e-5, rtol=0)
+    assert not torch.allclose(found, network.log_odds(seen.roll(1, 1), reference), atol=1e-3)
+
+
+def test_scores_are_the_log_odds_of_every_two_in_blocks_of_any_size(monkeypatch):
+    world = changing()
+    network = untrained(world)
+    seen, references = visits(world, network, 5), visits(world, network, 7)
+    wanted = torch.stack([torch.stack([network.log_odds(a, b) for b in references]) for a in seen])
+    torch.testing.assert_close(network.scores(seen, references), wanted, atol=1e-5, rtol=0)
+    monkeypatch.setattr("dirl.perception.recognition.learned.PAIRS_AT_ONCE", 10)
+    torch.testing.assert_close(network.scores(seen, references), wanted, atol=1e-5, rtol=0)
+
+
+def test_a_photo_is_compared_with_the_views_beside_it_too():
+    world = changing()
+    network = untrained(world)
+    seen, photo = visits(world, network, 1), visits(world, network, 2)[1:, :1]
+    beside = seen.clone()
+    beside[:, 3] = visits(world, network, 4)[3, 3]  # the view on the left
+    assert network.log_odds(seen, photo) != network.log_odds(beside, photo)
+    behind = seen.clone()
+    behind[:, 2] = beside[:, 3]
+    assert network.log_odds(seen, photo) == network.log_odds(behind, photo)
+
+
+def test_it_learns_to_tell_a_place_from_its_neighbours_in_rooms_it_has_not_seen():
+    network, world, other = untrained(changing()), changing(), changing(seed=1)
+    learn_recogniser(world, network, steps=150, batch_size=64)
+    calibrate(network, other, pairs=1000)
+    ids, near = other.surrounding, other.surrounding[other.graph[:, 0]]
+    described = [
+        network.describe(other.features[some], other.patches[some])
+        for some in (ids, ids + len(other), near + len(other))
+    ]
+    for views in (1, 4):
+        same, another = (network.log_odds(described[0], part[:, :views]) for part in described[1:])
+        moved = other.graph[:, 0] != torch.arange(len(other))
+        assert (same[moved] > another[moved]).float().mean() > 0.8
+
+
+def test_the_weights_of_the_package_are_calibrated_and_need_the_patches_of_its_encoder():
+    network = Learned()
+    assert not torch.equal(network.calibration, torch.tensor([[1.0, 0.0], [1.0, 0.0]]))
+    assert not network.training
+    with pytest.raises(
+        ValueError, match=r"^recogniser=learned compares 8 patches .*encoder=resnet50_small patches=true$"
+    ):
+        network.describe(torch.zeros(3, 2048))
+
+
+def test_a_world_without_looks_is_refused():
+    with pytest.raises(ValueError, match="needs rooms with patches and looks"):
+        learn_recogniser(make_world([grid_scene(3, 2, patches=True)]), Learned(weights="", features=16))
+
+
+def test_every_kind_of_neighbour_is_near():
+    """In the middle of a room without obstacles each way leads to another state, two metres away at most."""
+    world = make_world([grid_scene(7, 7)])
+    middle = 4 * 24
+    ends = set()
+    for actions in NEAR:
+        state = middle
+        for action in actions:
+            state = int(world.graph[state, action])
+        ends.add(state)
+    assert middle not in ends
+    assert len(ends) == len(set(NEAR))
+
+
+def test_weights_that_cannot_be_used_are_named(tmp_path):
+    file = tmp_path / "weights.pt"
+    with pytest.raises(ValueError, match=rf"^weights={file}: there is no such file$"):
+        Learned(weights=str(file))
+    file.write_bytes(b"junk")
+    with pytest.raises(ValueError, match=rf"^weights={file}: torch cannot read it as weights"):
+        Learned(weights=str(file))
+    for stored in (Learned(weights="", features=16).state_dict(), [1, 2], {"mean": 3}):
+        torch.save(stored, file)
+        with pytest.raises(ValueError, match=rf"^weights={file}: not of a network of these options"):
+            Learned(weights=str(file))

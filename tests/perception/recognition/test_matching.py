@@ -1,0 +1,146 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from rooms import grid_scene
+from stops import stop_errors
+
+from dirl.perception.recognition.matching import TemplateStop, ncc
+from dirl.scenes import make_world
+
+NUMBER = st.floats(-5, 5, allow_nan=False, width=32)
+VECTOR = st.lists(NUMBER, min_size=6, max_size=6).filter(lambda values: np.std(values) > 0.01)
+
+
+def world_of(features=None, **options):
+    """Two rooms of 8 states each, goals 1 and 8 + 6; the features of the second may be given."""
+    rooms = [grid_scene(2, 1, name=name, goals=(goal,), seed=goal, **options) for name, goal in (("a", 1), ("b", 6))]
+    world = make_world(rooms)
+    if features is not None:
+        world.features.copy_(features)
+    return world
+
+
+@given(VECTOR, VECTOR)
+def test_ncc_is_pearsons_coefficient(a, b):
+    found = ncc(torch.tensor(a, dtype=torch.float64), torch.tensor(b, dtype=torch.float64))
+    assert found.item() == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-9)
+
+
+@given(VECTOR, VECTOR)
+def test_ncc_is_symmetric_and_at_most_one(a, b):
+    a, b = torch.tensor(a), torch.tensor(b)
+    assert torch.equal(ncc(a, b), ncc(b, a))
+    assert ncc(a, b).abs() <= 1 + 1e-5
+
+
+@given(VECTOR, st.floats(0.1, 10), st.floats(-5, 5))
+def test_ncc_does_not_change_with_brightness_or_contrast(a, contrast, brightness):
+    a = torch.tensor(a, dtype=torch.float64)
+    assert ncc(a, contrast * a + brightness).item() == pytest.approx(1, abs=1e-6)
+    assert ncc(a, -contrast * a + brightness).item() == pytest.approx(-1, abs=1e-6)
+
+
+def test_ncc_broadcasts_over_rows():
+    rows, goal = torch.randn(3, 5, 8), torch.randn(8)
+    found = ncc(rows, goal)
+    assert found.shape == (3, 5)
+    assert found[1, 4].item() == pytest.approx(np.corrcoef(rows[1, 4], goal)[0, 1], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        0.0,
+        2.0,
+        -7.5,
+        # In float32 the mean of such a vector is not quite its value, and what remains is taken for a pattern.
+        0.1,
+    ],
+)
+def test_ncc_with_a_constant_vector_is_zero(value):
+    constant = torch.full((2048,), value)
+    assert ncc(constant, torch.randn(2048)) == 0
+    assert ncc(constant, constant) == 0
+
+
+@pytest.mark.parametrize("match", ["views", "front"])
+def test_scores_are_the_coefficients_of_every_goal_with_every_state(match):
+    world = world_of()
+    scores = TemplateStop(match=match).scores(world)
+    assert scores.shape == (2 * 8,)
+    for index, goal in enumerate(world.goals.tolist()):
+        for state in range(8 * index, 8 * index + 8):
+            # Of a state in a grid the views are its own and those of the next headings of its place.
+            place, heading = divmod(state, 4)
+            goal_place, goal_heading = divmod(goal, 4)
+            turns = range(4) if match == "views" else range(1)
+            here = torch.cat([world.features[4 * place + (heading + turn) % 4] for turn in turns])
+            there = torch.cat([world.features[4 * goal_place + (goal_heading + turn) % 4] for turn in turns])
+            score = scores[world.pair(torch.tensor(index), torch.tensor(state))]
+            assert score.item() == pytest.approx(np.corrcoef(here, there)[0, 1], abs=1e-5)
+
+
+@pytest.mark.parametrize("match", ["views", "front"])
+@pytest.mark.parametrize("seed", range(3))
+def test_every_goal_is_a_place_to_stop(match, seed):
+    rooms = [grid_scene(3, 3, name=name, goals=(2, 20), feature_width=64, seed=seed) for name in ("a", "b")]
+    world = make_world(rooms)
+    stop = TemplateStop(match=match)(world)
+    assert stop.dtype == torch.bool
+    assert stop.shape == (4 * 36,)
+    assert stop[world.pair(torch.arange(4), world.goals)].all()
+
+
+def stops_of(world, stop):
+    """Goal index and state of every pair in which an agent stops."""
+    return [
+        list(pair)
+        for pair, stops in zip(zip(*map(torch.Tensor.tolist, world.pairs()), strict=True), stop, strict=True)
+        if stops
+    ]
+
+
+def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():
+    # Both scenes look the same everywhere, and so do the places that a wall cuts off.
+    rooms = [grid_scene(3, 1, name=name, goals=(1,), blocked=[(1, 0)]) for name in ("a", "b")]
+    world = make_world(rooms)
+    world.features[:] = torch.rand(16)
+    stop = TemplateStop()(world)
+    assert stops_of(world, stop) == [[0, state] for state in range(4)] + [[1, 8 + state] for state in range(4)]
+
+
+def test_the_front_view_confuses_places_that_four_views_tell_apart():
+    features = torch.rand(16, 16, generator=torch.Generator().manual_seed(0))
+    features[5] = features[1]
+    world = world_of(features)
+    assert world.block(TemplateStop(match="front")(world), 0).nonzero().flatten().tolist() == [1, 5]
+    assert world.block(TemplateStop(match="views")(world), 0).nonzero().flatten().tolist() == [1]
+
+
+def test_a_state_stops_only_above_the_threshold():
+    world = world_of()
+    scores = world.block(TemplateStop().scores(world), 0)
+    threshold = scores.sort().values[-3].item()
+    stop = world.block(TemplateStop(threshold)(world), 0)
+    assert stop.sum() == 2
+    assert torch.equal(stop, scores > threshold)
+
+
+def test_the_papers_threshold_is_the_default():
+    assert TemplateStop() == TemplateStop(threshold=0.9, match="views")
+
+
+def test_an_unknown_way_to_match_is_refused():
+    with pytest.raises(ValueError, match="'views' or 'front', not 'back'"):
+        TemplateStop(match="back")
+
+
+def test_stop_errors_are_shares_of_states_and_of_goals():
+    world = world_of()
+    stop = torch.zeros(16, dtype=torch.bool)
+    world.block(stop, 0)[[1, 2, 5]] = True
+    # Of twice seven states that are not the goal two stop; of two goals one does not.
+    assert stop_errors(stop, world) == {"false": pytest.approx(2 / 14), "missed": 0.5}
+    assert stop_errors(world.distances == 0, world) == {"false": 0, "missed": 0}

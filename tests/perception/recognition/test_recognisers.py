@@ -1,0 +1,123 @@
+"""Recognisers: their scores, their tables in worlds, and what agents do with them."""
+
+import pytest
+import torch
+from policies import expert
+from rooms import grid_scene
+
+from dirl.agent.cameras import compare
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.protocol import metrics
+from dirl.models import EpisodicMemory, PlanningMemory
+from dirl.perception.recognition import NCC, Patches
+from dirl.perception.recognition.matching import TemplateStop, ncc
+from dirl.perception.recognition.tables import VisitScores, described_visits
+from dirl.scenes import make_world
+
+KINDS = (NCC, lambda: Patches(statistics="place"))
+BOTH = pytest.mark.parametrize("kind", KINDS, ids=["ncc", "patches"])
+
+
+def changing(noise=0.05, looks=2):
+    rooms = [
+        grid_scene(3, 2, name="a", goals=(0, 13), feature_width=64, patches=True, looks=looks, noise=noise),
+        grid_scene(2, 2, name="b", goals=(5,), feature_width=64, seed=1, patches=True, looks=looks, noise=noise),
+    ]
+    return make_world(rooms)
+
+
+@BOTH
+@pytest.mark.parametrize("match", ["views", "front"])
+def test_the_table_of_a_world_holds_what_the_recogniser_computes(kind, match):
+    world, recogniser = changing(), kind()
+    table = VisitScores(recogniser, world, match)
+    visits = described_visits(recogniser, world, 1)
+    pictures = world.pictures(1)
+    references = visits[:, :1] if match == "front" else visits
+    wanted = recogniser.fit(world.features[24:40], world.patches[24:40]).scores(visits, references)
+    found = table(pictures.unsqueeze(0), pictures.unsqueeze(1))  # reference, seen
+    torch.testing.assert_close(found, wanted, atol=1e-5, rtol=0)
+
+
+def test_correlation_is_the_paper_s():
+    a, b = torch.randn(2, 5, 4, 7, generator=torch.Generator().manual_seed(0))
+    scores = NCC().scores(a, b)
+    assert scores[2, 3].item() == pytest.approx(ncc(a[2].flatten(), b[3].flatten()).item(), abs=1e-6)
+    one = NCC().scores(a, b[:, :1])
+    assert one[2, 3].item() == pytest.approx(ncc(a[2, 0], b[3, 0]).item(), abs=1e-6)
+
+
+def test_a_bag_does_not_care_where_in_the_view_a_patch_is():
+    generator = torch.Generator().manual_seed(0)
+    features, patches = torch.randn(40, 16, generator=generator), torch.randn(40, 8, 96, generator=generator)
+    recogniser = Patches(statistics="place", share=1.0).fit(features, patches)
+    one = recogniser.describe(features, patches).unsqueeze(1)
+    moved = recogniser.describe(features, patches.roll(3, 1)).unsqueeze(1)
+    assert torch.allclose(recogniser.scores(one, moved).diagonal(), torch.ones(40), atol=1e-5)
+    assert recogniser.scores(one, moved).fill_diagonal_(0).max() < 0.9
+
+
+def test_patches_without_patches_are_refused_in_one_line():
+    with pytest.raises(ValueError, match="no patches: encode them with encoder=resnet50_small"):
+        Patches().describe(torch.zeros(3, 2048))
+
+
+@BOTH
+def test_a_camera_sees_what_the_table_of_a_world_says(kind):
+    """The same walk, compared by the table and from the features."""
+    world, recogniser = changing(), kind()
+    table, ids_seen, views_seen = VisitScores(recogniser, world), [], []
+    own = recogniser.fit(world.features[:24], world.patches[:24])
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(12):
+        picture = torch.randint(24, (1,), generator=generator) + 40 * torch.randint(3, (1,), generator=generator)
+        state, look = picture % 40, picture // 40
+        ids = world.surrounding[state] + 40 * look.unsqueeze(-1)
+        described = own.describe(world.features[ids], world.patches[ids])
+        if ids_seen:
+            by_table = table.of_visits(torch.stack(ids_seen, 1), ids)
+            by_camera = compare(recogniser, torch.stack(views_seen, 1), described)
+            torch.testing.assert_close(by_camera, by_table, atol=1e-5, rtol=0)
+        ids_seen.append(ids)
+        views_seen.append(described)
+
+
+@BOTH
+def test_the_expert_arrives_and_stops_in_a_world_that_changes_a_little(kind):
+    world = changing(noise=0.02)
+    stop = TemplateStop(0.8, "views", kind()).arrived(world)
+    arguments = {"observation": SurroundingViews(world), "stop": stop, "max_steps": 30}
+    found = metrics(run_episodes(expert(world), world, every_start(world), **arguments))
+    assert (found["sr"], found["spl"], found["missed_stop_rate"]) == (1, 1, 0)
+
+
+def test_a_changed_place_is_missed_by_a_threshold_above_its_score():
+    world = changing(noise=0.5)
+    arguments = {"observation": SurroundingViews(world), "max_steps": 8}
+    stop = TemplateStop(0.98).arrived(world)
+    found = metrics(run_episodes(expert(world), world, every_start(world), stop=stop, **arguments))
+    assert found["missed_stop_rate"] > 0.3
+    told = metrics(run_episodes(expert(world), world, every_start(world), **arguments))
+    assert told["sr"] == 1
+
+
+def test_no_visit_has_the_look_of_the_goal():
+    """A stop that asks for the goal's own picture never comes; where there is one look it does."""
+    world = changing(noise=0.02)
+    exactly = TemplateStop(1 - 1e-5).arrived(world)
+    arguments = {"observation": SurroundingViews(world), "max_steps": 30}
+    assert metrics(run_episodes(expert(world), world, every_start(world), stop=exactly, **arguments))["sr"] == 0
+    still = make_world([grid_scene(3, 2, feature_width=64)])
+    arguments["observation"] = SurroundingViews(still)
+    stop = TemplateStop(1 - 1e-5)(still)
+    assert metrics(run_episodes(expert(still), still, every_start(still), stop=stop, **arguments))["sr"] == 1
+
+
+@pytest.mark.parametrize("memory", [EpisodicMemory(threshold=0.8), PlanningMemory(threshold=0.8)])
+def test_memories_work_in_a_world_that_changes_and_a_seed_decides_everything(memory):
+    world = changing()
+    arguments = {"observation": SurroundingViews(world), "max_steps": 40, "memory": memory, "seed": 3}
+    first, second = (run_episodes(expert(world), world, every_start(world), **arguments) for _ in range(2))
+    assert torch.equal(first.steps, second.steps)
+    assert metrics(first)["sr"] == 1

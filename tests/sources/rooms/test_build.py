@@ -1,0 +1,145 @@
+"""Building rooms: what the checks find, what stands in the file, and that another machine builds the same."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from closet import closet
+from PIL import Image
+
+pytest.importorskip("embreex")
+
+from dirl.perception.backbones import ResNet50, ViewEncoder
+from dirl.perception.backbones.resnet import encode
+from dirl.scenes import SceneError, read_dump
+from dirl.scenes.catalogue import ROOMS
+from dirl.sources.rooms import build_room, built_in_rooms, check_room, describe_room
+from dirl.sources.rooms.checks import check_views, contrast, thumbnail
+from dirl.sources.rooms.description import Piece
+from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.view import Renderer
+
+REFERENCES = Path(__file__).parents[2] / "data" / "bathroom_02"
+"""Views of the bathroom, 60x80 PNG, as they were rendered when the built-in rooms were made; named by their states."""
+
+SMALL = {"size": (24, 32), "workers": 1, "fine": False, "progress": False}
+
+
+def with_piece(*pieces):
+    room = closet()
+    return replace(room, furniture=(*room.furniture, *pieces), grid=replace(room.grid, places=None))
+
+
+def test_a_well_made_room_has_no_problems():
+    assert check_room(closet()) == []
+
+
+@pytest.mark.parametrize("name", built_in_rooms())
+def test_the_built_in_rooms_have_none(name):
+    assert check_room(describe_room(name)) == []
+
+
+def test_furniture_in_furniture_is_found():
+    found = check_room(with_piece(Piece("stool", (0.3, 0.3, 0.45), at=(1.6, 1.25))))
+    assert len(found) == 1
+    assert found[0].startswith("[[furniture]] number 1 (stool) and [[furniture]] number 4 (stool) reach ")
+
+
+def test_a_picture_may_hang_over_a_stool():
+    picture = Piece("picture", (0.3, 0.05, 0.3), wall="north", along=1.5, options={"image": "paper"})
+    assert check_room(with_piece(picture)) == []
+
+
+def test_furniture_outside_the_room_is_found():
+    (found,) = check_room(with_piece(Piece("stool", (0.3, 0.3, 0.45), at=(1.95, 0.4))))
+    assert found == "[[furniture]] number 4 (stool) reaches 10 cm out of the room"
+
+
+def test_a_blocked_door_and_places_that_are_cut_off_are_found():
+    found = check_room(with_piece(Piece("stool", (0.3, 0.3, 0.45), at=(0.7, 0.3))))
+    assert "[[furniture]] number 2 (door): less than 0.6 m in front of it are free" in found
+    screens = (Piece("cabinet", (0.04, 1.5, 1.0), at=(x, 0.75)) for x in (0.65, 1.15))
+    assert "[grid] only 2 of 5 free points can be reached from each other" in check_room(with_piece(*screens))
+
+
+def test_blank_and_alike_views_are_found():
+    way = walk(closet())
+    views = np.random.default_rng(0).integers(0, 256, (20, 24, 32, 3)).astype(np.uint8)
+    views[19] = views[0]  # another place
+    views[4] = views[8]  # the next place, the same heading
+    views[7] = 90
+    found = check_views(np.stack(list(map(thumbnail, views))), np.array(list(map(contrast, views))), way)
+    assert found == [
+        "state 7: its view is nearly blank (standard deviation 0.0 of 255)",
+        "states 0 and 19 look alike (correlation 1.00) but are far apart",
+    ]
+
+
+def test_a_room_is_built_with_graph_views_features_and_its_description(tmp_path):
+    backbone = ResNet50()
+    encoder = ViewEncoder(lambda views: encode(backbone, views), {"extractor": "random ResNet-50", "weights": "none"})
+    build_room(closet(), tmp_path / "closet.h5", encoder=encoder, provenance="nowhere", **SMALL)
+    scene = read_dump(tmp_path / "closet.h5")
+    assert (scene.name, scene.goals, scene.source) == ("closet", (3,), "synthetic")
+    assert (scene.graph == walk(closet()).graph).all()
+    assert scene.views[0].shape == (24, 32, 3)
+    assert scene.views[0].std() > 10
+    assert (scene.views[0] != scene.views[1]).any()
+    assert scene.features.shape == (20, 2048)
+    assert scene.features.dtype == np.float16
+    assert scene.extractor == "random ResNet-50; none"
+    with h5py.File(tmp_path / "closet.h5") as file:
+        assert 'name = "closet"' in file.attrs["room"]
+        assert file["resnet_feature"].attrs["provenance"] == "nowhere"
+
+
+def test_two_processes_and_smaller_turns_give_the_same_views(tmp_path):
+    build_room(closet(), tmp_path / "one.h5", **SMALL)
+    build_room(closet(), tmp_path / "two.h5", **{**SMALL, "workers": 2}, turn=45)
+    one, two = read_dump(tmp_path / "one.h5"), read_dump(tmp_path / "two.h5")
+    assert len(two) == 2 * len(one)
+    assert all((one.views[state] == two.views[2 * state]).all() for state in range(len(one)))
+    assert (one.goals, two.goals) == ((3,), (6,))
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"size": (4, 32)}, "size=.4, 32.: views are 8 to 4096 pixels"),
+    ({"workers": 0}, "workers=0: at least one process is needed"),
+    ({"turn": 100}, "turn=100: a turn must go into 90 degrees"),
+])  # fmt: skip
+def test_what_cannot_be_built_is_refused_at_once(tmp_path, options, message):
+    with pytest.raises(SceneError, match=message):
+        build_room(closet(), tmp_path / "closet.h5", **{**SMALL, **options})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_is_not_overwritten(tmp_path):
+    (tmp_path / "closet.h5").write_text("mine")
+    with pytest.raises(SceneError, match="this file exists already"):
+        build_room(closet(), tmp_path / "closet.h5", **SMALL)
+    assert (tmp_path / "closet.h5").read_text() == "mine"
+
+
+def test_the_shipped_rooms_are_the_ones_in_the_manifest():
+    manifest = dict(reversed(line.split("  ")) for line in (ROOMS / "SHA256SUMS").read_text().splitlines())
+    assert sorted(manifest) == sorted(f"{name}.{kind}" for name in built_in_rooms() for kind in ("h5", "patches.npy"))
+    for name, digest in manifest.items():
+        assert hashlib.sha256((ROOMS / name).read_bytes()).hexdigest() == digest, name
+
+
+def test_the_bathroom_is_built_the_same_on_this_machine():
+    """Up to rounding, which moves a ray across an edge here and there: a PSNR above 50 dB (the graph: see above)."""
+    room = describe_room("bathroom_02")
+    way, renderer = walk(room), Renderer.of(room)
+    stored = sorted(REFERENCES.glob("*.png"))
+    assert len(stored) == 6
+    for file in stored:
+        place, heading = divmod(int(file.stem), 4)
+        with Image.open(file) as image:
+            reference = np.asarray(image).astype(float)
+        view = renderer.view(room.camera, (*way.places[place], way.headings[heading]), reference.shape[:2])
+        error = ((view - reference) ** 2).mean()
+        assert 10 * np.log10(255**2 / max(error, 1e-9)) > 50, f"state {file.stem}"

@@ -1,0 +1,78 @@
+"""Rooms joined by doorways: what can be walked and seen through, and the tours of them."""
+
+import numpy as np
+import pytest
+from closet import closet
+
+from dirl.scenes import SceneError
+from dirl.sources.rooms.building import (
+    DOORWAY,
+    WALL,
+    Building,
+    _cleared,
+    assemble_building,
+    furniture,
+    sample_building,
+    walls,
+)
+from dirl.sources.rooms.building_tour import write_building_tour
+from dirl.sources.rooms.navigation import clearance
+from dirl.sources.rooms.scenery import Scenery
+from dirl.sources.tours import read_tour
+from dirl.sources.tours.alignment import wrap
+from dirl.sources.tours.moves import tour_scene
+
+
+@pytest.fixture(scope="module")
+def building():
+    """Two closets side by side."""
+    return Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
+
+
+def test_a_doorway_can_be_seen_and_walked_through(building):
+    scenery = Scenery(*assemble_building(building), edge=1.0, texture_limit=16)
+    east = np.array([[1.0, 0.0, 0.0]] * 3)
+    through, beside, above = (0.6, 0.6, 1.0), (0.6, 1.3, 1.0), (1.5, 0.6, DOORWAY[1] + 0.1)
+    distance = scenery.trace(np.array([through, beside, above]), east).distance
+    assert distance == pytest.approx([3.4 + WALL, 1.4, 0.5], abs=1e-4)
+    inside = scenery.trace(np.array([(2.0 + WALL / 2, 0.6, 1.0)] * 2), np.array([[0.0, 1, 0], [0, 0, -1]])).distance
+    assert inside == pytest.approx([DOORWAY[0] / 2, 1.0], abs=1e-4)
+    solid = np.concatenate([walls(building), furniture(building)])
+    starts = np.array([(1.0, 0.6), (1.0, 1.3), (0.5, 0.6), (0.5, 0.6)])
+    ends = np.array([(3.0, 0.6), (3.0, 1.3), (-0.5, 0.6), (0.5, 2.0)])
+    assert (clearance(starts, ends, solid) > 0).tolist() == [True, False, False, False]
+
+
+def test_what_stands_before_a_doorway_goes_with_what_stands_on_it():
+    room = closet('kind = "stool"\nat = [1.5, 1.2]', 'kind = "stool"\nat = [1.6, 0.9]')
+    left = [piece.kind for piece in _cleared(room, 2.0, 0.9).furniture]
+    assert left == ["door", "ceiling_lamp"]
+    assert len(_cleared(room, 0.0, 0.9).furniture) == 3
+
+
+def test_the_tour_of_a_building_reads_back(building, tmp_path):
+    found = write_building_tour(building, tmp_path / "tour", apart=0.8, size=(16, 32))
+    assert found.places[0].tolist() == pytest.approx([2.0 + WALL / 2, 0.6])
+    far = np.linalg.norm(found.places[:, None] - found.places, axis=-1)[~np.eye(len(found.places), dtype=bool)]
+    assert far.min() >= 0.8
+    tour = read_tour(tmp_path / "tour")
+    made = tour_scene(tour, headings=8)
+    numbers = {panorama.id: index for index, panorama in enumerate(tour.panoramas)}
+    links = {(numbers[one.id], numbers[link.target]) for one in tour.panoramas for link in one.links}
+    assert links == set(map(tuple, found.links.tolist()))
+    assert (found.places[:, 0] > 2 + WALL).any()  # in both rooms
+    assert (found.places[:, 0] < 2).any()
+    assert made.scene.positions[::8] == pytest.approx(found.places, abs=1e-3)
+    assert (made.scene.distances >= 0).all()
+    # Headings are aligned: one turn of the whole map brings every link where it is.
+    along = np.degrees(np.arctan2(*(found.places[found.links[:, 1]] - found.places[found.links[:, 0]]).T))
+    written = [link.yaw for a, b in found.links for link in tour.panoramas[a].links if numbers[link.target] == b]
+    middles = made.scene.headings[::8] - made.yaws[:, 0]
+    off = wrap(along - np.array(written) - middles[found.links[:, 0]])
+    assert np.abs(wrap(off - off[0])).max() < 1
+
+
+@pytest.mark.parametrize("kinds", [["kitchen"], ["kitchen", "cave"], ["kitchen"] * 5])
+def test_buildings_have_two_to_four_rooms(kinds):
+    with pytest.raises(SceneError, match="expected two to four of bathroom"):
+        sample_building(kinds, 0)

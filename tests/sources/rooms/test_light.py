@@ -1,0 +1,153 @@
+"""Light and views, where the answer is known beforehand."""
+
+import pickle
+
+import numpy as np
+import pytest
+from closet import closet
+
+pytest.importorskip("embreex")
+
+from dirl.sources.rooms.description import Camera, Material
+from dirl.sources.rooms.light import bake, bounced_light, direct_light, gather, standpoints
+from dirl.sources.rooms.mesh import Mesh
+from dirl.sources.rooms.scenery import Scenery, divide
+from dirl.sources.rooms.view import Renderer, display
+
+GREY = Material("plain", {"color": "#bcbcbc", "var": 0.0}, rough=1.0, resolution=8)  # half of the light, linearly
+RED = Material("plain", {"color": "#ff0000", "var": 0.0}, rough=1.0, resolution=8)
+BLUE = Material("plain", {"color": "#0000ff", "var": 0.0}, rough=1.0, resolution=8)
+WHITE = Material("plain", {"color": "#ffffff", "var": 0.0}, rough=1.0, emit=2.0, resolution=8)
+MIRROR = Material("plain", {"color": "#ffffff", "var": 0.0}, mirror=True, resolution=8)
+
+
+def furnace(materials, names="nsewfc", side=2.0):
+    """A closed cube seen from inside; the material of each side: north, south, east, west, floor, ceiling."""
+    s, mesh = side, Mesh()
+    corners = {
+        "n": [(0, s, 0), (s, s, 0), (s, s, s), (0, s, s)],
+        "s": [(s, 0, 0), (0, 0, 0), (0, 0, s), (s, 0, s)],
+        "e": [(s, s, 0), (s, 0, 0), (s, 0, s), (s, s, s)],
+        "w": [(0, 0, 0), (0, s, 0), (0, s, s), (0, 0, s)],
+        "f": [(0, 0, 0), (s, 0, 0), (s, s, 0), (0, s, 0)],
+        "c": [(0, 0, s), (0, s, s), (s, s, s), (s, 0, s)],
+    }
+    for name, points in zip(names, corners.values(), strict=True):
+        mesh.quad(points, name)
+    return Scenery([part.moved((0, 0, 0), 0, 1.0) for part in mesh.parts], materials, edge=0.4)
+
+
+def test_in_a_cube_that_shines_all_over_the_light_is_pi_times_the_radiance():
+    cube = furnace({"a": WHITE}, "aaaaaa")
+    origins, normals = standpoints(cube)
+    inside = ((origins > 0.3) & (origins < 1.7)).sum(1) == 2  # corners are darkened on purpose, to tame lamps there
+    light = direct_light(cube, origins, normals, 400, np.random.default_rng(0))[inside]
+    assert np.allclose(light.mean(), np.pi * 2.0, rtol=0.04)
+    assert light.std() < 0.1 * light.mean()
+
+
+def test_light_thrown_back_by_half_sums_to_the_geometric_series():
+    cube = furnace({"a": GREY}, "aaaaaa")
+    origins, normals = standpoints(cube)
+    seen = gather(cube, origins, normals, 16, np.random.default_rng(0))
+    assert (seen >= 0).all()  # a closed room loses no ray
+    albedo = cube.mean_color[0, 0]
+    assert abs(albedo - 0.5) < 0.01
+    gathered = bounced_light(cube, np.ones((len(origins), 3)), seen, bounces=4)
+    assert np.allclose(gathered, albedo + albedo**2 + albedo**3 + albedo**4, rtol=1e-4)
+
+
+def test_light_falls_with_the_square_of_the_distance():
+    mesh = Mesh().quad([(-0.05, -0.05, 3), (-0.05, 0.05, 3), (0.05, 0.05, 3), (0.05, -0.05, 3)], "lamp")
+    for z in (0.0, 1.0, 2.0):
+        mesh.quad([(-0.01 + z, -0.01, z), (0.01 + z, -0.01, z), (0.01 + z, 0.01, z), (-0.01 + z, 0.01, z)], "a")
+    scenery = Scenery([part.moved((0, 0, 0), 0, 1.0) for part in mesh.parts], {"lamp": WHITE, "a": GREY})
+    points = np.array([[0.0, 0, 0.01], [0.0, 0, 1.01], [0.0, 0, 2.01]], np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (3, 1))
+    light = direct_light(scenery, points, up, 64, np.random.default_rng(0))[:, 0]
+    expected = 2.0 * 0.01 / np.array([2.99, 1.99, 0.99]) ** 2
+    assert np.allclose(light, expected, rtol=0.02)
+
+
+def test_a_ray_hits_what_stands_in_its_way_and_where():
+    cube = furnace({"a": RED, "b": BLUE}, "baaaaa")
+    hits = cube.trace(np.array([[1.0, 0.5, 1.0]] * 2), np.array([[0, 1.0, 0], [0, -1.0, 0]]))
+    assert np.allclose(hits.distance, [1.5, 0.5], atol=1e-5)
+    assert np.allclose(cube.color(hits.triangle, hits.u, hits.v), [[0, 0, 1], [1, 0, 0]], atol=1e-3)
+    lost = furnace({"a": RED}, "aaaaaa").trace(np.array([[1.0, 0.5, 5.0]]), np.array([[0, 0, 1.0]]))
+    assert lost.triangle.tolist() == [-1]
+
+
+def test_a_mirror_shows_what_is_behind_the_viewer():
+    cube = furnace({"m": MIRROR, "r": RED, "b": BLUE}, "mrbbbb")
+    renderer = Renderer(cube, np.ones((len(cube.point_corner), 3), np.float32))
+    middle = np.array([[1.0, 1, 1]], np.float32)
+    north = renderer.radiance(middle, np.array([[0, 1.0, 0]], np.float32), 0.0, reflect=True)
+    assert north[0, 0] > 0.9
+    assert north[0, 2] < 0.01
+    beside = renderer.radiance(middle, np.array([[0.6, 0.8, 0]], np.float32), 0.0, reflect=True)
+    assert beside[0, 2] > 0.9
+
+
+def test_no_side_of_a_divided_triangle_is_longer_than_asked_and_the_area_stays():
+    triangle = np.array([[[0.0, 0, 0], [3, 0, 0], [0, 1, 0]]])
+    small, material = divide(triangle, np.array([7]), 0.2)
+    sides = np.linalg.norm(small[:, [1, 2, 0]] - small, axis=2)
+    assert sides.max() <= 0.2
+    crossed = np.cross(small[:, 1] - small[:, 0], small[:, 2] - small[:, 0])
+    assert np.isclose(np.linalg.norm(crossed, axis=1).sum() / 2, 1.5)
+    assert (material == 7).all()
+
+
+def test_display_keeps_black_and_the_order_of_brightness():
+    shown = display(np.linspace(0, 5, 100)[:, None].repeat(3, 1))
+    assert shown[0].tolist() == [0, 0, 0]
+    assert shown[-1].tolist() == [255, 255, 255]
+    assert (np.diff(shown[:, 0].astype(int)) >= 0).all()
+
+
+def test_the_middle_of_a_floor_is_as_light_as_the_rest():
+    """Points in the middle of a flat surface once started their rays inside it, and were black."""
+    cube = furnace({"a": GREY, "l": WHITE}, "aaaaal")
+    light = bake(cube, direct=16, indirect=16, bounces=2, rng=np.random.default_rng(0))
+    origins, normals = standpoints(cube)
+    floor = normals[:, 2] > 0.9
+    middle = floor & (np.abs(origins[:, :2] - 1) < 0.3).all(1)
+    assert middle.sum() > 4
+    assert light[middle].min() > 0.85 * light[floor].max()
+
+
+def test_the_same_room_gives_the_same_views_also_in_another_process():
+    room = closet()
+    first, second = (Renderer.of(room, fine=False) for _ in range(2))
+    assert first.exposure == second.exposure
+    sent = pickle.loads(pickle.dumps(first))
+    for pose in ((0.4, 0.4, 0.0), (0.9, 0.9, 135.0)):
+        view = first.view(room.camera, pose, (24, 32))
+        assert view.shape == (24, 32, 3)
+        assert view.dtype == np.uint8
+        assert view.std() > 10
+        assert (view == second.view(room.camera, pose, (24, 32))).all()
+        assert (view == sent.view(room.camera, pose, (24, 32))).all()
+
+
+def test_the_camera_looks_where_it_should():
+    cube = furnace({"r": RED, "b": BLUE, "g": GREY}, "rbgggg")
+    renderer = Renderer(cube, np.ones((len(cube.point_corner), 3), np.float32))
+    camera = Camera(height=1.0, pitch=0.0, fov=60.0)
+    assert renderer.view(camera, (1.0, 1.0, 0.0), (8, 8))[4, 4].tolist()[1:] == [0, 0]  # north is red
+    assert renderer.view(camera, (1.0, 1.0, 180.0), (8, 8))[4, 4].tolist()[:2] == [0, 0]  # south is blue
+    east_half = renderer.view(camera, (1.0, 1.0, 45.0), (8, 8))
+    assert east_half[4, 0, 1] == 0  # left of north-east lies the north
+    assert east_half[4, 7, 1] > 100
+
+
+def test_a_panorama_shows_all_directions():
+    cube = furnace({"r": RED, "b": BLUE, "g": GREY}, "rbgggg")
+    renderer = Renderer(cube, np.ones((len(cube.point_corner), 3), np.float32))
+    north = renderer.panorama(1.0, (1.0, 1.0, 0.0), (16, 32))
+    assert north[8, 16].tolist()[1:] == [0, 0]  # in the middle it looks to the north, which is red
+    assert north[8, 0].tolist()[:2] == north[8, 31].tolist()[:2] == [0, 0]  # at both edges to the south, which is blue
+    assert min(*north[0, 16], *north[15, 16], *north[8, 8], *north[8, 24]) > 100
+    east = renderer.panorama(1.0, (1.0, 1.0, 90.0), (16, 32))
+    assert (east == np.roll(north, -8, 1)).mean() > 0.95

@@ -1,0 +1,125 @@
+"""Random rooms: fixed by kind and seed, all different, all usable."""
+
+import numpy as np
+import pytest
+
+from dirl.scenes import SceneError
+from dirl.sources.rooms import check_room
+from dirl.sources.rooms.build import scene_of
+from dirl.sources.rooms.description import Piece, description_text, parse_description
+from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.sampling import KINDS, sample_room
+from dirl.sources.rooms.sampling.draft import Draft
+from dirl.sources.rooms.sampling.sample import draw_room
+from dirl.sources.rooms.sampling.splits import EVERYTHING, HELD_OUT, TEST, TRAIN, repertoire_of, split_of
+from dirl.sources.rooms.sampling.styles import Style
+
+
+@pytest.fixture
+def draft():
+    rng = np.random.default_rng(0)
+    return Draft((4.0, 4.0, 2.5), Style(rng, wet=False), rng)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", [0, 123456])
+def test_a_random_room_can_be_walked_in_and_written_down(kind, seed):
+    room = sample_room(kind, seed, look=False)
+    assert room.name == f"{kind}_{seed}"
+    assert check_room(room) == []
+    assert parse_description(description_text(room)) == room
+    scene = scene_of(room, walk(room))
+    assert len(scene) >= 4 * KINDS[kind].places
+    assert len(scene.goals) == 5
+    assert (scene.distances >= 0).all()
+
+
+def test_a_seed_fixes_the_room_and_another_gives_another():
+    rooms = [sample_room("bedroom", seed, look=False) for seed in (5, 5, 6, 7)]
+    assert rooms[0] == rooms[1]
+    kinds = [sorted(piece.kind for piece in room.furniture) for room in rooms[1:]]
+    assert kinds[0] != kinds[1] != kinds[2]
+    assert len({room.size for room in rooms}) == 3
+
+
+def test_what_belongs_in_a_room_is_in_it():
+    holds = {kind: {piece.kind for piece in sample_room(kind, 1, look=False).furniture} for kind in KINDS}
+    assert {"toilet", "vanity", "door"} <= holds["bathroom"]
+    assert {"bed", "door"} <= holds["bedroom"]
+    assert {"counter", "door"} <= holds["kitchen"]
+    assert {"sofa", "tv", "door"} <= holds["living_room"]
+
+
+def test_an_unknown_kind_and_a_negative_seed_are_refused():
+    with pytest.raises(SceneError, match="kind: there is no 'bathrom'; did you mean 'bathroom'"):
+        sample_room("bathrom", 0)
+    with pytest.raises(SceneError, match="seed=-1: must not be negative"):
+        sample_room("bathroom", -1)
+
+
+def test_giving_up_says_why(monkeypatch):
+    monkeypatch.setattr("dirl.sources.rooms.sampling.sample.check_room", lambda room: ["it is ugly"])
+    with pytest.raises(SceneError, match="none of 2 rooms passed the checks; the last: it is ugly"):
+        sample_room("bathroom", 0, attempts=2)
+
+
+def test_nothing_is_put_where_something_stands_or_before_the_door(draft):
+    wall = draft.door()
+    (door,) = draft.placed
+    blocked = Piece("cabinet", (0.8, 0.5, 1.0), wall=wall, along=door.piece.along)
+    assert not draft.put(blocked)
+    assert draft.put(Piece("table", (1.0, 1.0, 0.7), at=(2.0, 2.0)))
+    assert not draft.put(Piece("stool", (0.4, 0.4, 0.4), at=(2.2, 2.2)))
+    assert not draft.put(Piece("stool", (0.4, 0.4, 0.4), at=(3.95, 2.0)))
+    assert draft.put(Piece("bowl", (0.3, 0.3, 0.1), at=(2.0, 2.0), options={"z": 0.7}))
+    assert draft.put(Piece("rug", (2.0, 2.0, 0.01), at=(2.0, 2.0)))
+    assert len(draft.placed) == 4
+
+
+def test_no_wall_stays_bare(draft):
+    draft.dress_walls(towels=False)
+    for wall in ("north", "east", "south", "west"):
+        assert all(end - start < 1.0 for start, end in draft._bare(wall))
+
+
+def test_seeds_fix_the_split():
+    found = {seed: split_of(seed) for seed in (0, 9_999, 10_000, 19_999, 20_000, 29_999, 30_000, 10**9)}
+    assert list(found.values()) == [None, None, "test", "test", "validation", "validation", "train", "train"]
+    assert repertoire_of(5) is EVERYTHING
+    assert repertoire_of(10_005) is TEST
+    assert repertoire_of(20_005) is repertoire_of(30_005) is TRAIN
+
+
+@pytest.mark.parametrize("part", [*HELD_OUT, "seeds"])
+def test_training_and_test_rooms_have_nothing_of_the_repertoire_in_common(part):
+    whole, train, test = (getattr(one, part) for one in (EVERYTHING, TRAIN, TEST))
+    if part == "seeds":
+        whole, train, test = range(*whole), range(*train), range(*test)
+    assert set(train)
+    assert set(test)
+    assert set(train) & set(test) == set()
+    assert set(train) | set(test) == set(whole)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rooms_keep_to_the_repertoire_of_their_split(kind):
+    shown = {}
+    for first, other in ((10_000, TRAIN), (30_000, TEST)):
+        materials, seeds = [], []
+        for seed in range(first, first + 3):
+            room = draw_room(kind, seed)
+            materials += [(name, one) for name, one in room.materials.items() if name != "screen"]  # of stock
+            seeds += [piece.options["seed"] for piece in room.furniture if "seed" in piece.options]
+        kinds = {one.kind for _, one in materials}
+        absent = {*other.wallpapers, *other.paintings, *other.rugs, *other.outlooks}
+        assert kinds & (absent - {"plain"}) == set()
+        woods = {(one.options["a"], one.options["b"]) for name, one in materials if one.kind == "wood"}
+        assert woods <= set(EVERYTHING.woods.values()) - set(other.woods.values())
+        assert all(seed not in range(*other.seeds) for seed in seeds)
+        shown[first] = kinds
+    assert shown[10_000] != shown[30_000]
+
+
+def test_rooms_outside_the_splits_have_the_whole_repertoire():
+    kinds = {one.kind for seed in range(12) for one in draw_room("bedroom", seed).materials.values()}
+    assert {*EVERYTHING.wallpapers, *EVERYTHING.rugs} <= kinds

@@ -1,0 +1,83 @@
+"""The headings of a tour's panoramas from the yaws of links both ways."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tours import grid_truth, tour_of, turned
+
+from dirl.sources.tours.alignment import align, wrap
+
+FAR_APART = {(6, 11), (8, 9), (17, 22), (19, 24)}
+"""Of the 49 pairs of links in a grid of 6 by 5; whatever part is cut off, most of the links to it are right."""
+
+
+def errors(found, truth, here=None):
+    """How far off headings are, degrees, up to the zero that they share."""
+    here = slice(None) if here is None else here
+    off = np.radians((found.headings - truth.middles)[here])
+    return np.abs(wrap(np.degrees(off - np.angle(np.exp(1j * off).mean()))))
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_panoramas_turned_at_random_are_aligned_again(share, seed):
+    truth = turned(grid_truth(6, 5), share, seed)
+    found = align(tour_of(truth))
+    assert errors(found, truth).max() < 1e-6
+    assert found.loops.max() < 1e-6
+    assert len(found.loops) == 49 - 29  # links less a spanning tree
+    assert (found.part == 0).all()
+    assert (found.rejected, found.unchecked, found.one_way) == ([], [], [])
+
+
+def test_links_that_are_a_little_off_are_averaged():
+    truth = turned(grid_truth(6, 5), 1.0)
+    off = np.random.default_rng(0).normal(0, 3, len(truth.links))
+    found = align(tour_of(truth, off))
+    assert errors(found, truth).mean() < 5
+    assert 1 < np.median(found.loops) < 12
+    assert found.rejected == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_links_that_are_all_wrong_are_found_and_left_out(seed):
+    truth = turned(grid_truth(6, 5), 1.0, seed)
+    rng = np.random.default_rng(seed)
+    pairs = [index for index, link in enumerate(truth.links) if link[:2] in FAR_APART]
+    off = np.zeros(len(truth.links))
+    off[pairs] = rng.uniform(40, 180, len(pairs)) * rng.choice([-1, 1], len(pairs))
+    found = align(tour_of(truth, off))
+    assert errors(found, truth).max() < 1e-6
+    assert {pair[:2] for pair in found.rejected} == {truth.links[index][:2] for index in pairs}
+    assert min(pair[2] for pair in found.rejected) > 39.9
+    assert found.loops.max() > 39.9
+
+
+def test_parts_without_links_both_ways_are_told_apart():
+    truth = grid_truth(6, 2)
+    ends = [link[:2] for link in truth.links]
+    cut = [pair for pair in ends if {pair[0] // 2, pair[1] // 2} == {3, 4}]
+    # Between the columns 3 and 4 only one link is left, which leads one way.
+    found = align(tour_of(truth, dropped=cut[1:]))
+    assert found.part.tolist() == [0] * 8 + [1] * 4
+    assert found.one_way == [cut[0]]
+    for part in (0, 1):
+        assert errors(found, truth, found.part == part).max() < 1e-6
+
+
+def test_what_is_on_no_loop_is_unchecked():
+    truth = grid_truth(4, 1)
+    found = align(tour_of(truth))
+    assert (len(found.loops), found.unchecked) == (0, [0, 1, 2, 3])
+    truth = grid_truth(3, 2)
+    alone = [pair for pair in (link[:2] for link in truth.links) if set(pair) == {4, 2}]
+    found = align(tour_of(truth, dropped=alone))
+    assert (len(found.loops), found.unchecked) == (1, [4, 5])
+
+
+def test_a_tour_without_links_has_parts_of_one():
+    truth = replace(grid_truth(2, 1), links=[])
+    found = align(tour_of(truth))
+    assert found.part.tolist() == [0, 1]
+    assert found.unchecked == [0, 1]

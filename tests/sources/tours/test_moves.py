@@ -1,0 +1,199 @@
+"""From a tour to the graph of a scene: moves along links, headings, maps, and what a user is told."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tours import grid_truth, tour_of, turned
+
+from dirl.perception.recognition.diagnostics import inspect_scene
+from dirl.scenes import SceneError
+from dirl.scenes.graph import AHEAD, BACK
+from dirl.sources.tours import moves
+
+tour_scene = partial(moves.tour_scene, compare_images=False)  # these tours have no images
+
+
+def told(made, words):
+    return [note for note in made.notes if words in note]
+
+
+@pytest.mark.parametrize("headings", [4, 8, 12])
+def test_moves_follow_links_and_keep_the_heading(headings):
+    truth = turned(grid_truth(3, 2), 0.3)
+    made = tour_scene(tour_of(truth), headings=headings)
+    graph, quarter = made.scene.graph, headings // 4
+    assert len(graph) == 6 * headings
+    moves = np.flatnonzero(graph[:, AHEAD] >= 0)
+    assert len(moves) == len(truth.links)
+    assert (graph[moves, AHEAD] % headings == moves % headings).all()
+    assert (graph[graph[moves, AHEAD], BACK] == moves).all()
+    assert ((moves % headings - moves[0] % headings) % quarter == 0).all()
+    assert np.allclose(np.diff(made.scene.headings[:headings]) % 360, 360 / headings)
+
+
+def test_a_laid_out_map_has_the_shape_of_the_place():
+    truth = turned(grid_truth(4, 3), 1.0)
+    made = tour_scene(tour_of(truth), headings=8, step=2.0)
+    assert made.layout
+    assert told(made, "positions are not known: the map is a layout in which each link is 2 m long")
+    places = made.scene.positions[::8]
+    apart, wanted = (np.hypot(*np.moveaxis(p[:, None] - p, -1, 0)) for p in (places, truth.places))
+    assert np.allclose(apart, wanted, atol=1e-6)
+
+
+def test_given_positions_and_headings_are_kept():
+    truth = grid_truth(2, 2, middles=[50, 60, 70, 80])
+    tour = tour_of(truth)
+    known = [replace(one, position=tuple(at)) for one, at in zip(tour.panoramas, truth.places, strict=True)]
+    known[1] = replace(known[1], heading=60.0)
+    made = tour_scene(replace(tour, panoramas=tuple(known)), headings=4)
+    assert not made.layout
+    assert (made.scene.positions[::4] == truth.places).all()
+    assert np.allclose(made.scene.headings[:4], [0, 90, 180, 270])
+    assert np.allclose(made.yaws[1] % 360, [300, 30, 120, 210])
+
+
+def test_links_side_by_side_are_all_shown():
+    truth = grid_truth(3, 1)
+    links = [*truth.links, (0, 2, 100.0), (2, 0, 280.0)]  # beside the link at 90 degrees
+    made = tour_scene(tour_of(replace(truth, links=links)), headings=8)
+    assert not told(made, "shown by no heading")
+    ahead = made.scene.graph[:, AHEAD].reshape(3, 8)
+    assert set(ahead[0][ahead[0] >= 0] // 8) == {1, 2}
+    assert set(ahead[2][ahead[2] >= 0] // 8) == {0, 1}
+    strict = tour_scene(tour_of(replace(truth, links=links)), headings=8, tolerance=22.5)
+    (note,) = told(strict, "shown by no heading")
+    assert note == "2 of 6 links are shown by no heading, the first: 'place_0' to 'place_2'"
+    crooked = [(i, j, d + 20 * j) for i, j, d in truth.links]
+    with pytest.raises(SceneError, match="no heading shows any of the 4 links"):
+        tour_scene(tour_of(replace(truth, links=crooked)), headings=4, tolerance=0)
+
+
+def star(angles):
+    """A hall whose doors are at these angles; behind each is a room with a door back."""
+    truth = grid_truth(len(angles) + 1, 1)
+    return replace(
+        truth, links=[(0, i, a) for i, a in enumerate(angles, 1)] + [(i, 0, a + 180) for i, a in enumerate(angles, 1)]
+    )
+
+
+@given(st.lists(st.floats(0, 359), min_size=1, max_size=12))
+@settings(max_examples=60, deadline=None)
+def test_the_rooms_that_a_crowded_hall_shows_and_those_that_it_hides_are_all_of_them(angles):
+    made = tour_scene(tour_of(star(angles)), headings=8)
+    ahead = made.scene.graph[:8, AHEAD]
+    shown = set((ahead[ahead >= 0] // 8).tolist())
+    hidden = set(range(1, len(angles) + 1)) - shown
+    (note,) = told(made, "can be reached from each other") if hidden else ("",)
+    assert all((f"'place_{room}'" in note) == (room in hidden) for room in range(1, len(angles) + 1))
+    if len(angles) <= 4:  # there are always so many headings within 90 degrees
+        assert not hidden
+    back = made.scene.graph[:8, BACK]
+    assert (back // 8 == np.roll(ahead // 8, 4)).all()
+
+
+def test_rooms_are_lost_where_there_are_more_doors_than_headings():
+    made = tour_scene(tour_of(star([0, 20, 40, 60, 80])), headings=4)
+    (note,) = told(made, "can be reached from each other")
+    assert note.startswith("3 of 6 panoramas can be reached from each other (6 by all links); not among them: 'place_")
+    assert not told(tour_scene(tour_of(star([0, 20, 40, 60, 80])), headings=8), "can be reached")
+
+
+def test_what_cannot_be_aligned_is_named():
+    truth = grid_truth(6, 2)
+    ends = [link[:2] for link in truth.links]
+    between = [pair for pair in ends if {pair[0] // 2, pair[1] // 2} == {3, 4}]
+    made = tour_scene(tour_of(truth, dropped=between[1:]), headings=8)
+    names = "'place_8', 'place_9', 'place_10', 'place_11'"
+    why = "joined with others only by links one way or by links that contradict"
+    assert told(made, f"1 parts {why}, of 4 panoramas; their headings cannot be aligned with the others': {names}")
+    assert told(made, "1 links lead one way only, the first: 'place_6' to 'place_8'")
+    island = tour_scene(tour_of(truth, dropped=between), headings=8)
+    assert not told(island, "one way only")
+    assert told(island, "1 parts without any link to or from the others, of 4 panoramas; their headings cannot be")
+    places = island.scene.positions[::8]
+    assert len(np.unique(places.round(6), axis=0)) == 12  # parts do not lie upon each other
+
+
+def test_islands_whose_headings_are_stated_are_aligned_by_them():
+    truth = grid_truth(6, 2, middles=15.0 * np.arange(12))
+    between = [link[:2] for link in truth.links if {link[0] // 2, link[1] // 2} in ({1, 2}, {4, 5})]
+    tour = tour_of(truth, dropped=between)
+    stating = tuple(replace(one, heading=float(at)) for one, at in zip(tour.panoramas, truth.middles, strict=True))
+    made = tour_scene(replace(tour, panoramas=stating), headings=8)
+    looks = (truth.middles[:, None] + made.yaws) % 360
+    assert np.allclose(np.abs((looks - looks[:1] + 180) % 360 - 180), 0)
+    names = "'place_0', 'place_1', 'place_2', 'place_3', 'place_10', 'place_11'"
+    why = "without any link to or from the others"
+    assert told(made, f"2 parts {why}, of 4 and 2 panoramas; their stated headings are used: {names}")
+    assert not told(made, "cannot be aligned")
+
+
+def test_stated_headings_that_contradict_the_links_are_told():
+    truth = grid_truth(3, 3, middles=20.0 * np.arange(9))
+    stated = truth.middles.astype(float)
+    stated[0] += 70
+    stated[4] -= 3
+    tour = tour_of(truth)
+    stating = tuple(replace(one, heading=float(at)) for one, at in zip(tour.panoramas, stated, strict=True))
+    made = tour_scene(replace(tour, panoramas=stating), headings=8)
+    assert np.allclose((truth.middles + made.yaws[:, 0]) % 45 % 45, 0)  # the first one does not turn the others
+    (note,) = told(made, "stated headings")
+    words = "2 of 9 stated headings differ from those of the links, which are used, by up to 70 degrees, the worst: "
+    assert note == f"{words}'place_0'"
+
+
+def test_positions_of_some_panoramas_are_not_dropped_silently():
+    truth = grid_truth(2, 2)
+    tour = tour_of(truth)
+    known = [replace(one, position=tuple(at)) for one, at in zip(tour.panoramas, truth.places, strict=True)]
+    known[2] = replace(known[2], position=None)
+    made = tour_scene(replace(tour, panoramas=tuple(known)), headings=4)
+    assert made.layout
+    assert told(made, "positions are known of 3 of 4 panoramas only, so they are not used: the map is a layout")
+
+
+def test_a_tour_without_links_is_refused_as_such():
+    truth = grid_truth(2, 1)
+    with pytest.raises(SceneError, match="no panorama has a link to another one"):
+        tour_scene(tour_of(replace(truth, links=[])))
+
+
+def test_how_well_loops_close_is_told():
+    truth = grid_truth(3, 3)
+    off = np.zeros(len(truth.links))
+    off[0] = 90
+    made = tour_scene(tour_of(truth, off), headings=8)
+    assert told(made, "4 loops of links close with a median error of 0.0 degrees, at most 90.0")
+    assert told(made, "1 links both ways contradict the others")
+    assert told(tour_scene(tour_of(grid_truth(3, 1)), headings=8), "no links form a loop: nothing checks the headings")
+    hall = replace(truth, links=[link for link in truth.links if {link[0], link[1]} not in ({7, 8}, {4, 7})])
+    made = tour_scene(tour_of(hall), headings=8)
+    assert told(made, "3 panoramas are on no loop, nothing checks their headings: 'place_6', 'place_7', 'place_8'")
+
+
+@pytest.mark.parametrize("headings", [0, 6, 40, -4])
+def test_headings_are_a_multiple_of_four(headings):
+    with pytest.raises(SceneError, match=f"headings={headings}: must be a multiple of four"):
+        tour_scene(tour_of(grid_truth(2, 2)), headings=headings)
+
+
+def test_inspect_warns_of_what_makes_a_tour_bad():
+    """An island, a link that leads one way, and places that look the same."""
+    truth = grid_truth(4, 2)
+    apart = [link[:2] for link in truth.links if {link[0] // 2, link[1] // 2} == {2, 3}]
+    made = tour_scene(tour_of(truth, dropped=[*apart, (0, 2)]), headings=4)
+    features = np.random.default_rng(0).normal(size=(len(made.scene), 32)).astype(np.float32)
+    features[4:8] = features[20:24]
+    problems = inspect_scene(replace(made.scene, features=features)).problems
+    for words in (
+        "and 7 more are not connected with the largest part",
+        "a move ahead leads to state 3, and the opposite move does not lead back (1 such moves)",
+        "match with 1.000 though ",
+        "(4 pairs above 0.9)",
+    ):
+        assert any(words in problem for problem in problems), words

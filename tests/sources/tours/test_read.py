@@ -1,0 +1,292 @@
+"""Tours that are broken, odd or hostile: one line that names the file and the scene, or a note."""
+
+import json
+import re
+import struct
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from tours import (
+    WRITERS,
+    Camera360,
+    grid_truth,
+    write_krpano,
+    write_marzipano,
+    write_pannellum,
+    write_table,
+    write_zind,
+)
+
+from dirl.scenes import SceneError
+from dirl.sources.tours import read_tour
+from dirl.sources.tours.images import cut_views, read_panorama
+from dirl.sources.tours.moves import tour_scene
+
+GREY = Camera360()
+SIDE = 8
+
+
+def written(kind, folder, truth=None):
+    return WRITERS[kind](folder, truth or grid_truth(2, 2), GREY, SIDE)
+
+
+def change(file, old, new, count=1):
+    text = file.read_text()
+    assert re.search(old, text, re.DOTALL), old
+    file.write_text(re.sub(old, new, text, count=count, flags=re.DOTALL))
+
+
+SPOILT = {
+    "code instead of data": (
+        "marzipano",
+        "data.js",
+        r'"scenes": ',
+        '"scenes": all() + ',
+        "data.js: is no JSON, and no object of JavaScript without code",
+    ),
+    "another script": ("marzipano", "data.js", r"^var", "import x; var", "data.js: expected 'var APP_DATA"),
+    "a scene outside": ("marzipano", "data.js", "place_0", "../../etc", "scene '../../etc': .* lies outside the tour"),
+    "no such tile": ("marzipano", "data.js", "place_0", "hall", "'hall': there is no file .*hall.*missing in all"),
+    "a yaw of text": ("marzipano", "data.js", r'"yaw": [-.\de]+', '"yaw": "x"', "'place_0': yaw: expected a number"),
+    "no yaw": ("marzipano", "data.js", r'"yaw"', '"way"', "'place_0': yaw: expected a number .* found 'None'"),
+    "tiles without end": ("marzipano", "data.js", r'"size": 8', '"size": 30000', "are more than 64 tiles a side"),
+    "an infinite size": ("marzipano", "data.js", r'"size": 8', '"size": Infinity', "size: expected a number"),
+    "no scenes": ("marzipano", "data.js", r'"scenes"', '"scene"', "data.js: names no panoramas"),
+    "scenes of text": (
+        "marzipano",
+        "data.js",
+        r'"scenes": \[',
+        '"scenes": [1, ',
+        r"expected 'scenes' \(list",
+    ),
+    "an entity": ("krpano", "tour.xml", "^", '<!DOCTYPE k [<!ENTITY a "aa">]>', "has a document type"),
+    "an open element": ("krpano", "tour.xml", "</krpano>", "", "tour.xml: is not XML"),
+    "a scene twice": (
+        "krpano",
+        "tour.xml",
+        'scene name="place_1"',
+        'scene name="PLACE_0"',
+        "two scenes have the name 'PLACE_0', in which case does not count",
+    ),
+    "on the web": ("krpano", "tour.xml", 'cube url="', 'cube url="https://x.org/', "place_0': '.*' is on the web"),
+    "turned": (
+        "krpano",
+        "tour.xml",
+        "<image>",
+        '<image prealign="0|-12.5|0">',
+        r"'place_0': prealign=0\|-12.5\|0: turns the panorama",
+    ),
+    "no angle": ("krpano", "tour.xml", "ath=", "at=", "'place_0': ath: expected a number"),
+    "no image": ("krpano", "tour.xml", "<image>.*?</image>", "", "scene 'place_0': has no image"),
+    "a partial one": (
+        "pannellum",
+        "tour.json",
+        '"type": "equirect',
+        '"haov": 90, "type": "equirect',
+        "haov=90: only",
+    ),
+    "another type": ("pannellum", "tour.json", '"equirectangular"', '"video"', "type 'video' is none of"),
+    "an absolute path": ("pannellum", "tour.json", '"place_0.jpg"', '"/etc/passwd"', "'/etc/passwd' lies outside"),
+    "no panorama": ("pannellum", "tour.json", '"panorama"', '"pan"', "place_0': expected the name of a file"),
+    "no target": ("pannellum", "tour.json", '"sceneId": "place_1"', '"sceneId": 1', "expected 'sceneId'"),
+    "another column": (
+        "table",
+        "links.csv",
+        "yaw",
+        "jaw",
+        "links.csv: line 1: there is no column 'jaw'; did you mean 'yaw'?",
+    ),
+    "a missing cell": ("table", "links.csv", "place_1.jpg,", "", "links.csv: line 2: 2 cells for 3 columns"),
+    "a number of text": ("table", "links.csv", r",[-.\d]+\n", ",x\n", "links.csv: line 2: yaw: expected a number"),
+    "no file": ("table", "links.csv", "place_3.jpg", "attic.jpg", "panorama 'attic.jpg': there is no file"),
+    "no rotation": ("zind", "zind_data.json", '"rotation"', '"turn"', "pano_0: rotation: expected a number"),
+    "one coordinate": (
+        "zind",
+        "zind_data.json",
+        r'"translation": \[',
+        '"translation": [1, ',
+        r"expected points \[",
+    ),
+    "no floors": ("zind", "zind_data.json", '"merger"', '"merged"', "expected 'merger'"),
+}
+
+
+@pytest.mark.parametrize("case", SPOILT)
+def test_a_broken_tour_is_refused_in_one_line(case, tmp_path):
+    kind, file, old, new, says = SPOILT[case]
+    written(kind, tmp_path)
+    change(tmp_path / file, old, new, count=0 if case in ("no yaw", "an infinite size") else 1)
+    with pytest.raises(SceneError, match=says) as caught:
+        read_tour(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert file.split(".")[0] in str(caught.value)
+
+
+@pytest.mark.parametrize("deep", ["[" * 100_000, '{"scenes":' * 100_000])
+def test_deep_json_is_refused(deep, tmp_path):
+    (tmp_path / "tour.json").write_text('{"scenes": ' + deep)
+    with pytest.raises(SceneError, match="is no JSON"):
+        read_tour(tmp_path)
+
+
+def test_what_is_no_tour_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="there is no such file or folder"):
+        read_tour(tmp_path / "nowhere")
+    with pytest.raises(SceneError, match=r"is no tour; expected one of data\.js"):
+        read_tour(tmp_path)
+    (tmp_path / "data.js").write_bytes(b"var APP_DATA = {\xff};")
+    with pytest.raises(SceneError, match="is not UTF-8"):
+        read_tour(tmp_path)
+    (tmp_path / "data.js").unlink()
+    for name in ("a.json", "b.json"):
+        (tmp_path / name).write_text("{}")
+    with pytest.raises(SceneError, match=r"holds 2 files like a\.json; name the one that is the tour"):
+        read_tour(tmp_path)
+    with pytest.raises(SceneError, match="expected 'scenes'"):
+        read_tour(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("name", ["data.js", "app-files"])
+def test_a_tour_is_found_by_its_folder_or_file(name, tmp_path):
+    folder = tmp_path / "app-files"
+    folder.mkdir()
+    written("marzipano", folder)
+    assert len(read_tour(folder / "data.js" if name == "data.js" else tmp_path).panoramas) == 4
+
+
+def test_links_that_lead_nowhere_are_left_out_and_noted(tmp_path):
+    written("table", tmp_path)
+    text = (tmp_path / "links.csv").read_text()
+    rows = ["place_0.jpg,place_0.jpg,5", "place_0.jpg,place_1.jpg,70", ""]
+    (tmp_path / "links.csv").write_text(text + "\n".join(rows))
+    Image.new("RGB", (16, 8)).save(tmp_path / "attic.png")
+    tour = read_tour(tmp_path)
+    assert [link.target for link in tour.panoramas[0].links] == ["place_1.jpg", "place_2.jpg"]
+    assert tour.panoramas[0].links[0].yaw == 0
+    assert tour.notes == (
+        "1 images have no link and are left out, the first: attic.png",
+        "1 links from a panorama to itself are left out, the first: 'place_0.jpg' to 'place_0.jpg'",
+        "1 links beside another one to the same panorama are left out, the first: 'place_0.jpg' to 'place_1.jpg'",
+    )
+    written("marzipano", tmp_path)
+    change(tmp_path / "data.js", '"target": "place_1"', '"target": "attic"')
+    assert read_tour(tmp_path).notes == (
+        "1 links to panoramas that the tour does not have are left out, the first: 'place_0' to 'attic'",
+    )
+
+
+def test_krpano_links_in_scripts_are_noted(tmp_path):
+    write_krpano(tmp_path, grid_truth(2, 2), GREY, SIDE)
+    change(tmp_path / "tour.xml", 'linkedscene="place_1"', 'onclick="loadscene(place_1, null, MERGE);"')
+    (note,) = read_tour(tmp_path).notes
+    assert note.startswith("1 hotspots call loadscene() in a script")
+
+
+def test_headings_that_a_tour_states_are_read(tmp_path):
+    write_krpano(tmp_path, grid_truth(2, 2), GREY, SIDE)
+    change(tmp_path / "tour.xml", 'heading=""', 'heading="33.5"')
+    assert [panorama.heading for panorama in read_tour(tmp_path).panoramas] == [33.5, None, None, None]
+    (tmp_path / "tour.xml").unlink()
+    write_pannellum(tmp_path, grid_truth(2, 2), GREY, SIDE)
+    change(tmp_path / "tour.json", '"type": "equirect', '"northOffset": 12, "type": "equirect')
+    assert [panorama.heading for panorama in read_tour(tmp_path).panoramas] == [12, None, None, None]
+
+
+def test_walls_part_what_doors_join(tmp_path):
+    """Two rooms of 2 x 4 m side by side, two places each, 2 m apart: one door, in front of the first two places."""
+    truth = grid_truth(2, 2)
+    write_zind(tmp_path, truth, GREY, SIDE, size=(9, 9), scale=1.0)
+    file = tmp_path / "zind_data.json"
+    data = json.loads(file.read_text())
+    panoramas = data["merger"]["floor_01"]["complete_room_01"]["partial_room_01"]
+    for index, about in enumerate(panoramas.values()):
+        x, z = truth.places[index]
+        left = 1.0 if x else -1.0  # the wall between the rooms is at x = 1; the file's x runs to the left
+
+        def local(points, x=x, z=z):
+            return [[-(px - x) / 0.7, (pz - z) / 0.7] for px, pz in points]
+
+        about["layout_raw"]["vertices"] = local([(left, -1), (left, 3), (left + 2, 3), (left + 2, -1)])
+        about["layout_raw"]["doors"] = [*local([(1, -0.4), (1, 0.4)]), [0.0, 2.0]] if index == 0 else []
+    file.write_text(json.dumps(data))
+    tour = read_tour(tmp_path, reach=2.5)
+    ids = [panorama.id for panorama in tour.panoramas]
+    found = {(ids.index(one.id), ids.index(link.target)) for one in tour.panoramas for link in one.links}
+    assert found == {(0, 1), (1, 0), (2, 3), (3, 2), (0, 2), (2, 0)}
+    assert np.allclose([panorama.position for panorama in tour.panoramas], truth.places)
+    assert {link.yaw for link in tour.panoramas[0].links} == {0.0, 90.0}
+    data["scale_meters_per_coordinate"] = {"floor_01": None}
+    file.write_text(json.dumps(data))
+    assert read_tour(tmp_path).notes[0].startswith("floor 'floor_01' has no scale")
+
+
+def test_floors_are_drawn_side_by_side(tmp_path):
+    truth = grid_truth(2, 2, middles=[10.0, 20.0, 30.0, 40.0])
+    truth = replace(truth, places=truth.places + 0.5)
+    write_zind(tmp_path, truth, GREY, SIDE, size=(3, 3))
+    file = tmp_path / "zind_data.json"
+    data = json.loads(file.read_text())
+    data["merger"]["floor_02"] = data["merger"]["floor_01"]
+    data["scale_meters_per_coordinate"]["floor_02"] = data["scale_meters_per_coordinate"]["floor_01"]
+    file.write_text(json.dumps(data))
+    tour = read_tour(tmp_path, reach=2.5)
+    assert tour.notes == ("floor 'floor_02' is drawn beside the one before, 5.0 m to the right of its place",)
+    found = np.array([panorama.position for panorama in tour.panoramas])
+    assert np.allclose(found, np.concatenate([truth.places, truth.places + np.array([5, 0])]))
+    made = tour_scene(tour)
+    off = np.tile(truth.middles, 2)[:, None] + made.yaws - made.scene.headings.reshape(8, -1)
+    assert np.allclose((off + 180) % 360 - 180, 0, atol=1e-3)
+    (note,) = [note for note in made.notes if "parts" in note]
+    assert note.startswith(
+        "1 parts without any link to or from the others, of 4 panoramas; their stated headings are used"
+    )
+
+
+def cut_all(tour):
+    images = [panorama.image for panorama in tour.panoramas]
+    return list(cut_views(images, np.zeros((len(images), 1)), size=(16, 16), field_of_view=90))
+
+
+def test_a_broken_image_is_named(tmp_path):
+    tour = read_tour(write_marzipano(tmp_path, grid_truth(2, 2), GREY, SIDE))
+    assert len(cut_all(tour)) == 4
+    tile = tmp_path / "tiles/place_2/2/l/1/0.jpg"
+    whole = tile.read_bytes()
+    tile.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(SceneError, match=r"place_2/2/l/1/0\.jpg: not a readable image"):
+        cut_all(tour)
+    Image.new("RGB", (5, 2)).save(tile)
+    with pytest.raises(SceneError, match=r"place_2/2/l/1/0\.jpg: (this tile has 5x2|this row)"):
+        cut_all(tour)
+    Image.new("RGB", (6, 2)).save(tile, "GIF")
+    with pytest.raises(SceneError, match="it is not WebP, PNG or JPEG"):
+        cut_all(tour)
+
+
+def test_a_panorama_of_another_shape_is_refused(tmp_path):
+    tour = read_tour(write_table(tmp_path, grid_truth(2, 2), GREY, SIDE))
+    Image.new("RGB", (40, 30)).save(tmp_path / "place_1.jpg")
+    with pytest.raises(SceneError, match=r"place_1\.jpg: 40x30 pixels; an equirectangular image is twice as wide"):
+        cut_all(tour)
+
+
+def test_pannellum_rounds_the_sizes_of_its_tiles_down(tmp_path):
+    tour = read_tour(write_pannellum(tmp_path, grid_truth(2, 2), GREY, SIDE, image="multires"))
+    faces = [read_panorama(tour.panoramas[0].image, density) for density in (1, 2.5, 5)]
+    assert [face.shape for face, *_ in faces] == [(2, 2, 3), (5, 5, 3), (10, 10, 3)]
+    change(tmp_path / "tour.json", '"type": "multires"', '"haov": 120, "type": "multires"')
+    with pytest.raises(SceneError, match="haov=120: only whole panoramas"):
+        read_tour(tmp_path)
+
+
+def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path):
+    tour = read_tour(write_marzipano(tmp_path, grid_truth(2, 2), GREY, SIDE))
+    header = struct.pack(">II5B", 12_000, 12_000, 8, 2, 0, 0, 0)  # of a PNG of 144 million pixels that are not there
+    chunk = struct.pack(">I", len(header)) + b"IHDR" + header + struct.pack(">I", zlib.crc32(b"IHDR" + header))
+    for tile in (tmp_path / "tiles" / "place_1").rglob("*.jpg"):
+        tile.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk + struct.pack(">I", 9) + b"IDAT")
+    with pytest.raises(SceneError, match=r"place_1.*: the tiles of face 'f' make 24000x24000 pixels, not 8x8"):
+        cut_all(tour)
