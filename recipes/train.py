@@ -7,9 +7,8 @@
     python recipes/train.py -m experiment=fig8
     python recipes/train.py resume=runs/dirl_bathroom_02/2026-01-31_12-00-00
 
-All options with their values: conf/train.yaml and the groups beside it. This file has the training itself. What a run
-needs besides, components, folder, resumption and errors, is in `dirl.training.job`; progress, checkpoints and
-interrupts of a loop in `dirl.training.loops`.
+All options: conf/train.yaml and the groups beside it. What a run needs besides its training is in `dirl.training.job`;
+progress, checkpoints, interrupts and several processes are in `dirl.training.loops`.
 """
 
 from dirl.cli.start import run_main, start
@@ -25,13 +24,13 @@ from omegaconf import DictConfig
 
 from dirl.config.places import CONF
 from dirl.config.schemas import TrainConfig
-from dirl.evaluation.protocol import EvaluationProtocol, metrics
+from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import caching, noisy
 from dirl.runs.folder import Run
 from dirl.training import hogwild
 from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, run_job
-from dirl.training.loops import Updates, imitation_steps, labelled_walks, updates, write_evaluation
+from dirl.training.loops import Updates, dagger_rounds, imitation_steps, updates, write_evaluation
 from dirl.training.losses import (
     Advantages,
     clip_gradients,
@@ -40,7 +39,7 @@ from dirl.training.losses import (
     set_learning_rate,
     total_loss,
 )
-from dirl.training.pairs import Demonstrations, with_labels
+from dirl.training.pairs import Demonstrations
 from dirl.training.rollout import collect, summarise
 from dirl.training.state import TrainState
 
@@ -54,10 +53,12 @@ def main(composed: DictConfig) -> float:
 def train(run: Run, components: Components) -> dict[str, Any]:
     """Imitation, then reinforcement; returns what the summary says of them (paper section 3, algorithm 1)."""
     policy, demos, protocol = components.policy, components.demos, components.protocol
-    found = {}
+    found: dict[str, Any] = {}
     if components.begins and len(demos):
         step = imitate(run, policy, demos)
-        found = aggregate(run, policy, protocol, demos, step)
+        for labelled, frames in dagger_rounds(run, policy, protocol, demos):  # Ross et al. 2011; none by default
+            step = imitate(run, policy, labelled, step)
+            found = {"frames": frames, "demonstrations": len(labelled)}
     if components.begins and run.config.evaluation.times:
         write_evaluation(run, policy, protocol, 0)
     if components.state is not None:
@@ -66,25 +67,14 @@ def train(run: Run, components: Components) -> dict[str, Any]:
 
 
 def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
-    """Clone the expert, on all demonstrations or minibatches, until its actions are learned (paper section 3.3).
-
-    Args:
-        run: gets a row of ``imitation.csv`` a step, and unless this is a round of DAgger its checkpoints.
-        policy: whose encoder and policy head are trained.
-        demos: what the expert did.
-        done: steps so far.
-
-    Returns:
-        Steps so far.
-    """
+    """Clone the expert until its actions are learned (paper section 3.3); takes and returns the steps done so far."""
     options = run.config.imitation
     draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()
     loss = build_imitation_loss(run.config, policy)
     with imitation_steps(run, policy, done) as steps:
         state = steps.state
         while steps.goes_on:
-            if options.lr_decay:
-                set_learning_rate(state.optimiser, options.lr * (1 - (state.step - done) / options.max_steps))
+            set_learning_rate(state.optimiser, steps.lr)
             rows = draw()
             with noisy(policy, options.noise):
                 result = loss(trunk(rows.copy()))
@@ -97,28 +87,11 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
     return state.step
 
 
-def aggregate(run: Run, policy: Any, protocol: EvaluationProtocol, demos: Demonstrations, done: int) -> dict[str, Any]:
-    """DAgger (Ross et al. 2011): the learner walks, the expert labels the states it came to, all is cloned again.
-
-    Writes a row of ``dagger.csv`` a round: frames walked so far, states and goals labelled so far, and the metrics of
-    the clone. Returns what the summary says of it.
-    """
-    frames = 0
-    for number, rows, frames in labelled_walks(run.config, policy, protocol):
-        demos = with_labels(demos, rows)
-        done = imitate(run, policy, demos, done)
-        row = {"round": number, "frames": frames, "labels": len(demos)}
-        run.write("dagger", number, row | metrics(protocol.run(policy)))
-    return {"frames": frames, "demonstrations": len(demos)} if frames else {}
-
-
 def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
-    workers = run.config.reinforcement.workers
     with updates(run, state, protocol) as loop:
-        (hogwild.learn if workers > 1 else learn)(run.config, state, loop)
-    stable = {"stable_at_frame": state.meter.stable_at, "near_shortest_at_frame": state.meter.near_at}
-    return {"frames": state.frames, "frames_per_second": state.frames / state.seconds, **stable}
+        (hogwild.learn if run.config.reinforcement.workers > 1 else learn)(run.config, state, loop)
+    return state.summary
 
 
 def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:

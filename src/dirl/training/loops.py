@@ -14,11 +14,10 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
-from tensordict import TensorDictBase
 from torch import nn
 from tqdm import tqdm
 
-from dirl.config.schemas import TrainConfig, Until
+from dirl.config.schemas import Until
 from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
@@ -27,6 +26,7 @@ from dirl.runs.exits import interruptible, leave
 from dirl.runs.finding import RunError
 from dirl.runs.folder import Run
 from dirl.training.build import build_env, build_expert
+from dirl.training.pairs import Demonstrations, with_labels
 from dirl.training.rollout import Update, collect, together
 from dirl.training.state import ImitationState, TrainState, begin_imitation
 
@@ -53,6 +53,13 @@ class ImitationSteps:
         """Whether there are steps left to do."""
         learnt = self.state.loss < self.run.config.imitation.loss_threshold
         return self.state.step < self.last and not learnt and not self.stop
+
+    @property
+    def lr(self) -> float:
+        """The learning rate of the next step: constant, or with ``imitation.lr_decay`` linearly to zero."""
+        options = self.run.config.imitation
+        done = self.state.step - (self.last - options.max_steps)
+        return options.lr * (1 - done / options.max_steps) if options.lr_decay else options.lr
 
     def record(self, loss: float, accuracy: float, rows: int) -> None:
         """Count a step of so many rows; write its metrics, save when it is time to.
@@ -182,20 +189,30 @@ def _noticing_divergence() -> Iterator[None]:
         ) from None
 
 
-def labelled_walks(
-    config: TrainConfig, policy: Any, protocol: EvaluationProtocol
-) -> Iterator[tuple[int, TensorDictBase, int]]:
-    """The rounds of DAgger: number, labels of where the learner walked, ``[M]``, and frames walked so far."""
-    options, world = config.imitation, protocol.world
+def dagger_rounds(
+    run: Run, policy: Any, protocol: EvaluationProtocol, demos: Demonstrations
+) -> Iterator[tuple[Demonstrations, int]]:
+    """The rounds of DAgger: the learner walks, the expert labels the states it came to, all is to be cloned again.
+
+    After each round a row of ``dagger.csv`` is written: frames walked so far, states and goals labelled so far, and the
+    metrics of the clone.
+
+    Yields:
+        The demonstrations and the frames walked so far.
+    """
+    options, world = run.config.imitation, protocol.world
     if options.rounds == 0:
         return
-    env, operator = build_env(config, world, protocol.observation, policy), policy.operator()
-    expert = build_expert(config, world)
+    env, operator = build_env(run.config, world, protocol.observation, policy), policy.operator()
+    expert = build_expert(run.config, world)
     agents, frames = env.reset(), 0
     for number in range(1, options.rounds + 1):
         batch, agents = collect(env, operator, agents, options.walk_steps)
         frames += batch.numel()
-        yield number, label(expert, batch.reshape(-1)), frames
+        demos = with_labels(demos, label(expert, batch.reshape(-1)))
+        yield demos, frames
+        row = {"round": number, "frames": frames, "labels": len(demos)}
+        run.write("dagger", number, row | metrics(protocol.run(policy)))
 
 
 def due(before: int, now: int, total: int, times: int) -> bool:

@@ -44,6 +44,12 @@ class TrainState:
         """What is trained: the policy's parameters and the losses' own."""
         return trained_parameters(self.policy, self.losses)
 
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What the summary of a run says of its reinforcement."""
+        stable = {"stable_at_frame": self.meter.stable_at, "near_shortest_at_frame": self.meter.near_at}
+        return {"frames": self.frames, "frames_per_second": self.frames / self.seconds, **stable}
+
     def start_clock(self) -> None:
         """Start to time an update."""
         self.began = time.perf_counter()
