@@ -153,10 +153,10 @@ def new_file(name: str, ending: str = ".h5") -> Path:
 
 
 def check_writable(name: str) -> None:
-    """Refuse what cannot be made, and a folder in which nothing can be."""
+    """Refuse what cannot be made, and a folder in which nothing can be; a file that is there is refused elsewhere."""
     path = Path(name).absolute()
     try:
-        above = next(folder for folder in (path, *path.parents) if folder.exists())
+        above = path if path.is_dir() else next(folder for folder in path.parents if folder.exists())
         with tempfile.TemporaryFile(dir=above):
             pass
     except OSError as error:
