@@ -34,6 +34,8 @@ COMPONENTS = (
 RECIPES = {
     "recipes/evaluate.py": "evaluate/evaluate.yaml",
     "recipes/report.py": "report/report.yaml",
+    "recipes/map.py": "map/map.yaml",
+    "recipes/go.py": "go/go.yaml",
     "recipes/benchmark.py": "benchmark.yaml",
 }
 """The recipes without groups, and the files of their options."""

@@ -135,7 +135,7 @@ def test_an_option_that_a_component_refuses_is_one_line_and_leaves_no_folder(tmp
 @pytest.mark.parametrize(
     ("line", "offered"),
     [
-        ("dirl ", "train evaluate scenes report benchmark copy version"),
+        ("dirl ", "train evaluate scenes report map go benchmark copy version"),
         ("dirl ev", "evaluate"),
         ("dirl scenes in", "inspect"),
         ("dirl train seed=1 system=d", "system=dagger system=dirl system=dirl_compared system=dirl_ppo"),

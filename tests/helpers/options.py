@@ -88,6 +88,8 @@ def base(recipe, files, tiny=()):
         "export": [room, "out=new.h5"],
         "import": [room, "out=new.h5"],
         "inspect": [room],
+        "map": [f"video={files / 'photos'}", "out=walk.npz"],
+        "go": [f"map={files / 'room.h5'}", f"photo={files / 'room.h5'}"],
     }[recipe]
 
 
@@ -110,7 +112,7 @@ def _is_no_flag(argument):
 
 def program(recipe):
     """The name of the program that a key of `SCHEMAS` is an option, or a command, of."""
-    return recipe if recipe in ("train", "evaluate", "report", "benchmark") else "scenes"
+    return recipe if recipe in ("train", "evaluate", "report", "benchmark", "map", "go") else "scenes"
 
 
 def command_line(recipe, arguments, files, tiny=()):

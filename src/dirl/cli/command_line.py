@@ -22,6 +22,8 @@ from dirl.config.schemas import (
     BenchmarkConfig,
     ConfigError,
     EvaluateConfig,
+    GoConfig,
+    MapConfig,
     ReportConfig,
     Schedule,
     TrainConfig,
@@ -34,6 +36,8 @@ SCHEMAS = {
     "train": TrainConfig,
     "evaluate": EvaluateConfig,
     "report": ReportConfig,
+    "map": MapConfig,
+    "go": GoConfig,
     "benchmark": BenchmarkConfig,
     **COMMANDS,
 }

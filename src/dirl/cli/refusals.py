@@ -35,6 +35,8 @@ def check_values(recipe: str, options: Any, overrides: Sequence[str] = ()) -> No
             _evaluation(options)
         case "report":
             _report(options)
+        case "map" | "go":
+            _recorded(recipe, options)
         case "sample":
             _room_kind(options.kind)
             check_writable(options.out)
@@ -42,6 +44,16 @@ def check_values(recipe: str, options: Any, overrides: Sequence[str] = ()) -> No
             pass
         case _:
             _scene_command(recipe, options)
+
+
+def _recorded(recipe: str, options: Any) -> None:
+    """Refuse a video, map or photo that does not exist, and where nothing can be written."""
+    if recipe == "map" and not os.path.exists(options.video):
+        raise ConfigError(f"video={options.video}: there is no such video or folder of images")
+    for name in ("map", "photo", "start") if recipe == "go" else ():
+        if (file := getattr(options, name)) is not None and not os.path.isfile(file):
+            raise ConfigError(f"{name}={file}: there is no such file")
+    new_file(options.out, ending=".npz" if recipe == "map" else ".png")
 
 
 def _scene_command(name: str, options: Any) -> None:
@@ -116,7 +128,7 @@ def _evaluation(options: EvaluateConfig) -> None:
     find_checkpoint(options.checkpoint)
 
 
-OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "changes", "walked_once", "other_worlds")]
+OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "changes", "walked_once", "other_worlds", "sptm")]
 """The experiments on agents instead of runs."""
 
 
@@ -124,6 +136,10 @@ def _report(options: ReportConfig) -> None:
     """Refuse a report without finished runs, or, of agents, without these or without somewhere to test them."""
     if options.experiment not in OF_AGENTS:
         finished_folders(*reported_runs(options))
+        return
+    if options.experiment == ExperimentName.sptm:
+        if options.sptm is None or not os.path.isdir(os.path.join(options.sptm, "data")):
+            raise ConfigError(f"sptm={options.sptm}: name a folder that github.com/nsavinov/SPTM was cloned to")
         return
     if not options.collections or (options.experiment == "image_graph" and len(options.collections) > 1):
         wanted = "files of scenes" if options.experiment == "other_worlds" else "folders made by scenes.py sample"

@@ -20,6 +20,8 @@ RECIPES = {
     "evaluate": ("recipes/evaluate.py", "evaluate trained weights"),
     "scenes": ("recipes/scenes.py", "take, build, convert, encode and check scenes"),
     "report": ("recipes/report.py", "write a table or figure of the paper from finished runs"),
+    "map": ("recipes/map.py", "make a map of a first-person video"),
+    "go": ("recipes/go.py", "find the way to a photo by such a map"),
     "benchmark": ("recipes/benchmark.py", "measure the speed of training and evaluation on this machine"),
 }
 """The file of each recipe below `HOME`, and what it does."""

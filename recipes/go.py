@@ -1,0 +1,55 @@
+"""Find the way to a photo by the map of a video.
+
+    python recipes/go.py map=walk.npz photo=goal.jpg start=here.jpg out=way.png
+
+All options with their values: conf/go/go.yaml.
+"""
+
+from dirl.cli.start import run_recipe, start
+
+if __name__ == "__main__":
+    start("go")  # answers help and refuses options, before the imports below take their time
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from dirl.agent.mapping.follow import KNOWN, fits
+from dirl.agent.mapping.frames import load_frames_map
+from dirl.config.schemas import ConfigError, GoConfig
+from dirl.reporting.strips import draw_strip
+from dirl.sources.video import read_photo
+
+SHOWN = 16
+"""Frames of the way in the picture, at most."""
+
+
+def main(options: GoConfig) -> None:
+    """Locate the photos, and draw the way between them."""
+    graph = load_frames_map(options.map)
+    height = graph.frames.shape[1]
+    goal = read_photo(options.photo, height)
+    here = graph.frames[0] if options.start is None else read_photo(options.start, height)
+    ends = []
+    print("| photo | frame | correlation | |\n|---|--:|--:|---|")
+    for name, photo in ((options.start or "the first frame", here), (options.photo, goal)):
+        found = fits(graph, photo)
+        ends.append(int(found.argmax()))
+        print(f"| {name} | {ends[-1]} | {found.max():.2f} | {'' if found.max() >= KNOWN else 'uncertain'} |")
+    far, following = graph.distances_to(np.array(ends[1:]))
+    if not np.isfinite(far[ends[0]]):
+        raise ConfigError(f"photo={options.photo}: no way leads there; the recording was there before, and never again")
+    path = [ends[0]]
+    while far[path[-1]] > 0:
+        path.append(int(following[path[-1]]))
+    jumps = sum(abs(after - before) > 1 for before, after in pairwise(path))
+    print(f"way: {len(path)} frames, {jumps} shortcuts")
+    shown = [path[place] for place in np.unique(np.linspace(0, len(path) - 1, SHOWN).round().astype(int))]
+    pictures = [("here", here), *((f"frame {node}", graph.frames[node]) for node in shown), ("goal", goal)]
+    draw_strip(pictures, Path(options.out))
+    print(f"picture: {options.out}")
+
+
+if __name__ == "__main__":
+    run_recipe("go", main)
