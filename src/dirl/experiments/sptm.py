@@ -41,7 +41,7 @@ IDLE, AHEAD, LEFT, RIGHT, BACK = range(5)
 """What a walker does; each button of the game that is pressed."""
 BUTTONS = {IDLE: None, AHEAD: 3, LEFT: 5, RIGHT: 6, BACK: 4}
 
-MAP, BLIND, RANDOM = "map of the walkthrough", "the map, to a random frame", "random walk"
+MAP, BLIND, RANDOM = "map of the walkthrough", "the map, to random frames", "random walk"
 
 Walker = Callable[[NDArray[np.uint8]], int]
 
@@ -168,11 +168,9 @@ def random_walker(seed: int) -> Walker:
     return lambda frame: int(draw.integers(5))
 
 
-def random_goal(graph: FrameMap, seed: int) -> NDArray[np.float64]:
-    """Fits of a photo that was taken at any frame: a walk along the map that is blind to the goal."""
-    found = np.zeros(len(graph.frames))
-    found[np.random.default_rng(seed).integers(len(found))] = 1
-    return found
+def random_fits(graph: FrameMap, seed: int) -> NDArray[np.float64]:
+    """Fits of a photo that was taken anywhere: a walk along the map that is blind to the goal."""
+    return 1.0 / (1 + np.random.default_rng(seed).permutation(len(graph.frames)))
 
 
 def walk_maze(data: Path, maze: Maze, trials: int, bar: Any = None) -> dict[str, list[tuple[bool, int]]]:
@@ -187,7 +185,7 @@ def walk_maze(data: Path, maze: Maze, trials: int, bar: Any = None) -> dict[str,
     game = Game(data, maze)
     for trial, start, goal in product(range(trials), STARTS, range(len(GOALS))):
         seed = 1000 * trial + 10 * STARTS.index(start) + goal
-        blind = random_goal(graph, seed)
+        blind = random_fits(graph, seed)
         walkers: dict[str, Walker] = {
             MAP: Follower(graph, fitting[goal], photos[goal], seed).act,
             BLIND: Follower(graph, blind, graph.frames[blind.argmax()], seed).act,

@@ -2,7 +2,9 @@
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
+from torch import Tensor
 
 from dirl.agent.mapping.frames import ZOOMS, FrameMap
 
@@ -26,8 +28,8 @@ CIRCLE = 14
 PATIENCE = 25
 """Actions without progress, after which one walks at random and looks around again."""
 
-THIN = 3
-"""Looking around, every so many frames are compared."""
+FADE, MOST = 0.8, 3.0
+"""How much of earlier evidence is left after an action, and the most of one view, standard deviations."""
 
 SAME_PLACE = 20
 """Frames around a goal in vain that are not tried again."""
@@ -56,12 +58,14 @@ class Follower:
         Args:
             frame: what is seen, RGB, uint8 ``[H, W, 3]``.
         """
+        seen = torch.cat([self.graph.describe(frame[None], zoom) for zoom in ZOOMS])
+        self._believe(self.graph.likeness(seen[:1]))
         if self._plan:
             return self._plan.pop()
         if self._looking < CIRCLE:
-            return self._look_around(frame)
+            self._looking += 1
+            return RIGHT
         path = self._path()
-        seen = torch.cat([self.graph.describe(frame[None], zoom) for zoom in ZOOMS])
         views = torch.cat([self.graph.views[path], self.photo]) if self._at_end(path) else self.graph.views[path]
         found = self.graph.compared(seen, views)
         best = float(found.score.max())
@@ -69,40 +73,36 @@ class Follower:
             return self._lost()
         self._unknown = 0
         leading = int(torch.nonzero(found.score >= NEARLY * best).max())
-        now = path[min(int(found.score.argmax()), len(path) - 1)]
-        self._since = 0 if self.far[now] < self._least else self._since + 1
-        self._least = min(self._least, self.far[now])
-        self.node = now
+        self._since = 0 if self.far[self.node] < self._least else self._since + 1
+        self._least = min(self._least, self.far[self.node])
         if self._since > PATIENCE:
             if self._at_end(path):
-                self._in_vain(now)
+                self._in_vain(self.node)
             return self._wander()
         degrees = float(found.degrees[leading])
         if abs(degrees) <= STRAIGHT:
             return AHEAD
         return RIGHT if degrees > 0 else LEFT
 
+    def _believe(self, likeness: Tensor) -> None:
+        """Where one is: evidence fades, and one goes on along the recording; looking around, the best view counts."""
+        if self._looking < CIRCLE:
+            self._belief = torch.maximum(self._belief, likeness)
+        else:
+            before = F.pad(self._belief[None], (2, 1), value=-9.0)
+            self._belief = FADE * F.max_pool1d(before, 4, 1)[0] + likeness.clamp(max=MOST)
+        self.node = int(torch.where(self._reachable, self._belief, -torch.inf).argmax())
+
     def _choose(self) -> None:
         """Where the photo may have been taken, and the ways there."""
-        self.goals = np.flatnonzero(self._fits >= 0.8 * self._fits.max())
+        best = self._fits.max()
+        self.goals = np.flatnonzero(self._fits >= best - 0.2 * abs(best))
         self.far, self.following = self.graph.distances_to(self.goals)
+        self._reachable = torch.from_numpy(np.isfinite(self.far))
 
     def _look(self) -> None:
-        self._looking, self._best, self.node = 0, -1.0, 0
+        self._looking, self._belief = 0, torch.full((len(self.far),), -9.0)
         self._least, self._since, self._unknown = np.inf, 0, 0
-
-    def _look_around(self, frame: NDArray[np.uint8]) -> int:
-        """Turn in a circle, and remember which frame of the map fits best on the way."""
-        reachable = np.flatnonzero(np.isfinite(self.far))[::THIN]
-        found = self.graph.bearing(frame, reachable, (1.0,))
-        values = found.score.numpy() - 0.1 * self.far[reachable] / len(self.far)
-        best = int(values.argmax())
-        if values[best] > self._best:
-            self._best, self.node = float(values[best]), int(reachable[best])
-        self._looking += 1
-        if float(found.score[best]) > 0.6:
-            self._looking = CIRCLE
-        return RIGHT
 
     def _path(self) -> NDArray[np.int64]:
         """Frames around the present one on the way to the goal."""
