@@ -10,7 +10,7 @@ from dirl.experiments import sptm
 from dirl.experiments.sptm import AHEAD, IDLE, STARTS, STEPS, TESTS, VALIDATION, Game, random_walker, walk
 from dirl.scenes.scene import SceneError
 
-FOLDER = Path(os.environ.get("SPTM", Path(__file__).parents[3] / "shared" / "sptm"))
+FOLDER = Path(os.environ.get("SPTM", "SPTM"))
 
 found = pytest.mark.skipif(not (FOLDER / "data").is_dir(), reason="SPTM=... is no clone of github nsavinov/SPTM")
 

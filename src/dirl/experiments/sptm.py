@@ -5,7 +5,8 @@ Mazes, walkthroughs and recordings of goals are those of github nsavinov/SPTM (M
 
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -20,7 +21,6 @@ from dirl.agent.mapping.frames import FrameMap
 from dirl.experiments.measures import kept
 from dirl.experiments.results import Table, write_tables
 from dirl.scenes.scene import SceneError
-from dirl.sources.simulators import simulator_errors
 
 GOALS = ("tall_red_pillar", "candelabra", "tall_blue_torch", "short_green_pillar")
 STARTS = ("map02", "map03", "map04", "map05")
@@ -100,7 +100,7 @@ class Game:
         copied = Path(self._folder.name) / "m.wad"
         shutil.copy(wad, copied)
         self._game = game = vizdoom.DoomGame()
-        with simulator_errors("VizDoom"):
+        with _failures():
             game.load_config(str(data / "default.cfg"))
             game.set_doom_config_path(str(Path(self._folder.name) / "settings.ini"))
             game.set_doom_game_path(str(Path(vizdoom.__file__).parent / "freedoom2.wad"))
@@ -117,7 +117,7 @@ class Game:
         copied = Path(self._folder.name) / "m.lmp"
         shutil.copy(self.files / f"{name}.lmp", copied)
         frames, places = [], []
-        with simulator_errors("VizDoom"):
+        with _failures():
             self._game.replay_episode(str(copied))
             while not self._game.is_episode_finished():
                 state = self._game.get_state()
@@ -128,7 +128,7 @@ class Game:
 
     def start(self, name: str) -> None:
         """Begin an episode at one of `STARTS`."""
-        with simulator_errors("VizDoom"):
+        with _failures():
             self._game.set_doom_map(name)
             self._game.new_episode()
 
@@ -148,6 +148,15 @@ class Game:
         """End the game."""
         self._game.close()
         self._folder.cleanup()
+
+
+@contextmanager
+def _failures() -> Iterator[None]:
+    """Whatever VizDoom raises is one line."""
+    try:
+        yield
+    except Exception as error:
+        raise SceneError(f"VizDoom failed ({type(error).__name__}: {error}); run the command again") from None
 
 
 def walk(game: Game, start: str, goal: tuple[float, float], walker: Walker) -> tuple[bool, int]:
