@@ -65,12 +65,9 @@ def start(recipe: str, text: str | None = None) -> str:
     Raises:
         SystemExit: help was asked for, or the command line is refused.
     """
-    # Threads of OpenMP that wait for each other spin, and beside other processes they wait for most of the time. They
-    # may spin for some microseconds, since to wake a thread costs more (docs/performance.md). Read when torch is
-    # imported, also by the processes that this one starts.
-    if "OMP_WAIT_POLICY" not in os.environ:
-        os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-        os.environ.setdefault("GOMP_SPINCOUNT", "2000")
+    # Threads of OpenMP that wait for each other spin, and beside other processes they wait for most of the time
+    # (docs/performance.md). Read when torch is imported, also by the processes that this one starts.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     register()
     with one_line_exits():
         arguments = sys.argv[1:]
