@@ -24,11 +24,10 @@ from tqdm import tqdm
 from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
-from dirl.cli.refusals import load_simulator
-from dirl.config.choices import goal_view_options, group_options
+from dirl.config.choices import goal_view_options, group_options, load_simulator
 from dirl.config.schemas import EvaluateConfig, GoalView
 from dirl.evaluation.episodes import sampled_starts, shortest_episodes
-from dirl.evaluation.live import Remembered, evaluate_live, shortest_move
+from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, metrics
 from dirl.models import LocalisingMemory
@@ -39,8 +38,9 @@ from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.finding import RunError, packaged_agent
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
-from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated
+from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, shortest_move
 from dirl.training.build import describe
+from dirl.training.live import check_simulator
 from dirl.training.load import Trained, load_trained
 
 MOST_EPISODES = 20_000
@@ -119,8 +119,7 @@ def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
         world: LiveWorld = Dumped(scene)
     else:
         simulator = load_simulator(str(options.simulator))
-        if simulator.name != scene.name:
-            raise RunError(f"simulator={options.simulator}: is of {simulator.name}; {scene.origin} is of {scene.name}")
+        check_simulator(simulator, scene, str(options.simulator))
         world = Simulated(simulator, step=shortest_move(scene), turns=turns)
     encoder = packaged_encoder(scene.extractor)
     if encoder is None:
@@ -136,15 +135,18 @@ def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
     )
     navigator.threshold = config.stop.threshold
     navigator.encoder = Remembered(navigator.encoder)
-    noisy = Noisy(world, slip=options.slip, turn_error=options.turn_error, seed=config.seed)
     if options.starts is None:
         each = max(1, LIVE_EPISODES // len(protocol.world.goals))
         protocol = replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
     goal, start = protocol.starts
     states = protocol.world.goals.cpu()[goal.cpu()], start.cpu()
     photo = options.goal_view == GoalView.front
-    found = evaluate_live(navigator, noisy, scene, states, max_steps=protocol.max_steps, one_photo=photo)
-    return {"shortest_path": metrics(shortest_episodes(protocol.world, protocol.starts)), "live": metrics(found)}
+    found = {"shortest_path": shortest_episodes(protocol.world, protocol.starts)}
+    for name, told in {"live": False, "live_told": True}.items():
+        noisy = Noisy(world, slip=options.slip, turn_error=options.turn_error, seed=config.seed)
+        conditions = {"max_steps": protocol.max_steps, "one_photo": photo, "told": told}
+        found[name] = evaluate_live(navigator, noisy, scene, states, **conditions)
+    return {name: metrics(episodes) for name, episodes in found.items()}
 
 
 def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -> Trained:

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from dirl.cli.refusals import load_simulator
+from dirl.config.choices import load_simulator
 from dirl.config.places import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.perception.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from live_walks import walk
 
-from dirl.cli.refusals import load_simulator
+from dirl.config.choices import load_simulator
 from dirl.config.schemas import ConfigError
 from dirl.scenes import read_dump, write_dump
-from dirl.scenes.live import Pose
+from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 from dirl.sources.miniworld import MiniWorld
-from dirl.sources.simulators import simulator_errors, take_scene
+from dirl.sources.simulators import take_scene
 from dirl.sources.vizdoom import VizDoom
 
 

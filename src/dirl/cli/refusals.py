@@ -5,16 +5,12 @@ import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from dirl.config.choices import own_options
 from dirl.config.components import TARGET, make
 from dirl.config.places import command
 from dirl.config.schemas import ConfigError, EvaluateConfig, ExperimentName, ReportConfig, TrainConfig
 from dirl.runs.finding import find_checkpoint, find_unfinished, finished_folders, initial_weights_file
-
-if TYPE_CHECKING:
-    from dirl.scenes.live import Simulator
 
 
 def check_values(recipe: str, options: Any, overrides: Sequence[str] = ()) -> None:
@@ -193,19 +189,3 @@ def _one_scene(name: str) -> None:
         raise ConfigError("scene=all: one scene at a time")
     if find_rooms(name, None, None) is None:
         find_scenes(name)
-
-
-def load_simulator(file: str) -> "Simulator":
-    """The simulator of the user's own that a YAML file names: ``_target_``, its class, and its arguments.
-
-    Raises:
-        ConfigError: there is no such file or class, or it lacks a member of `dirl.scenes.live.Simulator`.
-    """
-    made = make("simulator", own_options("simulator", Path(file)))
-    missing = [name for name in ("name", "pose", "place", "push", "look") if not hasattr(made, name)]
-    if missing:
-        raise ConfigError(
-            f"simulator={file}: {type(made).__name__} has no {', '.join(missing)}; see dirl.scenes.live.Simulator"
-        )
-    found: Simulator = made
-    return found

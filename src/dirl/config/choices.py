@@ -1,12 +1,13 @@
 """The choices of a group of ``conf/``, as options to change in a saved configuration."""
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import yaml  # PyYAML comes with OmegaConf
 from omegaconf import OmegaConf
 
-from dirl.config.components import TARGET
+from dirl.config.components import TARGET, make
 from dirl.config.places import CONF
 from dirl.config.saved import MAX_CHARACTERS, plain_mapping
 from dirl.config.schemas import ConfigError
@@ -63,3 +64,25 @@ def goal_view_options(choice: str | None) -> dict[str, Any]:
     if choice == "surrounding":  # in training the defaults, which a run on photos has replaced
         return {"observation.goal_view": "surrounding", "stop.match": "views", "stop.threshold": 0.9}
     return leaves(group_options("goal_view", choice) or {})
+
+
+def load_simulator(file: str, trust: Collection[str] | None = None) -> Any:
+    """The simulator of the user's own that a YAML file names: ``_target_``, its class, and its arguments.
+
+    Args:
+        file: with the ending ``.yaml``.
+        trust: see `dirl.config.components.find_class`.
+
+    Returns:
+        A `dirl.scenes.live.Simulator`.
+
+    Raises:
+        ConfigError: there is no such file or class, or it lacks a member of `dirl.scenes.live.Simulator`.
+    """
+    made = make("simulator", own_options("simulator", Path(file)), trust)
+    missing = [name for name in ("name", "pose", "place", "push", "look") if not hasattr(made, name)]
+    if missing:
+        raise ConfigError(
+            f"simulator={file}: {type(made).__name__} has no {', '.join(missing)}; see dirl.scenes.live.Simulator"
+        )
+    return made

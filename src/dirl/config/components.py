@@ -31,6 +31,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
     "losses": frozenset({"policy", "actor_network", "actor", "critic_network", "world"}),
     "optimiser": frozenset({"params"}),
     "source": frozenset(),
+    "env": frozenset({"world", "num_agents", "encode", "table", "front", "reward", "stop", "seed"}),
 }
 """The groups, and what is offered to the constructors of their classes by name of parameter."""
 
@@ -62,6 +63,7 @@ BASES = {
     "optimiser": "torch.optim.optimizer.Optimizer",
     # Experts, sampled pairs, caches and matching ask a transform what is seen of a state, not the environment alone.
     "observation": "dirl.envs.transforms.SurroundingViews",
+    "env": "dirl.envs.navigation.NavigationEnv",  # whose agents a checkpoint holds, and whose goals are counted
     "simulator": "builtins.object",  # a protocol: `dirl.scenes.live.Simulator`
     "source": "builtins.object",  # likewise: `dirl.scenes.catalogue.SceneSource`
 }

@@ -145,6 +145,7 @@ class EvaluationConfig:
     episodes_per_goal: Episodes = MISSING
     max_steps: Episodes = MISSING
     times: Annotated[int, Bounds(0, 10**6)] = MISSING
+    live_episodes: Positive = 100
 
 
 @dataclass
@@ -194,6 +195,7 @@ class TrainConfig:
     losses: Any = MISSING
     optimiser: Any = MISSING
     source: Any = field(default_factory=lambda: {"_target_": "dirl.scenes.catalogue.Rooms"})
+    env: Any = field(default_factory=lambda: {"_target_": "dirl.envs.NavigationEnv", "slip": 0.0})
     network: NetworkConfig = field(default_factory=NetworkConfig)
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     reinforcement: ReinforcementConfig = field(default_factory=ReinforcementConfig)

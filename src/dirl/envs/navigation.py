@@ -41,6 +41,7 @@ class NavigationEnv(EnvBase):
     Args:
         world: the scenes and goals; the environment runs on its device.
         num_agents: how many agents, B.
+        slip: the probability that an action has no effect.
         reward: of a step.
         stop: where an agent stops on its way to each goal, bool ``[P]``, see
             `dirl.perception.recognition.matching.TemplateStop`. A stop anywhere but at the goal ends the episode with
@@ -53,6 +54,7 @@ class NavigationEnv(EnvBase):
         world: World,
         num_agents: int = 1,
         *,
+        slip: float = 0.0,
         reward: Reward | None = None,
         stop: Tensor | None = None,
         seed: int = 0,
@@ -60,7 +62,9 @@ class NavigationEnv(EnvBase):
         # It cannot happen. Allowing it avoids a check at every reset, which on a GPU is a host-device synchronisation.
         super().__init__(device=world.device, batch_size=[num_agents], allow_done_after_reset=True)
         self.world = world
-        self.reward = reward or Reward()
+        self.reward, self.slip = reward or Reward(), slip
+        if not 0 <= slip < 1:
+            raise ValueError(f"slip={slip}: is a probability below 1")
         states, agents = len(world), self.batch_size
         self.stop = (world.distances == 0 if stop is None else stop).to(self.device)
         self.goal_index = world.goal_index
@@ -115,20 +119,35 @@ class NavigationEnv(EnvBase):
             device=self.device,
         )
 
+    def _move(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """Where the agents are after their actions, and which looks they see there."""
+        state = tensordict["state"]
+        after = self.world.graph[state, tensordict["action"]]
+        if self.slip:
+            after = torch.where(self._slipped(), state, after)
+        looks = {"look": self._any_look(), "goal_look": tensordict["goal_look"]} if self.world.looks > 1 else {}
+        return {"state": after, **looks}
+
+    def _slipped(self) -> Tensor:
+        return torch.rand(self.batch_size, generator=self.generator, device=self.device) < self.slip
+
+    def again(self, agents: TensorDictBase) -> TensorDictBase:
+        """The agents of a checkpoint, ``[B]``, as the environment goes on with them."""
+        return agents
+
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state, goal = tensordict["state"], tensordict["goal"]
-        next_state = self.world.graph[state, tensordict["action"]]
+        after = self._move(tensordict)
+        next_state = after["state"]
         stopped = self.stop[self.world.pair(self.goal_index[goal], next_state)]
         reward = torch.where(next_state == state, self.reward.collision, self.reward.step)
         reward = torch.where(stopped & (next_state == goal), self.reward.goal, reward)
         done = stopped.unsqueeze(-1)
-        looks = {"look": self._any_look(), "goal_look": tensordict["goal_look"]} if self.world.looks > 1 else {}
         return TensorDict(
             {
-                "state": next_state,
+                **after,
                 "goal": goal,
                 "scene": tensordict["scene"],
-                **looks,
                 "reward": reward.unsqueeze(-1),
                 "done": done,
                 "terminated": done.clone(),

@@ -1,15 +1,19 @@
 """A navigator walked in a live world by its own code, so that what is measured is what a robot runs."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from hashlib import sha256
+
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from tqdm import tqdm
 
 from dirl.agent.loading import Encoder
 from dirl.agent.navigator import Navigator
 from dirl.evaluation.episodes import Episodes
-from dirl.scenes.graph import AHEAD, BACK, turns_per_circle
-from dirl.scenes.live import LiveWorld, Pose, state_pose
+from dirl.scenes.graph import turns_per_circle
+from dirl.scenes.live import LiveWorld, Pose, shortest_move, state_pose
 from dirl.scenes.scene import Scene
 
 
@@ -18,18 +22,22 @@ class Remembered:
 
     Args:
         encoder: images to features, see `dirl.agent.loading.Encoder`.
+        images: the last so many are remembered.
     """
 
-    def __init__(self, encoder: Encoder) -> None:
-        self.encoder, self.known = encoder, dict[bytes, Tensor]()
+    def __init__(self, encoder: Encoder, images: int = 20_000) -> None:
+        self.encoder, self.known, self.most = encoder, dict[bytes, Tensor](), images
 
     def __call__(self, images: Tensor) -> Tensor:
         """Features of images, uint8 ``[N, H, W, 3]``."""
-        keys = [image.numpy().tobytes() for image in images.cpu()]
+        keys = [sha256(image.numpy()).digest() for image in images.cpu()]
         new = {key: index for index, key in enumerate(keys) if key not in self.known}
         if new:
             self.known |= zip(new, torch.as_tensor(self.encoder(images[list(new.values())])), strict=True)
-        return torch.stack([self.known[key] for key in keys])
+        rows = torch.stack([self.known[key] for key in keys])
+        for key in list(self.known)[: max(0, len(self.known) - self.most)]:
+            del self.known[key]
+        return rows
 
 
 def evaluate_live(
@@ -41,6 +49,7 @@ def evaluate_live(
     max_steps: int = 100,
     within: float | None = None,
     one_photo: bool = False,
+    told: bool = False,
 ) -> Episodes:
     """Walk a navigator in a world by its own `reset` and `act`, as a robot does, one episode from each start.
 
@@ -55,6 +64,7 @@ def evaluate_live(
         max_steps: after so many an episode has failed.
         within: metres; half of the shortest move of the scene if left out.
         one_photo: show the navigator the view ahead at the goal alone.
+        told: the agent is told where it has arrived, instead of stopping where it thinks so.
     """
     goal_state, start = (states.cpu() for states in starts)
     turn = 360 / turns_per_circle(scene.graph)
@@ -76,7 +86,7 @@ def evaluate_live(
         for step in range(max_steps + 1):
             decision = navigator.act(world.views())
             there = _arrived(world.pose, wanted, within, turn / 2)
-            if decision.stop:
+            if there if told else decision.stop:
                 found.success[episode], found.false_stop[episode] = there, not there
                 found.steps[episode] = step if there else max_steps
                 break
@@ -86,13 +96,26 @@ def evaluate_live(
     return found
 
 
+@dataclass(frozen=True)
+class LiveProtocol:
+    """The conditions under which policies are evaluated in a live world, while they learn and at the end."""
+
+    navigator: Callable[[nn.Module], Navigator]
+    """Of a policy."""
+    world: Callable[[], LiveWorld]
+    """Anew for each evaluation, so that errors are the same."""
+    scene: Scene
+    starts: tuple[Tensor, Tensor]
+    """Goal states and start states, int64 ``[E]`` each."""
+    max_steps: int
+    one_photo: bool = False
+
+    def run(self, policy: nn.Module, *, told: bool = False) -> Episodes:
+        """One episode from each start, see `evaluate_live`."""
+        conditions = {"max_steps": self.max_steps, "one_photo": self.one_photo}
+        return evaluate_live(self.navigator(policy), self.world(), self.scene, self.starts, **conditions, told=told)
+
+
 def _arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
     turned = abs((pose.heading - wanted.heading + 180) % 360 - 180)
     return bool(np.hypot(pose.x - wanted.x, pose.z - wanted.z) <= within and turned <= degrees)
-
-
-def shortest_move(scene: Scene) -> float:
-    """The metres of the shortest move ahead or back in a scene."""
-    state, action = np.nonzero(scene.graph[:, [AHEAD, BACK]] >= 0)
-    after = scene.graph[state, np.array([AHEAD, BACK])[action]]
-    return float(np.linalg.norm(scene.positions[after] - scene.positions[state], axis=1).min())

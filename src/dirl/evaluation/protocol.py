@@ -13,6 +13,7 @@ from dirl.agent.mapping.places import PlaceMap
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, run_episodes, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
+from dirl.evaluation.live import LiveProtocol
 from dirl.perception.recognition.matching import Arrived
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import World
@@ -43,6 +44,8 @@ class EvaluationProtocol:
     """Of visits and goals in a world that changes; None = all."""
     shown: Tensor | None = None
     """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
+    live: LiveProtocol | None = None
+    """The same in the simulator that the policy was trained in, if it was."""
     held_out: "EvaluationProtocol | None" = None
     """The same for goals that were held out of the training, if there are any."""
 
@@ -102,11 +105,15 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
     }
     if isinstance(policy, RandomPolicy):
         return {**baselines, "greedy": baselines["random"], "sampled": baselines["random"]}
-    return {
+    found = {
         **baselines,
         "greedy": report(protocol.run(policy), world),
         "sampled": report(protocol.run(policy, greedy=False), world),
     }
+    if protocol.live is not None:
+        found["live"] = metrics(protocol.live.run(policy))
+        found["live_told"] = metrics(protocol.live.run(policy, told=True))
+    return found
 
 
 def mean_shortest(world: World) -> list[float]:

@@ -83,7 +83,11 @@ def _remember(memory: TensorDictModuleBase, width: int, steps: int | None = None
 
 
 def feature_table(
-    config: TrainConfig, world: World, weights: Mapping[str, Tensor] | None = None, origin: str = "init"
+    config: TrainConfig,
+    world: World,
+    weights: Mapping[str, Tensor] | None = None,
+    origin: str = "init",
+    room: int = 0,
 ) -> FeatureTable:
     """The features of the world's states, standardised or whitened as configured.
 
@@ -92,6 +96,7 @@ def feature_table(
         world: whose states.
         weights: of a trained network, whose mean, standard deviation and axes are used; the world's if left out.
         origin: where the weights stood, for errors.
+        room: for so many views that are encoded later, see `FeatureTable.write`.
 
     Raises:
         ConfigError: the encoder reads patches, and the scenes have none.
@@ -113,7 +118,7 @@ def feature_table(
             f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again by "
             "scenes.py encode ... patches=true"
         )
-    return FeatureTable(world.features, mean, std, axes, patches).to(world.device)
+    return FeatureTable(world.features, mean, std, axes, patches, room).to(world.device)
 
 
 def saved_statistics(weights: Mapping[str, Tensor], origin: str) -> tuple[Tensor | None, Tensor | None, Tensor | None]:

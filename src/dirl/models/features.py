@@ -35,6 +35,7 @@ class FeatureTable(nn.Module):
         axes: what they are multiplied by, float32 ``[D, components]``, see `dirl.perception.backbones.principal`; or
         None.
         patches: which follow them, floats ``[N, cells, channels]``; or None.
+        room: rows after state N, for views that are encoded when they are seen, see `write`.
     """
 
     def __init__(
@@ -44,9 +45,10 @@ class FeatureTable(nn.Module):
         std: Tensor | None = None,
         axes: Tensor | None = None,
         patches: Tensor | None = None,
+        room: int = 0,
     ) -> None:
         super().__init__()
-        width = features.shape[1]
+        width, self.room = features.shape[1], room
         self._perturbed: Tensor | None = None
         self._noise: Tensor | None = None
         self.register_buffer("mean", torch.zeros(width) if mean is None else mean)
@@ -63,7 +65,7 @@ class FeatureTable(nn.Module):
     features: Tensor
     patches: Tensor | None
     table: Tensor
-    """float32 ``[N + 1, width]``."""
+    """float32 ``[N + 1 + room, width]``."""
 
     def refresh(self) -> None:
         """Compute the table anew, with the mean, deviation and axes as they are now."""
@@ -74,7 +76,7 @@ class FeatureTable(nn.Module):
         states, pooled = len(self.features), len(self.mean) if self.axes is None else self.axes.shape[1]
         patches = None if self.patches is None else self.patches.flatten(1)
         width = pooled + (0 if patches is None else patches.shape[1])
-        table = torch.zeros((states + 1, width), device=self.features.device)
+        table = torch.zeros((states + 1 + self.room, width), device=self.features.device)
         for first in range(0, states, ROWS_AT_ONCE):
             rows = slice(first, min(first + ROWS_AT_ONCE, states))
             table[rows, :pooled] = self.standardise(self.features[rows])
@@ -84,7 +86,7 @@ class FeatureTable(nn.Module):
 
     def __len__(self) -> int:
         """The number of states, N."""
-        return len(self.table) - 1
+        return len(self.features)
 
     @property
     def inputs(self) -> int:
@@ -99,7 +101,11 @@ class FeatureTable(nn.Module):
     @property
     def known(self) -> Tensor:
         """The rows of the N states."""
-        return self.table[:-1]
+        return self.table[: len(self)]
+
+    def write(self, rows: Tensor, features: Tensor) -> None:
+        """Put backbone outputs ``[R, D + patches]`` into rows of the room, int64 ``[R]``, from N + 1 on."""
+        self.table[rows] = self.standardise(features)
 
     def standardise(self, features: Tensor) -> Tensor:
         """Backbone outputs ``[..., D + patches]`` in the form that the network reads, float32 ``[..., width]``."""
@@ -128,7 +134,7 @@ class FeatureTable(nn.Module):
         """
         if len(self) <= FEW:
             self._perturbed = self.table + deviation * torch.randn_like(self.table)
-            self._perturbed[-1] = 0
+            self._perturbed[len(self)] = 0
         else:
             self._noise = deviation * torch.randn_like(self.table[:1].expand(NOISE_ROWS + 1, -1).contiguous())
             self._noise[-1] = 0

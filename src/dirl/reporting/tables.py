@@ -32,6 +32,7 @@ SECTIONS = {
     "greedy": "greedy",
     "sampled": "sampled",
     "live": "live",
+    "live, told": "live_told",
 }
 
 NAMED_SCENES = 4

@@ -4,6 +4,8 @@ A world is anything with the four members of `LiveWorld`. `Simulated` makes one 
 `Noisy` lets the moves of another world go wrong.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -190,3 +192,22 @@ def state_pose(scene: Scene, state: int) -> Pose:
     """Where a state of a dump is."""
     x, z = scene.positions[state].tolist()
     return Pose(x, z, float(scene.headings[state]))
+
+
+def shortest_move(scene: Scene) -> float:
+    """The metres of the shortest move ahead or back in a scene."""
+    state, action = np.nonzero(scene.graph[:, [AHEAD, BACK]] >= 0)
+    after = scene.graph[state, np.array([AHEAD, BACK])[action]]
+    return float(np.linalg.norm(scene.positions[after] - scene.positions[state], axis=1).min())
+
+
+@contextmanager
+def simulator_errors(name: str, then: str = "run the command again") -> Iterator[None]:
+    """Within this context whatever a simulator raises, for which each has its own classes, becomes one line."""
+    try:
+        yield
+    except SceneError:
+        raise
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        raise SceneError(f"{name} failed ({reason}); {then}") from None

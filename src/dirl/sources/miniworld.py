@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.live import Pose
+from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
-from dirl.sources.simulators import simulator_errors
 
 LIBRARIES = "libegl1 libgl1-mesa-dri libglu1-mesa"
 """Debian's names of what OpenGL needs without a display."""

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from tqdm import tqdm
@@ -17,18 +16,6 @@ QUALITY = 90
 
 Cell = tuple[int, int]
 """A place, in steps from the first one."""
-
-
-@contextmanager
-def simulator_errors(name: str, then: str = "run the command again") -> Iterator[None]:
-    """Within this context whatever a simulator raises, for which each has its own classes, becomes one line."""
-    try:
-        yield
-    except SceneError:
-        raise
-    except Exception as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        raise SceneError(f"{name} failed ({reason}); {then}") from None
 
 
 def take_scene(

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.live import Pose
+from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import encode
 from dirl.sources.photos import write_table
-from dirl.sources.simulators import QUALITY, simulator_errors
+from dirl.sources.simulators import QUALITY
 
 HEADINGS = (0, 90, 180, 270)
 """Degrees clockwise from +z, AI2-THOR's rotation about y."""

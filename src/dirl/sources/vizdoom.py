@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from dirl.scenes.live import Pose
+from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
-from dirl.sources.simulators import simulator_errors
 
 UNITS = 32
 """Of a map for a metre."""

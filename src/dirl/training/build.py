@@ -10,8 +10,8 @@ from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
 
 from dirl.config.components import TARGET, components, make, schedules
-from dirl.config.schemas import ConfigError, Device, Starts, Stop, TrainConfig
-from dirl.envs import NavigationEnv, Reward, SequentialViews, SurroundingViews
+from dirl.config.schemas import ConfigError, Device, GoalView, Starts, Stop, TrainConfig
+from dirl.envs import Reward, SequentialViews, SurroundingViews
 from dirl.envs.transforms import VIEWS, broken_promise
 from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
@@ -25,6 +25,7 @@ from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.world import Goals
+from dirl.training.live import open_live
 from dirl.training.losses import Losses, ScheduledLoss, trained_parameters
 from dirl.training.objectives import ImitationLoss
 from dirl.training.pairs import Demonstrations, DrawnPairs
@@ -104,14 +105,24 @@ def build_env(
             "stop.training=match: in training the stop is a table of states, and in a scene with looks it depends on "
             "them; use stop.training=goal"
         )
-    env = NavigationEnv(
-        world,
-        agents or config.reinforcement.agents_per_scene * len(world.scenes),
+    live = open_live(config, world, observation)
+    offered: dict[str, Any] = {}
+    if live is not None:
+        front = observation.goal_view == GoalView.front
+        offered = {"encode": live.encode, "table": policy.features, "front": front}
+    env: EnvBase = make(
+        "env",
+        config.env if live is None else {**config.env, "simulator": live.simulator},
+        config.trust,
+        world=world,
+        num_agents=agents or config.reinforcement.agents_per_scene * len(world.scenes),
         reward=Reward(reward.goal * scale, reward.step * scale, reward.collision * scale),
         stop=stop,
         seed=config.seed if seed is None else seed,
+        **offered,
     )
-    transforms = [StepCounter(max_steps=config.reinforcement.max_steps), observation.clone()]
+    transforms: list[Any] = [StepCounter(max_steps=config.reinforcement.max_steps)]
+    transforms += [observation.clone()] if live is None else []  # what is seen live, the environment writes
     if recurrent_keys(policy):
         transforms += [InitTracker(), state_primer(policy)]
     return TransformedEnv(env, Compose(*transforms))

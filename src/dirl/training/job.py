@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from dirl.training.build import (
     build_world,
     describe,
 )
+from dirl.training.live import live_protocol, open_live
 from dirl.training.load import initial_weights, learning_policy, with_architecture
 from dirl.training.losses import Losses
 from dirl.training.pairs import Demonstrations
@@ -115,6 +116,8 @@ def _components(run: Run, initial: Any) -> Components:
     losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
     goals = build_goals(run.config, world.scenes)
     protocol = build_protocol(run.config, world, observation, goals.held_out)
+    if (live := open_live(run.config, world, observation)) is not None:
+        protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
     reinforced = losses is not None and losses.on_rollouts
     state = begin(run, policy, losses, protocol) if losses is not None and reinforced else None
     for name, states in goals.left_out.items():

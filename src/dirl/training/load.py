@@ -85,14 +85,16 @@ def learning_policy(
         initial: weights that the training begins with, see `initial_weights`; sampled with the seed if left out.
     """
     everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
-    table, views = feature_table(config, world, initial, str(config.init)), len(observation.order)
+    live = config.env.get("simulator") is not None  # then more views are seen than those of the world
+    table = feature_table(config, world, initial, str(config.init), room=config.env["views"] if live else 0)
+    views = len(observation.order)
     policy = build_policy(config, table, world.names, world=everywhere, views=views)
     if initial is not None:
         load_weights(policy, initial, str(config.init), world.names)
     noisy, front = config.imitation.noise > 0, config.imitation.front_only > 0
     # In principal axes a run that goes on from a checkpoint could not have the given weights to the last digit.
     principal = config.network.axes == Axes.principal and not noisy and initial is None
-    return cached(policy, config, world, observation, front=front, noisy=noisy, principal=principal)
+    return cached(policy, config, world, observation, front=front, noisy=noisy, principal=principal, live=live)
 
 
 def _all_goals(config: TrainConfig, world: World) -> dict[str, tuple[int, ...]]:
@@ -111,14 +113,15 @@ def cached(
     front: bool = False,
     noisy: bool = False,
     principal: bool = False,
+    live: bool = False,
 ) -> nn.Module:
     """The policy, with cached embeddings if ``network.cache`` is ``auto``."""
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
-        surrounding, fronts = _seen_of_each(observation, front=front)
+        surrounding, fronts = (None, front) if live else _seen_of_each(observation, front=front)
         # With more states than features of a view there is next to nothing to save by principal axes. A history of
         # one's own may hide views at any time.
         known = surrounding is not None or type(observation) is SequentialViews
-        principal = principal and known and not fronts and len(world) <= world.features.shape[1]
+        principal = principal and known and not live and not fronts and len(world) <= world.features.shape[1]
         policy.cache(surrounding, views=len(observation.order), front=fronts, noisy=noisy, principal=principal)
     made: nn.Module = policy
     return made

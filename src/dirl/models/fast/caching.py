@@ -144,7 +144,7 @@ class CachedEncoder(nn.Module):
         front: bool = False,
     ) -> None:
         super().__init__()
-        self.keys = Keys(len(table) + 1, views if surrounding is None else 1)
+        self.keys = Keys(len(table.table), views if surrounding is None else 1)
         self._wrapped: tuple[Any, FeatureTable] = (encoder, table)  # in a tuple, which torch does not register
         self.front = front and surrounding is not None
         if front and surrounding is not None:

@@ -115,7 +115,7 @@ class CachedSiamese(CachedEncoder):
         The embedding is a sum of projections, one for each of the four views, so that any four views are then embedded
         by adding four rows. Equal to the plain form up to rounding.
         """
-        table, slots = self._wrapped[1].table, self._wrapped[0].num_views
+        table, slots = self._wrapped[1].table[: len(self._wrapped[1]) + 1], self._wrapped[0].num_views
         if self.axes is not None:
             table, slots = self.axes.table, self.axes.slots
         weight = self._wrapped[0].embedding.weight.detach().unflatten(1, (slots, -1))

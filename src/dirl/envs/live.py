@@ -1,0 +1,190 @@
+"""The navigation task in a simulator: moves are the simulator's own, and views are rendered when they are seen.
+
+TorchRL's ``GymWrapper`` has no part in it: one simulator serves all agents in turn, so that new views of all of
+them go through the encoder together, and a pose that returns is neither rendered nor encoded again.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Categorical, Unbounded
+
+from dirl.envs.navigation import NavigationEnv, Reward
+from dirl.envs.transforms import VIEWS, front_only
+from dirl.scenes import World
+from dirl.scenes.graph import AHEAD, BACK, RIGHT, turns_per_circle
+from dirl.scenes.live import Pose, Simulator, shortest_move, simulator_errors, stride
+
+QUARTERS = (0.0, 90.0, 180.0, 270.0)
+NEAR = 0.02
+"""Metres, and degrees, from a place of the dump at which the agent counts as exactly there."""
+
+MOVES = 100_000
+"""Whose ends are remembered."""
+
+Key = tuple[float, float, float]
+"""A view: x and z in millimetres, heading in tenths of a degree."""
+
+
+class Table(Protocol):
+    """Where the features of views are kept, see `dirl.models.FeatureTable`."""
+
+    table: Tensor
+    room: int
+
+    def __len__(self) -> int:
+        """The number of views of the dump, N."""
+
+    def write(self, rows: Tensor, features: Tensor) -> None:
+        """Put features of views into rows from N + 1 on."""
+
+
+class LiveEnv(NavigationEnv):
+    """Agents that walk in a simulator.
+
+    An observation holds what that of `NavigationEnv` does, and
+
+    - ``pose``: x, z in metres and the heading in degrees, float64 ``[B, 3]``;
+    - ``view_ids``, ``goal_view_ids``: rows of the table in which the features of the four views are, int64 ``[B, 4]``.
+
+    The dump of the simulator gives goals, starts and distances; ``state`` is the nearest one to the pose. Of the views
+    the last ``views`` are remembered, by their poses to a millimetre and a tenth of a degree.
+
+    Args:
+        world: of one scene, the dump of the simulator.
+        num_agents: how many, B.
+        simulator: in which the agents take turns.
+        encode: images, uint8 ``[R, H, W, 3]``, to backbone outputs ``[R, D + patches]``.
+        table: gets what is encoded, and has room for it.
+        slip: the probability that an action has no effect.
+        turn_error: standard deviation of each turn, degrees; with it hardly any view returns.
+        views: how many are remembered.
+        front: show the goals' front view alone.
+        reward: of a step.
+        stop: see `NavigationEnv`; by default at the goal's state.
+        seed: of goals, starts and errors.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        num_agents: int = 1,
+        *,
+        simulator: Any,
+        encode: Callable[[Tensor], Tensor],
+        table: Table,
+        slip: float = 0.0,
+        turn_error: float = 0.0,
+        views: int = 20_000,
+        front: bool = False,
+        reward: Reward | None = None,
+        stop: Tensor | None = None,
+        seed: int = 0,
+    ) -> None:
+        if turn_error < 0:
+            raise ValueError(f"turn_error={turn_error}: is a standard deviation, at least 0")
+        super().__init__(world, num_agents, slip=slip, reward=reward, stop=stop, seed=seed)
+        scene = world.scenes[0]
+        self.simulator: Simulator = simulator
+        self.encode, self.table, self.front = encode, table, front
+        self.turn_error, self.remembered = turn_error, views
+        self.step_metres, self.turn = shortest_move(scene), 360 / turns_per_circle(scene.graph)
+        places = np.column_stack([scene.positions, scene.headings]).astype(np.float64)
+        self.places = torch.from_numpy(places).to(world.device)
+        self.rows: OrderedDict[Key, int] = OrderedDict()
+        """Of the views that are remembered, in the order in which they were seen last."""
+        self._pushed = lru_cache(MOVES)(self._push)
+        agents = self.batch_size
+        seen = (*agents, VIEWS)
+        self.observation_spec["pose"] = Unbounded((*agents, 3), dtype=torch.float64, device=self.device)
+        for key in ("view_ids", "goal_view_ids"):
+            self.observation_spec[key] = Categorical(len(table.table), shape=seen, device=self.device)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        agents = super()._reset(tensordict)
+        return self.again(agents.set("pose", self.places[agents["state"]]))
+
+    def again(self, agents: TensorDictBase) -> TensorDictBase:
+        """The agents with the rows of what they see, which no checkpoint knows."""
+        return agents.update(self._seen(agents["pose"], agents["goal"]))
+
+    def _move(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """Where the agents are after their actions, and what they see there."""
+        slipped = self._slipped() if self.slip else torch.zeros_like(tensordict["action"], dtype=torch.bool)
+        errors = torch.zeros(self.batch_size, device=self.device)
+        if self.turn_error:
+            errors = self.turn_error * torch.randn(self.batch_size, generator=self.generator, device=self.device)
+        taken = (tensordict["pose"], tensordict["state"], tensordict["action"], errors, slipped)
+        after = [
+            pose if slips else self._after(pose, float(self.places[state, 2]), action, error)
+            for pose, state, action, error, slips in zip(*(one.tolist() for one in taken), strict=True)
+        ]
+        pose = torch.tensor(after, dtype=torch.float64, device=self.device)
+        state = self._nearest(pose)
+        at = self.places[state]
+        near = (torch.linalg.vector_norm(pose[:, :2] - at[:, :2], dim=1) < NEAR) & (_turned(pose, at) < NEAR)
+        pose = torch.where(near[:, None], at, pose)
+        return {"state": state, "pose": pose, **self._seen(pose, tensordict["goal"])}
+
+    def _after(self, pose: list[float], intended: float, action: int, error: float) -> list[float]:
+        """Where an action leads from a pose, by an agent that takes its heading for the ``intended`` one."""
+        x, z, heading = pose
+        if action in (AHEAD, BACK):
+            metres = stride(intended, self.step_metres)
+            return list(self._pushed(x, z, heading, metres if action == AHEAD else -metres)) if metres else pose
+        return [x, z, (heading + (self.turn if action == RIGHT else -self.turn) + error) % 360]
+
+    def _push(self, x: float, z: float, heading: float, metres: float) -> Pose:
+        with simulator_errors(self.simulator.name):
+            self.simulator.place(Pose(x, z, heading))
+            self.simulator.push(metres)
+            return Pose(*self.simulator.pose)
+
+    def _nearest(self, pose: Tensor) -> Tensor:
+        """The state of the nearest place, and there of the nearest heading, int64 ``[B]``."""
+        away = torch.cdist(pose[:, :2], self.places[:, :2])
+        return torch.argmin(away + 1e-6 * _turned(pose[:, None], self.places), 1)
+
+    def _seen(self, pose: Tensor, goal: Tensor) -> dict[str, Tensor]:
+        """The rows of the views at poses, float64 ``[B, 3]``, and at goals."""
+        goals, which = goal.unique(return_inverse=True)
+        rows = self._rows([*pose.tolist(), *self.places[goals].tolist()])
+        shown = rows[len(pose) :]
+        shown = front_only(shown, len(self.table)) if self.front else shown
+        return {"view_ids": rows[: len(pose)], "goal_view_ids": shown[which]}
+
+    def _rows(self, poses: list[list[float]]) -> Tensor:
+        """The rows of the four views of each pose, int64 ``[R, 4]``; new views are encoded all together."""
+        keys = [(round(x, 3), round(z, 3), round(h + q, 1) % 360) for x, z, h in poses for q in QUARTERS]
+        new = [key for key in dict.fromkeys(keys) if key not in self.rows]
+        for key in keys:
+            if key in self.rows:
+                self.rows.move_to_end(key)
+        if new:
+            images = torch.from_numpy(self._render(new)).to(self.device)
+            for key in new:
+                free = len(self.table) + 1 + len(self.rows)
+                self.rows[key] = free if len(self.rows) < self.remembered else self.rows.popitem(last=False)[1]
+            self.table.write(torch.tensor([self.rows[key] for key in new], device=self.device), self.encode(images))
+        return torch.tensor([self.rows[key] for key in keys], device=self.device).unflatten(0, (-1, VIEWS))
+
+    def _render(self, views: list[Key]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        images, at = [], None
+        with simulator_errors(self.simulator.name):
+            for x, z, heading in views:
+                if (x, z) != at:
+                    self.simulator.place(Pose(x, z, heading))
+                    at = (x, z)
+                images.append(self.simulator.look(heading))
+        return np.stack(images)
+
+
+def _turned(pose: Tensor, other: Tensor) -> Tensor:
+    """The degrees between the headings of poses, float64."""
+    return ((pose[..., 2] - other[..., 2] + 180) % 360 - 180).abs()

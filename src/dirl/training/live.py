@@ -1,0 +1,111 @@
+"""Training and evaluation in a simulator (``env=live``): what they share, made once."""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from torch import nn
+
+from dirl.agent.loading import image_encoder, load_parts
+from dirl.agent.navigator import Navigator
+from dirl.config.choices import load_simulator
+from dirl.config.components import packages_to_trust
+from dirl.config.saved import config_text
+from dirl.config.schemas import ConfigError, GoalView, Stop, TrainConfig
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import sampled_starts
+from dirl.evaluation.live import LiveProtocol, Remembered
+from dirl.models import plain_weights
+from dirl.models.build import reads_patches
+from dirl.perception.backbones.registry import packaged_encoder
+from dirl.scenes import Scene, World
+from dirl.scenes.graph import turns_per_circle
+from dirl.scenes.live import Noisy, Simulated, Simulator, shortest_move
+from dirl.scenes.scene import turns_of
+
+
+class Live(NamedTuple):
+    """A simulator, and what encodes the views in it."""
+
+    simulator: Simulator
+    encode: Remembered
+
+
+def open_live(config: TrainConfig, world: World, observation: SurroundingViews) -> Live | None:
+    """The simulator of a run, the same at each call; None if the run has none.
+
+    Raises:
+        ConfigError: an option that is impossible in a simulator, or another simulator than the scene's.
+        SceneError: the simulator does not start.
+    """
+    file = config.env.get("simulator")
+    if file is None:
+        return None
+    options = config.reinforcement
+    agents = options.agents_per_scene
+    needed = 8 * agents * (options.n_steps + 2)
+    for refused, reason in (
+        (len(world.scenes) > 1, "one simulator is one scene; name it: scene=..."),
+        (world.looks > 1, "the scene has several looks; a simulator has its own"),
+        (
+            type(observation) is not SurroundingViews,
+            "agents see four views around them; use observation=surrounding",
+        ),
+        (options.workers > 1, "one simulator serves all agents; use reinforcement.workers=1"),
+        (config.imitation.rounds > 0, "labels of DAgger outlive the views they were given to; use imitation.rounds=0"),
+        (config.stop.training != Stop.goal, "agents are stopped by their poses; use stop.training=goal"),
+        (config.env["views"] < needed, f"{agents} agents see up to {needed} views between updates; give env.views"),
+    ):
+        if refused:
+            raise ConfigError(f"env=live: {reason}")
+    trust = None if config.trust is None else tuple(config.trust)
+    return _opened(file, trust, world.scenes[0], str(config.device), reads_patches(config))
+
+
+@lru_cache(maxsize=1)
+def _opened(file: str, trust: tuple[str, ...] | None, scene: Scene, device: str, patches: bool) -> Live:
+    simulator: Simulator = load_simulator(file, trust)
+    check_simulator(simulator, scene, file)
+    name = packaged_encoder(scene.extractor)
+    if name is None:
+        raise ConfigError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
+    facts = {"extractor": scene.extractor}
+    return Live(simulator, Remembered(image_encoder(name, None, facts, scene.origin, device, patches=patches)))
+
+
+def check_simulator(simulator: Simulator, scene: Scene, file: str) -> None:
+    """Raise `ConfigError` unless a scene is a dump of the simulator."""
+    if simulator.name != scene.name:
+        raise ConfigError(f"simulator={file}: is of {simulator.name}; {scene.origin} is of {scene.name}")
+
+
+def live_protocol(config: TrainConfig, live: Live, world: World, observation: SurroundingViews) -> LiveProtocol:
+    """The evaluation of policies by the navigator's own code in the simulator, with the errors of the training."""
+    scene = world.scenes[0]
+    turns = turns_per_circle(scene.graph)
+    facts: Mapping[str, Any] = {
+        "config": config_text(config),
+        "extractor": scene.extractor,
+        "scenes": list(world.names),
+        "views": list(observation.order),
+        "turns": turns_of(world.scenes),
+    }
+
+    def navigator(policy: nn.Module) -> Navigator:
+        saved = {**facts, "network": plain_weights(policy)}
+        parts = load_parts(
+            saved, "env=live", live.encode, scene.extractor, None, {}, str(config.device), packages_to_trust(config)
+        )
+        return Navigator(**parts, turns=turns)
+
+    each = max(1, config.evaluation.live_episodes // len(world.goals))
+    goal, start = sampled_starts(world, each, config.seed)
+    errors = {name: config.env[name] for name in ("slip", "turn_error")}
+    return LiveProtocol(
+        navigator,
+        lambda: Noisy(Simulated(live.simulator, step=shortest_move(scene), turns=turns), **errors, seed=config.seed),
+        scene,
+        (world.goals[goal].cpu(), start.cpu()),
+        config.evaluation.max_steps,
+        one_photo=observation.goal_view == GoalView.front,
+    )
