@@ -169,3 +169,13 @@ def test_agents_that_are_done_start_anew_and_the_others_walk_on(world):
     assert torch.equal(later["goal"][~done], before["goal"][~done])
     assert not (later["state"] == later["goal"]).any()
     assert not steps["done"].any()
+
+
+def test_who_slips_stays_where_it_is(world):
+    env = NavigationEnv(world, 4000, slip=0.2, seed=0)
+    steps = walk(env, seed=0, steps=1)
+    turned = (steps["action"] == RIGHT) | (steps["action"] == LEFT)
+    still = (steps["state"] == steps["next", "state"])[turned]
+    assert still.float().mean().item() == pytest.approx(0.2, abs=0.03)
+    with pytest.raises(ValueError, match=r"slip=1: is a probability below 1"):
+        NavigationEnv(world, slip=1)

@@ -108,10 +108,12 @@ class LiveEnv(NavigationEnv):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         agents = super()._reset(tensordict)
-        return self.again(agents.set("pose", self.places[agents["state"]]))
+        pose = self.places[agents["state"]]
+        return agents.set("pose", pose).update(self._seen(pose, agents["goal"]))
 
     def again(self, agents: TensorDictBase) -> TensorDictBase:
-        """The agents with the rows of what they see, which no checkpoint knows."""
+        """The agents with what they see, which is encoded anew: no checkpoint holds it."""
+        self.rows.clear()
         return agents.update(self._seen(agents["pose"], agents["goal"]))
 
     def _move(self, tensordict: TensorDictBase) -> dict[str, Tensor]:

@@ -1,0 +1,227 @@
+"""Training in a simulator: agents in turns, views that are encoded when they are seen, moves that go wrong."""
+
+from ctypes.util import find_library
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+import torch
+from parts import Loop, make_parts, train_state
+from torchrl.envs.utils import check_env_specs
+from train import learn
+
+from dirl.config.schemas import ConfigError
+from dirl.envs import NavigationEnv
+from dirl.envs.live import LiveEnv
+from dirl.evaluation.live import Remembered
+from dirl.models import FeatureTable
+from dirl.scenes import make_world, write_dump
+from dirl.scenes.live import Pose
+from dirl.scenes.scene import SceneError
+from dirl.sources.miniworld import MiniWorld
+from dirl.sources.simulators import take_scene
+from dirl.training import live
+from dirl.training.live import Live, live_protocol, open_live
+
+
+class Field:
+    """A square of places a metre apart; each view has a colour of its own."""
+
+    name = "field"
+
+    def __init__(self, size=3):
+        self.size, self.pose, self.looks = size, Pose(0.0, 0.0, 0.0), 0
+
+    def place(self, pose):
+        self.pose = pose
+
+    def push(self, metres):
+        x, z, heading = self.pose
+        end = x + metres * np.sin(np.radians(heading)), z + metres * np.cos(np.radians(heading))
+        free = min(end) > -0.5 and max(end) < self.size - 0.5
+        self.pose = Pose(*end, heading) if free else self.pose
+        return free
+
+    def look(self, heading):
+        self.looks += 1
+        x, z, _ = self.pose
+        turn = np.radians(heading)
+        return np.array([[[40 * x, 40 * z, 0]], [[128 + 99 * np.sin(turn), 128 + 99 * np.cos(turn), 0]]]).astype(
+            np.uint8
+        )
+
+
+def encode(images):
+    return images.flatten(1).float()
+
+
+def field_scene(size=3):
+    scene, _ = take_scene(Field(size), source="field", step=1.0, turn=90)
+    simulator, images = Field(size), []
+    for (x, z), heading in zip(scene.positions.tolist(), scene.headings.tolist(), strict=True):
+        simulator.place(Pose(x, z, heading))
+        images.append(simulator.look(heading))
+    features = encode(torch.from_numpy(np.stack(images))).numpy()
+    facts = {name: getattr(scene, name) for name in ("name", "graph", "positions", "headings", "source")}
+    return type(scene)(**facts, features=features, goals=(0, 17), extractor="colours")
+
+
+def make_env(agents=6, views=200, simulator=None, **options):
+    world = make_world([field_scene()])
+    table = FeatureTable(world.features, room=views)
+    simulator = simulator or Field()
+    return LiveEnv(world, agents, simulator=simulator, encode=encode, table=table, views=views, **options)
+
+
+def walk(env, steps, seed=0):
+    """What a fixed sequence of actions leads to, ``[B, T]``."""
+    draws, agents, taken = torch.Generator().manual_seed(seed), env.reset(), []
+    for _ in range(steps):
+        action = torch.randint(4, env.batch_size, generator=draws)
+        taken.append(env.step(agents.set("action", action)))
+        agents = taken[-1]["next"].exclude("reward")
+    return torch.stack(taken, -1)
+
+
+def test_its_specs_are_right():
+    check_env_specs(make_env(slip=0.2, turn_error=5.0, views=2000))
+
+
+def test_without_errors_it_is_the_world_of_the_dump():
+    env = make_env(seed=3)
+    found, wanted = walk(env, 60), walk(NavigationEnv(env.world, 6, seed=3), 60)
+    for key in ("state", "goal", "done", "reward"):
+        assert torch.equal(found["next", key], wanted["next", key])
+    around = env.world.surrounding[found["next", "state"]]
+    assert torch.equal(env.table.table[found["next", "view_ids"]], env.world.features[around])
+    goals = env.world.surrounding[found["next", "goal"]]
+    assert torch.equal(env.table.table[found["next", "goal_view_ids"]], env.world.features[goals])
+
+
+def test_a_view_that_returns_is_rendered_once():
+    env = make_env(slip=0.1)
+    walk(env, 200)
+    assert env.simulator.looks == len(env.rows) == len(env.world)
+
+
+def test_who_slips_stays_and_who_errs_in_turning_goes_where_it_looks():
+    slipping = walk(make_env(agents=200, slip=0.25), 5)
+    still = (slipping["pose"] == slipping["next", "pose"]).all(-1)
+    turns = (slipping["action"] == 1) | (slipping["action"] == 2)
+    assert still[turns].float().mean().item() == pytest.approx(0.25, abs=0.05)
+    env = make_env(agents=50, turn_error=4.0, views=4000)
+    steps = walk(env, 6)
+    off = steps["next", "pose"][..., 2] % 90
+    assert ((off > 0.5) & (off < 89.5)).any()
+    assert torch.equal(env.world.scene_of[steps["next", "state"]], steps["scene"])
+    nearest = env.places[steps["next", "state"]]
+    assert ((steps["next", "pose"][..., 2] - nearest[..., 2] + 180) % 360 - 180).abs().max() <= 45
+
+
+def test_the_views_seen_longest_ago_are_forgotten():
+    env = make_env(agents=2, turn_error=4.0, views=60)
+    steps = walk(env, 40)
+    assert len(env.rows) == 60
+    assert len(set(env.rows.values())) == 60
+    last = steps["next"][:, -1]
+    assert env.table.table[last["view_ids"]].abs().sum(-1).min() > 0
+    before = env.table.table[last["view_ids"]]
+    env.table.refresh()
+    assert torch.equal(env.table.table[env.again(last)["view_ids"]], before)
+
+
+def test_a_simulator_that_dies_is_one_line():
+    simulator = Field()
+    env = make_env(simulator=simulator)
+    simulator.look = lambda heading: 1 / 0
+    with pytest.raises(SceneError, match=r"^field failed \(ZeroDivisionError: .*\); run the command again$"):
+        env.reset()
+
+
+@pytest.fixture
+def options(tmp_path, monkeypatch):
+    """Of a training in the field, whose encoder is none of the package."""
+    file = tmp_path / "field.h5"
+    scene = field_scene()
+    write_dump(file, scene)
+    opened = Live(Field(), Remembered(encode))
+    monkeypatch.setattr(live, "_opened", lambda *_: opened)
+    small = ["encoder.width=16", "heads.width=16", "reinforcement.agents_per_scene=6", "evaluation.live_episodes=4"]
+    return [f"scene={file}", "env=live", "env.simulator=x.yaml", "env.slip=0.1", "env.views=400", *small]
+
+
+def test_the_recipe_trains_and_the_navigator_is_evaluated_in_it(options):
+    parts = make_parts(*options, "evaluation.max_steps=12")
+    state = train_state(parts)
+    before = {name: value.clone() for name, value in parts.policy.named_parameters()}
+    learn(parts.config, state, Loop(state, 120))
+    assert state.frames == 120
+    assert any(not torch.equal(value, before[name]) for name, value in parts.policy.named_parameters())
+    opened = open_live(parts.config, parts.world, parts.observation)
+    protocol = live_protocol(parts.config, opened, parts.world, parts.observation)
+    found, told = protocol.run(parts.policy), protocol.run(parts.policy, told=True)
+    assert len(found.steps) == len(told.steps) == 4
+    assert not (told.false_stop | told.missed_stop).any()
+    again = train_state(make_parts(*options))
+    again.load_state_dict(state.state_dict())
+    assert torch.equal(again.agents["pose"], state.agents["pose"])
+    seen = [one.env.base_env.table.table[one.agents["view_ids"]] for one in (state, again)]
+    assert torch.equal(*seen)
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("observation=sequential", "use observation=surrounding"),
+        ("reinforcement.workers=2", "use reinforcement.workers=1"),
+        ("imitation.rounds=1", "use imitation.rounds=0"),
+        ("stop.training=match", "use stop.training=goal"),
+        ("env.views=100", "6 agents see up to 336 views between updates; give env.views"),
+    ],
+)
+def test_what_is_impossible_in_a_simulator_is_one_line(options, option, message):
+    with pytest.raises(ConfigError, match=message):
+        train_state(make_parts(*options, option))
+
+
+def test_impossible_errors_of_moves():
+    for option in ({"slip": 1.0}, {"turn_error": -1.0}):
+        with pytest.raises(ValueError, match=next(iter(option))):
+            make_env(**option)
+
+
+def test_another_simulator_than_the_scenes_is_one_line():
+    with pytest.raises(ConfigError, match=r"simulator=f\.yaml: is of field; .* is of "):
+        live.check_simulator(
+            Field(),
+            make_world([field_scene()])
+            .scenes[0]
+            .__class__(
+                name="other",
+                graph=field_scene().graph,
+                positions=field_scene().positions,
+                headings=field_scene().headings,
+            ),
+            "f.yaml",
+        )
+
+
+def test_agents_in_miniworld_see_what_its_dump_shows():
+    if not find_spec("miniworld") or not find_library("EGL"):
+        pytest.skip("the extra miniworld, or EGL, is not installed")
+    simulator = MiniWorld("MazeS3", seed=1, height=12, width=16)
+    scene, _ = take_scene(simulator, source="miniworld", step=1.0, turn=90, most=4)
+    images = []
+    for (x, z), heading in zip(scene.positions.tolist(), scene.headings.tolist(), strict=True):
+        simulator.place(Pose(x, z, heading))
+        images.append(simulator.look(heading))
+    features = encode(torch.from_numpy(np.stack(images)))
+    facts = {name: getattr(scene, name) for name in ("name", "graph", "positions", "headings", "source")}
+    world = make_world([type(scene)(**facts, features=features.numpy(), goals=(0,))])
+    table = FeatureTable(world.features, room=200)
+    env = LiveEnv(world, 3, simulator=simulator, encode=encode, table=table, views=200)
+    steps = walk(env, 20)
+    around = world.surrounding[steps["state"]]
+    known = (env.places[steps["state"]] - steps["pose"]).abs().amax(-1) < 1e-9
+    assert known.any()
+    assert torch.equal(table.table[steps["view_ids"]][known], world.features[around][known])
