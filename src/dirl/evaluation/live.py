@@ -30,7 +30,7 @@ class Remembered:
 
     def __call__(self, images: Tensor) -> Tensor:
         """Features of images, uint8 ``[N, H, W, 3]``."""
-        keys = [sha256(image.numpy()).digest() for image in images.cpu()]
+        keys = [sha256(image.numpy().tobytes()).digest() for image in images.cpu()]
         new = {key: index for index, key in enumerate(keys) if key not in self.known}
         if new:
             self.known |= zip(new, torch.as_tensor(self.encoder(images[list(new.values())])), strict=True)
@@ -112,8 +112,15 @@ class LiveProtocol:
 
     def run(self, policy: nn.Module, *, told: bool = False) -> Episodes:
         """One episode from each start, see `evaluate_live`."""
-        conditions = {"max_steps": self.max_steps, "one_photo": self.one_photo}
-        return evaluate_live(self.navigator(policy), self.world(), self.scene, self.starts, **conditions, told=told)
+        return evaluate_live(
+            self.navigator(policy),
+            self.world(),
+            self.scene,
+            self.starts,
+            max_steps=self.max_steps,
+            one_photo=self.one_photo,
+            told=told,
+        )
 
 
 def _arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
