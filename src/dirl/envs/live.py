@@ -163,20 +163,21 @@ class LiveEnv(NavigationEnv):
 
     def _rows(self, poses: list[list[float]]) -> Tensor:
         """The rows of the four views of each pose, int64 ``[R, 4]``; new views are encoded all together."""
-        keys = [(round(x, 3), round(z, 3), round(h + q, 1) % 360) for x, z, h in poses for q in QUARTERS]
-        new = [key for key in dict.fromkeys(keys) if key not in self.rows]
+        views = [(x, z, (heading + quarter) % 360) for x, z, heading in poses for quarter in QUARTERS]
+        keys = [(round(x, 3), round(z, 3), round(heading, 1) % 360) for x, z, heading in views]
+        new = {key: view for key, view in zip(keys, views, strict=True) if key not in self.rows}
         for key in keys:
             if key in self.rows:
                 self.rows.move_to_end(key)
         if new:
-            images = torch.from_numpy(self._render(new)).to(self.device)
+            images = torch.from_numpy(self._render(list(new.values()))).to(self.device)
             for key in new:
                 free = len(self.table) + 1 + len(self.rows)
                 self.rows[key] = free if len(self.rows) < self.remembered else self.rows.popitem(last=False)[1]
             self.table.write(torch.tensor([self.rows[key] for key in new], device=self.device), self.encode(images))
         return torch.tensor([self.rows[key] for key in keys], device=self.device).unflatten(0, (-1, VIEWS))
 
-    def _render(self, views: list[Key]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    def _render(self, views: list[tuple[float, float, float]]) -> np.ndarray[Any, np.dtype[np.uint8]]:
         images, at = [], None
         with simulator_errors(self.simulator.name):
             for x, z, heading in views:
