@@ -1,20 +1,17 @@
 """Training and evaluation in a simulator (``env=live``): what they share, made once."""
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 from torch import nn
 
-from dirl.agent.loading import image_encoder, load_parts
-from dirl.agent.navigator import Navigator
 from dirl.config.choices import load_simulator
 from dirl.config.components import packages_to_trust
 from dirl.config.saved import config_text
 from dirl.config.schemas import ConfigError, GoalView, Stop, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import sampled_starts
-from dirl.evaluation.live import LiveProtocol, Remembered
+from dirl.evaluation.live import LiveProtocol, Remembered, remembering, trained_navigator
 from dirl.models import plain_weights
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import packaged_encoder
@@ -69,8 +66,7 @@ def _opened(file: str, trust: tuple[str, ...] | None, scene: Scene, device: str,
     name = packaged_encoder(scene.extractor)
     if name is None:
         raise ConfigError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
-    facts = {"extractor": scene.extractor}
-    return Live(simulator, Remembered(image_encoder(name, None, facts, scene.origin, device, patches=patches)))
+    return Live(simulator, remembering(name, scene, device, patches=patches))
 
 
 def check_simulator(simulator: Simulator, scene: Scene, file: str) -> None:
@@ -83,7 +79,7 @@ def live_protocol(config: TrainConfig, live: Live, world: World, observation: Su
     """The evaluation of policies by the navigator's own code in the simulator, with the errors of the training."""
     scene = world.scenes[0]
     turns = turns_per_circle(scene.graph)
-    facts: Mapping[str, Any] = {
+    facts: dict[str, Any] = {
         "config": config_text(config),
         "extractor": scene.extractor,
         "scenes": list(world.names),
@@ -91,12 +87,10 @@ def live_protocol(config: TrainConfig, live: Live, world: World, observation: Su
         "turns": turns_of(world.scenes),
     }
 
-    def navigator(policy: nn.Module) -> Navigator:
-        saved = {**facts, "network": plain_weights(policy)}
-        parts = load_parts(
-            saved, "env=live", live.encode, scene.extractor, None, {}, str(config.device), packages_to_trust(config)
-        )
-        return Navigator(**parts, turns=turns)
+    trust, device = packages_to_trust(config), str(config.device)
+
+    def navigator(policy: nn.Module) -> Any:
+        return trained_navigator({**facts, "network": plain_weights(policy)}, live.encode, turns, device, trust)
 
     each = max(1, config.evaluation.live_episodes // len(world.goals))
     goal, start = sampled_starts(world, each, config.seed)
