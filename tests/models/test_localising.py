@@ -118,6 +118,15 @@ def test_who_knows_the_whole_place_stops_at_the_most_probable_node():
     assert not LocalisingMemory(settle=0.95).stops(closed).item()
 
 
+def test_with_a_map_of_an_earlier_walk_moves_not_tried_are_no_reason_to_search_on():
+    memory = LocalisingMemory()
+    seen = walk(memory, (AHEAD, {0: -3.0}), goal={1: {0: 2.5}})
+    assert not memory.stops(seen).item()
+    seen.mapped[:] = True
+    assert memory.stops(seen).item()
+    assert not LocalisingMemory(settle=0.999).stops(seen).item()
+
+
 def test_more_places_that_may_look_like_the_goal_ask_for_more_evidence():
     seen = walk(LocalisingMemory(), goal={0: {0: 4.0}})
     assert [LocalisingMemory(elsewhere=value).stops(seen).item() for value in (0.002, 0.2)] == [True, False]

@@ -49,6 +49,8 @@ class Places:
     """Of the first view of each place, in right turns since the start, int64 ``[B, P]``."""
     action: Tensor
     """The last action, int64 ``[B]``; -1 at the start, where agents may be anywhere."""
+    mapped: Tensor
+    """Whether agents began with a map of an earlier walk, bool ``[B]``."""
 
     @property
     def here(self) -> Tensor:
@@ -74,7 +76,7 @@ class Places:
             return torch.where(node < 0, -1, VIEWS * row[node // VIEWS] + node % VIEWS)
 
         after = renumbered(self.after[:, nodes])
-        facts = self.position[:, kept], self.heading[:, kept], self.action
+        facts = self.position[:, kept], self.heading[:, kept], self.action, self.mapped
         return Places(self.cost[:, nodes], after, renumbered(self.node), self.goal, *facts)
 
 
@@ -99,7 +101,7 @@ class LocalisingMemory(nn.Module):
         blocked: prior probability that a move not tried yet is blocked.
         slip: prior probability that an action leads anywhere else than expected.
         confidence: stop above this probability that the goal is here. Fewer false stops cost longer paths.
-        settle: the same where no move is left that was not tried, as in a place that a map shows whole.
+        settle: the same where no move is left that was not tried, or a map of an earlier walk shows the place.
         elsewhere: how many nodes that look like the goal lie behind each move not tried, anywhere.
         neighbour: how many more lie behind each move not tried at the most probable place.
         seek: try all moves around a place above these log odds, and return to it to see it again.
@@ -144,6 +146,7 @@ class LocalisingMemory(nn.Module):
             position=none(0, 2),
             heading=none(0),
             action=torch.full((agents,), -1, device=device),
+            mapped=none(dtype=torch.bool).fill_(False),
         )
 
     def arrive(self, places: Places, alike: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
@@ -212,6 +215,7 @@ class LocalisingMemory(nn.Module):
             position=torch.cat([places.position, position[:, None]], 1),
             heading=torch.cat([places.heading, heading[:, None]], 1),
             action=places.action,
+            mapped=places.mapped,
         )
         if not _carried(places):
             connect(arrived.after, places.here, places.action, here)
@@ -255,10 +259,12 @@ class LocalisingMemory(nn.Module):
         # A move back at one heading is the move ahead at the opposite one.
         untried = (places.after[..., AHEAD] < 0) & places.used
         near = untried.unflatten(1, (-1, VIEWS))[at, node // VIEWS].sum(1)
-        unseen = (self.elsewhere * (1 + untried.sum(1)) + self.neighbour * near).log()
+        # A map has doubles of places, whose moves were not tried from each of them.
+        whole = places.mapped | ~untried.any(1)
+        unseen = (self.elsewhere * (1 + untried.sum(1)) + self.neighbour * near * ~places.mapped).log()
         every = torch.cat([evidence, unseen[:, None]], 1).logsumexp(1)
         probability = (evidence[at, node] - every).exp()
-        return probability > torch.where(untried.any(1), self.confidence, self.settle)
+        return probability > torch.where(whole, self.settle, self.confidence)
 
     def _expected(self, places: Places) -> tuple[Tensor, Tensor]:
         """Position and heading by dead reckoning after the last action, int64 ``[B, 2]`` and ``[B]``."""

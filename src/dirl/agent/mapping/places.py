@@ -48,6 +48,7 @@ class PlaceMap:
         known = {name: value.to(device).expand(agents, *value.shape[1:]) for name, value in vars(self.places).items()}
         # The tables of links are written to.
         known |= {"after": known["after"].clone(), "goal": goal, "action": torch.full_like(known["action"], -1)}
+        known["mapped"] = torch.ones_like(known["action"], dtype=torch.bool)
         return Places(**known)
 
 

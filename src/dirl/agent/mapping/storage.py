@@ -24,7 +24,7 @@ TENSORS, FACTS = "map.safetensors", "map.json"
 
 SCHEMA = 1
 
-PLACES = tuple(field.name for field in fields(Places))
+PLACES = tuple(field.name for field in fields(Places) if field.name != "mapped")
 
 
 def save_graph(
@@ -150,4 +150,4 @@ def _places(tensors: dict[str, Tensor]) -> PlaceMap:
         raise ValueError("a move leads to a node that is not there")
     if seen.shape[:3] != (1, visits, VIEWS) or seen.ndim != 4 or not seen.isfinite().all():
         raise ValueError(f"visits of shape {list(seen.shape)}")
-    return PlaceMap(Places(**{name: tensors[name] for name in shapes}), seen)
+    return PlaceMap(Places(**{name: tensors[name] for name in shapes}, mapped=torch.zeros(1, dtype=torch.bool)), seen)
