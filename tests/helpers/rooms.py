@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 
-from dirl.perception.backbones.patches import PATCH_SHAPE
+from dirl.perception.backbones.patches import FINE, PATCH_SHAPE
 from dirl.scenes import Scene, read_dump
 
 CELL = 0.5
@@ -34,7 +34,7 @@ def grid_scene(
         width, depth: cells along x and z.
         headings: turns in a full circle, a multiple of 4; ahead and back only move along the axes.
         blocked: cells ``(x, z)`` without a place, e.g. ``[(1, 0)]``.
-        patches: with patches, which are random.
+        patches: with patches, which are random; or "fine" ones.
         looks: further looks, which are the features and patches with ``noise``.
     """
     cells = [(x, z) for z in range(depth) for x in range(width) if (x, z) not in set(blocked)]
@@ -55,7 +55,8 @@ def grid_scene(
                         graph[first + turn, action] = headings * beside + turn
     rng = np.random.default_rng(seed)
     features = rng.random((len(graph), feature_width), np.float32)
-    parts = rng.normal(size=(len(graph), *PATCH_SHAPE)).astype(np.float16) if patches else None
+    shape = (FINE[0] * FINE[1], PATCH_SHAPE[1]) if patches == "fine" else PATCH_SHAPE
+    parts = rng.normal(size=(len(graph), *shape)).astype(np.float16) if patches else None
 
     def again(values):
         if values is None or not looks:

@@ -13,7 +13,7 @@ from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
-from dirl.perception.backbones.patches import PATCH_SHAPE
+from dirl.perception.backbones.patches import PATCH_SHAPE, coarse
 from dirl.scenes import ACTIONS, World
 
 
@@ -118,6 +118,7 @@ def feature_table(
             f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again by "
             "scenes.py encode ... patches=true"
         )
+    patches = None if patches is None else coarse(patches)
     return FeatureTable(world.features, mean, std, axes, patches, room).to(world.device)
 
 

@@ -8,8 +8,10 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dirl.evaluation.episodes import bar_interval, drawn_looks
+from dirl.perception.backbones.patches import are_fine
 from dirl.perception.recognition import Learned
 from dirl.perception.recognition.learned import COLUMNS
+from dirl.perception.recognition.photo import PhotoOdds
 from dirl.scenes import World
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 from dirl.training.losses import set_learning_rate
@@ -39,6 +41,8 @@ def learn_recogniser(
 ) -> None:
     """Train a recogniser by cross-entropy on pairs of visits, with four views and with one as the reference.
 
+    In rooms with fine patches `dirl.perception.recognition.photo.PhotoOdds` is trained on the same pairs.
+
     Args:
         world: of rooms, with patches and at least two looks.
         network: without weights.
@@ -54,7 +58,7 @@ def learn_recogniser(
     """
     if world.patches is None or world.looks < 2:
         raise ValueError("training a recogniser needs rooms with patches and looks: scenes sample patches=true looks=2")
-    near = torch.stack([_after(world.graph, actions) for actions in NEAR], 1)
+    near, fine = torch.stack([_after(world.graph, actions) for actions in NEAR], 1), are_fine(world.patches)
     network.measure(world.features[: len(world)], world.patches[: len(world)])
     parts = zip(world.features.split(4096), world.patches.split(4096), strict=True)
     whitened = [network.whiten(*part) for part in parts]
@@ -62,13 +66,17 @@ def learn_recogniser(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         optimiser = torch.optim.AdamW(network.train().parameters(), lr, weight_decay=weight_decay)
-        losses = torch.zeros(2)
+        losses = torch.zeros(3 if fine else 2)
         for step in (bar := tqdm(range(steps), unit=" steps", mininterval=bar_interval())):
             set_learning_rate(optimiser, lr * min(1, (step + 1) / 200) * (1 - step / steps))
             seen, reference, same = _pairs(world, near, batch_size)
             compared = network.compare(*(network.project(pooled[ids], patches[ids]) for ids in (seen, reference)))
-            both = torch.stack([network.of_columns(compared[:, :COLUMNS]), network.of_columns(compared)])
-            loss = F.binary_cross_entropy_with_logits(both, same.expand_as(both), reduction="none").mean(1)
+            odds = [network.of_columns(compared[:, :COLUMNS]), network.of_columns(compared)]
+            if fine:
+                views = (network.photo.describe(world.patches[ids]) for ids in (seen, reference[:, 0]))
+                odds.append(_each(network.photo, *views))
+            every = torch.stack(odds)
+            loss = F.binary_cross_entropy_with_logits(every, same.expand_as(every), reduction="none").mean(1)
             optimiser.zero_grad()
             loss.sum().backward()
             optimiser.step()
@@ -94,14 +102,17 @@ def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0
     """
     assert world.patches is not None
     near = torch.stack([_after(world.graph, actions) for actions in NEAR], 1)
-    network.calibration.copy_(torch.tensor([[1.0, 0.0], [1.0, 0.0]]))
+    photo = network.photo if are_fine(world.patches) and network.photo.trained else None
+    rows = [network.calibration[0] if photo is None else photo.calibration, network.calibration[1]]
+    for row in rows:
+        row.copy_(torch.tensor([1.0, 0.0]))
     odds, truth = [], []
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(seed)
         for _ in range(pairs // 500):
             seen, reference, same = _pairs(world, near, 500)
             visits, goals = (network.describe(world.features[i], world.patches[i]) for i in (seen, reference))
-            odds.append(torch.stack([network.log_odds(visits, part) for part in (goals[:, :1], goals)]))
+            odds.append(torch.stack([_each(network, visits, part) for part in (goals[:, :1], goals)]))
             truth.append(same)
     found, same = torch.cat(odds, 1), torch.cat(truth)
     fitted = torch.tensor([[1.0, 0.0], [1.0, 0.0]], requires_grad=True)
@@ -115,8 +126,13 @@ def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0
         return value
 
     optimiser.step(loss)
-    network.calibration.copy_(fitted.detach())
-    network.calibration[:, 1] -= same.mean().logit()
+    for row, found_row in zip(rows, fitted.detach(), strict=True):
+        row.copy_(found_row - torch.stack([torch.zeros(()), same.mean().logit()]))
+
+
+def _each(network: Learned | PhotoOdds, seen: Tensor, reference: Tensor) -> Tensor:
+    """The log odds of each of B visits with its own reference, described, float32 ``[B]``."""
+    return network.scores(seen.unsqueeze(1), reference.unsqueeze(1)).flatten()
 
 
 def _after(graph: Tensor, actions: tuple[int, ...]) -> Tensor:

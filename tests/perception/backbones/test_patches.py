@@ -2,7 +2,7 @@
 
 import torch
 
-from dirl.perception.backbones.patches import CELLS, PROJECTION, cells_of, load_projection, patch_attributes
+from dirl.perception.backbones.patches import CELLS, FINE, PROJECTION, cells_of, coarse, load_projection, patch_attributes
 from dirl.perception.backbones.principal import principal_components
 
 
@@ -14,6 +14,17 @@ def test_cells_are_means_row_by_row():
     assert cells.shape == (1, CELLS[0] * CELLS[1], 1024)
     assert cells[0, :, 5].tolist() == [0, 1, 0, 0, 0, 0, 0, 1]
     assert cells[0, :, 4].abs().max() == 0
+
+
+def test_the_means_of_fine_patches_are_the_others():
+    stage = torch.rand(2, 1024, 6, 8)
+    fine = load_projection(cells=FINE)(stage)
+    assert fine.shape == (2, 48, 96)
+    patches = load_projection()(stage)
+    torch.testing.assert_close(coarse(fine), patches, atol=1e-5, rtol=1e-4)
+    assert coarse(patches) is patches
+    assert coarse(fine.half()).dtype == torch.float16
+    assert patch_attributes(FINE) != patch_attributes()
 
 
 def test_a_projection_has_unit_variance_but_for_what_hardly_varies():

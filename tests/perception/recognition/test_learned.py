@@ -4,13 +4,14 @@ import pytest
 import torch
 from rooms import grid_scene
 
+from dirl.perception.backbones.patches import coarse
 from dirl.perception.recognition import Learned
 from dirl.scenes import make_world
 from dirl.training.recogniser import NEAR, calibrate, learn_recogniser
 
 
-def changing(rooms=2, noise=0.8, seed=0):
-    size = {"feature_width": 32, "patches": True, "looks": 2, "noise": noise}
+def changing(rooms=2, noise=0.8, seed=0, patches=True):
+    size = {"feature_width": 32, "patches": patches, "looks": 2, "noise": noise}
     return make_world([grid_scene(4, 3, name=f"room_{seed}_{i}", seed=10 * seed + i, **size) for i in range(rooms)])
 
 
@@ -71,6 +72,35 @@ def test_it_learns_to_tell_a_place_from_its_neighbours_in_rooms_it_has_not_seen(
         same, another = (network.log_odds(described[0], part[:, :views]) for part in described[1:])
         moved = other.graph[:, 0] != torch.arange(len(other))
         assert (same[moved] > another[moved]).float().mean() > 0.8
+
+
+def test_with_fine_patches_photos_are_compared_by_where_patches_moved():
+    world, other = changing(patches="fine"), changing(seed=1, patches="fine")
+    network = untrained(world)
+    learn_recogniser(world, network, steps=150, batch_size=64)
+    calibrate(network, other, pairs=1000)
+    assert not torch.equal(network.photo.calibration, torch.tensor([1.0, 0.0]))
+    ids, near = other.surrounding, other.surrounding[other.graph[:, 0]] + len(other)
+    seen, same, another = (network.describe(other.features[i], other.patches[i]) for i in (ids, ids + len(other), near))
+    odds = [network.scores(seen, part[:, :1]).diagonal() for part in (same, another)]
+    moved = other.graph[:, 0] != torch.arange(len(other))
+    assert (odds[0][moved] > odds[1][moved]).float().mean() > 0.8
+    # Four views, and photos of which only the means of cells are known, are compared as ever.
+    few = network.describe(other.features[ids], coarse(other.patches[ids]))
+    torch.testing.assert_close(network.scores(seen, same), network.scores(few, same), atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(network.scores(few, few[:, :1]), network.scores(seen, few[:, :1]), atol=1e-4, rtol=1e-4)
+
+
+def test_a_photo_that_is_turned_a_little_is_compared_with_the_view_beside():
+    network = untrained(changing(patches="fine"))
+    seen, photo = torch.randn(1, 4, 48, 96), torch.randn(1, 48, 96)
+    found = [network.photo.scores(network.photo.describe(seen), network.photo.describe(photo))]
+    for view in range(1, 4):
+        other = seen.clone()
+        other[:, view] = torch.randn(48, 96)
+        found.append(network.photo.scores(network.photo.describe(other), network.photo.describe(photo)))
+    right, back, left = (one != found[0] for one in found[1:])
+    assert right and left and not back
 
 
 def test_the_weights_of_the_package_are_calibrated_and_need_the_patches_of_its_encoder():

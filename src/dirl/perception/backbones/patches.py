@@ -2,7 +2,8 @@
 
 The third stage of the shipped ResNet-50, of views at 96x128 pixels, is averaged over 2 x 4 cells and projected from
 1024 to 96 channels of about unit variance. The projection, principal components of training rooms, is the same for
-every room, so that patches of different rooms are comparable; see ``data/NOTICE.md``.
+every room, so that patches of different rooms are comparable; see ``data/NOTICE.md``. Fine patches are the same of all
+6 x 8 cells of the map; their means are the others (`coarse`).
 """
 
 import hashlib
@@ -16,8 +17,8 @@ from torch import Tensor
 PATCH_SIZE = (96, 128)
 """Height and width that views are resized to, pixels."""
 
-CELLS = (2, 4)
-"""Rows and columns."""
+CELLS, FINE = (2, 4), (6, 8)
+"""Rows and columns, and those of fine patches."""
 
 PATCH_SHAPE = (CELLS[0] * CELLS[1], 96)
 """Patches of a view, and channels of a patch."""
@@ -25,7 +26,9 @@ PATCH_SHAPE = (CELLS[0] * CELLS[1], 96)
 PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
 
 
-def load_projection(device: str | torch.device = "cpu", file: Path = PROJECTION) -> Callable[[Tensor], Tensor]:
+def load_projection(
+    device: str | torch.device = "cpu", file: Path = PROJECTION, cells: tuple[int, int] = CELLS
+) -> Callable[[Tensor], Tensor]:
     """A shipped projection: an inner stage's map, ``[B, C, H, W]`` (C = 1024), to patches, float32 ``[B, cells, 96]``.
 
     Cells are numbered row by row, from the upper left.
@@ -34,21 +37,35 @@ def load_projection(device: str | torch.device = "cpu", file: Path = PROJECTION)
     mean, components = stored["mean"].float(), stored["components"].float()
 
     def project(third_stage: Tensor) -> Tensor:
-        return (cells_of(third_stage) - mean) @ components
+        return (cells_of(third_stage, cells) - mean) @ components
 
     return project
 
 
-def cells_of(third_stage: Tensor) -> Tensor:
+def cells_of(third_stage: Tensor, cells: tuple[int, int] = CELLS) -> Tensor:
     """The means over cells of a map, ``[B, C, H, W]``, float32 ``[B, cells, C]``."""
-    return F.adaptive_avg_pool2d(third_stage.float(), CELLS).flatten(2).transpose(1, 2)
+    return F.adaptive_avg_pool2d(third_stage.float(), cells).flatten(2).transpose(1, 2)
 
 
-def patch_attributes() -> dict[str, str]:
+def are_fine(patches: Tensor) -> bool:
+    """Whether patches ``[..., cells, channels]`` are of `FINE` cells."""
+    return patches.shape[-2] == FINE[0] * FINE[1]
+
+
+def coarse(patches: Tensor) -> Tensor:
+    """Patches of `CELLS`: the means of fine ones, ``[..., cells, channels]``; others as they are."""
+    if not are_fine(patches):
+        return patches
+    (rows, columns), (high, wide) = CELLS, (fine // few for fine, few in zip(FINE, CELLS, strict=True))
+    cells = patches.unflatten(-2, (rows, high, columns, wide))
+    return cells.float().mean((-4, -2)).flatten(-3, -2).to(patches.dtype)
+
+
+def patch_attributes(cells: tuple[int, int] = CELLS) -> dict[str, str]:
     """The attributes that a dump stores with patches of the shipped ResNet-50."""
     height, width = PATCH_SIZE
     return {
-        "extractor": f"ResNet-50 as shipped, third stage, views at {height}x{width}, {CELLS[0]}x{CELLS[1]} cells",
+        "extractor": f"ResNet-50 as shipped, third stage, views at {height}x{width}, {cells[0]}x{cells[1]} cells",
         "projection": projection_hash(PROJECTION),
     }
 

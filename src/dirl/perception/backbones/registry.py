@@ -17,7 +17,7 @@ from tqdm import tqdm
 from dirl.perception.backbones.efficientnet import lite0_encoder
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
 from dirl.perception.backbones.huggingface import huggingface_encoder
-from dirl.perception.backbones.patches import PATCH_SIZE, load_projection, patch_attributes
+from dirl.perception.backbones.patches import CELLS, FINE, PATCH_SIZE, load_projection, patch_attributes
 from dirl.perception.backbones.resnet import (
     MEAN,
     PROVENANCE,
@@ -56,7 +56,12 @@ class Encoded(NamedTuple):
 
 
 def load_encoder(
-    name: str = "resnet50", device: str | torch.device = "cpu", *, precision: str = "float32", patches: bool = False
+    name: str = "resnet50",
+    device: str | torch.device = "cpu",
+    *,
+    precision: str = "float32",
+    patches: bool = False,
+    fine_patches: bool = False,
 ) -> ViewEncoder:
     """The encoder that a user names.
 
@@ -71,6 +76,7 @@ def load_encoder(
             ResNet-50 only.
         patches: give patches too (`dirl.perception.backbones.patches`); those of ``efficientnet_lite0`` are its own,
             those of all others the same kind, of the shipped ResNet-50.
+        fine_patches: six times as many (`dirl.perception.backbones.patches`), of ``resnet50_small`` only.
 
     Raises:
         EncoderError: there is no such encoder, or a package that it needs is not installed.
@@ -80,10 +86,13 @@ def load_encoder(
         raise EncoderError(f"device={device}: torch sees no CUDA device here; use device=cpu")
     if precision not in PRECISIONS:
         raise EncoderError(f"precision={precision}: choose from {', '.join(PRECISIONS)}")
+    if fine_patches and name != "resnet50_small":
+        raise EncoderError(f"fine_patches=true: encoder={name} has none; choose encoder=resnet50_small")
     path, dtype = Path(name), PRECISIONS[precision]
     is_file = path.is_file() or path.suffix in (".pth", ".pt")
     if name in SHIPPED:
-        return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, patches=patches)
+        cells = FINE if fine_patches else CELLS if patches else None
+        return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, cells=cells)
     if is_file or name == "torchvision":
         encoder = _resnet(load_backbone(path) if is_file else _torchvision_backbone(), device, dtype)
     elif precision == "float32" and name == LITE:
@@ -209,7 +218,7 @@ def _resnet(
     *,
     size: tuple[int, int] = SIZE,
     provenance: str = "",
-    patches: bool = False,
+    cells: tuple[int, int] | None = None,
 ) -> ViewEncoder:
     counters = ("num_batches_tracked",)  # of no use once training is over, and missing in some files
     parameters = {name: value for name, value in backbone.state_dict().items() if not name.endswith(counters)}
@@ -224,15 +233,16 @@ def _resnet(
         return quick.third_stage(preprocess(views, size).to(device, dtype, memory_format=torch.channels_last))
 
     attributes |= {"provenance": provenance} if provenance else {}
-    if patches and size == PATCH_SIZE:
-        return staged_encoder(third_stage, quick.pool, attributes, load_projection(device), patch_attributes())
+    if cells is not None and size == PATCH_SIZE:
+        projection = load_projection(device, cells=cells)
+        return staged_encoder(third_stage, quick.pool, attributes, projection, patch_attributes(cells))
     encoder = staged_encoder(third_stage, quick.pool, attributes)
-    return _beside(encoder, device, dtype) if patches else encoder
+    return _beside(encoder, device, dtype) if cells is not None else encoder
 
 
 def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype) -> ViewEncoder:
     """An encoder that also returns patches, from a second network."""
-    second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, patches=True)
+    second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, cells=CELLS)
     assert second.forward_patches is not None
     of_patches = second.forward_patches
     return replace(

@@ -8,7 +8,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.config.bounds import Bounds
+from dirl.perception.backbones.patches import are_fine, coarse
 from dirl.perception.backbones.principal import principal_components
+from dirl.perception.recognition.photo import PhotoOdds
 from dirl.perception.recognition.recogniser import Thresholds
 
 WEIGHTS = Path(__file__).parent / "data" / "learned.pt"
@@ -24,6 +26,9 @@ OFFSETS = 2
 POOLED, WHITENED, PROJECTED = 128, 64, 48
 """Components of pooled features, those compared without training, and width of the learned projection of patches."""
 
+WIDTH = ROWS * COLUMNS * (PROJECTED + WHITENED) + 2 * WHITENED
+"""Of the description of a view by patches and pooled features; what follows it is that of fine patches."""
+
 SCALE = 4.0
 """Of the cosines, so that the layers on them learn as fast as the others."""
 
@@ -37,7 +42,7 @@ class Learned(nn.Module):
     cosines, with the columns of the ring near it. Layers that are shared by all columns read the cosines, and
     convolutions over the columns how they go together: an error of heading shifts all columns alike, a step aside
     shifts those ahead and behind against each other. A single photo has four columns, which are compared with all of
-    the ring.
+    the ring. With fine patches (`dirl.perception.backbones.patches`) a photo is compared by `PhotoOdds` instead.
 
     Args:
         views: above these log odds four views are the goal's; see `Thresholds`.
@@ -52,7 +57,7 @@ class Learned(nn.Module):
         ValueError: the file of weights cannot be read, or is of another network.
     """
 
-    reads_patches = True
+    reads_patches = reads_fine_patches = True
     calibrated = True
 
     def __init__(
@@ -80,6 +85,7 @@ class Learned(nn.Module):
         self.odds = nn.ModuleList(
             nn.Sequential(nn.Linear(2 * width + 1, 64), nn.ReLU(), nn.Linear(64, 1)) for _ in ("photo", "views")
         )
+        self.photo = PhotoOdds()
         if weights != "":
             self._read(Path(weights or WEIGHTS))
             self.eval()
@@ -99,7 +105,11 @@ class Learned(nn.Module):
         except Exception as error:  # what unpickling a broken file raises can be anything
             raise ValueError(f"weights={file}: torch cannot read it as weights ({error!r:.200})") from None
         try:
-            self.load_state_dict(stored)
+            left = self.load_state_dict(stored, strict=False)
+            # Files of before there were fine patches have nothing for them.
+            wrong = [*left.unexpected_keys, *(name for name in left.missing_keys if not name.startswith("photo."))]
+            if wrong:
+                raise RuntimeError(f"missing or unknown: {', '.join(wrong)}")
         except (RuntimeError, TypeError, AttributeError) as error:
             reason = " ".join(str(error).split())[:300]
             raise ValueError(f"weights={file}: not of a network of these options: {reason}") from None
@@ -109,23 +119,29 @@ class Learned(nn.Module):
         return self
 
     def measure(self, features: Tensor, patches: Tensor) -> None:
-        """Whiten by N views of training rooms: pooled features, float ``[N, D]``, and patches, ``[N, 8, 96]``."""
+        """Whiten by N views of training rooms: pooled features, float ``[N, D]``, and patches, ``[N, cells, 96]``."""
         self.mean, axes, _ = principal_components(features.float(), POOLED)
         self.axes = F.pad(axes, (0, POOLED - axes.shape[1]))
-        self.patch_mean, self.patch_axes, _ = principal_components(patches.flatten(0, 1).float(), 96)
+        self.patch_mean, self.patch_axes, _ = principal_components(coarse(patches).flatten(0, 1).float(), 96)
+        if are_fine(patches):
+            self.photo.measure(patches)
 
     def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
         """Patches and pooled features, whitened and projected, each of length one; see `Recogniser.describe`."""
-        if patches is None or features.shape[-1] != len(self.mean) or patches.shape[-2:] != (ROWS * COLUMNS, 96):
+        known = patches is not None and (are_fine(patches) or patches.shape[-2] == ROWS * COLUMNS)
+        if patches is None or not known or features.shape[-1] != len(self.mean) or patches.shape[-1] != 96:
             raise ValueError(
                 "recogniser=learned compares 8 patches and 2048 features a view, and these views have others: encode "
                 "them with encoder=resnet50_small patches=true"
             )
-        return self.project(*self.whiten(features, patches))
+        described = self.project(*self.whiten(features, patches))
+        if not (are_fine(patches) and self.photo.trained):
+            return described
+        return torch.cat([described, self.photo.describe(patches)], -1)
 
     def whiten(self, features: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
         """Pooled features and patches by the statistics of training rooms, ``[..., 128]`` and ``[..., 8, 96]``."""
-        return (features.float() - self.mean) @ self.axes, (patches.float() - self.patch_mean) @ self.patch_axes
+        return (features.float() - self.mean) @ self.axes, (coarse(patches).float() - self.patch_mean) @ self.patch_axes
 
     def project(self, pooled: Tensor, patches: Tensor) -> Tensor:
         """The description of whitened features and patches, float32 ``[..., F]``; see `describe`."""
@@ -139,6 +155,10 @@ class Learned(nn.Module):
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:
         """The log odds of every two; see `Recogniser.scores`."""
         rows = max(1, PAIRS_AT_ONCE // references.shape[-3])
+        if references.shape[-2] == 1 and min(seen.shape[-1], references.shape[-1]) > WIDTH:
+            photos = references[..., 0, WIDTH:]
+            return torch.cat([self.photo.scores(part[..., WIDTH:], photos) for part in seen.split(rows, -3)], -2)
+        seen, references = seen[..., :WIDTH], references[..., :WIDTH]
         blocks = [self.log_odds(part.unsqueeze(-3), references.unsqueeze(-4)) for part in seen.split(rows, -3)]
         return torch.cat(blocks, -2)
 

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.config.bounds import Bounds
+from dirl.perception.backbones.patches import coarse
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.recogniser import Thresholds
 
@@ -70,7 +71,7 @@ class Patches(nn.Module):
     def measure(self, features: Tensor, patches: Tensor) -> Self:
         """Take the statistics of N views: pooled features, float ``[N, D]``, and patches, ``[N, cells, channels]``."""
         self.mean, axes, _ = principal_components(features.float(), COMPONENTS)
-        self.patch_mean, patch_axes, _ = principal_components(patches.flatten(0, 1).float(), COMPONENTS)
+        self.patch_mean, patch_axes, _ = principal_components(coarse(patches).flatten(0, 1).float(), COMPONENTS)
         self.axes, self.patch_axes = (F.pad(found, (0, COMPONENTS - found.shape[1])) for found in (axes, patch_axes))
         return self
 
@@ -84,7 +85,7 @@ class Patches(nn.Module):
                 f"{'no patches' if patches is None else features.shape[-1]}: encode them with encoder=resnet50_small"
             )
         pooled = F.normalize((features.float() - self.mean) @ self.axes, dim=-1)
-        bag = F.normalize((patches.float() - self.patch_mean) @ self.patch_axes, dim=-1)
+        bag = F.normalize((coarse(patches).float() - self.patch_mean) @ self.patch_axes, dim=-1)
         return torch.cat([pooled, bag.flatten(-2)], -1)
 
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:

@@ -45,6 +45,7 @@ class RoomSettings:
         encoder: see `dirl.perception.backbones.load_encoder`; None for no features.
         precision: of the encoder.
         patches: whether to store patches too.
+        fine_patches: whether to store fine ones.
         device: of the encoder; the only setting that rooms of one collection need not share.
         looks: further looks of each state; needs an encoder, since their views are not stored.
         changes: by how much these differ from the views of the dump.
@@ -57,6 +58,7 @@ class RoomSettings:
     encoder: str | None = "resnet50"
     precision: str = "float32"
     patches: bool = False
+    fine_patches: bool = False
     device: str = "cpu"
     looks: int = 0
     changes: Changes = field(default_factory=Changes)
@@ -67,16 +69,17 @@ class RoomSettings:
             return None
         from dirl.perception.backbones import load_encoder
 
-        return load_encoder(self.encoder, self.device, precision=self.precision, patches=self.patches)
+        patches = {"patches": self.patches, "fine_patches": self.fine_patches}
+        return load_encoder(self.encoder, self.device, precision=self.precision, **patches)
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
         """The settings as the index stores them: the encoder by its description, not by its name."""
-        apart = ("encoder", "device", "patches", "looks", "changes")
+        apart = ("encoder", "device", "patches", "fine_patches", "looks", "changes")
         kept = {key: value for key, value in asdict(self).items() if key not in apart}
         if self.looks:
             kept |= {"looks": self.looks, **{f"changes.{key}": value for key, value in asdict(self.changes).items()}}
         kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
-        if encoder is not None and self.patches:
+        if encoder is not None and (self.patches or self.fine_patches):
             kept |= {"patches": "; ".join(encoder.patch_attributes.values())}
         return kept
 
