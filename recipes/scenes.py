@@ -240,8 +240,13 @@ def encode(options: Any) -> None:
     """Compute the features of a dump anew, from its stored views."""
     out = Path(options.out)
     scene = load_scenes(options.scene)[0]
-    wanted = {"patches": options.patches, "fine_patches": options.fine_patches}
-    encoder = load_encoder(options.encoder, options.device, precision=options.precision, **wanted)
+    encoder = load_encoder(
+        options.encoder,
+        options.device,
+        precision=options.precision,
+        patches=options.patches,
+        fine_patches=options.fine_patches,
+    )
     features, patches = encode_scene(scene, encoder)
     assert scene.views is not None
     replace_features(scene.views.path, out, features, encoder.attributes, patches, encoder.patch_attributes)
@@ -309,8 +314,10 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
 
 def chosen_encoder(options: Any) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names."""
-    wanted = {name: getattr(options, name, False) for name in ("patches", "fine_patches")}
-    return None if options.encoder is None else load_encoder(options.encoder, options.device, **wanted)
+    patches, fine = (getattr(options, name, False) for name in ("patches", "fine_patches"))
+    if options.encoder is None:
+        return None
+    return load_encoder(options.encoder, options.device, patches=patches, fine_patches=fine)
 
 
 COMMANDS: dict[str, Callable[[Any], None]] = {

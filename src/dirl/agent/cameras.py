@@ -1,6 +1,5 @@
 """A trained policy on features instead of view ids, as robots, simulators and ONNX need it."""
 
-import math
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +10,6 @@ from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 
 from dirl.envs.transforms import VIEWS
 from dirl.models import initial_state, recurrent_keys
-from dirl.perception.backbones.patches import FINE, coarse
 from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
 from dirl.perception.recognition.recogniser import Recogniser
 
@@ -37,7 +35,7 @@ class FeaturePolicy(nn.Module):
 
         Args:
             features: of the four views, as the backbone returns them, float32 ``[B, 4, D]``; if the encoder compares
-                patches, these follow the pooled features. They may be fine ones.
+                patches, these follow the pooled features.
             goal_features: of the goal's views, likewise. Unknown views are zeros: with one photo, all but the first.
             state: the recurrent state, ``[B, ...]`` each; zeros at the beginning of an episode.
 
@@ -51,7 +49,6 @@ class FeaturePolicy(nn.Module):
         """Logits, value and the next recurrent state; see `forward`."""
         # Not `len`: ONNX would then keep the number of agents of the trace, which is a free dimension.
         policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
-        features, goal_features = self._read(features), self._read(goal_features)
         known = (goal_features != 0).any(-1, keepdim=True)
         goal = torch.where(known, policy.features.standardise(goal_features), 0.0)
         encoded = policy.encoder(policy.features.standardise(features), goal)
@@ -74,27 +71,10 @@ class FeaturePolicy(nn.Module):
 
     def describe(self, features: Tensor, recogniser: Recogniser) -> Tensor:
         """What a recogniser compares of views, ``[..., D]`` to ``[..., F]``."""
-        return recogniser.describe(*self._parts(features))
-
-    @property
-    def widths(self) -> tuple[int, ...]:
-        """How many features a view may have: those that the policy reads, and as many with fine patches."""
-        table = self.policy.features
-        if table.patches is None:
-            return (table.inputs,)
-        return table.inputs, len(table.mean) + math.prod(FINE) * table.patches.shape[-1]
-
-    def _parts(self, features: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Pooled features and patches of views."""
         table = self.policy.features
         pooled = len(table.mean)
-        patches = None if table.patches is None else features[..., pooled:].unflatten(-1, (-1, table.patches.shape[-1]))
-        return features[..., :pooled], patches
-
-    def _read(self, features: Tensor) -> Tensor:
-        """Views ``[..., D]`` as the policy was trained on them: with the means of fine patches."""
-        pooled, patches = self._parts(features)
-        return pooled if patches is None else torch.cat([pooled, coarse(patches).flatten(-2)], -1)
+        patches = None if table.patches is None else features[..., pooled:].unflatten(-1, table.patches.shape[1:])
+        return recogniser.describe(features[..., :pooled], patches)
 
     def _remember(self, encoded: Tensor, state: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
         """One step of the memory: its output, and the next state."""

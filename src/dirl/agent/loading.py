@@ -45,10 +45,7 @@ def load_parts(
         raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
     changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
     config = read_config(saved["config"], origin, changes, trust)
-    recognises = build_recogniser(config)
-    fine = getattr(recognises, "reads_fine_patches", False) and str(encoder) == "resnet50_small"
-    wanted = {"patches": reads_patches(config), "fine_patches": fine and reads_patches(config)}
-    encodes = image_encoder(encoder, extractor, saved, origin, device, wanted)
+    encodes = image_encoder(encoder, extractor, saved, origin, device, patches=reads_patches(config))
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
     order = saved.get("views", own)  # checkpoints of older versions name none
     if order != own:
@@ -57,7 +54,7 @@ def load_parts(
         raise NavigatorError(f"{origin}: was trained on {len(order)} views; a navigator takes {VIEWS}")
     scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
     policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched_view(config, order))
-    memory = make("episodic_memory", config.episodic_memory, trust)
+    memory, recognises = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
     suit(memory, recognises)
     if memory is not None and order[-1] == "now":
         raise NavigatorError(
@@ -80,9 +77,10 @@ def image_encoder(
     saved: Mapping[str, Any],
     origin: str,
     device: str | torch.device,
-    wanted: Mapping[str, bool],
+    *,
+    patches: bool,
 ) -> Encoder:
-    """The encoder that was given, or that of its name or file; patches that are ``wanted`` follow the pooled features.
+    """The encoder that was given, or that of its name or file; with ``patches`` their features follow the pooled ones.
 
     Raises:
         NavigatorError: it is another extractor than the training's, unless ``extractor`` confirms it; or a function
@@ -99,7 +97,7 @@ def image_encoder(
                 f"the checkpoint was trained with '{saved['extractor']}'"
             )
         return encoder
-    loaded = load_encoder(str(encoder), device, patches=wanted["patches"], fine_patches=wanted["fine_patches"])
+    loaded = load_encoder(str(encoder), device, patches=patches)
     if extractor is None and not Path(encoder).is_file():
         hint = f" (encoder={encoder}); if both names mean the same, confirm it with extractor=..."
         _check_extractor(saved, loaded.extractor, origin, hint)

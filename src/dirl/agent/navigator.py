@@ -289,8 +289,7 @@ class Navigator:
         """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
         pixels, count, batched = checked_images(images, name, sequential=self.sequential)
         features = torch.as_tensor(self.encoder(pixels.to(self.device)))
-        fitting = features.shape[:-1] == (len(pixels),) and features.shape[-1] in self.policy.widths
-        if not fitting or not features.is_floating_point():
+        if features.shape != (len(pixels), self.width) or not features.is_floating_point():
             raise NavigatorError(
                 f"the encoder returned {features.dtype} {list(features.shape)} for {len(pixels)} images; the "
                 f"checkpoint was trained on {self.width} features a view, float [{len(pixels)}, {self.width}]: "
@@ -299,4 +298,4 @@ class Navigator:
         features = features.to(self.device, torch.float32)
         if not features.isfinite().all():
             raise NavigatorError("the encoder returned features that are not finite")
-        return features.reshape(-1, count, features.shape[-1]), batched
+        return features.reshape(-1, count, self.width), batched

@@ -2,7 +2,15 @@
 
 import torch
 
-from dirl.perception.backbones.patches import CELLS, FINE, PROJECTION, cells_of, coarse, load_projection, patch_attributes
+from dirl.perception.backbones.patches import (
+    CELLS,
+    FINE,
+    PROJECTION,
+    cells_of,
+    coarse,
+    load_projection,
+    patch_attributes,
+)
 from dirl.perception.backbones.principal import principal_components
 
 

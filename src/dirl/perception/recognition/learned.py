@@ -57,7 +57,7 @@ class Learned(nn.Module):
         ValueError: the file of weights cannot be read, or is of another network.
     """
 
-    reads_patches = reads_fine_patches = True
+    reads_patches = True
     calibrated = True
 
     def __init__(
