@@ -144,8 +144,9 @@ def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
     found = {"shortest_path": shortest_episodes(protocol.world, protocol.starts)}
     for name, told in {"live": False, "live_told": True}.items():
         noisy = Noisy(world, slip=options.slip, turn_error=options.turn_error, seed=config.seed)
-        conditions = {"max_steps": protocol.max_steps, "one_photo": photo, "told": told}
-        found[name] = evaluate_live(navigator, noisy, scene, states, **conditions)
+        found[name] = evaluate_live(
+            navigator, noisy, scene, states, max_steps=protocol.max_steps, one_photo=photo, told=told
+        )
     return {name: metrics(episodes) for name, episodes in found.items()}
 
 

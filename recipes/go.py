@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dirl.agent.mapping.follow import KNOWN, fits
-from dirl.agent.mapping.frames import load_frames_map
+from dirl.agent.mapping.frames import KNOWN, fits, load_frames_map
 from dirl.config.schemas import ConfigError, GoConfig
 from dirl.reporting.strips import draw_strip
 from dirl.sources.video import read_photo

@@ -15,8 +15,7 @@ Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 ExperimentName = StrEnum(
     "ExperimentName",
-    "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal unseen_rooms image_graph changes walked_once other_worlds "
-    "sptm",
+    "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal unseen_rooms image_graph changes walked_once other_worlds ",
 )
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Split = StrEnum("Split", ["train", "validation", "test"])
@@ -254,8 +253,6 @@ class ReportConfig:
     agents: list[str] = MISSING
     collections: list[str] = MISSING
     rooms: Positive | None = None
-    sptm: str | None = None
-    trials: Positive = MISSING
 
 
 @dataclass

@@ -63,6 +63,10 @@ class Bearing(NamedTuple):
     """1 where the frame was taken, more from behind."""
 
 
+KNOWN = 0.28
+"""Least correlation of a frame with what is seen there."""
+
+
 class FrameMap:
     """Frames of a recording and the ways between them.
 
@@ -218,3 +222,8 @@ def _correlations(seen: Tensor, views: Tensor) -> Tensor:
     others = F.pad(views.square().sum(-1).cumsum(1), (1, 0))
     norms = (own[LAST] - own[FIRST]) * (others[:, LAST - SHIFT] - others[:, FIRST - SHIFT])
     return product / norms.sqrt().clamp(min=1e-3) * WEIGHT
+
+
+def fits(graph: FrameMap, photo: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """How well each frame of a map fits a photo, ``[N]``."""
+    return graph.bearing(photo, np.arange(len(graph.frames))).score.double().numpy()
