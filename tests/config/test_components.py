@@ -199,7 +199,7 @@ def test_every_component_of_a_configuration_is_found():
     config = train_config("objective=ppo")
     assert set(components(config)) == {
         "observation", "encoder", "heads", "policy", "recogniser", "expert", "losses.imitation", "losses.ppo",
-        "optimiser", "source",
+        "optimiser", "source", "env",
     }  # fmt: skip
     check_components(config, ())
     config.encoder = {"width": 3}
