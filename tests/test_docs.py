@@ -68,7 +68,7 @@ NOT_RUN = {
     "share.md": ["needs an account"],
     "rooms.md": [*["takes minutes"] * 3, "takes an hour", *["takes minutes"] * 2],
     "sweeps.md": ["needs launchers and clusters"],
-    "simulators.md": ["takes minutes"],
+    "simulators.md": ["takes ten minutes", "takes minutes"],
     "tours.md": ["the agent needs patches of images, which take a second a step", "takes minutes"],
     "thor_dumps.md": ["needs the published dumps"],
 }
