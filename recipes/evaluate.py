@@ -27,9 +27,9 @@ from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.config.choices import goal_view_options, group_options, load_simulator
 from dirl.config.schemas import EvaluateConfig, GoalView
 from dirl.evaluation.episodes import sampled_starts, shortest_episodes
-from dirl.evaluation.live import Remembered, evaluate_live
+from dirl.evaluation.live import LiveProtocol, Remembered
 from dirl.evaluation.maps import map_quality, map_scene
-from dirl.evaluation.protocol import EvaluationProtocol, assess, metrics
+from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
 from dirl.models import LocalisingMemory
 from dirl.perception.backbones.registry import packaged_encoder
 from dirl.perception.recognition.build import build_recogniser, matching
@@ -110,7 +110,7 @@ def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
 
 def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
     """Measures of a navigator in a live world, by policy; each image is encoded when it is first seen."""
-    config, _, protocol = trained
+    config, policy, protocol = trained
     if len(protocol.world.scenes) > 1:
         raise RunError(f"simulator: walks in one scene, not in {len(protocol.world.scenes)}; name it: scene=...")
     scene = protocol.world.scenes[0]
@@ -140,14 +140,16 @@ def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
         protocol = replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
     goal, start = protocol.starts
     states = protocol.world.goals.cpu()[goal.cpu()], start.cpu()
-    photo = options.goal_view == GoalView.front
-    found = {"shortest_path": shortest_episodes(protocol.world, protocol.starts)}
-    for name, told in {"live": False, "live_told": True}.items():
-        noisy = Noisy(world, slip=options.slip, turn_error=options.turn_error, seed=config.seed)
-        found[name] = evaluate_live(
-            navigator, noisy, scene, states, max_steps=protocol.max_steps, one_photo=photo, told=told
-        )
-    return {name: metrics(episodes) for name, episodes in found.items()}
+    live = LiveProtocol(
+        lambda _: navigator,
+        lambda: Noisy(world, slip=options.slip, turn_error=options.turn_error, seed=config.seed),
+        scene,
+        states,
+        protocol.max_steps,
+        one_photo=options.goal_view == GoalView.front,
+    )
+    shortest = shortest_episodes(protocol.world, protocol.starts)
+    return {"shortest_path": metrics(shortest), **assess_live(policy, live)}
 
 
 def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -> Trained:

@@ -15,7 +15,7 @@ Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 ExperimentName = StrEnum(
     "ExperimentName",
-    "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal unseen_rooms image_graph changes walked_once other_worlds ",
+    "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal unseen_rooms image_graph changes walked_once other_worlds",
 )
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Split = StrEnum("Split", ["train", "validation", "test"])

@@ -110,10 +110,12 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
         "greedy": report(protocol.run(policy), world),
         "sampled": report(protocol.run(policy, greedy=False), world),
     }
-    if protocol.live is not None:
-        found["live"] = metrics(protocol.live.run(policy))
-        found["live_told"] = metrics(protocol.live.run(policy, told=True))
-    return found
+    return found if protocol.live is None else found | assess_live(policy, protocol.live)
+
+
+def assess_live(policy: nn.Module, live: LiveProtocol) -> dict[str, dict[str, float]]:
+    """The metrics of a policy in a live world: stopping by itself, and told when it has arrived."""
+    return {"live": metrics(live.run(policy)), "live_told": metrics(live.run(policy, told=True))}
 
 
 def mean_shortest(world: World) -> list[float]:

@@ -1,9 +1,8 @@
 """Walk once, come back later: maps of places that change, and goals found with them.
 
 A collection with looks (see `dirl.sources.rooms.looks`) is named by its folder, or two of the same rooms with a colon
-between
-them: then the walk sees the first one, and the later episodes see the further looks of the second, in which furniture
-may have moved.
+between them: then the walk sees the first one, and the later episodes see the further looks of the second, in which
+furniture may have moved.
 """
 
 from collections.abc import Sequence

@@ -32,8 +32,8 @@ class FeatureTable(nn.Module):
         features: pooled ones of every state, float32 ``[N, D]``.
         mean: subtracted from the pooled features, float32 ``[D]``; zero if left out.
         std: divided by, float32 ``[D]``; one if left out.
-        axes: what they are multiplied by, float32 ``[D, components]``, see `dirl.perception.backbones.principal`; or
-        None.
+        axes: what they are multiplied by, float32 ``[D, components]``, see `dirl.perception.backbones.principal`;
+            or None.
         patches: which follow them, floats ``[N, cells, channels]``; or None.
         room: rows after state N, for views that are encoded when they are seen, see `write`.
     """

@@ -82,7 +82,9 @@ def learn_recogniser(
             optimiser.step()
             losses = 0.99 * losses + 0.01 * loss.detach()
             if (step + 1) % 1000 == 0:
-                bar.set_postfix_str("loss: photo {:.3f}, four views {:.4f}".format(*losses.tolist()))
+                names = ("photo", "four views", "photo by fine patches")[: len(losses)]
+                shown = (f"{name} {value:.4f}" for name, value in zip(names, losses.tolist(), strict=True))
+                bar.set_postfix_str(f"loss: {', '.join(shown)}")
                 if watch is not None:
                     watch(step + 1)
                     network.train()

@@ -12,6 +12,7 @@ from commands import train_config
 from rooms import grid_scene
 
 from dirl.evaluation.protocol import metrics
+from dirl.models.build import feature_table
 from dirl.perception.backbones import (
     EncoderError,
     ResNet50,
@@ -22,6 +23,7 @@ from dirl.perception.backbones import (
     preprocess,
 )
 from dirl.perception.backbones.encoder import weights_hash
+from dirl.perception.backbones.patches import coarse
 from dirl.perception.backbones.registry import encode_all
 from dirl.scenes import SceneError, make_world, read_dump, write_dump
 from dirl.scenes.io.write import replace_features
@@ -111,6 +113,35 @@ def test_precisions_that_are_not_there_are_refused(weights, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     with pytest.raises(EncoderError, match="precision=bfloat16: encoder=some/model computes in float32 only"):
         load_encoder("some/model", precision="bfloat16")
+
+
+def test_fine_patches_are_of_the_small_encoder_and_their_means_are_its_patches():
+    views = torch.randint(256, (2, 48, 64, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    plain = load_encoder("resnet50_small", patches=True)
+    fine = load_encoder("resnet50_small", patches=True, fine_patches=True)
+    (features, patches), (same, cells) = plain.forward_patches(views), fine.forward_patches(views)
+    assert cells.shape == (2, 48, 96)
+    torch.testing.assert_close(same, features)
+    torch.testing.assert_close(coarse(cells), patches, atol=1e-4, rtol=1e-4)
+    assert fine.patch_attributes != plain.patch_attributes
+    with pytest.raises(
+        EncoderError, match=r"^fine_patches=true: encoder=resnet50 has none; choose encoder=resnet50_small"
+    ):
+        load_encoder("resnet50", fine_patches=True)
+
+
+def test_a_policy_reads_the_means_of_fine_patches():
+    config = train_config("system=any_goal")
+    tables = []
+    for patches in ("fine", True):
+        world = make_world([grid_scene(4, 3, patches=patches)])
+        if patches == "fine":
+            few = coarse(world.patches)
+        else:
+            world = replace(world, patches=few)
+        tables.append(feature_table(config, world).patches)
+    assert tables[0].shape[1:] == (8, 96)
+    assert torch.equal(*tables)
 
 
 def test_patches_are_the_same_beside_any_encoder(weights):

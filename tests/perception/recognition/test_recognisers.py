@@ -10,6 +10,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start, run_episodes
 from dirl.evaluation.protocol import metrics
 from dirl.models import EpisodicMemory, PlanningMemory
+from dirl.perception.backbones.patches import coarse
 from dirl.perception.recognition import NCC, Patches
 from dirl.perception.recognition.matching import TemplateStop, ncc
 from dirl.perception.recognition.tables import VisitScores, described_visits
@@ -56,6 +57,12 @@ def test_a_bag_does_not_care_where_in_the_view_a_patch_is():
     moved = recogniser.describe(features, patches.roll(3, 1)).unsqueeze(1)
     assert torch.allclose(recogniser.scores(one, moved).diagonal(), torch.ones(40), atol=1e-5)
     assert recogniser.scores(one, moved).fill_diagonal_(0).max() < 0.9
+
+
+def test_of_fine_patches_the_means_are_compared():
+    generator = torch.Generator().manual_seed(0)
+    features, fine = torch.randn(5, 2048, generator=generator), torch.randn(5, 48, 96, generator=generator)
+    torch.testing.assert_close(Patches().describe(features, fine), Patches().describe(features, coarse(fine)))
 
 
 def test_patches_without_patches_are_refused_in_one_line():

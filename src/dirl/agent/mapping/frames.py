@@ -2,10 +2,8 @@
 
 Unlike an `ImageGraph` it needs no grid of moves: turns are continuous, and only what lies ahead is seen. Two frames are
 compared as cylinders, small and without slow changes of light, shifted against each other: the best shift says by which
-angle one heading is off the other, and how well it fits, whether both are of one place. To be led, compare what is seen
-with a frame a little way ahead, turn until it is straight ahead, and go on (bearing-only teach and repeat, Krajnik et
-al., "Simple yet stable bearing-only navigation", 2010). Shortcuts are found as in SPTM (Savinov et al., ICLR 2018): a
-window of successive frames must fit.
+angle one heading is off the other, and how well it fits, whether both are of one place. Shortcuts are found as in SPTM
+(Savinov et al., ICLR 2018): a window of successive frames must fit.
 """
 
 from pathlib import Path
@@ -49,6 +47,9 @@ APART = 12
 ALIKE = 0.6
 """Mean correlation in the window, for a shortcut."""
 
+KNOWN = 0.28
+"""Least correlation of a frame with what is seen there."""
+
 BATCH = 100
 
 
@@ -61,10 +62,6 @@ class Bearing(NamedTuple):
     """The frame's heading, to the right of the present one."""
     zoom: Tensor
     """1 where the frame was taken, more from behind."""
-
-
-KNOWN = 0.28
-"""Least correlation of a frame with what is seen there."""
 
 
 class FrameMap:
@@ -87,7 +84,6 @@ class FrameMap:
         self.frames, self.field_of_view = frames, field_of_view
         self.views = self.describe(frames)
         self.shortcuts = find_shortcuts(self.views) if shortcuts is None else shortcuts
-        self._middle = _turned(self.views)[TURNED]
         count = len(frames)
         first = np.concatenate([np.arange(count - 1), self.shortcuts[:, 0], self.shortcuts[:, 1]])
         second = np.concatenate([np.arange(1, count), self.shortcuts[:, 1], self.shortcuts[:, 0]])
@@ -111,15 +107,6 @@ class FrameMap:
         zoom = torch.tensor(zooms)[number]
         columns = shift.gather(0, number[None])[0] - SHIFTS
         return Bearing(score, columns * (self.field_of_view / COLUMNS) / zoom, zoom)
-
-    def likeness(self, seen: Tensor) -> Tensor:
-        """How much each frame of the map looks like one that is described, ``[1, ...]``: standard deviations, ``[N]``.
-
-        Coarser and faster than `compared`; the mean of five successive frames.
-        """
-        alike = (_turned(seen)[:, 0] @ self._middle.T).amax(0)
-        smooth = F.avg_pool1d(alike[None], 5, 1, 2, count_include_pad=False)[0]
-        return (smooth - smooth.mean()) / smooth.std().clamp(min=1e-6)
 
     def distances_to(self, goals: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Links on the shortest way to any of these frames, infinite if there is none, and the frame that follows."""
@@ -157,12 +144,11 @@ def load_frames_map(file: str | Path) -> FrameMap:
         raise MapError(f"{file}: is no map that can be read ({type(error).__name__})") from None
 
 
-def find_shortcuts(views: Tensor, alike: float = ALIKE) -> NDArray[np.int64]:
+def find_shortcuts(views: Tensor) -> NDArray[np.int64]:
     """Pairs of frames of one place, of different times, in which `WINDOW` frames before and after fit too.
 
     Args:
         views: described frames, ``[N, COLUMNS, 3 ROWS]``.
-        alike: mean correlation in the window.
 
     Returns:
         int64 ``[S, 2]``, the earlier first; for each frame the best one among neighbours.
@@ -173,7 +159,7 @@ def find_shortcuts(views: Tensor, alike: float = ALIKE) -> NDArray[np.int64]:
     kernel = torch.eye(2 * WINDOW + 1)[None, None] / (2 * WINDOW + 1)
     smooth = F.conv2d(alike_by[None, None], kernel, padding=WINDOW)
     best = F.max_pool2d(smooth, (1, 2 * WINDOW + 1), 1, (0, WINDOW))  # of a frame, one among neighbours
-    found = torch.nonzero(((smooth == best) & (smooth > alike))[0, 0])
+    found = torch.nonzero(((smooth == best) & (smooth > ALIKE))[0, 0])
     return found[found[:, 1] - found[:, 0] >= APART].numpy()
 
 

@@ -56,7 +56,8 @@ class PhotoOdds(nn.Module):
 
     def measure(self, patches: Tensor) -> None:
         """Standardise by those of training rooms, float ``[N, 48, 96]``."""
-        self.mean, self.std = patches.flatten(0, 1).float().mean(0), patches.flatten(0, 1).float().std(0)
+        cells = patches.flatten(0, 1).float()
+        self.mean, self.std = cells.mean(0), cells.std(0)
 
     def describe(self, patches: Tensor) -> Tensor:
         """Of each cell two vectors of length one, float ``[..., 48, 96]`` to float32 ``[..., 48 * 64]``."""
