@@ -21,6 +21,7 @@ from commands import ROOT, TINY
 from forks import empty_file, leave_empty, quick_hydra
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from dirl.config.places import VARIABLE
 from dirl.reporting import pictures
 
 DOCS = ROOT / "docs"
@@ -153,6 +154,8 @@ def few_threads():
 def test_the_code_of_a_page_runs(page, example_run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv(VARIABLE, "")  # what `python -m dirl` sets on a page ends with this test
+    monkeypatch.delenv(VARIABLE)
     shutil.copytree(example_run, EXAMPLE_RUN)
     if page.stem == "resume":  # as if it had been stopped before its first checkpoint
         for file in Path(EXAMPLE_RUN).iterdir():

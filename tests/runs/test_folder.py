@@ -9,7 +9,6 @@ import torch
 from commands import train_config
 from rooms import grid_scene
 
-from dirl.config.places import VARIABLE
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.stability import WINDOW, EpisodeMeter
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
@@ -242,8 +241,7 @@ def test_what_killed_processes_left_is_removed(tmp_path):
     assert not [file.name for file in tmp_path.rglob(".*")]
 
 
-def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path, monkeypatch):
-    monkeypatch.delenv(VARIABLE, raising=False)  # as where the recipe was called, not `dirl`
+def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path):
     run = Run(tmp_path / "run", config())
     assert run.how_to_go_on() == "nothing of this run was saved"
     run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
