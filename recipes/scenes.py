@@ -32,7 +32,8 @@ from tqdm import tqdm
 from dirl.config.choices import load_simulator
 from dirl.config.places import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
-from dirl.perception.recognition.diagnostics import THRESHOLDS, Inspection, inspect_scene
+from dirl.perception.recognition.build import chosen_stop
+from dirl.perception.recognition.diagnostics import Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
@@ -277,26 +278,28 @@ def take_over(options: Any) -> None:
 def inspect(options: Any) -> None:
     """Look at a scene and check it."""
     scene = load_scenes(options.scene)[0]
-    found = inspect_scene(scene, threshold=options.threshold, match=options.match)
+    stop = chosen_stop(options.recogniser, options.threshold, options.match)
+    found = inspect_scene(scene, stop)
     print(
         "\n".join([f"| {scene.name} | |", "|---|---|", *(f"| {key} | {text} |" for key, text in found.facts.items())])
     )
     if found.ambiguous:
-        print(
-            f"\n{len(found.ambiguous)} ambiguous pairs (match={options.match} above {options.threshold:g}), the worst:"
-        )
+        print(f"\n{len(found.ambiguous)} ambiguous pairs (match={stop.match} above {stop.threshold:g}), the worst:")
         print("\n| state | state | matching | actions between |\n|--:|--:|--:|--:|")
         for a, b, score, distance in found.ambiguous[:SHOWN_PAIRS]:
             print(f"| {a} | {b} | {score:.3f} | {distance if distance >= 0 else 'unconnected'} |")
     if found.false_stops is not None:
-        print("\n| false stops above | every state as a goal | the scene's own goals |\n|--:|--:|--:|")
-        own = found.goal_false_stops
-        for index in range(0, len(THRESHOLDS), 10):
-            cell = "-" if own is None else f"{own[index]:.4%}"
-            print(f"| {THRESHOLDS[index]:.2f} | {found.false_stops[index]:.4%} | {cell} |")
+        columns = {"every state as a goal": found.false_stops, "the scene's own goals": found.goal_false_stops}
+        if found.missed_stops is not None:
+            columns["missed in other looks"] = found.missed_stops
+        print("\n| false stops above |", *(f"{name} |" for name in columns))
+        print("|--:" * (len(columns) + 1) + "|")
+        for index in range(0, len(found.thresholds), 10):
+            cells = ("-" if one is None else f"{one[index]:.4%}" for one in columns.values())
+            print(f"| {found.thresholds[index]:.2f} |", *(f"{cell} |" for cell in cells))
     print("\n".join(["", "problems:" if found.problems else "no problems found", *(f"- {p}" for p in found.problems)]))
     if options.out is not None:
-        draw_inspection(scene, found, Path(options.out), options.threshold)
+        draw_inspection(scene, found, Path(options.out), stop.threshold)
 
 
 def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: float) -> None:
@@ -307,8 +310,7 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     if scene.views is not None:
         draw_contact_sheet(scene, folder / "contact_sheet.jpg")
     if found.false_stops is not None:
-        own = found.goal_false_stops
-        draw_false_stops(scene, THRESHOLDS, found.false_stops, own, threshold, folder / "false_stops.png")
+        draw_false_stops(scene, found, threshold, folder / "false_stops.png")
     print(f"\npictures: {folder}")
 
 

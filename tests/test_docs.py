@@ -62,7 +62,7 @@ NOT_RUN = {
     "gymnasium.md": ["needs MoviePy, which holds Pillow below 12"],
     "install.md": ["makes an environment of its own"],
     "loggers.md": ["tensorboard is a server that does not end"],
-    "make_scenes.md": ["needs AI2-THOR's build", "downloads a model"],
+    "make_scenes.md": ["needs AI2-THOR's build", "downloads a model", "takes half an hour"],
     "paper.md": ["takes an hour and a half"],
     "ranks.md": ["needs torchrun", "takes minutes"],
     "robot.md": ["needs ROS 2"],

@@ -22,6 +22,7 @@ from dirl.config.scene_schemas import command_meanings
 from dirl.config.schemas import ConfigError, Match
 from dirl.perception.backbones import ResNet50
 from dirl.perception.recognition.diagnostics import inspect_scene
+from dirl.perception.recognition.matching import TemplateStop
 from dirl.scenes import SceneError, load_scenes, make_world, read_dump, write_dump
 from dirl.scenes.views import encode
 from dirl.sources.rooms.checks import far_apart
@@ -229,7 +230,7 @@ def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch
     assert len(table) == 6
     scene = read_dump("many/bedroom_30000.h5")
     apart = far_apart(scene.positions, scene.headings)
-    alike = {match: inspect_scene(scene, match=match).ambiguous for match in Match}
+    alike = {match: inspect_scene(scene, TemplateStop(match=match)).ambiguous for match in Match}
     far = [sum(apart[a, b] for a, b, *_ in alike[match]) for match in (Match.front, Match.views)]
     assert 0 < far[1] < len(alike[Match.views])  # weights at random tell little apart
     assert table[2].startswith("| bedroom_29999 | validation | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | ")

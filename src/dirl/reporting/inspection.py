@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from dirl.perception.recognition.diagnostics import Inspection
 from dirl.reporting.style import draw_room, has_walls, star, tell_cut, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
@@ -127,29 +127,24 @@ def draw_distances(scene: Scene, file: Path) -> None:
     write_figure(figure, file)
 
 
-def draw_false_stops(
-    scene: Scene,
-    thresholds: NDArray[np.floating],
-    every: NDArray[np.floating],
-    own: NDArray[np.floating] | None,
-    threshold: float,
-    file: Path,
-) -> None:
-    """Draw how often template matching would stop at a wrong state, over its threshold, as a PNG.
+def draw_false_stops(scene: Scene, found: Inspection, threshold: float, file: Path) -> None:
+    """Draw how often an agent would stop at a wrong state, and miss a changed goal, over the threshold, as a PNG.
 
     Args:
         scene: named in the title.
-        thresholds: ``[T]``.
-        every: the fraction of false stops with every state as a goal, ``[T]``.
-        own: the same for the scene's own goals, or None.
+        found: with features, so that there are false stops.
         threshold: the one in use.
         file: the image to write.
     """
+    assert found.false_stops is not None
+    thresholds = found.thresholds
     figure = Figure((6, 3.6), layout="constrained")
     axes = figure.subplots()
-    axes.plot(thresholds, 100 * every, color=COLORS[0], label="every state as a goal")
-    if own is not None:
-        axes.plot(thresholds, 100 * own, color=COLORS[1], label="the scene's own goals")
+    axes.plot(thresholds, 100 * found.false_stops, color=COLORS[0], label="every state as a goal")
+    if found.goal_false_stops is not None:
+        axes.plot(thresholds, 100 * found.goal_false_stops, color=COLORS[1], label="the scene's own goals")
+    if found.missed_stops is not None:
+        axes.plot(thresholds, 100 * found.missed_stops, "--", color="0.4", label="missed in other looks")
     axes.axvline(threshold, color="0.5", linestyle=":", label=f"threshold {threshold:g}")
     axes.set(xlabel="threshold", ylabel="false stops (% of states)", title=f"{scene.name} ({scene.source})")
     axes.set_yscale("symlog", linthresh=0.1)

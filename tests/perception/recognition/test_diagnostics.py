@@ -8,7 +8,9 @@ from PIL import Image
 from rooms import grid_scene, renumbered
 from stops import stop_errors
 
-from dirl.perception.recognition.diagnostics import THRESHOLDS, inspect_scene
+from dirl.perception.recognition.diagnostics import CORRELATIONS, inspect_scene
+from dirl.perception.recognition.learned import Learned
+from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import SceneError, make_world, read_dump, write_dump
 from dirl.scenes.views import encode
@@ -29,8 +31,8 @@ def changed_scene(room, **changes):
     return replace(room, **arrays)
 
 
-def problems_of(room, **options):
-    return "\n".join(inspect_scene(room, **options).problems)
+def problems_of(room):
+    return "\n".join(inspect_scene(room).problems)
 
 
 @pytest.mark.parametrize("headings", [4, 8, 12])
@@ -133,7 +135,7 @@ def test_ambiguous_pairs_are_found_worst_first(match):
     room = changed_scene(
         twins(), features=(23, twins().features[3] + 0.1 * np.random.default_rng(0).random(64, np.float32))
     )
-    found = inspect_scene(room, match=match)
+    found = inspect_scene(room, TemplateStop(match=match))
     pairs = [(a, b, distance) for a, b, _, distance in found.ambiguous]
     assert sorted(pairs) == [(s, s + 20, room.distances[s, s + 20]) for s in range(4)]
     scores = [score for _, _, score, _ in found.ambiguous]
@@ -146,17 +148,32 @@ def test_ambiguous_pairs_are_found_worst_first(match):
 
 
 def test_false_stops_are_those_of_template_matching():
-    from dirl.perception.recognition.matching import TemplateStop
-
     room = twins()
     found = inspect_scene(room)
     for index in (0, 40, 80, 99):
         for goals, shares in ((range(len(room)), found.false_stops), (room.goals, found.goal_false_stops)):
             world = make_world([room], list(goals))
-            wanted = stop_errors(TemplateStop(float(THRESHOLDS[index]))(world), world)["false"]
-            assert shares[index] == pytest.approx(wanted, abs=1e-6), THRESHOLDS[index]
+            wanted = stop_errors(TemplateStop(float(CORRELATIONS[index]))(world), world)["false"]
+            assert shares[index] == pytest.approx(wanted, abs=1e-6), CORRELATIONS[index]
     assert found.goal_false_stops[80] == pytest.approx(1 / 46)
     assert (np.diff(found.false_stops) <= 0).all()
+
+
+def test_any_recogniser_finds_ambiguous_states_and_goals_that_it_misses_in_other_looks(tmp_path):
+    rng = np.random.default_rng(0)
+    room = grid_scene(goals=(0, 9), feature_width=2048)
+    patches = rng.normal(size=(len(room), 8, 96)).astype(np.float16)
+    again = np.stack([patches + 0.1 * rng.normal(size=patches.shape), rng.permutation(patches)]).astype(np.float16)
+    features = np.stack([room.features, rng.permutation(room.features)])
+    changing = replace(room, patches=patches, look_features=features, look_patches=again)
+    found = inspect_scene(changing, TemplateStop(0.0, "front", Learned()))
+    assert found.thresholds[[0, -1]].tolist() == [-5, 15]
+    assert (np.diff(found.missed_stops) >= 0).all()
+    assert 0.4 < found.missed_stops[25] <= 0.6  # the second further look shows other places
+    assert inspect_scene(room).missed_stops is None
+    draw_false_stops(changing, found, 0.0, tmp_path / "stops.png")
+    with pytest.raises(SceneError, match="grid_scene: has no patches, which the recogniser compares"):
+        inspect_scene(room, TemplateStop(0.0, "front", Learned()))
 
 
 def test_a_room_of_too_many_states_is_refused(monkeypatch):
@@ -172,7 +189,7 @@ def test_the_pictures_show_the_room(tmp_path, headings):
     draw_scene_map(room, found.parts, tmp_path / "map.png")
     draw_contact_sheet(room, tmp_path / "sheet.jpg")
     draw_distances(room, tmp_path / "distances.png")
-    draw_false_stops(room, THRESHOLDS, found.false_stops, found.goal_false_stops, 0.9, tmp_path / "stops.png")
+    draw_false_stops(room, found, 0.9, tmp_path / "stops.png")
     for name in ("map.png", "sheet.jpg", "distances.png", "stops.png"):
         with Image.open(tmp_path / name) as image:
             assert min(image.size) > 150, name

@@ -4,6 +4,7 @@ import hashlib
 
 from torch import nn
 
+from dirl.config.choices import group_options
 from dirl.config.components import make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.perception.recognition.matching import TemplateStop
@@ -12,11 +13,19 @@ from dirl.perception.recognition.recogniser import NCC, Recogniser
 
 def matching(config: TrainConfig) -> TemplateStop:
     """The stop by template matching."""
-    recogniser = build_recogniser(config)
-    threshold = config.stop.threshold
+    return stop_by(build_recogniser(config), config.stop.threshold, config.stop.match)
+
+
+def stop_by(recogniser: Recogniser, threshold: float, match: str) -> TemplateStop:
+    """The stop by a recogniser, above its own threshold or, if it has none, the one given."""
     if recogniser.thresholds is not None:
-        threshold = recogniser.thresholds.photo if config.stop.match == "front" else recogniser.thresholds.views
-    return TemplateStop(threshold, config.stop.match, recogniser)
+        threshold = recogniser.thresholds.photo if match == "front" else recogniser.thresholds.views
+    return TemplateStop(threshold, match, recogniser)
+
+
+def chosen_stop(choice: str, threshold: float, match: str) -> TemplateStop:
+    """The stop by a recogniser that is named as in ``evaluate.py``: a choice of its group or a YAML file."""
+    return stop_by(make("recogniser", group_options("recogniser", choice) or {}), threshold, match)
 
 
 def build_recogniser(config: TrainConfig) -> Recogniser:

@@ -2,12 +2,16 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from dirl.perception.recognition.matching import template_vectors
+from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.recogniser import in_blocks
+from dirl.perception.recognition.tables import matched
 from dirl.scenes import Scene, SceneError
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, RIGHT, IntArray, places, turns_per_circle
@@ -15,8 +19,8 @@ from dirl.scenes.graph import AHEAD, BACK, RIGHT, IntArray, places, turns_per_ci
 MAX_STATES = 5_000
 """All pairs of states are compared; of a scene with more states that would take gigabytes."""
 
-THRESHOLDS = np.linspace(0.5, 1.0, 101)
-"""At which the false stops of template matching are counted."""
+CORRELATIONS, LOG_ODDS = np.linspace(0.5, 1.0, 101), np.linspace(-5.0, 15.0, 101)
+"""Thresholds at which the errors of the stop are counted, by what the recogniser's scores are."""
 
 BLANK = 6.0
 """A view whose grey levels (0 to 255) deviate less than this from their mean shows next to nothing."""
@@ -36,44 +40,77 @@ class Inspection:
     parts: IntArray
     """Which part each state is in, int64 ``[N]``, 0 is the largest; within a part every state reaches every other."""
     ambiguous: list[tuple[int, int, float, int]]
-    """Pairs of states that match above the threshold: both states, coefficient, actions between them; worst first."""
+    """Pairs of states that match above the threshold: both states, score, actions between them; worst first."""
+    thresholds: NDArray[np.floating]
+    """`CORRELATIONS`, or `LOG_ODDS` of a recogniser that is calibrated."""
     false_stops: NDArray[np.floating] | None
-    """Of all pairs of a goal and a state that reaches it, the fraction that matches above each of `THRESHOLDS`."""
+    """Of all pairs of a goal and a state that reaches it, the fraction that matches above each of the thresholds."""
     goal_false_stops: NDArray[np.floating] | None
     """The same for the scene's own goals."""
+    missed_stops: NDArray[np.floating] | None
+    """The fraction of states that, seen in another look, do not match themselves; None without looks."""
 
 
-def inspect_scene(scene: Scene, *, threshold: float = 0.9, match: str = "views") -> Inspection:
+def inspect_scene(scene: Scene, stop: TemplateStop | None = None) -> Inspection:
     """Check a scene.
 
     Args:
         scene: N states, at most `MAX_STATES`.
-        threshold: two states that match better are ambiguous.
-        match: ``views`` or ``front``, see `dirl.perception.recognition.matching.TemplateStop`.
+        stop: two states of which one would stop an agent on its way to the other are ambiguous; the paper's if left
+            out.
 
     Raises:
-        SceneError: the scene has too many states.
+        SceneError: the scene has too many states, or no patches for a recogniser that reads them.
         ValueError: a view cannot be decoded.
     """
     if len(scene) > MAX_STATES:
         raise SceneError(f"{scene.origin}: {len(scene)} states; all pairs are compared, of at most {MAX_STATES}")
     parts = _parts(scene)
     problems = [*_graph_problems(scene, parts), *_map_problems(scene), *_view_problems(scene)]
-    ambiguous, false_stops, goal_false_stops = [], None, None
+    stop = stop or TemplateStop()
+    thresholds = LOG_ODDS if stop.recogniser.calibrated else CORRELATIONS
+    ambiguous, false_stops, goal_false_stops, missed_stops = [], None, None, None
     if scene.features is None:
         problems.append("there are no features; add them by: scenes.py encode")
     else:
         problems += _feature_problems(scene)
-        vectors = template_vectors(
-            torch.from_numpy(scene.features.astype(np.float32)), torch.from_numpy(scene.surrounding.copy()), match
-        )
-        scores = (vectors @ vectors.T).numpy()
-        ambiguous = _ambiguous(scene, scores, threshold)
+        scores, again = _scores(scene, stop)
+        ambiguous = _ambiguous(scene, scores, stop.threshold)
         every = np.arange(len(scene))
-        false_stops = _false_stops(scene, scores, every)
-        goal_false_stops = _false_stops(scene, scores, np.array(scene.goals, np.int64)) if scene.goals else None
-        problems += _matching_problems(scene, scores, ambiguous, threshold)
-    return Inspection(_facts(scene, parts), problems, parts, ambiguous, false_stops, goal_false_stops)
+        false_stops = _false_stops(scene, scores, every, thresholds)
+        if scene.goals:
+            goal_false_stops = _false_stops(scene, scores, np.array(scene.goals, np.int64), thresholds)
+        if len(again):
+            missed_stops = np.searchsorted(np.sort(again), thresholds, side="right") / len(again)
+        problems += _matching_problems(scene, scores, ambiguous, stop.threshold)
+    facts = _facts(scene, parts)
+    return Inspection(facts, problems, parts, ambiguous, thresholds, false_stops, goal_false_stops, missed_stops)
+
+
+def _scores(scene: Scene, stop: TemplateStop) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Of every state (row) as seen on the way to every goal (column), and of each state in its further looks."""
+    recogniser, surrounding = stop.recogniser, torch.from_numpy(scene.surrounding.copy())
+    if recogniser.reads_patches and scene.patches is None:
+        raise SceneError(f"{scene.origin}: has no patches, which the recogniser compares; encode it with patches=true")
+
+    looks = [_tensors(scene.features, scene.patches)]
+    if scene.look_features is not None:
+        patches = [None] * len(scene.look_features) if scene.look_patches is None else scene.look_patches
+        looks += map(_tensors, scene.look_features, patches)
+    fitted = recogniser.fit(*looks[0])
+    with torch.no_grad():
+        default, *others = (fitted.describe(*look)[surrounding] for look in looks)
+        goals = matched(default, stop.match)
+        again = [fitted.scores(visits.unsqueeze(1), goals.unsqueeze(1)).flatten() for visits in others]
+        scores = in_blocks(fitted, default, goals)
+    return scores.numpy(), torch.cat([torch.empty(0), *again]).numpy()
+
+
+def _tensors(features: NDArray[Any] | None, patches: NDArray[Any] | None) -> tuple[Tensor, Tensor | None]:
+    """Features and patches of the views of one look, float32."""
+    assert features is not None
+    parts = None if patches is None else torch.from_numpy(patches.astype(np.float32))
+    return torch.from_numpy(features.astype(np.float32)), parts
 
 
 def _facts(scene: Scene, parts: IntArray) -> dict[str, str]:
@@ -199,16 +236,19 @@ def _feature_problems(scene: Scene) -> Iterator[str]:
 
 
 def _ambiguous(scene: Scene, scores: NDArray[np.floating], threshold: float) -> list[tuple[int, int, float, int]]:
+    scores = np.maximum(scores, scores.T)
     pairs = np.argwhere(np.triu(scores > threshold, 1))
     order = np.argsort(-scores[tuple(pairs.T)], kind="stable")
     distances = scene.distances
     return [(int(a), int(b), float(scores[a, b]), int(distances[a, b])) for a, b in pairs[order]]
 
 
-def _false_stops(scene: Scene, scores: NDArray[np.floating], goals: IntArray) -> NDArray[np.floating]:
-    """The fraction of (goal, state that reaches it) whose coefficient is above each of `THRESHOLDS`."""
+def _false_stops(
+    scene: Scene, scores: NDArray[np.floating], goals: IntArray, thresholds: NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """The fraction of (goal, state that reaches it) whose score is above each threshold."""
     wrong = np.sort(scores[:, goals][scene.distances[:, goals] > 0])
-    return 1 - np.searchsorted(wrong, THRESHOLDS, side="right") / len(wrong)
+    return 1 - np.searchsorted(wrong, thresholds, side="right") / len(wrong)
 
 
 def _matching_problems(

@@ -212,8 +212,9 @@ def checks(room: RoomDescription, scene: Scene, problems: list[str]) -> dict[str
     one view, and by the four views that decide a stop.
     """
     from dirl.perception.recognition.diagnostics import inspect_scene
+    from dirl.perception.recognition.matching import TemplateStop
 
-    found = {match: inspect_scene(scene, match=match) for match in ("front", "views")}
+    found = {match: inspect_scene(scene, TemplateStop(match=match)) for match in ("front", "views")}
     apart = far_apart(scene.positions, scene.headings)
     measures = {
         "size": list(room.size),
