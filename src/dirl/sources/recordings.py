@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from tqdm import tqdm
 
-from dirl.scenes.io.storage import check_storage, open_dataset
+from dirl.scenes.io.datasets import check_storage, open_dataset
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import encode
 from dirl.sources.photos import write_table

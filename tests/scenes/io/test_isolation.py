@@ -153,5 +153,5 @@ def test_float64_takes_the_memory_of_float32(dump):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert contents.features.nbytes == 24 * 2**19 * 4
-    assert peak < contents.features.nbytes + 2 * BLOCK_BYTES + 2**20
+    assert contents["features"].nbytes == 24 * 2**19 * 4
+    assert peak < contents["features"].nbytes + 2 * BLOCK_BYTES + 2**20

@@ -10,7 +10,7 @@ import pytest
 from rooms import grid_scene, read_here
 
 from dirl.scenes import SceneError, read_dump, write_dump
-from dirl.scenes.io.located import locate_mapped
+from dirl.scenes.io.datasets import locate_mapped
 from dirl.scenes.io.write import replace_features
 
 PATCHES = np.random.default_rng(0).normal(size=(24, 8, 6)).astype(np.float16)

@@ -1,7 +1,6 @@
 """The program that reads dumps of unknown origin, started by `dirl.scenes.io.isolation` and never imported.
 
-It reads one request from its standard input and answers on its standard output. Each answer is a line of JSON and the
-arrays that it lists.
+It reads one request, JSON, from its standard input, and writes an ``.npz`` for each of its tasks.
 """
 
 import json
@@ -9,31 +8,25 @@ import math
 import os
 import sys
 import types
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
-
-Answer = tuple[dict[str, Any], list[Any]]
-"""What becomes JSON, and arrays."""
+from typing import Any
 
 
 def main() -> None:
-    """Answer the request."""
+    """Do the tasks of the request."""
     _skip_the_packages()
     from dirl.scenes.scene import SceneError
 
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever a library prints must not come between the answers
-    request = json.loads(sys.stdin.buffer.read())
+    request = json.load(sys.stdin)
     _limit("RLIMIT_AS", request["memory"])
     for task in request["tasks"]:
-        _limit("RLIMIT_CPU", task.pop("seconds") + sum(os.times()[:2]))
+        _limit("RLIMIT_CPU", task["seconds"] + sum(os.times()[:2]))
         try:
-            _answer(answers, *TASKS[task.pop("task")](**task))
+            answer = _done(**task["arguments"])
         except (SceneError, OSError, MemoryError) as error:
-            reason = str(error) if isinstance(error, SceneError) else f"{type(error).__name__}: {error}"
-            _answer(answers, {"error": reason}, [])
+            answer = {"error": str(error) if isinstance(error, SceneError) else f"{type(error).__name__}: {error}"}
+        _write(Path(task["answer"]), answer)
 
 
 def _skip_the_packages() -> None:
@@ -55,35 +48,30 @@ def _limit(what: str, value: float) -> None:
         resource.setrlimit(limit, (soft if hard < 0 else min(soft, hard), hard))
 
 
-def _read(path: str) -> Answer:
-    from dirl.scenes.io.hdf5 import read_contents
+def _done(dump: str, copy: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The contents of a dump; or nothing, after a copy of it with other datasets was written."""
+    if copy is None:
+        from dirl.scenes.io.hdf5 import read_contents
 
-    contents = read_contents(Path(path))
-    arrays = contents.arrays()
-    shapes = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
-    values = {name: value for name, value in vars(contents).items() if name not in arrays}
-    return {"values": values, "arrays": shapes}, list(arrays.values())
-
-
-def _replace_features(dump: str, path: str, arrays: dict[str, str], attributes: dict[str, dict[str, str]]) -> Answer:
+        return read_contents(Path(dump))
     import numpy as np
 
     from dirl.scenes.io.write import copy_with
 
-    loaded = {name: np.load(file, mmap_mode="r") for name, file in arrays.items()}
-    copy_with(Path(dump), Path(path), loaded, attributes)
-    return {}, []
+    arrays = {name: np.load(file, mmap_mode="r") for name, file in copy["arrays"].items()}
+    copy_with(Path(dump), Path(copy["path"]), arrays, copy["attributes"])
+    return {}
 
 
-TASKS: dict[str, Callable[..., Answer]] = {"read": _read, "replace_features": _replace_features}
+def _write(file: Path, answer: dict[str, Any]) -> None:
+    """Write an answer, whole or not at all: its arrays, and everything else as one JSON text."""
+    import numpy as np
 
-
-def _answer(stream: BinaryIO, header: dict[str, Any], arrays: list[Any]) -> None:
-    stream.write(json.dumps(header).encode() + b"\n")
-    for array in arrays:
-        if array.size:  # an empty one cannot be cast
-            stream.write(memoryview(array if array.flags.c_contiguous else array.copy()).cast("B"))
-    stream.flush()
+    arrays: dict[str, Any] = {name: value for name, value in answer.items() if isinstance(value, np.ndarray)}
+    values = {name: value for name, value in answer.items() if name not in arrays}
+    unfinished = file.with_suffix(".unfinished.npz")
+    np.savez(unfinished, json=json.dumps(values), **arrays)
+    os.replace(unfinished, file)
 
 
 if __name__ == "__main__":

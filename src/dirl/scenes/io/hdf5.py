@@ -5,7 +5,6 @@ packages of dirl. Errors do not name the file; the caller adds its name.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +12,24 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.graph import ACTIONS, GraphError, IntArray, check_graph, shortest_distances
+from dirl.scenes.graph import ACTIONS, GraphError, check_graph, shortest_distances
+from dirl.scenes.io.datasets import (
+    check_storage,
+    locate_mapped,
+    locate_views,
+    open_dataset,
+    open_views,
+    own_dataset,
+    read_attribute,
+    short,
+)
 from dirl.scenes.io.digest import EXTRACTOR_ATTRIBUTES, blocks, check_digest
-from dirl.scenes.io.located import Located, locate_mapped, locate_views, open_views
-from dirl.scenes.io.storage import check_storage, open_dataset, own_dataset, read_attribute, short
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import Views
 
 # What is larger than these is refused before any of it is read.
 MAX_STATES = 50_000
 MAX_FEATURE_VALUES = 2**27
 """Of the first crop, the one that is read: half a gigabyte as float32."""
-MAX_FEATURE_RATIO = 50
-"""How much larger than in the file features may be; those of a network hardly compress."""
 MAX_TEXT = 2000
 """Characters of an attribute."""
 
@@ -38,51 +42,16 @@ UNREACHABLE_FROM = 1000
 """Stored distances at or above this mean "unreachable" (some copies of the published files hold 1000)."""
 
 
-@dataclass
-class Contents:
-    """The content of a dump: numbers, texts and arrays, not yet checked as a scene."""
-
-    graph: NDArray[Any]
-    """In the order of `ACTIONS`."""
-    positions: NDArray[Any]
-    headings: NDArray[Any]
-    features: NDArray[np.floating] | None
-    extractor: str
-    name: str
-    """Empty if the file does not say, as for the source."""
-    source: str
-    goals: list[int]
-    view_dataset: str
-    """Empty if there are no views; this and the rest is what `Views` is made of."""
-    view_spans: IntArray
-    view_shape: list[int] | None
-    views_unpacked: NDArray[np.uint8] | None
-    mapped: dict[str, Located]
-    """Where large arrays lie, see `dirl.scenes.io.located`."""
-    warning: str = ""
-
-    def views(self, path: Path) -> Views | None:
-        """The views of the file."""
-        if not self.view_dataset:
-            return None
-        shape = None if self.view_shape is None else (self.view_shape[0], self.view_shape[1])
-        return Views(path, self.view_dataset, self.view_spans, shape, self.views_unpacked)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """The fields that are arrays."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-
-
-def read_contents(path: Path, *, intact: bool = False) -> Contents:
+def read_contents(path: Path, *, intact: bool = False) -> dict[str, Any]:
     """Read a dump. Nothing large is read before its shape has been checked, and links to other files are refused.
 
     Args:
         path: an existing file.
         intact: its bytes are known to be those that were written; its digest and its views need no check.
 
-    Raises:
-        SceneError: the content of the file is invalid.
+    Returns:
+        Arguments of `dirl.scenes.Scene`, not yet checked, texts empty where the file does not say; where large arrays
+        lie (``mapped``) and, if there are views, what `dirl.scenes.Views` is made of; and a ``warning``, maybe empty.
     """
     try:
         with h5py.File(path) as file, np.errstate(all="ignore"):
@@ -101,7 +70,7 @@ def extractor_text(attributes: Mapping[str, str]) -> str:
     return "; ".join(attributes[key] for key in EXTRACTOR_ATTRIBUTES if attributes.get(key))
 
 
-def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
+def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
     missing = [key for key in ("graph", "location", "rotation") if key not in file]
     if missing:
         raise SceneError(f"the dataset '{missing[0]}' is missing; the file holds {short(sorted(file), str)}")
@@ -122,21 +91,22 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         if states <= MAX_COMPARED:
             check_storage(distances)
     verified = intact or check_digest(file)
-    contents = Contents(
-        graph=_in_our_order(graph[:], read_attribute(file, "actions")),
-        positions=location[:],
-        headings=rotation[:],
-        features=None if features is None else _read_features(features, path, mapped=intact),
-        extractor=_extractor(features),
-        name=_text_attribute(file, "name"),
-        source=_text_attribute(file, "source"),
-        goals=_goals(read_attribute(file, "goals"), states),
-        **locate_views(views, path, decoded=verified),
-        mapped=mapped,
-    )
-    _check_differences(contents)
+    contents = {
+        "graph": _in_our_order(graph[:], read_attribute(file, "actions")),
+        "positions": location[:],
+        "headings": rotation[:],
+        "features": None if features is None else _read_features(features, path, mapped=intact),
+        "extractor": _extractor(features),
+        "name": _text_attribute(file, "name"),
+        "source": _text_attribute(file, "source"),
+        "goals": _goals(read_attribute(file, "goals"), states),
+        "mapped": mapped,
+        "warning": "",
+        **({} if views is None else locate_views(views, path, decoded=verified)),
+    }
+    _check_differences(contents["headings"], contents["features"])
     if distances is not None and states <= MAX_COMPARED and not verified:
-        contents.warning = _compare_distances(contents.graph, distances)
+        contents["warning"] = _compare_distances(contents["graph"], distances)
     return contents
 
 
@@ -151,7 +121,7 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
             f"resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "
             f"found shape {dataset.shape}"
         )
-    check_storage(dataset, max_ratio=MAX_FEATURE_RATIO)
+    check_storage(dataset)
     return dataset
 
 
@@ -177,9 +147,8 @@ def _extractor(features: h5py.Dataset | None) -> str:
     return extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown"
 
 
-def _check_differences(contents: Contents) -> None:
-    """Check that states differ in their features."""
-    headings, features = contents.headings, contents.features
+def _check_differences(headings: NDArray[Any], features: NDArray[np.floating] | None) -> None:
+    """Check that states differ in their headings and features."""
     if len(headings) > 1 and (headings == headings[0]).all():
         raise SceneError(f"rotation: all states have the heading {headings[0]:g}; a turn must change it")
     if features is None or len(features) < 2 or not np.isfinite(features[0]).all():

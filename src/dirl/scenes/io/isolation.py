@@ -5,21 +5,19 @@ and of memory, and if it ends, the program that wanted the file goes on with one
 with h5py and NumPy only. This is no protection against a file that was made to take over the process that reads it.
 """
 
-import io
 import json
-import math
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.io.hdf5 import Contents
 from dirl.scenes.scene import SceneError
 
 MEMORY = 3 * 2**30
@@ -32,37 +30,46 @@ PATIENCE = 20
 PROGRAM = Path(__file__).with_name("child.py")
 
 
-def read_apart(paths: Sequence[Path]) -> Iterator[Contents]:
-    """Read dumps, all of them in one separate process.
+def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
+    """What `dirl.scenes.io.hdf5.read_contents` finds in dumps, all of them read in one separate process.
 
     Raises:
         SceneError: a file cannot be read. The message does not name the file; the caller knows it.
     """
-    tasks = [{"task": "read", "path": os.path.abspath(path), "seconds": seconds_for(path)} for path in paths]
-    for header, arrays in _answers(tasks):
-        yield Contents(**{**header["values"], **arrays})
+    return _apart(paths, [{}] * len(paths))
 
 
-def replace_features_apart(
-    dump: Path, path: Path, arrays: dict[str, str], attributes: dict[str, dict[str, str]]
+def copy_apart(
+    dump: Path, path: Path, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Mapping[str, str]]
 ) -> None:
-    """Let another process do `dirl.scenes.io.write.copy_with`, with each array in a ``.npy`` file.
-
-    Raises:
-        SceneError: the dump cannot be read, or the file not written.
-    """
-    files = {"dump": os.path.abspath(dump), "path": os.path.abspath(path), "arrays": arrays}
-    task = {"task": "replace_features", **files, "attributes": attributes, "seconds": seconds_for(dump)}
-    for _ in _answers([task]):
-        pass
+    """Let another process do `dirl.scenes.io.write.copy_with`; raises `SceneError` as `read_apart` does."""
+    with TemporaryDirectory() as folder:
+        files = {name: os.path.abspath(Path(folder) / f"{name}.npy") for name in arrays}
+        for name, array in arrays.items():
+            np.save(files[name], array)
+        list(_apart([dump], [{"copy": {"path": os.path.abspath(path), "arrays": files, "attributes": attributes}}]))
 
 
-def seconds_for(path: Path) -> float:
-    """The processor time that reading a file may take."""
-    return SECONDS + SECONDS_A_MEGABYTE * path.stat().st_size / 1e6
+def _apart(dumps: Sequence[Path], arguments: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """The answers of `dirl.scenes.io.child` about dumps."""
+    with TemporaryDirectory() as folder:
+        tasks: list[dict[str, Any]] = [
+            {
+                "arguments": {"dump": os.path.abspath(dump), **given},
+                "answer": os.path.abspath(Path(folder) / f"{number}.npz"),
+                "seconds": SECONDS + SECONDS_A_MEGABYTE * dump.stat().st_size / 1e6,
+            }
+            for number, (dump, given) in enumerate(zip(dumps, arguments, strict=True))
+        ]
+        status = _run(tasks)
+        for task in tasks:
+            if not os.path.isfile(task["answer"]):
+                raise SceneError(_ended(status, task["seconds"]))
+            yield _answer(task["answer"])
 
 
-def _answers(tasks: Sequence[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], dict[str, NDArray[Any]]]]:
+def _run(tasks: Sequence[dict[str, Any]]) -> int:
+    """Start the process, and wait for its exit status."""
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry),
@@ -70,41 +77,27 @@ def _answers(tasks: Sequence[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], 
     }
     try:
         # -S: `sys.path` is that of this process, and what site does takes time; -P: modules here hide no others.
-        ended = subprocess.run(
+        return subprocess.run(
             [sys.executable, "-S", "-P", str(PROGRAM)],
             input=json.dumps({"memory": MEMORY, "tasks": tasks}).encode(),
-            stdout=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env=environment,
             timeout=PATIENCE * sum(task["seconds"] for task in tasks),
-        )
-        status, output = ended.returncode, io.BytesIO(ended.stdout)
-    except subprocess.TimeoutExpired as late:
-        status, output = -getattr(signal, "SIGKILL", 0), io.BytesIO(late.stdout or b"")
-    for task in tasks:
-        try:
-            answer = _receive(output)
-        except EOFError:
-            raise SceneError(_ended(status, task["seconds"])) from None
-        if "error" in answer[0]:
-            raise SceneError(answer[0]["error"])
-        yield answer
+        ).returncode
+    except subprocess.TimeoutExpired:
+        return -getattr(signal, "SIGKILL", 0)
 
 
-def _receive(stream: io.BytesIO) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """The next answer: a line of JSON, and the arrays that it lists."""
-    line = stream.readline()
-    if not line.endswith(b"\n"):
-        raise EOFError
-    header = json.loads(line)
-    arrays = {}
-    for name, (kind, shape) in header.get("arrays", {}).items():
-        size = math.prod(shape) * np.dtype(kind).itemsize
-        data = stream.read(size)
-        if len(data) < size:
-            raise EOFError
-        arrays[name] = np.frombuffer(data, kind).reshape(shape)
-    return header, arrays
+def _answer(file: str) -> dict[str, Any]:
+    with np.load(file, allow_pickle=False) as stored:
+        found = dict(stored)
+    values = json.loads(str(found.pop("json")))
+    if "error" in values:
+        raise SceneError(values["error"])
+    for array in found.values():
+        array.setflags(write=False)
+    return {**values, **found}
 
 
 def _ended(status: int, seconds: float) -> str:

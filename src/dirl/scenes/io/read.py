@@ -24,16 +24,16 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dirl.scenes.io.digest import file_digest
-from dirl.scenes.io.hdf5 import Contents, read_contents
+from dirl.scenes.io.hdf5 import read_contents
 from dirl.scenes.io.isolation import read_apart
-from dirl.scenes.io.located import map_array
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.views import Views
 
 ROOMS = Path(__file__).parents[1] / "data"
 """The built-in rooms: synthetic, with the names, state counts and goals of the published scenes."""
@@ -92,38 +92,41 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True, stacklevel: int 
             contents = read_contents(dump.path, intact=True) if known else next(apart)
         except SceneError as error:
             raise SceneError(f"{dump.path}: {error}") from None
-        if contents.warning:
-            warnings.warn(f"{dump.path}: {contents.warning}", SceneWarning, stacklevel=stacklevel)
+        if contents["warning"]:
+            warnings.warn(f"{dump.path}: {contents['warning']}", SceneWarning, stacklevel=stacklevel)
         scenes.append(_scene(dump, contents, intact=known))
     return scenes
 
 
-def _scene(dump: Dump, contents: Contents, *, intact: bool) -> Scene:
-    name = dump.name or contents.name or dump.path.stem
+def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
+    name = dump.name or contents["name"] or dump.path.stem
     check_name(name, str(dump.path))
+    views = None
+    if "view_dataset" in contents:
+        shape, unpacked = contents.get("view_shape"), contents.get("views_unpacked")
+        views = Views(dump.path.resolve(), contents["view_dataset"], contents["view_spans"], shape, unpacked)
+    found = {
+        name: np.memmap(dump.path, np.float16, "r", offset, tuple(shape))
+        for name, (offset, shape) in contents["mapped"].items()
+    }
+    beside = dump.path.with_suffix(".patches.npy")
+    if intact and "patches" not in found and beside.is_file() and _is_intact_room(beside):
+        found["patches"] = np.load(beside, mmap_mode="r", allow_pickle=False)
     return Scene(
         name=name,
-        graph=contents.graph,
-        positions=contents.positions,
-        headings=contents.headings,
-        features=contents.features,
-        views=contents.views(dump.path.resolve()),
-        goals=tuple(contents.goals),
-        source=dump.source or contents.source or "unlabelled",
-        extractor=contents.extractor,
+        graph=contents["graph"],
+        positions=contents["positions"],
+        headings=contents["headings"],
+        features=contents["features"],
+        views=views,
+        goals=tuple(contents["goals"]),
+        source=dump.source or contents["source"] or "unlabelled",
+        extractor=contents["extractor"],
         origin=str(dump.path),
-        patches=_patches(dump.path, contents, intact=intact),
-        look_features=map_array(dump.path, contents.mapped.get("look_feature")),
-        look_patches=map_array(dump.path, contents.mapped.get("look_patches")),
+        patches=found.get("patches"),
+        look_features=found.get("look_feature"),
+        look_patches=found.get("look_patches"),
     )
-
-
-def _patches(path: Path, contents: Contents, *, intact: bool) -> NDArray[np.float16] | None:
-    """The patches of a dump; those of a built-in room lie in a file beside it."""
-    beside = path.with_suffix(".patches.npy")
-    if "patches" not in contents.mapped and intact and beside.is_file() and _is_intact_room(beside):
-        return np.load(beside, mmap_mode="r", allow_pickle=False)
-    return map_array(path, contents.mapped.get("patches"))
 
 
 def _is_intact(dump: Dump) -> bool:

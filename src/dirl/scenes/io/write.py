@@ -1,10 +1,8 @@
 """Writing scene dumps, see `dirl.scenes.io.read` for their content; a file is complete or absent."""
 
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import h5py
@@ -13,12 +11,12 @@ from numpy.typing import NDArray
 
 from dirl.scenes.graph import ACTIONS, shortest_distances
 from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.datasets import check_view
 from dirl.scenes.io.digest import DATASETS, write_digest
 from dirl.scenes.io.hdf5 import MAX_COMPARED
-from dirl.scenes.io.isolation import replace_features_apart
+from dirl.scenes.io.isolation import copy_apart
 from dirl.scenes.names import check_name
 from dirl.scenes.scene import Scene, SceneError
-from dirl.scenes.views import ImageError, decode
 
 
 def write_dump(
@@ -47,7 +45,6 @@ def write_dump(
     """
     path = Path(path)
     check_name(scene.name, str(path))
-    encoded = None if views is None else _checked_views(path, len(scene), list(views))
     with whole_file(path) as file:
         file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
         file.attrs.update(attributes or {})
@@ -68,22 +65,17 @@ def write_dump(
                 file[name] = array.astype(np.float16, copy=False)
         if scene.patches is not None:
             file["patches"].attrs.update(patch_attributes or {})
-        if encoded is not None:
-            stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
-            for state, view in enumerate(encoded):
-                stored[state] = np.frombuffer(view, np.uint8)
+        if views is not None:
+            _write_views(file, list(views), len(scene), path)
 
 
-def _checked_views(path: Path, states: int, views: list[bytes]) -> list[bytes]:
-    """The encoded views, which the reader will trust with the digest."""
+def _write_views(file: h5py.File, views: list[bytes], states: int, path: Path) -> None:
     if len(views) != states:
         raise ValueError(f"{path}: {len(views)} views for {states} states")
+    stored = file.create_dataset("observation_webp", (states,), h5py.vlen_dtype(np.uint8))
     for state, view in enumerate(views):
-        try:
-            decode(view)
-        except ImageError as error:
-            raise SceneError(f"{path}: the view of state {state} is not a readable image ({error})") from None
-    return views
+        check_view(view, f"{path}: the view of state {state} is")  # the reader will trust it with the digest
+        stored[state] = np.frombuffer(view, np.uint8)
 
 
 def replace_features(
@@ -112,14 +104,10 @@ def replace_features(
     if patches is not None:
         arrays["patches"] = patches
         attributes["patches"] = dict(patch_attributes or {})
-    with TemporaryDirectory() as folder:
-        files = {name: os.path.abspath(Path(folder) / f"{name}.npy") for name in arrays}
-        for name, array in arrays.items():
-            np.save(files[name], array)
-        try:
-            replace_features_apart(Path(dump), Path(path), files, attributes)
-        except SceneError as error:
-            raise SceneError(f"{dump}: {error}") from None
+    try:
+        copy_apart(Path(dump), Path(path), arrays, attributes)
+    except SceneError as error:
+        raise SceneError(f"{dump}: {error}") from None
 
 
 def copy_with(
