@@ -17,6 +17,18 @@ VIEW = encode(np.arange(12 * 16 * 3, dtype=np.uint8).reshape(12, 16, 3))
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\nshowpage\n"
 
 
+def chunk(name, stored, **options):
+    """The dataset in one chunk that takes these bytes in the file."""
+
+    def spoil(file):
+        values = file[name][:]
+        del file[name]
+        dataset = file.create_dataset(name, values.shape, values.dtype, chunks=values.shape, **options)
+        dataset.id.write_direct_chunk((0,) * values.ndim, stored)
+
+    return spoil
+
+
 def views(*last):
     """Encoded views that are good but for the last ones."""
 
@@ -54,6 +66,14 @@ CANNOT_BE_CALLED = "a scene cannot be called "
 UNREADABLE = "observation_webp: state 23: not a readable image ("
 
 FOUND = {
+    "a chunk of one byte with a checksum of four": (
+        chunk("graph", b"x", fletcher32=True),
+        "graph: a chunk takes 1 bytes in the file; expected at least 5",
+    ),
+    "a chunk that is too short": (
+        chunk("graph", b"x" * 767),
+        "graph: a chunk takes 767 bytes in the file; expected at least 768",
+    ),
     "8,000 goals": (attribute("goals", np.arange(8000)), "attribute 'goals': names 8000 goals of 24 states"),
     "a view that is no image": (views(b"RIFF----WEBP"), UNREADABLE),
     "a view of no bytes": (views(b""), UNREADABLE + "it is not WebP, PNG or JPEG)"),

@@ -111,16 +111,13 @@ def wrap(degrees: Array) -> Array:
 
 
 def least_squares(ends: Integers, offsets: Array, weight: Array, part: Integers) -> Array:
-    """Values that differ by given offsets as nearly as they can, 0 for the first of each part.
+    """Values, float64 ``[N, ...]``, that differ by offsets as nearly as they can, 0 for the first of each part.
 
     Args:
         ends: pairs of values, int64 ``[E, 2]``.
         offsets: by how much the second is larger, float64 ``[E, ...]``.
         weight: of each, float64 ``[E]``.
         part: which values are joined by pairs, int64 ``[N]``.
-
-    Returns:
-        float64 ``[N, ...]``.
     """
     count = len(part)
     matrix, right = np.zeros((count, count)), np.zeros((count, *offsets.shape[1:]))
@@ -242,10 +239,7 @@ def _walk(ends: Integers, turns: Array, count: int, rank: Integers | None = None
 
 
 def _loops(ends: Integers, turns: Array, kept: NDArray[np.bool_], count: int) -> tuple[Array, set[int]]:
-    """How far off loops close, degrees, float64 ``[L]``, and the panoramas on any.
-
-    Each equation makes one that is not in a forest of those that are kept.
-    """
+    """How far off loops close, degrees, float64 ``[L]``, one for each equation not in a forest; panoramas on any."""
     walk = _walk(ends[kept], turns[kept], count)
     in_forest = np.zeros(len(ends), bool)
     in_forest[np.flatnonzero(kept)[walk.used]] = True

@@ -49,11 +49,7 @@ class Seen:
 
 
 def columns(image: Equirectangular | Cube) -> Array:
-    """How colours change downwards in each column, clockwise from the one behind, float64 ``[COLUMNS, ROWS, 3]``.
-
-    Raises:
-        SceneError: the image cannot be read.
-    """
+    """How colours change downwards in each column, clockwise from the one behind, float64 ``[COLUMNS, ROWS, 3]``."""
     yaw = np.radians((np.arange(COLUMNS) + 0.5) * 360 / COLUMNS - 180)
     up, yaws = np.meshgrid(np.linspace(HIGHEST, LOWEST, ROWS), yaw)
     directions = np.stack([np.sin(yaws), up, np.cos(yaws)])

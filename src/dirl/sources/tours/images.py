@@ -54,11 +54,7 @@ class CubeLevel:
 
 
 def tiled(size: int, tile: int, where: str, path: Callable[[str, int, int], Path]) -> CubeLevel:
-    """A cube of ``size`` pixels a side in tiles of ``tile`` pixels; ``path`` takes the face, the row and the column.
-
-    Raises:
-        SceneError: more than `MOST_TILES` along a side.
-    """
+    """A cube of ``size`` pixels a side in tiles of ``tile`` pixels; ``path`` takes the face, the row and the column."""
     count = -(-size // tile)
     if count > MOST_TILES:
         raise SceneError(f"{where}: {size} pixels in tiles of {tile} are more than {MOST_TILES} tiles a side")
@@ -85,12 +81,8 @@ def six_images(path: Callable[[str], Path]) -> Cube:
 def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]:
     """The pixels of a panorama: one equirectangular array ``[H, 2 H, 3]``, or six faces ``[S, S, 3]`` as `FACES`.
 
-    Args:
-        image: where they are.
-        density: pixels a radian that are needed; an image that has twice as many or more is reduced.
-
-    Raises:
-        SceneError: a file cannot be read, or has another shape than it should.
+    ``density`` is how many pixels a radian are needed; an image that has twice as many or more is reduced. `SceneError`
+    if a file cannot be read, or has another shape than it should.
     """
     if isinstance(image, Equirectangular):
         found = _open(image.file, load=False)
@@ -111,11 +103,7 @@ def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]
 
 
 def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
-    """Width and height that the tiles of a face declare, row by row.
-
-    Raises:
-        SceneError: they do not make the square that the face should be.
-    """
+    """Width and height that the tiles of a face declare, row by row; `SceneError` unless they make its square."""
     sizes = [[_open(file, load=False).size for file in row] for row in level.tiles[face]]
     width, height = sum(tile[0] for tile in sizes[0]), sum(row[0][1] for row in sizes)
     if width != height or (level.size is not None and width != level.size) or width * height > MAX_PIXELS:
@@ -166,14 +154,10 @@ def density(size: tuple[int, int], field_of_view: float) -> float:
 
 
 def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], field_of_view: float) -> Pixels:
-    """A view out of a panorama, uint8 ``[height, width, 3]``.
+    """A view out of the pixels of `read_panorama`, uint8 ``[height, width, 3]``.
 
-    Args:
-        pixels: see `read_panorama`.
-        yaw: where the view looks, degrees clockwise from the middle of the image (of the front face).
-        pitch: degrees up.
-        size: height and width in pixels.
-        field_of_view: horizontal, degrees.
+    It looks ``yaw`` degrees clockwise from the middle of the image (of the front face) and ``pitch`` up; the field of
+    view is horizontal, degrees.
     """
     return sample(pixels, _directions(np.radians(yaw), np.radians(pitch), size, density(size, field_of_view)))
 
@@ -181,9 +165,7 @@ def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], f
 def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
     """What lies in some directions of a panorama, uint8 ``[H, W, 3]``, by bilinear interpolation.
 
-    Args:
-        pixels: see `read_panorama`.
-        directions: unit vectors to the right of, above and ahead of its middle, float64 ``[3, H, W]``.
+    ``directions`` are unit vectors to the right of, above and ahead of its middle, float64 ``[3, H, W]``.
     """
     x, y, z = directions
     if len(pixels) == 1:

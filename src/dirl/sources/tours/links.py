@@ -84,12 +84,7 @@ def _assigned(off: Array, half: float, tolerance: float | None) -> IntArray:
 
 
 def about_links(tour: Tour, aside: Array) -> Iterator[str]:
-    """What became of the links, a line each, and which panoramas are lost.
-
-    Args:
-        tour: with L links.
-        aside: see `follow_links`, float64 ``[L]``.
-    """
+    """What became of the links (``aside`` is that of `follow_links`), a line each, and which panoramas are lost."""
     ids = [panorama.id for panorama in tour.panoramas]
     ends, _ = link_ends(tour)
     hidden, far = np.flatnonzero(np.isinf(aside)), np.flatnonzero(np.isfinite(aside) & (aside > FAR))
