@@ -67,11 +67,7 @@ class Thor(Rooms):
 
 
 def named_source(name: str, root: str | Path | None = None) -> Rooms:
-    """One of dirl's own sources: ``rooms``, or ``thor`` with its folder.
-
-    Raises:
-        SceneError: there is no source of that name.
-    """
+    """One of dirl's own sources: ``rooms``, or ``thor`` with its folder."""
     if name not in ("rooms", "thor"):
         raise SceneError(f"there is no source '{name}'; choose one of ['rooms', 'thor']")
     return Rooms() if name == "rooms" else Thor(None if root is None else str(root))
@@ -136,11 +132,7 @@ def _is_file(name: str) -> bool:
 
 
 def find_rooms(scene: str | Sequence[str], split: str | None, rooms: int | None) -> Collection | None:
-    """The rooms of a collection that a user asks for, not read yet; None if it is none. See `load_scenes`.
-
-    Raises:
-        SceneError: no such collection, or none of its rooms.
-    """
+    """The rooms of a collection that a user asks for, not read yet; None if it is none. See `load_scenes`."""
     if (folder := collection_folder(scene)) is not None:
         return read_collection(folder).select(split=split)[:rooms]
     if split is not None or rooms is not None:
@@ -155,11 +147,7 @@ def collection_folder(scene: str | Sequence[str]) -> Path | None:
 
 
 def find_scenes(scene: str | Sequence[str], source: Rooms | None = None) -> list[Dump]:
-    """The dumps of the scenes a user asks for, not read yet; of the built-in rooms if no source is given.
-
-    Raises:
-        SceneError: no such scene.
-    """
+    """The dumps of the scenes a user asks for, not read yet; of the built-in rooms if no source is given."""
     source = source or Rooms()
     folder = source.folder()
     names = [scene] if isinstance(scene, str) else list(scene)

@@ -91,11 +91,7 @@ def encode(view: NDArray[np.uint8], quality: int | None = 85) -> bytes:
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
-    """The RGB image, uint8 ``[H, W, 3]``, in the bytes of an encoded one (WebP, PNG or JPEG).
-
-    Raises:
-        ImageError: they are none, or of too many pixels.
-    """
+    """The RGB image, uint8 ``[H, W, 3]``, in the bytes of an encoded one; `ImageError` if there is none."""
     return np.asarray(open_image(data, MAX_PIXELS).convert("RGB"))
 
 
@@ -111,15 +107,9 @@ def _any_size() -> Iterator[None]:
 
 
 def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Image:
-    """The image in the bytes of a file in one of `FORMATS`.
+    """The image in the bytes of a file in one of `FORMATS`, of at most so many pixels.
 
-    Args:
-        data: the bytes.
-        max_pixels: at most so many are decoded.
-        load: whether to decode the pixels; without, the image tells the size that it declares.
-
-    Raises:
-        ImageError: it is none, cannot be decoded, or declares more than ``max_pixels``.
+    Without ``load`` its pixels are not decoded, and it tells the size that it declares. `ImageError` if it is none.
     """
     try:
         with warnings.catch_warnings(), _any_size():

@@ -107,11 +107,7 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
 
 
 def _further_shots(states: Sequence[Row], rows: Sequence[Row]) -> list[Path]:
-    """The images of the shots after the first, shot by shot, each in the order of the states.
-
-    Raises:
-        SceneError: one is of no state, there twice, or missing.
-    """
+    """The images of the shots after the first, shot by shot, each in the order of the states; none may be missing."""
     found: dict[tuple[int, int], Path] = {}
     for row in rows:
         off = [(row.heading - one.heading + 180) % 360 - 180 for one in states]

@@ -46,11 +46,7 @@ def read_frames(source: str | Path, every: int = 1, height: int = HEIGHT) -> NDA
 
 
 def read_photo(file: str | Path, height: int = HEIGHT) -> NDArray[np.uint8]:
-    """A photo, RGB, uint8 ``[height, W, 3]``.
-
-    Raises:
-        SceneError: there is none, or it cannot be decoded.
-    """
+    """A photo, RGB, uint8 ``[height, W, 3]``; `SceneError` if it cannot be decoded."""
     try:
         image = ImageOps.exif_transpose(open_image(Path(file).read_bytes(), MAX_PIXELS))
     except (OSError, ImageError) as error:

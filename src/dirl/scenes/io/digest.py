@@ -44,11 +44,7 @@ def write_digest(file: h5py.File) -> None:
 
 
 def check_digest(file: h5py.File) -> bool:
-    """Compare a file with its digest; False if it has none, as files of other programs have.
-
-    Raises:
-        SceneError: they differ.
-    """
+    """Compare a file with its digest, `SceneError` if they differ; False if it has none, as other programs' have."""
     stored = [holder.attrs.get(DIGEST) for holder in (file, file["graph"])]
     if stored == [None, None]:
         return False
@@ -113,11 +109,7 @@ def sealed(facts: Mapping[str, Any], *contents: bytes) -> dict[str, Any]:
 
 
 def check_seal(facts: Mapping[str, Any], *contents: bytes) -> None:
-    """Check what `sealed` added; folders of older versions have none.
-
-    Raises:
-        ValueError: the facts or the contents are others than those that were written.
-    """
+    """Check what `sealed` added, ValueError if anything is not as it was written; older folders have none."""
     # What looks like one under another name is a digest whose name is damaged.
     digests = {key: value for key, value in facts.items() if key == DIGEST or SHA256.fullmatch(str(value))}
     plain = {key: value for key, value in facts.items() if key not in digests}

@@ -31,11 +31,7 @@ PROGRAM = Path(__file__).with_name("child.py")
 
 
 def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
-    """What `dirl.scenes.io.hdf5.read_contents` finds in dumps, all of them read in one separate process.
-
-    Raises:
-        SceneError: a file cannot be read. The message does not name the file; the caller knows it.
-    """
+    """What `dirl.scenes.io.hdf5.read_contents` finds in dumps, all of them read in one separate process."""
     return _apart(paths, [{}] * len(paths))
 
 

@@ -12,13 +12,7 @@ MOST = 64 * 2**20
 
 
 def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: str = "strict") -> str:
-    """The text of a file.
-
-    Args:
-        file: to read.
-        most: so many bytes at most.
-        encoding: of the text.
-        errors: what becomes of bytes that are no text, as of ``bytes.decode``.
+    """The text of a file of at most so many bytes; ``errors`` as of ``bytes.decode``.
 
     Raises:
         ValueError: it is longer than ``most``, or (with ``errors="strict"``) no such text.
@@ -35,12 +29,7 @@ def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: 
 
 
 def read_rows(file: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file whose first line names the columns.
-
-    Raises:
-        ValueError: it is too long, or no such table.
-        OSError: it cannot be read.
-    """
+    """The rows of a CSV file whose first line names the columns; ValueError if it is no such table."""
     try:
         return list(csv.DictReader(read_text(file).splitlines(), strict=True))
     except csv.Error as error:
@@ -52,8 +41,7 @@ def read_csv(
 ) -> list[tuple[str, dict[str, str]]]:
     """The rows of a CSV file by column, each with the file and line for errors; empty lines are left out.
 
-    Raises:
-        SceneError: it cannot be read, has another column or lacks one, or a line is none of the table.
+    `SceneError` if it cannot be read, has another column or lacks one, or a line is none of the table.
     """
     try:
         lines = read_text(file, most, encoding="utf-8-sig").splitlines()

@@ -86,18 +86,10 @@ def replace_features(
     patches: NDArray[np.float16] | None = None,
     patch_attributes: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a copy of a dump with other features; everything else stays the same, file attributes included.
+    """Write a copy of a dump with other features ``[N, D]``; everything else stays, file attributes included.
 
-    Args:
-        dump: a file that `read_dump` accepts; it is not changed.
-        path: the file to write, completely or not at all.
-        features: of every state, ``[N, D]``.
-        feature_attributes: how they were made: ``extractor``, ``preprocessing``, ``weights``.
-        patches: of every state, ``[N, cells, channels]``; those of the dump if left out.
-        patch_attributes: how they were made: ``extractor``, ``projection``.
-
-    Raises:
-        SceneError: the dump cannot be copied.
+    Patches ``[N, cells, channels]`` are those of the dump if left out. Attributes are those of `write_dump`.
+    `SceneError` if the dump cannot be copied.
     """
     arrays: dict[str, NDArray[Any]] = {"resnet_feature": features[:, None]}
     attributes = {"resnet_feature": dict(feature_attributes)}

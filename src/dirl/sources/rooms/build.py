@@ -132,15 +132,8 @@ def write_room(
 ) -> None:
     """Encode the stored views of a room, and write its dump, completely or not at all.
 
-    Args:
-        out: the dump; an existing one is replaced.
-        scene: the room without features.
-        views: of its states.
-        encoder: what makes the features, and patches; neither if None.
-        attributes: of the file.
-        provenance: where the encoder's weights come from, if it does not say so itself.
-        progress: show a progress bar.
-        looks: the views of each further look, uint8 ``[height, width, 3]`` each, of which only features are stored.
+    Of ``looks``, the views of each further look, uint8 ``[height, width, 3]`` each, only features are stored.
+    ``provenance`` is where the encoder's weights come from, if it does not say so itself.
     """
     about, about_patches = {"extractor": "none"}, {}
     if encoder is not None:
@@ -209,17 +202,9 @@ def take_views(
     workers: int | None = 1,
     progress: bool = True,
 ) -> Iterator[View]:
-    """The views from all poses, in their order, rendered by several processes.
+    """The views from all poses, in their order, rendered by several processes; ``size`` is height and width in pixels.
 
-    Args:
-        renderer: of the room.
-        camera: how the agent looks.
-        poses: where it stands.
-        size: height and width in pixels.
-        quality: of WebP.
-        workers: how many processes; this process alone if 1. If None, one for each `PIXELS` of all views together, at
-            most one for each core.
-        progress: show a progress bar.
+    If ``workers`` is None there is one for each `PIXELS` of all views together, at most one for each core.
     """
     job = (renderer, camera, size, quality)
     if workers is None:

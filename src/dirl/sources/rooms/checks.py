@@ -145,15 +145,7 @@ def check_views(thumbnails: Array, contrasts: Array, way: Walk) -> list[str]:
 
 
 def far_apart(positions: Array, headings: Array) -> NDArray[np.bool_]:
-    """Which pairs of states should not look alike: more than a metre apart, or facing at least 90 degrees apart.
-
-    Args:
-        positions: metres, float64 ``[N, 2]``.
-        headings: degrees, float64 ``[N]``.
-
-    Returns:
-        bool ``[N, N]``
-    """
+    """Which pairs of states should not look alike: over a metre or at least 90 degrees apart, bool ``[N, N]``."""
     apart = np.abs((headings[:, None] - headings + 180) % 360 - 180)
     return (apart >= 90) | (np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1)) > NEAR)
 

@@ -208,8 +208,8 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
 def checks(room: RoomDescription, scene: Scene, problems: list[str]) -> dict[str, Any]:
     """What the index says of a room: its measures, connected parts, and with features how many far states match.
 
-    ``alike_front`` and ``alike_views`` count pairs of states that are far apart (`far_apart`) and match above 0.9 by
-    one view, and by the four views that decide a stop.
+    ``alike_front`` and ``alike_views`` count pairs of states that are `far_apart` and match above 0.9 by one view, and
+    by the four views that decide a stop.
     """
     from dirl.perception.recognition.diagnostics import inspect_scene
     from dirl.perception.recognition.matching import TemplateStop

@@ -19,13 +19,7 @@ YAW = {"north": 0.0, "west": 90.0, "south": 180.0, "east": -90.0}
 
 @dataclass(frozen=True)
 class Opening:
-    """A doorway in a wall, from the floor up.
-
-    Args:
-        wall: north, south, east or west.
-        low, high: where it begins and ends along the wall, metres: x for north and south, y for east and west.
-        top: its height.
-    """
+    """A doorway in a wall, from the floor to its ``top``, between two places along the wall: x or y, metres."""
 
     wall: str
     low: float
@@ -55,15 +49,7 @@ def materials_of(room: RoomDescription) -> dict[str, Material]:
 
 
 def assemble(room: RoomDescription, openings: Sequence[Opening] = ()) -> list[Part]:
-    """All triangles of a room, in metres.
-
-    Args:
-        room: to be made.
-        openings: in its walls.
-
-    Raises:
-        SceneError: a piece cannot be made, or something is of a material that there is not. The message names it.
-    """
+    """All triangles of a room, in metres; `SceneError` names a piece that cannot be made or has no such material."""
     return [part for _, parts in assemble_pieces(room, openings) for part in parts]
 
 

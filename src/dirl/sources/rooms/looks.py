@@ -96,17 +96,7 @@ def look_views(
     """The views of one look, uint8 ``[height, width, 3]``, in the order of the states, as they would be stored.
 
     The error of a visit is sampled once for each place: all views from there share it, as those of a robot that turns
-    on the spot do.
-
-    Args:
-        renderer: of the room as it is.
-        room: and how the agent looks.
-        way: the places and headings.
-        size: height and width of the views, pixels.
-        changes: how large the errors are.
-        seed: of the errors; another one for each look.
-        quality: of the views' WebP encoding.
-        fine: see `Renderer.of`, of a room that is changed.
+    on the spot do. ``fine`` is the light of a room that is changed, see `Renderer.of`.
     """
     rng = np.random.default_rng(seed)
     if changes.vary:

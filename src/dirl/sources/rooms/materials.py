@@ -68,17 +68,9 @@ STOCK: Mapping[str, Material] = {
 
 
 def paint(name: str, material: Material, limit: int = 2048) -> Array:
-    """The texture of a material: sRGB in [0, 1], float64 ``[n, n, 3]``.
+    """The texture of a material, named in its room: sRGB in [0, 1], float64 ``[n, n, 3]``.
 
-    The material's name and seed determine every pixel.
-
-    Args:
-        name: the material's, in its room.
-        material: what to paint.
-        limit: pixels a side at most; small for previews.
-
-    Raises:
-        SceneError: an option of the texture is out of range.
+    The material's name and seed determine every pixel; `SceneError` if an option of the texture is out of range.
     """
     digest = hashlib.sha256(f"{name}:{material.seed}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "big"))

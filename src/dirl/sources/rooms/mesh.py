@@ -137,8 +137,7 @@ class Mesh:
     ) -> Self:
         """A body through rings ``(z, rx, ry[, exponent[, dx, dy]])``, as on a lathe; it may turn back inside itself.
 
-        Rings are superellipses: exponent 2 is an ellipse, more is squarer. ``at`` is the axis, ``dx, dy`` a ring's
-        offset from it.
+        Rings are superellipses: exponent 2 is an ellipse, more is squarer. ``dx, dy`` is a ring's offset from ``at``.
         """
         angle = np.linspace(0, 2 * np.pi, sides + 1)
         cos, sin = np.cos(angle), np.sin(angle)
@@ -181,10 +180,7 @@ class Mesh:
         return self.add(np.concatenate([_triangles(rings), *ends]), material)
 
     def quad(self, corners: ArrayLike, material: str, *, image: bool = False) -> Self:
-        """A flat rectangle, its four corners anticlockwise from the lower left as seen from the front.
-
-        With ``image`` it shows the whole texture once.
-        """
+        """A flat rectangle, corners anticlockwise from the lower left; an ``image`` shows the whole texture once."""
         points, whole = np.asarray(corners, float), np.array([(0, 1), (1, 1), (1, 0), (0, 0)], float)
         split = [[0, 1, 2], [0, 2, 3]]
         return self.add(points[split], material, whole[split] if image else None, smooth=1.0)

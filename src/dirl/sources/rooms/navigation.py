@@ -50,12 +50,9 @@ def footprint(piece: Piece, room: RoomDescription) -> tuple[float, ...]:
 
 
 def clearance(a: Array, b: Array, rectangles: Array) -> Array:
-    """The exact distance of each segment to the nearest rectangle: metres, 0 where they meet, inf if there is none.
+    """The exact distance of segments from a to b, ``[n, 2]`` each, to the nearest of the rectangles of `footprints`.
 
-    Args:
-        a: where the segments start, ``[n, 2]``.
-        b: where they end, ``[n, 2]``; the same point for a distance from points.
-        rectangles: as `footprints` gives them, ``[m, 5]``.
+    Metres; 0 where they meet, infinite if there are no rectangles.
     """
     if not len(rectangles):
         return np.full(len(a), np.inf)

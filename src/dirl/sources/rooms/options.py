@@ -37,17 +37,7 @@ def check_keys(table: Mapping[str, Any], known: Collection[str], where: str, *, 
 def check_options(
     function: Callable[..., Any], given: Mapping[str, Any], where: str, *, own: tuple[str, ...] = ()
 ) -> dict[str, Any]:
-    """The keyword arguments for a function, checked against its signature.
-
-    Args:
-        function: its keyword-only parameters are the valid names.
-        given: names and values, as TOML has them.
-        where: named in the message.
-        own: further names that the table may hold, for the hint.
-
-    Raises:
-        SceneError: an unknown name, or a value of another type.
-    """
+    """The keyword arguments for a function, checked against its signature; ``own`` are further names for the hint."""
     hints = get_type_hints(function)
     keywords = [p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
     check_keys({key: 0 for key in given if key not in keywords}, (*keywords, *own), where)
@@ -55,11 +45,7 @@ def check_options(
 
 
 def check_value(value: Any, kind: Any, where: str) -> Any:
-    """A value from a TOML file as a type: lists become tuples, integers become floats where floats are expected.
-
-    Raises:
-        SceneError: the value is of another type.
-    """
+    """A value from a TOML file as a type: lists become tuples, integers become floats where floats are expected."""
     made = _as(value, kind)
     if made is None:
         raise SceneError(f"{where}: expected {_named(kind)}, found {value!r}")

@@ -20,19 +20,12 @@ class Hits(NamedTuple):
 
 
 class Scenery:
-    """Triangles, materials and textures of one room.
+    """Triangles of `dirl.sources.rooms.layout.assemble`, materials and textures of one room.
 
-    Args:
-        parts: see `dirl.sources.rooms.layout.assemble`.
-        materials: by the names that the parts use.
-        edge: no side of a triangle is longer, in metres; light is known at their corners.
-        texture_limit: pixels a side of a texture at most.
-
-    Attributes:
-        corners, normals: float32 ``[n, 3, 3]``; uv: float32 ``[n, 3, 2]``; material: int ``[n]``.
-        facing, area: of each triangle, float32 ``[n, 3]`` and float64 ``[n]``.
-        point: which of the P distinct corners (of equal position and normal) each corner is, int ``[n, 3]``.
-        rough, emit, glow, metal, mirror: of each material.
+    No side of a triangle is longer than ``edge`` metres, for light is known at corners. Arrays: ``corners`` and
+    ``normals`` float32 ``[n, 3, 3]``, ``uv`` float32 ``[n, 3, 2]``, ``material`` int ``[n]``, ``facing`` float32
+    ``[n, 3]``, ``area`` float64 ``[n]``; ``point`` int ``[n, 3]``: which of the P corners of another position or normal
+    each is; ``rough``, ``emit``, ``glow``, ``metal`` and ``mirror`` of each material.
     """
 
     def __init__(

@@ -56,13 +56,7 @@ class Renderer:
         return renderer
 
     def view(self, camera: Camera, pose: Pose, size: tuple[int, int]) -> Array:
-        """The view from a place, uint8 ``[height, width, 3]``.
-
-        Args:
-            camera: how the agent looks.
-            pose: where it stands and looks.
-            size: height and width in pixels.
-        """
+        """The view from a pose, uint8 ``[height, width, 3]``; ``size`` is height and width in pixels."""
         (x, y, heading), (height, width) = pose, size
         half = np.tan(np.radians(camera.fov / 2))
         ahead, right, up = _axes(heading, camera.pitch)
@@ -162,14 +156,9 @@ def _axes(heading: float, pitch: float) -> tuple[Array, Array, Array]:
 
 
 def exposure(renderer: Renderer, size: tuple[float, float, float], height: float) -> float:
-    """What makes the mean brightness of rays from all over a room `MIDDLE_GREY`, to three digits.
+    """What makes the mean brightness of rays from all over a room `MIDDLE_GREY`; ``height`` is the camera's.
 
-    The digits are few so that the last bit of a sum, which differs between machines, does not show.
-
-    Args:
-        renderer: of the room.
-        size: of the room, metres.
-        height: of the camera, metres.
+    It has three digits, so that the last bit of a sum, which differs between machines, does not show.
     """
     rng = np.random.default_rng(0)
     middle = np.array([size[0], size[1], 0])

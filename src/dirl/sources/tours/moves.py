@@ -163,10 +163,7 @@ def _zero(along: Array, turn: float) -> float:
 
 
 def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
-    """Positions at which every link is one step long in its direction, as nearly as they can be, float64 ``[P, 2]``.
-
-    Parts that are not linked both ways with each other stand side by side.
-    """
+    """Positions ``[P, 2]`` at which links are a step long in their directions, or nearly; parts side by side."""
     ends, _ = link_ends(tour)
     ends, along = ends[part[ends[:, 0]] == part[ends[:, 1]]], along[part[ends[:, 0]] == part[ends[:, 1]]]
     way = step * np.stack([np.sin(np.radians(along)), np.cos(np.radians(along))], 1)

@@ -128,10 +128,7 @@ def cabinet(
     rows: int = 1,
     legs: float = 0.06,
 ) -> Mesh:
-    """Doors side by side, or with several rows drawers; low ones are nightstands and sideboards, tall ones wardrobes.
-
-    Doors have a panel of another material if one is named.
-    """
+    """Doors, or with several rows drawers, side by side; doors have a panel of another material if one is named."""
     mesh = Mesh().box(-w / 2, -d / 2 + 0.02, legs, w / 2, d / 2, h, body, 0.006)
     for i in range(doors):
         for j in range(rows):
@@ -164,11 +161,7 @@ def shelf(
     contents: tuple[str, ...] = CONTENTS,
     towels: tuple[str, str] = ("towel_a", "towel_b"),
 ) -> Mesh:
-    """An open shelf; ``contents`` says what lies on the boards from the lowest up, in turn.
-
-    Raises:
-        ValueError: something else than books, towels, a basket or vases is to lie there.
-    """
+    """An open shelf; ``contents`` says what lies on the boards from the lowest up, in turn."""
     board = 0.022
     mesh = Mesh().box(-w / 2, -d / 2, 0, -w / 2 + board, d / 2, h, body, 0.004)
     mesh.box(w / 2 - board, -d / 2, 0, w / 2, d / 2, h, body, 0.004)

@@ -33,13 +33,7 @@ class Placed:
 
 
 class Draft:
-    """An empty room of a size and a style, to be furnished.
-
-    Args:
-        size: width, depth and height, metres.
-        style: colours and materials.
-        rng: what everything is sampled from.
-    """
+    """An empty room of a size (metres) and a style, to be furnished; ``rng`` is what everything is sampled from."""
 
     def __init__(self, size: Size, style: Style, rng: np.random.Generator) -> None:
         self.size, self.style, self.rng = size, style, rng
@@ -50,9 +44,7 @@ class Draft:
     def put(self, piece: Piece, *, around: float = GAP) -> bool:
         """Add a piece if it is inside the room, overlaps no other, and blocks nothing; returns whether it was added.
 
-        Args:
-            piece: what and where.
-            around: metres that must stay free around it, between it and solid pieces.
+        ``around`` are the metres that must stay free between it and solid pieces.
         """
         box = self.box_of(piece)
         inside = (box[:3] >= -1e-3).all() and (box[3:] <= np.array(self.size) + 1e-3).all()

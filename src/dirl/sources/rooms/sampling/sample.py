@@ -68,8 +68,7 @@ def sample_views(
 ) -> tuple[RoomDescription, list[View]]:
     """The room that `sample_room` returns, and the views of its check: of `LOOK` pixels, in coarse light.
 
-    They are those that `dirl.sources.rooms.build_room` takes with that ``size`` and without ``fine``; none without
-    ``look``.
+    They are those that `build_room` takes with that ``size`` and without ``fine``; none without ``look``.
     """
     check_keys({kind: 0}, KINDS, "kind")
     if seed < 0:

@@ -15,13 +15,7 @@ HUES = ((0.0, 0.4, 0.55, 0.65, 0.85, 0.92, 1.0), (0.0, 0.14, 0.3, 0.48, 0.64, 0.
 
 
 class Style:
-    """Colours and materials of one room. Every method that makes a material adds it, and returns its name.
-
-    Args:
-        rng: what everything is sampled from.
-        wet: whether walls and floor have tiles.
-        repertoire: the stock to choose from.
-    """
+    """Colours and materials of one room. Every method that makes a material adds it, and returns its name."""
 
     def __init__(self, rng: np.random.Generator, *, wet: bool, repertoire: Repertoire = EVERYTHING) -> None:
         self.rng, self.wet, self.repertoire = rng, wet, repertoire

@@ -9,11 +9,7 @@ Array = NDArray[Any]
 
 
 def rgb(color: str) -> Array:
-    """A colour such as ``#d94f30`` as sRGB values in [0, 1], float64 ``[3]``.
-
-    Raises:
-        ValueError: the text is no such colour.
-    """
+    """A colour such as ``#d94f30`` as sRGB values in [0, 1], float64 ``[3]``; ValueError if the text is none."""
     digits = color.removeprefix("#")
     try:
         if len(digits) != 6 or not color.startswith("#"):
@@ -45,13 +41,8 @@ def coordinates(n: int) -> tuple[Array, Array]:
 def fractal_noise(rng: np.random.Generator, height: int, width: int, fy: int, fx: int, octaves: int = 5) -> Array:
     """Value noise in [0, 1] that repeats seamlessly, float64 ``[height, width]``.
 
-    Args:
-        rng: every call draws from it.
-        height: rows.
-        width: columns.
-        fy: cells of the coarsest octave along the rows; every further octave doubles them and weighs half.
-        fx: the same along the columns.
-        octaves: how many; those finer than a pixel are left out, but for the first.
+    Of the coarsest octave there are ``fy`` cells along the rows and ``fx`` along the columns; every further octave
+    doubles them and weighs half. Those finer than a pixel are left out, but for the first.
     """
     total, weight, weights = np.zeros((height, width)), 1.0, 0.0
     for octave in range(octaves):
