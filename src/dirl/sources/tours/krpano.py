@@ -6,35 +6,24 @@ Names of scenes are not case-sensitive: MakeVTour itself writes ``name="scene_Ha
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import MOST_LEVELS, Cube, CubeLevel, Equirectangular, six_images, tiled
-from dirl.sources.tours.tour import Link, Panorama, Tour, inside, make_tour, number, tour_text
+from dirl.sources.tours.tour import Link, Panorama, Tour, inside, number, tour_text
 
 
-def read_krpano(file: Path, skip: Collection[str] = ()) -> Tour:
-    """The tour that a ``tour.xml`` describes, but for the panoramas in ``skip``.
-
-    Raises:
-        SceneError: it is invalid, or an image is missing.
-    """
+def read_krpano(file: Path) -> Tour:
+    """The tour that a ``tour.xml`` describes."""
     root = _root(file)
     if root.tag == "encrypted":
         raise SceneError(f"{file}: is encrypted; make the tour again with encrypt=false, or ask its author for the XML")
     scenes = list(root.iter("scene"))
-    unlinked = sum(
-        "loadscene" in spot.get("onclick", "") and not spot.get("linkedscene")
-        for one in scenes
-        for spot in one.iter("hotspot")
-    )
-    notes = (
-        [f"{unlinked} hotspots call loadscene() in a script instead of naming a linkedscene: left out"]
-        if unlinked
-        else []
-    )
+    spots = [spot for scene in scenes for spot in scene.iter("hotspot")]
+    unlinked = sum("loadscene" in spot.get("onclick", "") and not spot.get("linkedscene") for spot in spots)
+    note = f"{unlinked} hotspots call loadscene() in a script instead of naming a linkedscene: left out"
     names: dict[str, str] = {}
     for scene in scenes:
         name = scene.get("name", "")
@@ -44,7 +33,7 @@ def read_krpano(file: Path, skip: Collection[str] = ()) -> Tour:
     panoramas = [_panorama(scene, index, file, names) for index, scene in enumerate(scenes)]
     if not any(panorama.heading for panorama in panoramas):  # MakeVTour writes 0.0 where nothing is known
         panoramas = [replace(panorama, heading=None) for panorama in panoramas]
-    return make_tour(file.resolve().parent.name, panoramas, file, notes, skip)
+    return Tour(file.resolve().parent.name, tuple(panoramas), (note,) if unlinked else (), str(file))
 
 
 def _root(file: Path) -> ET.Element:
@@ -63,18 +52,13 @@ def _panorama(scene: ET.Element, index: int, file: Path, names: Mapping[str, str
     where = f"{file}: scene '{name or index}'"
     if not name:
         raise SceneError(f"{where}: has no name")
-    links = [
+    links = tuple(
         Link(names.get(target.lower(), target), number(spot.get("ath"), f"{where}: ath"))
         for spot in scene.iter("hotspot")
         if (target := spot.get("linkedscene"))
-    ]
-    heading = scene.get("heading")
-    return Panorama(
-        name,
-        _image(scene, file, where),
-        tuple(links),
-        heading=number(heading, f"{where}: heading") if heading else None,
     )
+    heading = number(scene.get("heading"), f"{where}: heading") if scene.get("heading") else None
+    return Panorama(name, _image(scene, file, where), links, heading=heading)
 
 
 def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:

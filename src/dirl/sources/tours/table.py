@@ -10,24 +10,19 @@
 | | ``heading`` | where the middle of the image looks, degrees clockwise from +z; empty = unknown |
 """
 
-from collections.abc import Collection
 from pathlib import Path
 
 from dirl.scenes.io.texts import read_csv
 from dirl.sources.tours.images import Equirectangular
-from dirl.sources.tours.tour import MOST_TEXT, Link, Panorama, Tour, inside, make_tour, number
+from dirl.sources.tours.tour import MOST_TEXT, Link, Panorama, Tour, inside, number
 
 LINKS, PLACES = "links.csv", "panoramas.csv"
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp")
 
 
-def read_table(file: Path, skip: Collection[str] = ()) -> Tour:
-    """The tour of a folder with ``links.csv``: its linked images, in the order of their names.
-
-    Raises:
-        SceneError: a table is invalid, or an image is missing.
-    """
+def read_table(file: Path) -> Tour:
+    """The tour of a folder with ``links.csv``: its linked images, in the order of their names."""
     folder = file.parent
     links: dict[str, list[Link]] = {}
     for where, row in read_csv(file, ("image", "to", "yaw"), most=MOST_TEXT):
@@ -45,4 +40,4 @@ def read_table(file: Path, skip: Collection[str] = ()) -> Tour:
         panoramas.append(Panorama(name, image, tuple(of_image), position, heading))
     lonely = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.name not in links)
     notes = [f"{len(lonely)} images have no link and are left out, the first: {lonely[0]}"] if lonely else []
-    return make_tour(folder.resolve().name, panoramas, file, notes, skip)
+    return Tour(folder.resolve().name, tuple(panoramas), tuple(notes), str(file))

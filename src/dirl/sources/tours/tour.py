@@ -1,8 +1,11 @@
-"""A tour: panoramas, and links that say in which direction another one stands."""
+"""A tour: panoramas, and links that say in which direction another one stands.
+
+The functions that look into its files raise `SceneError` where these are not as expected.
+"""
 
 import difflib
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -76,50 +79,36 @@ class Tour:
     origin: str
 
 
-def make_tour(
-    name: str,
-    panoramas: Iterable[Panorama],
-    origin: Path,
-    notes: Iterable[str] = (),
-    skip: Collection[str] = (),
-) -> Tour:
-    """A checked tour. Links that lead nowhere, to where they start, or twice to one place are left out, and noted.
+def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
+    """A tour without some panoramas, if its files exist and its ids differ.
 
-    Args:
-        name: of the tour.
-        panoramas: what a reader found.
-        origin: the file, named in errors.
-        notes: of the reader.
-        skip: ids of panoramas that are left out.
-
-    Raises:
-        SceneError: no panoramas, too many, two of one id, a file of an image that does not exist; or nothing to skip.
+    Links that lead nowhere, to where they start, or twice to one place are left out, and noted.
     """
-    every = list(panoramas)
-    found = [panorama for panorama in every if panorama.id not in skip]
-    for unknown in sorted(set(skip) - {panorama.id for panorama in every}):
-        near = difflib.get_close_matches(unknown, [panorama.id for panorama in every], 1)
+    every = [panorama.id for panorama in tour.panoramas]
+    found = [panorama for panorama in tour.panoramas if panorama.id not in skip]
+    for unknown in sorted(set(skip) - set(every)):
+        near = difflib.get_close_matches(unknown, every, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
-        raise SceneError(f"{origin}: skip: there is no panorama '{unknown}'{hint}")
+        raise SceneError(f"{tour.origin}: skip: there is no panorama '{unknown}'{hint}")
     if not found:
-        raise SceneError(f"{origin}: names no panoramas" + (" but those to skip" if every else ""))
+        raise SceneError(f"{tour.origin}: names no panoramas" + (" but those to skip" if every else ""))
     if len(found) > MOST_PANORAMAS:
-        raise SceneError(f"{origin}: {len(found)} panoramas; at most {MOST_PANORAMAS} are read")
+        raise SceneError(f"{tour.origin}: {len(found)} panoramas; at most {MOST_PANORAMAS} are read")
     ids: set[str] = set()
     for panorama in found:
         if panorama.id in ids:
-            raise SceneError(f"{origin}: two panoramas have the id '{panorama.id}'")
+            raise SceneError(f"{tour.origin}: two panoramas have the id '{panorama.id}'")
         ids.add(panorama.id)
     missing = [(panorama.id, file) for panorama in found for file in panorama.image.files() if not _is_file(file)]
     if missing:
         more = f" ({len(missing)} files are missing in all)" if len(missing) > 1 else ""
         without = list(dict.fromkeys(one for one, _ in missing))
         skipping = f"; without these panoramas: 'skip=[{','.join(without)}]'" if len(without) <= MOST_SKIPPED else ""
-        raise SceneError(f"{origin}: panorama '{missing[0][0]}': there is no file {missing[0][1]}{more}{skipping}")
+        raise SceneError(f"{tour.origin}: panorama '{missing[0][0]}': there is no file {missing[0][1]}{more}{skipping}")
     dropped: dict[str, list[str]] = {}
-    kept = [replace(panorama, links=tuple(_kept(panorama, ids, dropped))) for panorama in found]
+    kept = tuple(replace(panorama, links=tuple(_kept(panorama, ids, dropped))) for panorama in found)
     lines = (f"{len(all_)} links {why} are left out, the first: {all_[0]}" for why, all_ in dropped.items())
-    return Tour(name, tuple(kept), (*notes, *lines), str(origin))
+    return replace(tour, panoramas=kept, notes=(*tour.notes, *lines))
 
 
 def _is_file(file: Path) -> bool:
@@ -150,9 +139,6 @@ def read_json(text: str, where: Path) -> dict[str, Any]:
     """The object that a text begins with: JSON, or a JavaScript literal with comments, bare keys and trailing commas.
 
     No code is run: a literal that calls a function or names a variable is refused. What follows the object is ignored.
-
-    Raises:
-        SceneError: it is none.
     """
     try:
         found = pyjson5.decode(text, MOST_DEPTH, True)
@@ -164,11 +150,7 @@ def read_json(text: str, where: Path) -> dict[str, Any]:
 
 
 def tour_text(file: Path) -> str:
-    """The text of a file that describes a tour.
-
-    Raises:
-        SceneError: it cannot be read, is no text, or too long.
-    """
+    """The text of a file that describes a tour."""
     try:
         return read_text(file, MOST_TEXT, encoding="utf-8-sig")
     except OSError as error:
@@ -178,22 +160,14 @@ def tour_text(file: Path) -> str:
 
 
 def entry(values: Any, key: str, kind: type, where: str) -> Any:
-    """A required value of a JSON object.
-
-    Raises:
-        SceneError: it is missing or of another type.
-    """
+    """A required value of a JSON object."""
     if not isinstance(values, Mapping) or not isinstance(values.get(key), kind):
         raise SceneError(f"{where}: expected '{key}' ({kind.__name__})")
     return values[key]
 
 
 def entries(values: Any, key: str, where: str) -> list[Mapping[str, Any]]:
-    """A list of JSON objects, empty if it is missing.
-
-    Raises:
-        SceneError: it is something else.
-    """
+    """A list of JSON objects, empty if it is missing."""
     found = values.get(key, []) if isinstance(values, Mapping) else None
     if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
         raise SceneError(f"{where}: expected '{key}' (list of objects)")
@@ -201,11 +175,7 @@ def entries(values: Any, key: str, where: str) -> list[Mapping[str, Any]]:
 
 
 def number(value: Any, where: str, low: float = -1e6, high: float = 1e6) -> float:
-    """A number of a tour, as a number or as its text.
-
-    Raises:
-        SceneError: it is none, or out of bounds.
-    """
+    """A number of a tour, as a number or as its text."""
     try:
         found = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
@@ -217,11 +187,7 @@ def number(value: Any, where: str, low: float = -1e6, high: float = 1e6) -> floa
 
 
 def inside(folder: Path, name: Any, where: str) -> Path:
-    """The path of a file of a tour.
-
-    Raises:
-        SceneError: it is no text, is on the web, or lies outside the tour's folder.
-    """
+    """The path of a file of a tour, which lies in the tour's folder."""
     if not isinstance(name, str) or not name.strip() or not name.isprintable():
         raise SceneError(f"{where}: expected the name of a file, found {str(name)[:50]!r}")
     text = name.replace("\\", "/")

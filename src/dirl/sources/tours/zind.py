@@ -8,7 +8,7 @@ Floors are not linked with each other; on the map they are drawn side by side.
 Coordinates of the file run to the left and ahead of a panorama's middle; maps of dirl run to the right, metres.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import permutations
 from pathlib import Path
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Equirectangular
-from dirl.sources.tours.tour import Link, Panorama, Tour, entry, inside, make_tour, number, read_json, tour_text
+from dirl.sources.tours.tour import Link, Panorama, Tour, entry, inside, number, read_json, tour_text
 
 REACH = 3.0
 """Metres between linked panoramas at most."""
@@ -39,17 +39,8 @@ class _Floor:
     gaps: list[Array] = field(default_factory=list)
 
 
-def read_zind(file: Path, reach: float = REACH, skip: Collection[str] = ()) -> Tour:
-    """The tour that a ``zind_data.json`` describes.
-
-    Args:
-        file: its path.
-        reach: metres between linked panoramas at most.
-        skip: ids of panoramas that are left out.
-
-    Raises:
-        SceneError: it is invalid, or an image is missing.
-    """
+def read_zind(file: Path, reach: float) -> Tour:
+    """The tour that a ``zind_data.json`` describes; linked panoramas are ``reach`` metres apart at most."""
     data = read_json(tour_text(file), file)
     scales = data.get("scale_meters_per_coordinate")
     panoramas: list[Panorama] = []
@@ -68,7 +59,7 @@ def read_zind(file: Path, reach: float = REACH, skip: Collection[str] = ()) -> T
             shift = 0.0
         edge = max(across) + shift if across else edge
         panoramas += _linked(floor, reach, shift)
-    return make_tour(file.resolve().parent.name, panoramas, file, notes, skip)
+    return Tour(file.resolve().parent.name, tuple(panoramas), tuple(notes), str(file))
 
 
 def _read_floor(rooms: Any, metres: float, name: str, file: Path) -> _Floor:

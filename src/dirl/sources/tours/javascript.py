@@ -1,28 +1,69 @@
-"""Tours of Pannellum: a configuration with ``scenes``, each an equirectangular image, a cube or a tiled cube.
+"""Tours that an object of JavaScript describes: those of the Marzipano Tool, and of Pannellum. No code is run.
 
-It is a JSON file, or an object in JavaScript or in a script of a page; no code is run. Angles are degrees, clockwise
-from the middle of the image.
+The Marzipano Tool writes ``data.js``, which assigns the object to a variable, and
+``tiles/<scene>/<level>/<face>/<row>/<column>.jpg``; angles are radians. A configuration of Pannellum has ``scenes``,
+each an equirectangular image, a cube or a tiled cube; it is a JSON file, or stands in JavaScript or a script of a page;
+angles are degrees. They are clockwise from the middle of the image.
 """
 
+import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
-from dirl.sources.tours.tour import (
-    Link,
-    Panorama,
-    Tour,
-    entries,
-    entry,
-    inside,
-    make_tour,
-    number,
-    read_json,
-    tour_text,
+from dirl.sources.tours.tour import Link, Panorama, Tour, entries, entry, inside, number, read_json, tour_text
+
+COMMENT = r"(?:\s|//[^\n]*\n|/\*.*?\*/)*"
+ASSIGNMENT = re.compile(
+    rf"{COMMENT}(?:['\"]use strict['\"];?{COMMENT})?(?:var|let|const)\s+[A-Za-z_]\w*\s*={COMMENT}(?=\{{)", re.DOTALL
 )
+
+
+def read_marzipano(file: Path) -> Tour:
+    """The tour that a ``data.js`` describes."""
+    text = tour_text(file)
+    assigned = ASSIGNMENT.match(text)
+    if assigned is None:
+        raise SceneError(f"{file}: expected 'var APP_DATA = {{...}};', as the Marzipano Tool writes it")
+    data = read_json(text[assigned.end() :], file)
+    scenes = entries(data, "scenes", str(file))
+    panoramas = tuple(_of_marzipano(scene, index, file) for index, scene in enumerate(scenes))
+    return Tour(str(data.get("name") or file.resolve().parent.name), panoramas, (), str(file))
+
+
+def _of_marzipano(scene: Mapping[str, Any], index: int, file: Path) -> Panorama:
+    name = entry(scene, "id", str, f"{file}: scene {index}")
+    where = f"{file}: scene '{name}'"
+    links = tuple(
+        Link(entry(spot, "target", str, where), math.degrees(number(spot.get("yaw"), f"{where}: yaw")))
+        for spot in entries(scene, "linkHotspots", where)
+    )
+    return Panorama(name, _cube(scene, name, file, where), links)
+
+
+def _cube(scene: Mapping[str, Any], name: str, file: Path, where: str) -> Cube:
+    """Levels are numbered from the smallest, 0; a first one that is only a preview has no tiles."""
+    sizes = []
+    for level in entries(scene, "levels", where):
+        size, tile = (int(number(level.get(key), f"{where}: {key}", 1, 2**15)) for key in ("size", "tileSize"))
+        sizes.append((size, tile, level.get("fallbackOnly") is True))
+    if not sizes or len(sizes) > MOST_LEVELS or sizes != sorted(sizes, key=lambda level: level[0]):
+        raise SceneError(f"{where}: expected 1 to {MOST_LEVELS} levels, the smallest first")
+
+    def path_at(level: int) -> Callable[[str, int, int], Path]:
+        folder = f"tiles/{name}/{level}"
+        return lambda face, y, x: inside(file.parent, f"{folder}/{face}/{y}/{x}.jpg", where)
+
+    levels = [
+        tiled(size, tile, where, path_at(level)) for level, (size, tile, preview) in enumerate(sizes) if not preview
+    ]
+    if not levels:
+        raise SceneError(f"{where}: has no level with tiles")
+    return Cube(tuple(levels))
+
 
 SCENES = re.compile(r"""(?:"scenes"|'scenes'|\bscenes)\s*:""")
 """What the configuration of a tour has, and little else."""
@@ -31,27 +72,19 @@ MOST_OBJECTS = 100
 """That may begin before the scenes in the same text and be no configuration."""
 
 
-def read_pannellum(file: Path, skip: Collection[str] = ()) -> Tour:
-    """The tour that a configuration describes, but for the panoramas in ``skip``.
-
-    Raises:
-        SceneError: it is invalid, or an image is missing.
-    """
+def read_pannellum(file: Path) -> Tour:
+    """The tour that a configuration describes."""
     text = tour_text(file)
     data = read_json(text, file) if text.lstrip().startswith("{") else _within(text, file)
     common = data.get("default")
     common = common if isinstance(common, Mapping) else {}
     scenes = entry(data, "scenes", dict, str(file))
-    panoramas = [_panorama(name, {**common, **_object(scene, name, file)}, file) for name, scene in scenes.items()]
-    return make_tour(str(common.get("title") or file.resolve().parent.name), panoramas, file, skip=skip)
+    panoramas = tuple(_of_pannellum(name, scene, common, file) for name, scene in scenes.items())
+    return Tour(str(common.get("title") or file.resolve().parent.name), panoramas, (), str(file))
 
 
 def _within(text: str, file: Path) -> dict[str, Any]:
-    """The configuration in a page or a script: the smallest object with scenes.
-
-    Raises:
-        SceneError: there is none.
-    """
+    """The configuration in a page or a script: the smallest object with scenes."""
     why = SceneError(f"{file}: has no object with 'scenes', as pannellum.viewer(...) takes it")
     for scenes in SCENES.finditer(text):
         begins = [match.start() for match in re.finditer("{", text[: scenes.start()])]
@@ -66,14 +99,11 @@ def _within(text: str, file: Path) -> dict[str, Any]:
     raise why
 
 
-def _object(scene: Any, name: str, file: Path) -> Mapping[str, Any]:
-    if not isinstance(scene, Mapping):
-        raise SceneError(f"{file}: scene '{name}': expected a JSON object")
-    return scene
-
-
-def _panorama(name: str, scene: Mapping[str, Any], file: Path) -> Panorama:
+def _of_pannellum(name: str, own: Any, common: Mapping[str, Any], file: Path) -> Panorama:
     where = f"{file}: scene '{name}'"
+    if not isinstance(own, Mapping):
+        raise SceneError(f"{where}: expected a JSON object")
+    scene = {**common, **own}
     links = [
         Link(entry(spot, "sceneId", str, where), number(spot.get("yaw"), f"{where}: yaw"))
         for spot in entries(scene, "hotSpots", where)
