@@ -47,7 +47,7 @@ from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.recordings import unpack_recording
 from dirl.sources.rooms import build_room, read_description
 from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
-from dirl.sources.rooms.looks import Changes
+from dirl.sources.rooms.looks import Changes, PhotoCamera
 from dirl.sources.rooms.sampling import KINDS
 from dirl.sources.rooms.sheet import draw_sheet, preview
 from dirl.sources.simulators import take_scene
@@ -201,7 +201,8 @@ def sample(options: Any) -> None:
     """Furnish random rooms and build them into a collection, each with its description; those that are there stay."""
     folder, kinds = Path(options.out), [kind for kind in KINDS if options.kind in (kind, "all")]
     values = {field.name: getattr(options, field.name) for field in fields(RoomSettings)}
-    settings = RoomSettings(**{**values, "changes": Changes(**vars(options.changes))})
+    values |= {"changes": Changes(**vars(options.changes)), "photo": PhotoCamera(**vars(options.photo))}
+    settings = RoomSettings(**values)
     seeds = range(options.seed, options.seed + options.count)
     wanted = [(kind, seed) for seed in seeds for kind in kinds]
     todo = missing_rooms(folder, wanted, settings.stored(settings.load_encoder()))

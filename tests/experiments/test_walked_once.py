@@ -62,20 +62,21 @@ def loaded(monkeypatch):
 
 def test_the_walk_sees_the_first_collection_and_the_episodes_the_changes_of_the_second(collections, tmp_path):
     before, after = collections
-    files, walk, later = walked_once.rooms(f"{before}:{after}", tmp_path / "both")
+    files, (walk, later, photos) = walked_once.rooms(f"{before}:{after}", tmp_path / "both")
     assert [file.rsplit("/", 1)[1] for file in files] == ["a.h5", "b.h5"]
-    assert (walk, later) == (range(3), range(3, 5))
+    assert (walk, later, photos) == (range(3), range(3, 5), None)
     both, changed = read_dump(files[1]), read_dump(after / "b.h5")
     assert np.array_equal(both.look_features[2:], changed.look_features)
     assert np.array_equal(both.look_patches[2:], changed.look_patches)
     assert np.array_equal(both.look_features[:2], read_dump(before / "b.h5").look_features)
-    assert walked_once.rooms(str(before), tmp_path)[1:] == (None, None)
+    assert walked_once.rooms(str(before), tmp_path)[1] == [None, None, None]
+    assert walked_once.rooms(f"{before}:{after}:{after}", tmp_path)[1] == [range(3), range(3, 5), range(5, 7)]
 
 
 def test_collections_of_other_rooms_or_without_looks_are_refused(collections, tmp_path):
     before, after = collections
     write_dump(after / "a.h5", grid_scene(3, 2, name="a", goals=(0,), **{**SIZE, "looks": 0}))
-    with pytest.raises(RunError, match="a has no looks in one of them; make both with looks=2"):
+    with pytest.raises(RunError, match="after: a has no looks; make it with looks=2"):
         walked_once.rooms(f"{before}:{after}", tmp_path / "both")
     write_dump(after / "a.h5", grid_scene(2, 2, name="a", goals=(0,), **SIZE))
     with pytest.raises(RunError, match="a is another room than in"):
@@ -105,6 +106,20 @@ def test_a_report_has_every_way_and_goes_on_from_what_was_measured(collections, 
     assert (tmp_path / "out" / "walked_once.png").stat().st_size > 10_000
     monkeypatch.setattr(walked_once, "measure", lambda *_: pytest.fail("measured again"))
     assert walked_once.report_walked_once(asked, "general", tmp_path / "out") == text
+
+
+def test_goals_can_be_photos_of_another_camera(collections, loaded, tmp_path, monkeypatch):
+    before, after = collections
+    wanted, run = [], EvaluationProtocol.run
+    monkeypatch.setattr(
+        EvaluationProtocol, "run", lambda self, policy: wanted.append((self.looks, self.photos)) or run(self, policy)
+    )
+    text = walked_once.report_walked_once([f"{before}:{before}:{after}"], "general", tmp_path / "out")
+    assert wanted == [(range(3, 5), range(5, 7))] * 2
+    rows = [line for line in text.splitlines() if line.startswith("| before then before then after | map")]
+    assert rows[-2].split(" | ")[1:] == ["map of the walk", "1.000", "1.000", "0.000", "0.000", "1.000 |"]
+    assert rows[-1].split(" | ")[1:5] == ["map, another goal's views", "0.000", "0.000", "1.000"]
+    assert "four views" not in text
 
 
 def test_an_image_graph_leads_to_goals_in_rooms_that_do_not_change():

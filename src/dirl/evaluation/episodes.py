@@ -86,6 +86,7 @@ def run_episodes(
     scores: VisitScores | None = None,
     maps: Sequence[PlaceMap] | None = None,
     looks: range | None = None,
+    photos: range | None = None,
     shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor, Tensor], None] | None = None,
 ) -> Episodes:
@@ -111,6 +112,7 @@ def run_episodes(
         scores: by which the memory knows places; correlation if left out.
         maps: of a walk through each scene, which the episodes go on with; for a `LocalisingMemory`.
         looks: of visits and goals; all if left out.
+        photos: looks of goals, if they are others.
         shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
         watch: called after each step with the unfinished episodes, their states and actions, int64 ``[W]`` each.
     """
@@ -118,7 +120,7 @@ def run_episodes(
     never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
     episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
     generator = torch.Generator(world.device).manual_seed(seed)
-    wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=looks)
+    wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=photos or looks)
     few = len(start) <= MANY
     bar = tqdm(
         total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=bar_interval(), disable=few
@@ -131,7 +133,8 @@ def run_episodes(
         known = Known(world, observation, decide, _arrived(world, stop), scores, shown)
 
         def ahead_in(state: Tensor, goals: Tensor) -> Tensor:
-            return drawn_looks(state, len(world), world, generator, goals // len(world.goals), looks)
+            besides = None if photos else goals // len(world.goals)
+            return drawn_looks(state, len(world), world, generator, besides, looks)
 
         for walking in _together(start, world, memory is not None, maps is not None):
             here, goals = start[walking], wanted[walking]

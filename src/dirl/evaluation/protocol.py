@@ -42,6 +42,8 @@ class EvaluationProtocol:
     """Of a walk through each scene, with which a `LocalisingMemory` begins; None = it knows nothing."""
     looks: range | None = None
     """Of visits and goals in a world that changes; None = all."""
+    photos: range | None = None
+    """Of goals, if they are others."""
     shown: Tensor | None = None
     """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
     live: LiveProtocol | None = None
@@ -84,7 +86,7 @@ class EvaluationProtocol:
         return list(action[order].split(torch.bincount(episode, minlength=len(starts[0])).tolist()))
 
     def _conditions(self) -> dict[str, Any]:
-        names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "maps", "looks", "shown")
+        names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "maps", "looks", "photos", "shown")
         return {name: getattr(self, name) for name in names}
 
 

@@ -1,8 +1,8 @@
 """Walk once, come back later: maps of places that change, and goals found with them.
 
-A collection with looks (see `dirl.sources.rooms.looks`) is named by its folder, or two of the same rooms with a colon
-between them: then the walk sees the first one, and the later episodes see the further looks of the second, in which
-furniture may have moved.
+A collection with looks (see `dirl.sources.rooms.looks`) is named by its folder, or several of the same rooms with
+colons between them: then the walk sees the first one, and the later episodes see the further looks of the second, in
+which furniture may have moved. The looks of a third one are those of the goals, photos that another camera took.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from tqdm import tqdm
 
 from dirl.agent.mapping import ImageGraph
@@ -28,6 +28,7 @@ from dirl.perception.recognition.recogniser import normal_vectors
 from dirl.runs.finding import RunError
 from dirl.scenes import World, read_dump
 from dirl.scenes.collection import read_collection
+from dirl.scenes.graph import places
 from dirl.scenes.io.write import copy_with
 from dirl.scenes.palette import BLUE, GREEN, GREY, ORANGE
 from dirl.training.load import Trained
@@ -41,38 +42,45 @@ WAYS = {MAPPED: BLUE, ALONE: GREEN, GRAPH: ORANGE, CONTROL: GREY}
 SIMILAR, ARRIVED = 0.8, {"surrounding": 0.9, "front": 0.95}
 """Correlation above which a topological map merges nodes, as its guide advises where views change, and stops."""
 
+PLACES = "stops at the place"
+"""Facing any way: a photo that is turned aside shows the views of two headings alike."""
+
 QUALITY = {"nodes": "nodes a state", "covered": "states seen", "wrong": "wrong links"}
 
 
-def rooms(collection: str, folder: Path) -> tuple[list[str], range | None, range | None]:
-    """The dumps of the test rooms, and the looks of the walk and of the episodes; None are all.
+def rooms(collection: str, folder: Path) -> tuple[list[str], list[range | None]]:
+    """The dumps of the test rooms, and the looks of the walk, of the episodes and of their goals; None are all.
 
     Args:
-        collection: a folder, or two with a colon between them.
-        folder: where dumps with the looks of both are written.
+        collection: a folder, or several with colons between them.
+        folder: where dumps with the looks of all are written.
 
     Raises:
-        RunError: the two are not of the same rooms.
+        RunError: they are not of the same rooms.
     """
-    first, _, later = collection.partition(":")
+    first, *others = collection.split(":")
     names = [entry.name for entry in read_collection(first).entries if entry.split == "test"]
-    if not later:
-        return [str(Path(first) / f"{name}.h5") for name in names], None, None
-    files, seen, looks = [], 1, 1
+    if not others:
+        return [str(Path(first) / f"{name}.h5") for name in names], [None, None, None]
+    files, ends = [], [0]
     for name in names:
-        one, other = (read_dump(Path(place) / f"{name}.h5") for place in (first, later))
-        if len(one) != len(other) or not np.array_equal(one.graph, other.graph):
-            raise RunError(f"{later}: {name} is another room than in {first}; make both with the same kind and seed")
-        if one.look_features is None or other.look_features is None:
-            raise RunError(f"{collection}: {name} has no looks in one of them; make both with looks=2")
-        arrays = {"look_feature": np.concatenate([one.look_features, other.look_features])}
-        if one.look_patches is not None and other.look_patches is not None:
-            arrays["look_patches"] = np.concatenate([one.look_patches, other.look_patches])
+        dumps = [read_dump(Path(place) / f"{name}.h5") for place in (first, *others)]
+        for dump, place in zip(dumps, (first, *others), strict=True):
+            if len(dump) != len(dumps[0]) or not np.array_equal(dump.graph, dumps[0].graph):
+                raise RunError(
+                    f"{place}: {name} is another room than in {first}; make both with the same kind and seed"
+                )
+            if dump.look_features is None:
+                raise RunError(f"{place}: {name} has no looks; make it with looks=2")
+        arrays = {"look_feature": np.concatenate([dump.look_features for dump in dumps])}
+        if all(dump.look_patches is not None for dump in dumps):
+            arrays["look_patches"] = np.concatenate([dump.look_patches for dump in dumps])
         file = folder / f"{name}.h5"
         copy_with(Path(first) / f"{name}.h5", file, arrays, {key: {} for key in arrays})
         files.append(str(file))
-        seen, looks = one.looks, one.looks + len(other.look_features)
-    return files, range(seen), range(seen, looks)
+        # The first one's default look, too, is seen by the walk.
+        ends = [0, *(1 + sum(dump.looks - 1 for dump in dumps[: count + 1]) for count in range(len(dumps)))]
+    return files, [*map(range, ends, ends[1:]), *[None] * (3 - len(dumps))]
 
 
 def measured(agent: str, collection: str, out: Path) -> dict[str, Measured]:
@@ -84,11 +92,12 @@ def measured(agent: str, collection: str, out: Path) -> dict[str, Measured]:
     return found
 
 
-def measure(agent: str, files: list[str], before: range | None, after: range | None) -> dict[str, Measured]:
+def measure(agent: str, files: list[str], looks: Sequence[range | None]) -> dict[str, Measured]:
     """Walk through each room, and go to goals in it with and without the map; see `measured`."""
+    before, after, photos = looks
     found: dict[str, Measured] = {}
     maps = None
-    for view in GOAL_VIEWS:
+    for view in ("front",) if photos else GOAL_VIEWS:
         _, policy, protocol = _loaded(agent, files, view)
         world, memory, scores = protocol.world, protocol.memory, protocol.scores
         assert isinstance(memory, LocalisingMemory)
@@ -99,7 +108,7 @@ def measure(agent: str, files: list[str], before: range | None, after: range | N
             qualities = [map_quality(*walk, world, index) for index, walk in enumerate(walks)]
             found[MAPPED] = {key: [getattr(one, key) for one in qualities] for key in QUALITY}
             graphs, found[GRAPH] = image_graphs(world, before)
-        later = replace(protocol, looks=after)
+        later = replace(protocol, looks=after, photos=photos)
         known = replace(later, maps=maps)
         shown, states, arrived = wrong_goals(world), len(world.goals), protocol.stop
         assert callable(arrived)
@@ -107,14 +116,24 @@ def measure(agent: str, files: list[str], before: range | None, after: range | N
         def other(wanted: Tensor, seen: Tensor) -> Tensor:
             return arrived(shown[wanted % states] + wanted // states * states, seen)  # noqa: B023
 
-        ways = {
-            MAPPED: known.run(policy),
-            ALONE: later.run(policy),
-            CONTROL: replace(known, stop=other).run(policy),
-            GRAPH: by_image_graphs(graphs, later, view),
-        }
+        ways = {MAPPED: known.run(policy), CONTROL: replace(known, stop=other).run(policy)}
+        if photos:
+            found[PLACES] = {PLACES: stops_at_places(policy, known)}
+        else:
+            ways |= {ALONE: later.run(policy), GRAPH: by_image_graphs(graphs, later, view)}
         found |= {f"{view}: {way}": by_measure(world, episodes) for way, episodes in ways.items()}
     return found
+
+
+def stops_at_places(policy: nn.Module, protocol: EvaluationProtocol) -> list[float]:
+    """In each room the fraction of episodes that end by a stop at the goal's place, facing any way."""
+    world, (goal_index, start) = protocol.world, protocol.starts
+    episodes, paths = protocol.trajectories(policy, protocol.starts)
+    ends = torch.tensor([path[-1] for path in paths])
+    place = torch.cat([torch.from_numpy(places(scene.graph)) + 100_000 * i for i, scene in enumerate(world.scenes)])
+    there = (episodes.success | episodes.false_stop) & (place[ends] == place[world.goals[goal_index]])
+    room = world.scene_of[start]
+    return [float(there[room == index].double().mean()) for index in room.unique().tolist()]
 
 
 def _loaded(agent: str, files: list[str], view: str) -> Trained:
@@ -138,7 +157,7 @@ def by_image_graphs(graphs: Sequence[ImageGraph], protocol: EvaluationProtocol, 
     """Episodes that are led by topological maps to the end; where one knows no path, the agent acts at random."""
     world, (goal_index, start) = protocol.world, protocol.starts
     generator = torch.Generator().manual_seed(protocol.seed)
-    wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=protocol.looks)
+    wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=protocol.photos or protocol.looks)
     found = []
     for goal, begin in zip(wanted.tolist(), start.tolist(), strict=True):
         state, look = int(world.goals[goal % len(world.goals)]), goal // len(world.goals)
@@ -188,24 +207,40 @@ def report_walked_once(collections: Sequence[str], agent: str, out: Path) -> str
     """
     bar = tqdm(collections, desc="walked once", unit=" collections", disable=None)
     found = {collection: measured(agent, collection, out) for collection in bar}
-    maps = Table({"rooms": "", "map": "", **decimals(QUALITY.values())})
-    goals = measure_table({"rooms": "", "goal": "", "way": ""})
+    names = {one: " then ".join(Path(part).name for part in one.split(":")) for one in found}
+    tables = {
+        "maps": Table({"rooms": "", "map": "", **decimals(QUALITY.values())}),
+        "walked_once": measure_table({"rooms": "", "goal": "", "way": ""}),
+        "photos": Table({"rooms": "", "way": "", **decimals([*MEASURES.values(), PLACES])}),
+    }
     for collection, of in found.items():
-        name = " then ".join(Path(part).name for part in collection.split(":"))
-        maps.add(name, MAPPED, *(of[MAPPED][key] for key in QUALITY))
-        maps.add(name, GRAPH, of[GRAPH]["nodes"], None, None)
+        tables["maps"].add(names[collection], MAPPED, *(of[MAPPED][key] for key in QUALITY))
+        tables["maps"].add(names[collection], GRAPH, of[GRAPH]["nodes"], None, None)
         for view, shown in GOAL_VIEWS.items():
             for way in WAYS:
-                goals.add(name, shown, way, *(of[f"{view}: {way}"][key] for key in MEASURES))
+                if PLACES not in of:
+                    tables["walked_once"].add(names[collection], shown, way, *_measures(of[f"{view}: {way}"]))
+        if PLACES in of:
+            at_place = of[PLACES][PLACES]
+            tables["photos"].add(names[collection], MAPPED, *_measures(of[f"front: {MAPPED}"]), at_place)
+            tables["photos"].add(names[collection], CONTROL, *_measures(of[f"front: {CONTROL}"]), None)
+    drawn = [one for one in found if PLACES not in found[one]]
     lines = []
     for way, color in WAYS.items():
-        spl = {shown: [of[f"{view}: {way}"]["spl"] for of in found.values()] for view, shown in GOAL_VIEWS.items()}
+        spl = {goal: [found[one][f"{view}: {way}"]["spl"] for one in drawn] for view, goal in GOAL_VIEWS.items()}
         lines.append((way, color, "o", spl))
-    draw_spl(lines, [Path(one.split(":")[-1]).name for one in collections], out, "walked_once", apart=0.15)
+    if drawn:
+        draw_spl(lines, [Path(one.split(":")[-1]).name for one in drawn], out, "walked_once", apart=0.15)
     note = (
         "Test rooms, **synthetic, not AI2-THOR**, which no training saw; one walk of at most three steps for each "
         "state, then three starts for every eighth state as the goal, 100 steps. Interquartile mean over rooms and, in "
         "brackets, its 95 % bootstrap interval over rooms."
     )
-    drawn = "SPL with and without the map of one walk, by how the rooms have changed since"
-    return write_tables(out, "Walked once", note, {"maps": maps, "walked_once": goals}, {"walked_once": drawn})
+    figures = {"walked_once": "SPL with and without the map of one walk, by how the rooms have changed since"}
+    return write_tables(
+        out, "Walked once", note, {name: one for name, one in tables.items() if one.rows}, figures if drawn else {}
+    )
+
+
+def _measures(of: Measured) -> list[list[float]]:
+    return [of[key] for key in MEASURES]

@@ -10,7 +10,7 @@ pytest.importorskip("embreex")
 
 from dirl.scenes import SceneError
 from dirl.sources.rooms.checks import check_room
-from dirl.sources.rooms.looks import Changes, changed_room, look_views
+from dirl.sources.rooms.looks import Changes, PhotoCamera, changed_room, look_views
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.view import Renderer
 
@@ -23,9 +23,9 @@ def look():
     way, renderer = walk(room), Renderer.of(room, fine=False)
     none = {"position": 0, "heading": 0, "exposure": 0}
 
-    def views(seed=0, **changes):
+    def views(seed=0, photo=None, **changes):
         made = Changes(**{**none, **changes})
-        return np.stack(list(look_views(renderer, room, way, SIZE, made, seed, fine=False))).astype(float)
+        return np.stack(list(look_views(renderer, room, way, SIZE, made, seed, fine=False, photo=photo))).astype(float)
 
     return views
 
@@ -60,6 +60,34 @@ def test_errors_that_vary_are_of_another_size_in_each_look(look):
     alike = [difference(look(seed, heading=5), planned) for seed in range(6)]
     varied = [difference(look(seed, heading=5, vary=0.9), planned) for seed in range(6)]
     assert np.std(varied) > 2 * np.std(alike)
+
+
+@pytest.mark.parametrize("photo", [{"aside": 20}, {"fov": 50}, {"tilt": 10}, {"jpeg": 20}, {"warmth": 0.3}])
+def test_photos_of_another_camera_differ_from_its_views(look, photo):
+    taken = look(photo=PhotoCamera(**photo))
+    assert difference(taken, look()) > 1
+    assert np.array_equal(taken, look(photo=PhotoCamera(**photo)))
+
+
+def test_a_photo_with_half_the_field_of_view_shows_the_middle_of_the_view(look):
+    half = 2 * np.degrees(np.arctan(np.tan(np.radians(75 / 2)) / 2))
+    near, planned = look(photo=PhotoCamera(fov=half)), look()
+    shrunk = near.reshape(-1, SIZE[0] // 2, 2, SIZE[1] // 2, 2, 3).mean((2, 4))
+    rows, columns = SIZE[0] // 4, SIZE[1] // 4
+    assert difference(shrunk, planned[:, rows : 3 * rows, columns : 3 * columns]) < 0.25 * difference(near, planned)
+
+
+def test_a_photo_turned_by_a_turn_of_the_agent_shows_the_view_of_the_next_heading(look):
+    taken, planned = look(photo=PhotoCamera(aside=90)), look()
+    places = planned.reshape(-1, 4, *planned.shape[1:])
+    beside = [np.roll(places, turns, 1).reshape(planned.shape) for turns in (-1, 1)]
+    assert all(min(difference(view, side[at]) for side in beside) == 0 for at, view in enumerate(taken))
+
+
+def test_a_portrait_is_higher_than_wide_and_impossible_cameras_are_refused(look):
+    assert look(photo=PhotoCamera(portrait=True)).shape[1:3] == SIZE[::-1]
+    with pytest.raises(SceneError, match=r"photo\.fov=170: must be 0 to 150"):
+        PhotoCamera(fov=170)
 
 
 WINDOW = """

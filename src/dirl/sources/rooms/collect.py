@@ -18,7 +18,7 @@ from dirl.scenes.io.digest import file_digest
 from dirl.sources.rooms.build import check_packages, check_size, poses, scene_of, take_views, write_room
 from dirl.sources.rooms.checks import check_room, check_views, far_apart
 from dirl.sources.rooms.description import RoomDescription, description_text
-from dirl.sources.rooms.looks import Changes, look_views
+from dirl.sources.rooms.looks import Changes, PhotoCamera, look_views
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.sampling.sample import LOOK, sample_views
 from dirl.sources.rooms.sampling.splits import split_of
@@ -49,6 +49,7 @@ class RoomSettings:
         device: of the encoder; the only setting that rooms of one collection need not share.
         looks: further looks of each state; needs an encoder, since their views are not stored.
         changes: by how much these differ from the views of the dump.
+        photo: the camera that these are taken with.
     """
 
     height: int = 300
@@ -62,6 +63,7 @@ class RoomSettings:
     device: str = "cpu"
     looks: int = 0
     changes: Changes = field(default_factory=Changes)
+    photo: PhotoCamera = field(default_factory=PhotoCamera)
 
     def load_encoder(self) -> "ViewEncoder | None":
         """The encoder that the settings name."""
@@ -74,10 +76,11 @@ class RoomSettings:
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
         """The settings as the index stores them: the encoder by its description, not by its name."""
-        apart = ("encoder", "device", "patches", "fine_patches", "looks", "changes")
+        apart = ("encoder", "device", "patches", "fine_patches", "looks", "changes", "photo")
         kept = {key: value for key, value in asdict(self).items() if key not in apart}
         if self.looks:
-            kept |= {"looks": self.looks, **{f"changes.{key}": value for key, value in asdict(self.changes).items()}}
+            kept["looks"] = self.looks
+            kept |= {f"{of}.{key}": value for of in ("changes", "photo") for key, value in asdict(self)[of].items()}
         kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
         if encoder is not None and (self.patches or self.fine_patches):
             kept |= {"patches": "; ".join(encoder.patch_attributes.values())}
@@ -106,7 +109,9 @@ def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]
     collection = read_collection(folder)
     for entry in collection.entries:
         for key, value in stored.items():
-            older = 0.0 if key.startswith("changes.") else None  # collections made before there was such a change
+            older = (
+                0.0 if key.startswith(("changes.", "photo.")) else None
+            )  # collections made before there was such a change
             if entry.settings.get(key, older) != value:
                 raise SceneError(
                     f"{folder}: {entry.name} was made with {key}={entry.settings.get(key)}, not {value}; give the same "
@@ -187,7 +192,10 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
     if renderer is not None:
         seeds = range(LOOK_SEEDS * seed, LOOK_SEEDS * seed + settings.looks)
         looks = [
-            list(look_views(renderer, room, way, size, settings.changes, look, fine=settings.fine)) for look in seeds
+            list(
+                look_views(renderer, room, way, size, settings.changes, look, fine=settings.fine, photo=settings.photo)
+            )
+            for look in seeds
         ]
     write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks)
     thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])

@@ -55,11 +55,17 @@ class Renderer:
         renderer.exposure = exposure(renderer, room.size, room.camera.height)
         return renderer
 
-    def view(self, camera: Camera, pose: Pose, size: tuple[int, int]) -> Array:
-        """The view from a pose, uint8 ``[height, width, 3]``; ``size`` is height and width in pixels."""
+    def view(self, camera: Camera, pose: Pose, size: tuple[int, int], roll: float = 0.0) -> Array:
+        """The view from a pose, uint8 ``[height, width, 3]``; ``size`` is height and width in pixels.
+
+        The camera is rolled to the left by ``roll`` degrees.
+        """
         (x, y, heading), (height, width) = pose, size
         half = np.tan(np.radians(camera.fov / 2))
         ahead, right, up = _axes(heading, camera.pitch)
+        if roll:
+            sine, cosine = np.sin(np.radians(roll)), np.cos(np.radians(roll))
+            right, up = cosine * right + sine * up, cosine * up - sine * right
 
         def way(across: Array, down: Array) -> Array:
             return ahead + across[None, :, None] * half * right - down[:, None, None] * half * height / width * up
