@@ -27,19 +27,31 @@ MODES = ("shortest_path", "random", "greedy", "sampled")
 FACTS = {"scene": "grid", "source": "rooms", "system": "dirl", "preset": "fast", "seed": 1, "frames": 7}
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def world():
     return rooms()
 
 
-@pytest.fixture
-def run(tmp_path, world):
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, world):
     """The folder of a finished run."""
-    folder = tmp_path / "run"
+    folder = tmp_path_factory.mktemp("finished")
     trained(folder, world)
     (folder / "summary.json").write_text(json.dumps({**FACTS, **{mode: {**MEASURES, **SCENES} for mode in MODES}}))
     (folder / "trajectories_grid.png").write_bytes(b"a picture")
     return folder
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    """A copy of it."""
+    return Path(shutil.copytree(finished, tmp_path / "run"))
+
+
+@pytest.fixture
+def shared(finished, tmp_path):
+    """Its policy in a folder to be shared."""
+    return save_pretrained(finished, tmp_path / "shared")
 
 
 @pytest.fixture
@@ -112,16 +124,14 @@ def test_the_card_names_an_encoder_of_the_package(name):
     assert "pip install 'dirl[hub]'" in card
 
 
-def test_a_folder_needs_no_hub(run, world, tmp_path, monkeypatch):
-    shared = save_pretrained(run, tmp_path / "shared")
+def test_a_folder_needs_no_hub(shared, world, monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     assert decisions(Navigator.from_pretrained(shared, look_up(world), extractor="random")).isfinite().all()
     with pytest.raises(HubError, match=r"pip install 'dirl\[hub\]'"):
         fetch_pretrained("somebody/nothing")
 
 
-def test_nothing_shared_runs_code(run, world, tmp_path, monkeypatch):
-    shared = save_pretrained(run, tmp_path / "shared")
+def test_nothing_shared_runs_code(shared, world, tmp_path, monkeypatch):
     (tmp_path / "trap.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'w')")
     monkeypatch.syspath_prepend(tmp_path)
     config = yaml.safe_load((shared / "config.yaml").read_text())
@@ -146,8 +156,7 @@ def test_nothing_shared_runs_code(run, world, tmp_path, monkeypatch):
         ("dirl.json", b'{"extractor": 3, "scenes": [], "frames": -1}'),
     ],
 )
-def test_a_damaged_folder_is_one_line(run, tmp_path, name, content):
-    shared = save_pretrained(run, tmp_path / "shared")
+def test_a_damaged_folder_is_one_line(shared, name, content):
     (shared / name).write_bytes(content)
     with pytest.raises(RunError) as raised:
         load_checkpoint(shared)
@@ -156,8 +165,7 @@ def test_a_damaged_folder_is_one_line(run, tmp_path, name, content):
 
 
 @pytest.mark.parametrize("name", ["model.safetensors", "config.yaml"])
-def test_a_byte_that_flipped_is_found_by_the_digest(run, tmp_path, name):
-    shared = save_pretrained(run, tmp_path / "shared")
+def test_a_byte_that_flipped_is_found_by_the_digest(shared, name):
     content = bytearray((shared / name).read_bytes())
     place = content.index(b"seed: ") + 6 if name == "config.yaml" else len(content) - 5
     content[place] ^= 1

@@ -1,31 +1,14 @@
-"""The command dirl, in processes of its own; the wheel that holds it is tested in test_wheel.py."""
-
-import subprocess
-import sys
+"""The command dirl, forked before any import of torch; the wheel that holds it is tested in test_wheel.py."""
 
 import pytest
-
-PROGRAM = (
-    "import sys; from dirl.cli.main import main\ntry: main()\nfinally: print('torch' in sys.modules, file=sys.stderr)"
-)
+from commands import run_recipe
 
 
-def dirl(folder, *arguments, **environment):
+def dirl(folder, *arguments):
     """Run ``dirl``; what it printed, its message, and whether it imported torch."""
-    import os
-
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=3600,
-        check=False,
-        env=os.environ | environment,
-    )
-    lines = done.stderr.splitlines()
-    imported = next(line for line in lines if line in ("True", "False"))
-    return done.stdout, "\n".join(line for line in lines if line != imported), imported == "True"
+    _, printed, errors = run_recipe(folder, "dirl", *arguments)
+    *lines, imported = errors.splitlines()
+    return printed, "\n".join(lines), imported == "True"
 
 
 @pytest.mark.parametrize(
@@ -142,8 +125,9 @@ def test_an_option_that_a_component_refuses_is_one_line_and_leaves_no_folder(tmp
         ("dirl scenes inspect thre", "threshold="),
     ],
 )
-def test_the_shell_completes_commands_and_options(tmp_path, line, offered):
-    printed, _, torch = dirl(tmp_path, "-sc", "query=bash", COMP_LINE=line)
+def test_the_shell_completes_commands_and_options(tmp_path, monkeypatch, line, offered):
+    monkeypatch.setenv("COMP_LINE", line)
+    printed, _, torch = dirl(tmp_path, "-sc", "query=bash")
     assert printed.split() == offered.split()
     assert not torch
 

@@ -4,6 +4,7 @@ A child is what ``python recipes/<name>.py <arguments>`` would be, after its imp
 """
 
 import atexit
+import copy
 import importlib
 import os
 import runpy
@@ -20,8 +21,8 @@ ROOT = Path(__file__).parents[2]
 
 
 def recipe_file(name):
-    """The program of that name: a recipe, or the benchmark."""
-    return ROOT / "recipes" / f"{name}.py"
+    """The program of that name: a recipe, the benchmark, or the command ``dirl``."""
+    return ROOT / "src/dirl/cli/main.py" if name == "dirl" else ROOT / "recipes" / f"{name}.py"
 
 
 @dataclass
@@ -97,12 +98,27 @@ def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0, patience=
 
 
 def quick_hydra():
-    """Let Hydra read YAML by libyaml, and not compose each configuration once more to look for ``hydra.mode``."""
+    """Let Hydra read YAML by libyaml, not compose to look for ``hydra.mode``, and not again what was checked."""
     import yaml
+    from hydra._internal.config_loader_impl import ConfigLoaderImpl
     from hydra._internal.hydra import Hydra
+    from hydra.core.utils import JobRuntime
+    from omegaconf import open_dict
 
     yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     Hydra.get_mode = lambda *arguments, **named: None
+    compose, composed = ConfigLoaderImpl.load_configuration, {}
+
+    def compose_once(loader, config_name, overrides, run_mode, **options):
+        key = config_name, run_mode, *(override for override in overrides if override != "hydra.mode=RUN")
+        if key not in composed:
+            composed[key] = compose(loader, config_name, overrides, run_mode, **options)
+        config = copy.deepcopy(composed[key])
+        with open_dict(config.hydra):
+            config.hydra.job.name = JobRuntime().get("name")
+        return config
+
+    ConfigLoaderImpl.load_configuration = compose_once
 
 
 def warm_up(*names):
@@ -112,6 +128,13 @@ def warm_up(*names):
         sys.path.insert(0, str(recipe_file(name).parent))
         importlib.import_module(name)
         del sys.path[0]
+
+
+def read_in_process():
+    """Read dumps in the process that wants them, which need not start another one for it."""
+    from dirl.scenes.io import read
+
+    read.read_apart = lambda paths: map(read.read_contents, paths)
 
 
 def no_pictures():
