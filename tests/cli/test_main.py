@@ -100,6 +100,7 @@ def test_a_refusal_is_one_line_and_needs_no_torch(tmp_path, arguments, told):
     assert errors.startswith(f"error: {told}")
     assert "\n" not in errors
     assert (printed, torch) == ("", False)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def test_workers_begin_with_the_weights_of_another_run_too(pretrained):
 def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretrained):
     (pretrained / "lent").mkdir()
     shutil.copy(pretrained / "run" / "network.pt", pretrained / "lent")
-    options = [*OTHER, "init=lent/network.pt", "reinforcement.frames_per_scene=3000"]
+    options = [*OTHER, "init=lent/network.pt", "reinforcement.frames_per_scene=1500"]
     whole, killed = pretrained / "whole", pretrained / "killed"
     status, _, errors = run_recipe(pretrained, "train", *options, "hydra.run.dir=whole")
     assert status == 0, errors

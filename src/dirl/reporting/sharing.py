@@ -122,7 +122,7 @@ def _index(summary: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 
 def _encoder(extractor: str) -> tuple[str, str]:
     """The arguments by which a navigator gets the encoder of an extractor, and what they mean if it is not dirl's."""
-    for name in SHIPPED:
+    for name in SHIPPED if extractor.startswith("ResNet-50") else ():  # to load one takes half a second
         if load_encoder(name).extractor == extractor:
             return f'"{name}"', ""
     return (

@@ -106,7 +106,8 @@ def load_encoder(
 
 def packaged_encoder(extractor: str) -> str | None:
     """The name of the encoder of the package that is described so (`dirl.scenes.Scene.extractor`); None if none is."""
-    names = [LITE] if extractor.startswith("EfficientNet-Lite0") else SHIPPED
+    families = {"EfficientNet-Lite0": [LITE], "ResNet-50": [*SHIPPED]}
+    names = next((names for family, names in families.items() if extractor.startswith(family)), [])
     return next((name for name in names if load_encoder(name).extractor == extractor), None)
 
 

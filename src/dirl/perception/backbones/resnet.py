@@ -186,7 +186,8 @@ def backbone_of(stored: object, origin: str) -> ResNet50:
     items = stored.items() if isinstance(stored, dict) else ()
     if not items or not all(isinstance(name, str) and isinstance(value, Tensor) for name, value in items):
         raise ValueError(f"{origin}: not a state_dict, which maps names to tensors")
-    backbone = ResNet50()
+    with torch.device("meta"):  # random weights would take most of the time
+        backbone = ResNet50()
     wanted = {name: value for name, value in backbone.state_dict().items() if not _ignored(name)}
     found = {name: value for name, value in items if not _ignored(name)}
     for name, parameter in wanted.items():
@@ -198,7 +199,8 @@ def backbone_of(stored: object, origin: str) -> ResNet50:
     # A deeper ResNet holds every name of this one, and would give nonsense.
     if unknown := [name for name in found if name not in wanted]:
         raise ValueError(f"{origin}: '{unknown[0]}' is no parameter of a ResNet-50")
-    backbone.load_state_dict(found, strict=False)  # casts to float32; not strict, because the counters were left out
+    counters = {name: torch.tensor(0) for name in backbone.state_dict() if name.endswith(".num_batches_tracked")}
+    backbone.load_state_dict({name: value.float() for name, value in found.items()} | counters, assign=True)
     return backbone
 
 
