@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from rooms import grid_scene
 from stops import stop_errors
 
+from dirl.perception.recognition import Learned
 from dirl.perception.recognition.matching import TemplateStop, ncc
 from dirl.scenes import make_world
 
@@ -144,3 +145,8 @@ def test_stop_errors_are_shares_of_states_and_of_goals():
     # Of twice seven states that are not the goal two stop; of two goals one does not.
     assert stop_errors(stop, world) == {"false": pytest.approx(2 / 14), "missed": 0.5}
     assert stop_errors(world.distances == 0, world) == {"false": 0, "missed": 0}
+
+
+def test_scores_of_a_learned_recogniser_can_be_drawn():
+    world = world_of(feature_width=2048, patches=True)
+    assert not TemplateStop(recogniser=Learned()).scores(world).requires_grad

@@ -52,6 +52,7 @@ class TemplateStop:
         if self.match not in ("views", "front"):
             raise ValueError(f"match is 'views' or 'front', not '{self.match}'")
 
+    @torch.no_grad()  # a learned recogniser has weights
     def scores(self, world: World) -> Tensor:
         """The score of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`.
 
