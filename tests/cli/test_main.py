@@ -22,6 +22,9 @@ def dirl(folder, *arguments):
             "heads: scene, shared\n",
             "    start: 0.3                        # at the first frame",
             "  width: 512                          # of the hidden layer",
+            "scene: null                           # a name, a list of names",
+            "  goal: 10.0                          # stopped at the goal",
+            "  threshold: 0.9                      # match above this correlation",
         ),
         (["evaluate", "--help"], "dirl evaluate checkpoint=runs/"),
         (["report", "--help"], "dirl train -m experiment=fig8 && dirl report experiment=fig8"),
@@ -29,6 +32,7 @@ def dirl(folder, *arguments):
         (
             ["train", "--help", "preset=paper"],
             "  clip_per_variable: true             # false: the norm of all variables",
+            "  collision: -0.01                    # and omits the collision penalty",
         ),
         (["evaluate", "--help"], "slip: 0.0                             # live only: the probability that an action"),
         (["train", "--help", "encoder.width=77"], "width: 77"),

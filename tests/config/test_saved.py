@@ -106,6 +106,16 @@ def test_a_configuration_of_schema_1_is_upgraded():
 
 
 @pytest.mark.parametrize(
+    ("name", "value"),
+    [("imitation", 5), ("network", []), ("reinforcement", None), ("policy", {}), ("objective", {"name": []})],
+)
+def test_a_configuration_of_schema_1_with_values_of_other_types_is_refused_in_one_line(name, value):
+    values = OmegaConf.to_container(OmegaConf.create(CONFIG))
+    told = refusal(OmegaConf.to_yaml(OmegaConf.create({**values, name: value})), "here")
+    assert told.startswith("here: holds no configuration of this version")
+
+
+@pytest.mark.parametrize(
     ("changes", "options"),
     [
         ({}, []),

@@ -191,16 +191,17 @@ def _help(config: str, options: Sequence[str]) -> str:
     listed = "".join(f"{group}: {', '.join(sorted(choices))}\n" for group, choices in sorted(groups.items()))
     values = OmegaConf.to_yaml(OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"]))
     listed = f"\n== Groups: group=choice ==\n{listed}" if listed else ""
-    values = explained(values, [CONF / f"{config}.yaml", *_chosen(composed.hydra.runtime.choices, options)])
+    values = explained(values, _files(config, composed.hydra.runtime.choices, options))
     return TEMPLATE.format(header=told.header, groups=listed, options=values, footer=told.footer.rstrip())
 
 
-def _chosen(choices: Mapping[str, str], options: Sequence[str]) -> list[Path]:
-    """The files of the groups of a configuration; last those that it chooses: others may say what they leave out."""
+def _files(config: str, choices: Mapping[str, str], options: Sequence[str]) -> list[Path]:
+    """A configuration after the files of its groups that it does not choose, and before those that it chooses."""
     chosen = {group: name for group, name in choices.items() if not group.startswith("hydra")}
     groups = [folder / group for group in chosen for folder in [CONF, *config_dirs(options)]]
     files = [file for group in groups for file in sorted(group.glob("*.yaml"))]
-    return sorted(files, key=lambda file: file.stem == chosen[file.parent.name])
+    others = [file for file in files if file.stem != chosen[file.parent.name]]
+    return [*others, CONF / f"{config}.yaml", *(file for file in files if file not in others)]
 
 
 def _ask_hydra(config: str, options: Sequence[str]) -> str:

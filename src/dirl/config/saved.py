@@ -60,7 +60,8 @@ def read_config(
     """
     try:
         values = plain_mapping(text)
-        values = _upgraded(values) if isinstance(values.get("objective"), dict) else values
+        if isinstance(values.get("objective"), dict):
+            values = _of_schema_1(values)
         values = _with_source(_moved(_since(values))) | {"resume": None, "trust": list(trust)}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
@@ -142,6 +143,13 @@ def _replace(values: dict[str, Any], name: str, value: Any) -> None:
     for part in above:
         values = values.setdefault(part, {})
     values[last] = value
+
+
+def _of_schema_1(values: dict[str, Any]) -> dict[str, Any]:
+    try:
+        return _upgraded(values)
+    except (AttributeError, TypeError) as error:  # a group or name of another type
+        raise ConfigError(f"a value of schema 1 is not of its type ({error})") from None
 
 
 def _upgraded(old: dict[str, Any]) -> dict[str, Any]:
