@@ -71,6 +71,7 @@ def test_the_walk_sees_the_first_collection_and_the_episodes_the_changes_of_the_
     assert np.array_equal(both.look_features[:2], read_dump(before / "b.h5").look_features)
     assert walked_once.rooms(str(before), tmp_path)[1] == [None, None, None]
     assert walked_once.rooms(f"{before}:{after}:{after}", tmp_path)[1] == [range(3), range(3, 5), range(5, 7)]
+    assert walked_once.rooms(f"{before}::{after}", tmp_path)[1] == [range(3), range(3), range(3, 5)]
 
 
 def test_collections_of_other_rooms_or_without_looks_are_refused(collections, tmp_path):

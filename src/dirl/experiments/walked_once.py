@@ -2,11 +2,13 @@
 
 A collection with looks (see `dirl.sources.rooms.looks`) is named by its folder, or several of the same rooms with
 colons between them: then the walk sees the first one, and the later episodes see the further looks of the second, in
-which furniture may have moved. The looks of a third one are those of the goals, photos that another camera took.
+which furniture may have moved. The looks of a third one are those of the goals, photos that another camera took; if the
+second one is empty (``rooms::photos``), the episodes see the looks of the walk.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -58,18 +60,18 @@ def rooms(collection: str, folder: Path) -> tuple[list[str], list[range | None]]
     Raises:
         RunError: they are not of the same rooms.
     """
-    first, *others = collection.split(":")
+    parts = collection.split(":")
+    places_of = [part for part in parts if part]
+    first = places_of[0]
     names = [entry.name for entry in read_collection(first).entries if entry.split == "test"]
-    if not others:
+    if len(parts) == 1:
         return [str(Path(first) / f"{name}.h5") for name in names], [None, None, None]
     files, ends = [], [0]
     for name in names:
-        dumps = [read_dump(Path(place) / f"{name}.h5") for place in (first, *others)]
-        for dump, place in zip(dumps, (first, *others), strict=True):
+        dumps = [read_dump(Path(place) / f"{name}.h5") for place in places_of]
+        for dump, place in zip(dumps, places_of, strict=True):
             if len(dump) != len(dumps[0]) or not np.array_equal(dump.graph, dumps[0].graph):
-                raise RunError(
-                    f"{place}: {name} is another room than in {first}; make both with the same kind and seed"
-                )
+                raise RunError(f"{place}: {name} is another room than in {first}; make both of one kind and seed")
             if dump.look_features is None:
                 raise RunError(f"{place}: {name} has no looks; make it with looks=2")
         arrays = {"look_feature": np.concatenate([dump.look_features for dump in dumps])}
@@ -80,7 +82,10 @@ def rooms(collection: str, folder: Path) -> tuple[list[str], list[range | None]]
         files.append(str(file))
         # The first one's default look, too, is seen by the walk.
         ends = [0, *(1 + sum(dump.looks - 1 for dump in dumps[: count + 1]) for count in range(len(dumps)))]
-    return files, [*map(range, ends, ends[1:]), *[None] * (3 - len(dumps))]
+    looks = [range(*between) for between in pairwise(ends)]
+    if not parts[1]:
+        looks.insert(1, looks[0])
+    return files, [*looks, *[None] * (3 - len(looks))]
 
 
 def measured(agent: str, collection: str, out: Path) -> dict[str, Measured]:
@@ -107,7 +112,8 @@ def measure(agent: str, files: list[str], looks: Sequence[range | None]) -> dict
             maps = [known for known, _ in walks]
             qualities = [map_quality(*walk, world, index) for index, walk in enumerate(walks)]
             found[MAPPED] = {key: [getattr(one, key) for one in qualities] for key in QUALITY}
-            graphs, found[GRAPH] = image_graphs(world, before)
+            if not photos:
+                graphs, found[GRAPH] = image_graphs(world, before)
         later = replace(protocol, looks=after, photos=photos)
         known = replace(later, maps=maps)
         shown, states, arrived = wrong_goals(world), len(world.goals), protocol.stop
@@ -207,7 +213,7 @@ def report_walked_once(collections: Sequence[str], agent: str, out: Path) -> str
     """
     bar = tqdm(collections, desc="walked once", unit=" collections", disable=None)
     found = {collection: measured(agent, collection, out) for collection in bar}
-    names = {one: " then ".join(Path(part).name for part in one.split(":")) for one in found}
+    names = {one: " then ".join(Path(part).name for part in one.split(":") if part) for one in found}
     tables = {
         "maps": Table({"rooms": "", "map": "", **decimals(QUALITY.values())}),
         "walked_once": measure_table({"rooms": "", "goal": "", "way": ""}),
@@ -215,7 +221,8 @@ def report_walked_once(collections: Sequence[str], agent: str, out: Path) -> str
     }
     for collection, of in found.items():
         tables["maps"].add(names[collection], MAPPED, *(of[MAPPED][key] for key in QUALITY))
-        tables["maps"].add(names[collection], GRAPH, of[GRAPH]["nodes"], None, None)
+        if GRAPH in of:
+            tables["maps"].add(names[collection], GRAPH, of[GRAPH]["nodes"], None, None)
         for view, shown in GOAL_VIEWS.items():
             for way in WAYS:
                 if PLACES not in of:

@@ -8,7 +8,9 @@ from closet import closet
 
 pytest.importorskip("embreex")
 
+from dirl.perception.photos import as_seen_by
 from dirl.scenes import SceneError
+from dirl.sources.rooms.build import poses
 from dirl.sources.rooms.checks import check_room
 from dirl.sources.rooms.looks import Changes, PhotoCamera, changed_room, look_views
 from dirl.sources.rooms.navigation import walk
@@ -88,6 +90,35 @@ def test_a_portrait_is_higher_than_wide_and_impossible_cameras_are_refused(look)
     assert look(photo=PhotoCamera(portrait=True)).shape[1:3] == SIZE[::-1]
     with pytest.raises(SceneError, match=r"photo\.fov=170: must be 0 to 150"):
         PhotoCamera(fov=170)
+
+
+def test_a_photo_is_corrected_to_what_the_agents_camera_sees():
+    room, size, inside = closet(), (96, 128), np.s_[30:66, 44:84]  # what each of these photos shows
+    renderer, pose = Renderer.of(room, fine=False), next(iter(poses(walk(room))))
+    planned = renderer.view(room.camera, pose, size).astype(float)
+
+    def off(view):
+        return difference(view[inside], planned[inside])
+
+    tilted = renderer.view(room.camera, pose, size, roll=12)
+    assert off(as_seen_by(tilted, size, fov=75, own=75, tilt=12)) < 0.2 * off(tilted)
+    wide = renderer.view(replace(room.camera, fov=100), pose, size)
+    assert off(as_seen_by(wide, size, fov=100, own=75)) < 0.2 * off(wide)
+    upright = renderer.view(replace(room.camera, fov=60), pose, size[::-1], roll=8)
+    assert off(as_seen_by(upright, size, fov=60, own=75, tilt=8)) < 0.2 * off(tilted)
+
+
+def test_looks_of_a_corrected_camera_have_the_shape_of_the_views(look):
+    photo = {"fov": 64, "portrait": True, "tilt": 8}
+    corrected, planned = look(photo=PhotoCamera(**photo, corrected=True)), look()
+    assert corrected.shape == planned.shape
+    taken = look(photo=PhotoCamera(**photo)).transpose(0, 2, 1, 3)
+    assert difference(corrected, planned) < 0.7 * difference(taken, planned)
+
+
+def test_a_photo_of_an_impossible_camera_is_refused():
+    with pytest.raises(ValueError, match="fov=180: a field of view is 1 to 170 degrees"):
+        as_seen_by(np.zeros((24, 32, 3), np.uint8), SIZE, fov=180, own=75)
 
 
 WINDOW = """

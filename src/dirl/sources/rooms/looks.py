@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from PIL import Image
 
+from dirl.perception.photos import as_seen_by
 from dirl.scenes import SceneError
 from dirl.scenes.views import decode, encode
 from dirl.sources.rooms.build import QUALITY, poses
@@ -95,6 +96,8 @@ class PhotoCamera:
         portrait: whether it is held upright: height and width are exchanged.
         jpeg: its quality, 0 to 95; 0 for none.
         warmth: of the light: logarithm of how much more red there is, and less blue.
+        corrected: whether field of view and tilt are known, and the photo made what the agent's camera would have
+            seen, see `dirl.perception.photos.as_seen_by`.
 
     Raises:
         SceneError: a value beyond these.
@@ -106,6 +109,7 @@ class PhotoCamera:
     portrait: bool = False
     jpeg: int = 0
     warmth: float = 0.0
+    corrected: bool = False
 
     def __post_init__(self) -> None:
         for name, most in {"aside": 180, "fov": 150, "tilt": 45, "jpeg": 95, "warmth": 1}.items():
@@ -144,7 +148,7 @@ def look_views(
     """
     rng, photo = np.random.default_rng(seed), photo or PhotoCamera()
     sides = np.random.default_rng((seed, 2)).choice([-1, 1], (len(way.places) * len(way.headings), 2))
-    size = size[::-1] if photo.portrait else size
+    shape = size[::-1] if photo.portrait else size
     if changes.vary:
         changes = changes.times(float(rng.uniform(1 - changes.vary, 1 + changes.vary)))
     of_room = {name: getattr(changes, name) for name in OF_ROOM}
@@ -163,7 +167,9 @@ def look_views(
         )
         aside, tilt = sides[state] * [photo.aside, photo.tilt]
         pose = (x + moved[place, 0], y + moved[place, 1], heading + turned[place] + aside)
-        view = photo.developed(seen.view(lifted, pose, size, roll=float(tilt)))
+        view = photo.developed(seen.view(lifted, pose, shape, roll=float(tilt)))
+        if photo.corrected:
+            view = as_seen_by(view, size, fov=lifted.fov, own=room.camera.fov, tilt=float(tilt))
         if changes.white_balance:
             gains = np.array([tint[place, 0], 1.0, tint[place, 1]])
             view = np.clip(view * gains, 0, 255).astype(np.uint8)
