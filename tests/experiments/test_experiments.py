@@ -485,7 +485,11 @@ def test_an_agent_in_another_world_is_measured_beside_controls(tmp_path):
     assert status == 0, errors
     assert "# general in other worlds" in printed
     rows = rows_of(tmp_path / "report" / "other_worlds.csv")
-    ways = ["four views of the goal", "another goal's views", "sweep that ignores the goal", "random walk"]
-    assert [row["walks by"] for row in rows] == [way for way in ways for _ in range(2)]
+    by_size = rows_of(tmp_path / "report" / "other_worlds_by_size.csv")
+    told = ["four views of the goal", "the same, told when it has arrived"]
+    ways = [*told, "another goal's views", "sweep that ignores the goal", "random walk"]
+    assert [row["walks by"] for row in rows] == [row["walks by"] for row in by_size] == [w for w in ways for _ in "ab"]
+    assert float(rows[2]["SR"]) >= float(rows[0]["SR"])
+    assert float(rows[-1]["SR"]) > float(by_size[-1]["SR"])  # the room has 60 states: fewer steps
     assert all(row["SR"] == other["SR"] for row, other in zip(rows[::2], rows[1::2], strict=True))
     assert 0 < float(rows[-1]["SR"]) < 1
