@@ -23,7 +23,7 @@ pathlib.Path.exists = lambda path, **options: not str(path).startswith("/proc") 
 IMPORTS = """
 import importlib, pkgutil, dirl
 for module in pkgutil.walk_packages(dirl.__path__, "dirl."):
-    if module.name not in ("dirl.__main__", "dirl.scenes.io.child"):
+    if module.name != "dirl.__main__":
         importlib.import_module(module.name)
 """
 

@@ -5,7 +5,7 @@ import pytest
 from torch import nn
 
 from dirl.scenes import SceneError
-from dirl.scenes.names import MAX_NAME, check_name
+from dirl.scenes.scene import MAX_NAME, check_name
 
 GOOD = ["bathroom_02", "FloorPlan401", "2nd floor", "Küche (neu)", "台所", "room.v2", "a+b, c-d", "x" * MAX_NAME, "0"]
 BAD = [

@@ -31,16 +31,14 @@ class SceneSource(Protocol):
 
 
 class Rooms:
-    """The built-in rooms."""
-
-    label = "rooms"
+    """The built-in rooms; a `SceneSource`, whose names may also be files."""
 
     def folder(self) -> Path:
         """Holds the dumps."""
         return ROOMS
 
     def load(self, names: list[str]) -> list[Scene]:
-        """The scenes of these names, or of these files; see `SceneSource`."""
+        """The scenes of these names or files."""
         scenes = read_dumps(find_scenes(names, self), stacklevel=4)  # names who called `load_scenes`
         return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
 
@@ -52,8 +50,6 @@ class Thor(Rooms):
         root: the folder they are in, one ``<name>.h5`` a scene.
     """
 
-    label = "thor"
-
     def __init__(self, root: str | None = None) -> None:
         self.root = root
 
@@ -64,13 +60,6 @@ class Thor(Rooms):
         if not Path(self.root).is_dir():
             raise SceneError(f"source.root={self.root}: there is no such folder")
         return Path(self.root)
-
-
-def named_source(name: str, root: str | Path | None = None) -> Rooms:
-    """One of dirl's own sources: ``rooms``, or ``thor`` with its folder."""
-    if name not in ("rooms", "thor"):
-        raise SceneError(f"there is no source '{name}'; choose one of ['rooms', 'thor']")
-    return Rooms() if name == "rooms" else Thor(None if root is None else str(root))
 
 
 def load_scenes(
@@ -98,13 +87,16 @@ def load_scenes(
     collection = find_rooms(scene, split, rooms)
     if collection is not None:
         return list(tqdm(collection, desc="rooms", disable=None))
-    chosen = named_source(source, root) if isinstance(source, str) else source
+    if isinstance(source, str) and source not in ("rooms", "thor"):
+        raise SceneError(f"there is no source '{source}'; choose one of ['rooms', 'thor']")
+    if isinstance(source, str):
+        source = Rooms() if source == "rooms" else Thor(None if root is None else str(root))
     names = [scene] if isinstance(scene, str) else list(scene)
-    if isinstance(chosen, Rooms):
-        return chosen.load(names)
+    if isinstance(source, Rooms):
+        return source.load(names)
     own = [name for name in names if not _is_file(name)]
     files = Rooms().load([name for name in names if _is_file(name)]) if len(own) < len(names) else []
-    return files + (_own_scenes(chosen, own) if own or not names else [])
+    return files + (_own_scenes(source, own) if own or not names else [])
 
 
 def _own_scenes(source: SceneSource, names: list[str]) -> list[Scene]:
@@ -148,8 +140,7 @@ def collection_folder(scene: str | Sequence[str]) -> Path | None:
 
 def find_scenes(scene: str | Sequence[str], source: Rooms | None = None) -> list[Dump]:
     """The dumps of the scenes a user asks for, not read yet; of the built-in rooms if no source is given."""
-    source = source or Rooms()
-    folder = source.folder()
+    folder = (source or Rooms()).folder()
     names = [scene] if isinstance(scene, str) else list(scene)
     if not names:
         raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
@@ -163,7 +154,7 @@ def find_scenes(scene: str | Sequence[str], source: Rooms | None = None) -> list
         path = Path(name) if is_file else folder / f"{name}.h5"
         if not path.is_file():
             raise SceneError(_no_such_scene(name, is_file, folder))
-        label = source.label if isinstance(source, Thor) or not is_file else None
+        label = "thor" if isinstance(source, Thor) else None if is_file else "rooms"
         dumps.append(Dump(path, name=None if is_file else name, source=label))
     return dumps
 

@@ -65,11 +65,7 @@ class Collection(Sequence[Scene]):
     @overload
     def __getitem__(self, index: slice) -> "Collection": ...
     def __getitem__(self, index: int | slice) -> "Scene | Collection":
-        """One scene, read now; or some of the rooms.
-
-        Raises:
-            SceneError: the dump is missing, damaged, or not the one that the index describes.
-        """
+        """One scene, read now, `SceneError` if its dump is not as the index says; or some of the rooms."""
         if isinstance(index, slice):
             return replace(self, entries=self.entries[index])
         entry = self.entries[index]
@@ -84,11 +80,7 @@ class Collection(Sequence[Scene]):
         return self.folder / f"{entry.name}.h5"
 
     def select(self, *, split: str | None = None, kind: str | None = None) -> "Collection":
-        """The rooms of a split, of a kind, or of both; None for any.
-
-        Raises:
-            SceneError: there are none.
-        """
+        """The rooms of a split, of a kind, or of both; None for any. `SceneError` if there are none."""
         chosen = tuple(e for e in self.entries if split in (None, e.split) and kind in (None, e.kind))
         if not chosen:
             splits, kinds = ({getattr(e, key) or "none" for e in self.entries} for key in ("split", "kind"))
@@ -114,20 +106,16 @@ def read_collection(folder: str | Path) -> Collection:
     if not index.is_file():
         raise SceneError(f"{folder}: is no collection; it holds no {INDEX} (made by: scenes.py sample)")
     entries: dict[str, Entry] = {}
-    *lines, _ = _index_text(index).split("\n")  # what follows the last is unfinished
+    try:
+        *lines, _ = read_text(index, errors="replace").split("\n")  # what follows the last is unfinished
+    except ValueError as error:
+        raise SceneError(str(error)) from None
     for number, line in enumerate(lines, 1):
         if line.endswith(UNFINISHED) or not line:
             continue
         entry = _entry(line, f"{index}: line {number}")
         entries[entry.name] = entry
     return Collection(folder, tuple(sorted(entries.values(), key=lambda entry: (entry.seed, entry.kind))))
-
-
-def _index_text(index: Path) -> str:
-    try:
-        return read_text(index, errors="replace")
-    except ValueError as error:
-        raise SceneError(str(error)) from None
 
 
 UNFINISHED = "\0"

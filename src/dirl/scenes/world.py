@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.scenes.graph import shortest_distances, turns_per_circle
-from dirl.scenes.names import check_name
-from dirl.scenes.scene import Scene, SceneError, check_goals_differ
+from dirl.scenes.scene import Scene, SceneError, check_goals_differ, check_name
 
 
 @dataclass(frozen=True, eq=False)

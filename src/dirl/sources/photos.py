@@ -32,8 +32,7 @@ from PIL import Image, ImageOps
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.texts import read_csv
-from dirl.scenes.names import check_name
-from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.scenes.views import FORMATS, ImageError, encode, open_image
 
 TABLE = "states.csv"

@@ -1,7 +1,7 @@
 """The content of a dump, read with libhdf5; `dirl.scenes.io.read` says what is in such a file.
 
-Everything here also runs in a separate process, see `dirl.scenes.io.child`, and so imports neither torch nor the
-packages of dirl. Errors do not name the file; the caller adds its name.
+Everything here also runs in a separate process, see `dirl.scenes.io.isolation`, and so does without torch. Errors do
+not name the file; the caller adds its name.
 """
 
 from collections.abc import Mapping
@@ -193,25 +193,16 @@ def _compare_distances(graph: NDArray[Any], dataset: h5py.Dataset) -> str:
         return ""
     goals = np.unique(np.linspace(0, len(links) - 1, COMPARED_GOALS).astype(np.int64))
     distances = shortest_distances(links, goals)
-    wrong, first = 0, ""
-    for rows in blocks(dataset):
-        stored = dataset[rows][:, goals]
-        unreachable = ~np.isfinite(stored) | (stored < 0) | (stored >= UNREACHABLE_FROM)
-        stored = np.where(unreachable, -1.0, stored)
-        differs = stored != distances[rows]
-        if differs.any() and not wrong:
-            row, column = np.argwhere(differs)[0]
-            state = rows.start + row
-            first = (
-                f"from state {state} to {goals[column]}: stored {stored[row, column]:g}, by search "
-                f"{distances[state, column]}"
-            )
-        wrong += int(differs.sum())
-    if not wrong:
+    stored = np.concatenate([dataset[rows][:, goals] for rows in blocks(dataset)])
+    unreachable = ~np.isfinite(stored) | (stored < 0) | (stored >= UNREACHABLE_FROM)
+    wrong = np.argwhere(np.where(unreachable, -1.0, stored) != distances)
+    if not len(wrong):
         return ""
+    state, column = wrong[0]
     return (
-        f"shortest_path_distance: {wrong} entries disagree with the graph, first {first} (-1 = unreachable); the "
-        "searched distances are used"
+        f"shortest_path_distance: {len(wrong)} entries disagree with the graph, first from state {state} to "
+        f"{goals[column]}: stored {-1 if unreachable[state, column] else stored[state, column]:g}, by search "
+        f"{distances[state, column]} (-1 = unreachable); the searched distances are used"
     )
 
 

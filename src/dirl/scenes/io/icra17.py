@@ -7,8 +7,7 @@ from PIL import Image
 
 from dirl.scenes.io.hdf5 import MAX_COMPARED
 from dirl.scenes.io.write import whole_file
-from dirl.scenes.names import check_name
-from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.scene import Scene, SceneError, check_name
 
 CROPS = 10
 """Features of a state in the published files. Readers use the first, or draw one; all of ours are the same."""

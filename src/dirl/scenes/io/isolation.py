@@ -1,16 +1,18 @@
-"""Reading dumps in a separate process.
+"""Reading dumps in a separate process, which runs this file as a program.
 
 libhdf5 can crash, hang or take all memory on a damaged file. The process that reads it has a limit of processor time
-and of memory, and if it ends, the program that wanted the file goes on with one line about it. That process starts
-with h5py and NumPy only. This is no protection against a file that was made to take over the process that reads it.
+and of memory, and if it ends, the program that wanted the file goes on with one line about it. That process does
+without torch. This is no protection against a file that was made to take over the process that reads it.
 """
 
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,44 +29,46 @@ SECONDS, SECONDS_A_MEGABYTE = 30.0, 1.0
 PATIENCE = 20
 """How much longer by the clock the whole may take: the machine may be busy, or its disk slow."""
 
-PROGRAM = Path(__file__).with_name("child.py")
+PROGRAM = Path(__file__)
 
 
 def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
     """What `dirl.scenes.io.hdf5.read_contents` finds in dumps, all of them read in one separate process."""
-    return _apart(paths, [{}] * len(paths))
+    return _apart([{"dump": os.path.abspath(path)} for path in paths])
 
 
 def copy_apart(
     dump: Path, path: Path, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Mapping[str, str]]
 ) -> None:
-    """Let another process do `dirl.scenes.io.write.copy_with`; raises `SceneError` as `read_apart` does."""
+    """Let another process do `dirl.scenes.io.write.copy_with`."""
     with TemporaryDirectory() as folder:
         files = {name: os.path.abspath(Path(folder) / f"{name}.npy") for name in arrays}
         for name, array in arrays.items():
             np.save(files[name], array)
-        list(_apart([dump], [{"copy": {"path": os.path.abspath(path), "arrays": files, "attributes": attributes}}]))
+        copy = {"path": os.path.abspath(path), "arrays": files, "attributes": attributes}
+        list(_apart([{"dump": os.path.abspath(dump), "copy": copy}]))
 
 
-def _apart(dumps: Sequence[Path], arguments: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """The answers of `dirl.scenes.io.child` about dumps."""
+def _apart(tasks: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """What `_done` answers to tasks; errors do not name the file, which the caller knows."""
+    seconds = [SECONDS + SECONDS_A_MEGABYTE * Path(task["dump"]).stat().st_size / 1e6 for task in tasks]
     with TemporaryDirectory() as folder:
-        tasks: list[dict[str, Any]] = [
-            {
-                "arguments": {"dump": os.path.abspath(dump), **given},
-                "answer": os.path.abspath(Path(folder) / f"{number}.npz"),
-                "seconds": SECONDS + SECONDS_A_MEGABYTE * dump.stat().st_size / 1e6,
-            }
-            for number, (dump, given) in enumerate(zip(dumps, arguments, strict=True))
-        ]
-        status = _run(tasks)
-        for task in tasks:
-            if not os.path.isfile(task["answer"]):
-                raise SceneError(_ended(status, task["seconds"]))
-            yield _answer(task["answer"])
+        status = _run({"folder": os.path.abspath(folder), "memory": MEMORY, "tasks": tasks, "seconds": seconds})
+        for number, limit in enumerate(seconds):
+            answer = Path(folder) / f"{number}.npz"
+            if not answer.is_file():
+                raise SceneError(_ended(status, limit))
+            with np.load(answer, allow_pickle=False) as stored:
+                found = dict(stored)
+            values = json.loads(str(found.pop("json")))
+            if "error" in values:
+                raise SceneError(values["error"])
+            for array in found.values():
+                array.setflags(write=False)
+            yield {**values, **found}
 
 
-def _run(tasks: Sequence[dict[str, Any]]) -> int:
+def _run(request: dict[str, Any]) -> int:
     """Start the process, and wait for its exit status."""
     environment = {
         **os.environ,
@@ -75,25 +79,14 @@ def _run(tasks: Sequence[dict[str, Any]]) -> int:
         # -S: `sys.path` is that of this process, and what site does takes time; -P: modules here hide no others.
         return subprocess.run(
             [sys.executable, "-S", "-P", str(PROGRAM)],
-            input=json.dumps({"memory": MEMORY, "tasks": tasks}).encode(),
+            input=json.dumps(request).encode(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env=environment,
-            timeout=PATIENCE * sum(task["seconds"] for task in tasks),
+            timeout=PATIENCE * sum(request["seconds"]),
         ).returncode
     except subprocess.TimeoutExpired:
         return -getattr(signal, "SIGKILL", 0)
-
-
-def _answer(file: str) -> dict[str, Any]:
-    with np.load(file, allow_pickle=False) as stored:
-        found = dict(stored)
-    values = json.loads(str(found.pop("json")))
-    if "error" in values:
-        raise SceneError(values["error"])
-    for array in found.values():
-        array.setflags(write=False)
-    return {**values, **found}
 
 
 def _ended(status: int, seconds: float) -> str:
@@ -107,3 +100,48 @@ def _ended(status: int, seconds: float) -> str:
     except ValueError:
         how = f"exit status {status}"
     return f"libhdf5 failed on it ({how}); it is damaged"
+
+
+def main() -> None:
+    """In the separate process: write an ``.npz`` for each task of the request, whole or not at all."""
+    request = json.load(sys.stdin)
+    _limit("RLIMIT_AS", request["memory"])
+    for number, (task, seconds) in enumerate(zip(request["tasks"], request["seconds"], strict=True)):
+        _limit("RLIMIT_CPU", seconds + sum(os.times()[:2]))
+        try:
+            answer = _done(**task)
+        except (SceneError, OSError, MemoryError) as error:
+            answer = {"error": str(error) if isinstance(error, SceneError) else f"{type(error).__name__}: {error}"}
+        arrays: dict[str, Any] = {name: value for name, value in answer.items() if isinstance(value, np.ndarray)}
+        values = {name: value for name, value in answer.items() if name not in arrays}
+        unfinished = Path(request["folder"]) / "unfinished.npz"
+        np.savez(unfinished, json=json.dumps(values), **arrays)
+        unfinished.rename(unfinished.with_name(f"{number}.npz"))
+
+
+def _limit(what: str, value: float) -> None:
+    """Limit this process, where the operating system can (Windows cannot, macOS only the time)."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        limit = getattr(resource, what)
+        hard = resource.getrlimit(limit)[1]
+        soft = math.ceil(value)
+        resource.setrlimit(limit, (soft if hard < 0 else min(soft, hard), hard))
+
+
+def _done(dump: str, copy: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The contents of a dump; or nothing, after a copy of it with other datasets was written."""
+    if copy is None:
+        from dirl.scenes.io.hdf5 import read_contents
+
+        return read_contents(Path(dump))
+    from dirl.scenes.io.write import copy_with
+
+    arrays = {name: np.load(file, mmap_mode="r") for name, file in copy["arrays"].items()}
+    copy_with(Path(dump), Path(copy["path"]), arrays, copy["attributes"])
+    return {}
+
+
+if __name__ == "__main__":
+    main()

@@ -31,8 +31,7 @@ import numpy as np
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.hdf5 import read_contents
 from dirl.scenes.io.isolation import read_apart
-from dirl.scenes.names import check_name
-from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.scenes.views import Views
 
 ROOMS = Path(__file__).parents[1] / "data"

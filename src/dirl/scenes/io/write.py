@@ -15,8 +15,7 @@ from dirl.scenes.io.datasets import check_view
 from dirl.scenes.io.digest import DATASETS, write_digest
 from dirl.scenes.io.hdf5 import MAX_COMPARED
 from dirl.scenes.io.isolation import copy_apart
-from dirl.scenes.names import check_name
-from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.scene import Scene, SceneError, check_name
 
 
 def write_dump(

@@ -135,7 +135,6 @@ def look_views(
     size: tuple[int, int],
     changes: Changes,
     seed: int,
-    quality: int = QUALITY,
     *,
     fine: bool = True,
     photo: PhotoCamera | None = None,
@@ -173,7 +172,7 @@ def look_views(
         if changes.white_balance:
             gains = np.array([tint[place, 0], 1.0, tint[place, 1]])
             view = np.clip(view * gains, 0, 255).astype(np.uint8)
-        yield decode(encode(view, quality))
+        yield decode(encode(view, QUALITY))
 
 
 def changed_room(

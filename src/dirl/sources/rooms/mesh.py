@@ -132,7 +132,6 @@ class Mesh:
         exponent: float = 2.0,
         sides: int = 48,
         bottom: bool = True,
-        top: bool = True,
         smooth: float = 45.0,
     ) -> Self:
         """A body through rings ``(z, rx, ry[, exponent[, dx, dy]])``, as on a lathe; it may turn back inside itself.
@@ -148,12 +147,9 @@ class Mesh:
             ring[:, 0] = rx * np.sign(cos) * np.abs(cos) ** power + at[0] + dx
             ring[:, 1] = ry * np.sign(sin) * np.abs(sin) ** power + at[1] + dy
             ring[:, 2] = z
-        triangles = [_triangles(points)]
-        if bottom:
-            triangles.append(fan(points[0, :-1].mean(0), points[0]))
-        if top:
-            triangles.append(fan(points[-1, :-1].mean(0), points[-1])[:, ::-1])
-        return self.add(np.concatenate(triangles), material, smooth=smooth)
+        lower = [fan(points[0, :-1].mean(0), points[0])] if bottom else []
+        upper = fan(points[-1, :-1].mean(0), points[-1])[:, ::-1]
+        return self.add(np.concatenate([_triangles(points), *lower, upper]), material, smooth=smooth)
 
     def cylinder(self, x: float, y: float, z0: float, z1: float, radius: float, material: str, sides: int = 28) -> Self:
         """An upright cylinder."""

@@ -27,7 +27,7 @@ class Preview:
     views: list[Array]
 
 
-def preview(room: RoomDescription, *, views: int = 2) -> Preview:
+def preview(room: RoomDescription) -> Preview:
     """A quick look at a room: its plan, and the views with most to see among some spread over its states."""
     renderer = Renderer.of(room, fine=False)
     spread = poses(walk(room))
@@ -38,13 +38,13 @@ def preview(room: RoomDescription, *, views: int = 2) -> Preview:
     for k in np.argsort(detail)[::-1]:
         if all(some[k][2] != some[other][2] for other in chosen):  # not twice in the same direction
             chosen.append(int(k))
-    large = [renderer.view(room.camera, some[k], VIEW) for k in chosen[:views]]
+    large = [renderer.view(room.camera, some[k], VIEW) for k in chosen[:2]]
     return Preview(room.name, renderer.plan(room, VIEW[0]), large)
 
 
-def draw_sheet(previews: list[Preview], file: Path, *, columns: int = 3) -> None:
+def draw_sheet(previews: list[Preview], file: Path) -> None:
     """Draw rooms side by side, each with its name; the ending of the file says which format."""
-    count, columns = max(len(one.views) for one in previews), min(columns, len(previews))
+    count, columns = max(len(one.views) for one in previews), min(3, len(previews))
     width, height = VIEW[0] + count * (VIEW[1] + 4) + 12, VIEW[0] + CAPTION + 8
     rows = -(-len(previews) // columns)
     sheet = Image.new("RGB", (columns * width, rows * height), "white")

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from dirl.scenes.graph import IntArray
-from dirl.scenes.names import check_name
-from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.sources.tours.alignment import LEAD, Alignment, align, least_squares, wrap
 from dirl.sources.tours.columns import Seen, columns, compare
 from dirl.sources.tours.links import about_links, follow_links, link_ends, named
@@ -111,7 +110,7 @@ def tour_scene(
 
 
 def _scene_name(text: str) -> str:
-    """A tour's title as a name: letters, digits and some signs, see `dirl.scenes.names`."""
+    """A tour's title as a name: letters, digits and some signs, see `dirl.scenes.scene.check_name`."""
     kept = "".join(sign if sign.isalnum() or sign in " _.,()+-" else "_" for sign in text)
     return kept.encode()[:100].decode(errors="ignore").strip() or "tour"
 
