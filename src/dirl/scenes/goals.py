@@ -76,7 +76,6 @@ def well_reached(scene: Scene) -> np.ndarray:
 
 
 def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
-    """The goals that are given by number."""
     if isinstance(rule, str):
         return ()
     if rule is None:
@@ -95,7 +94,6 @@ def _order(scene: Scene, seed: int, named: Sequence[int]) -> IntArray:
 
 
 def _count(fraction: float, scene: Scene) -> int:
-    """The number of places in a fraction; at least one."""
     return max(1, round(fraction * (int(places(scene.graph).max()) + 1)))
 
 

@@ -2,8 +2,6 @@
 
 import io
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,24 +93,14 @@ def decode(data: bytes) -> NDArray[np.uint8]:
     return np.asarray(open_image(data, MAX_PIXELS).convert("RGB"))
 
 
-@contextmanager
-def _any_size() -> Iterator[None]:
-    """Within, Pillow has no limit of its own: panoramas are larger than it takes a photograph to be."""
-    before = Image.MAX_IMAGE_PIXELS
-    Image.MAX_IMAGE_PIXELS = None
-    try:
-        yield
-    finally:
-        Image.MAX_IMAGE_PIXELS = before
-
-
 def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Image:
     """The image in the bytes of a file in one of `FORMATS`, of at most so many pixels.
 
     Without ``load`` its pixels are not decoded, and it tells the size that it declares. `ImageError` if it is none.
     """
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # panoramas are larger than Pillow takes a photo to be
     try:
-        with warnings.catch_warnings(), _any_size():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of odd metadata
             image = Image.open(io.BytesIO(data), formats=FORMATS)
             if image.width * image.height > max_pixels:
@@ -125,4 +113,6 @@ def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Imag
         raise ImageError("it is not WebP, PNG or JPEG") from None
     except Exception as error:  # Pillow raises many kinds for damaged images, struct.error and SyntaxError among them
         raise ImageError(" ".join(f"{type(error).__name__}: {error}".split())[:200]) from None
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
     return image

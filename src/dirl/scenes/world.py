@@ -195,7 +195,6 @@ def _sharing(scene: Scene, features: NDArray[np.float32]) -> Scene:
 
 
 def _looks(scenes: Sequence[Scene]) -> int:
-    """How many looks the states of all scenes have."""
     counts = sorted({scene.looks for scene in scenes})
     if len(counts) > 1:
         raise SceneError(f"the scenes have different numbers of looks, {counts}; render or read them with as many")
@@ -233,7 +232,6 @@ def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequen
 
 
 def _goals(scenes: Sequence[Scene], goals: Goals) -> list[tuple[int, ...]]:
-    """The goals of each scene, checked."""
     names = [scene.name for scene in scenes]
     if goals is not None and not isinstance(goals, Mapping):
         if len(scenes) > 1:

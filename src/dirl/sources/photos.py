@@ -212,7 +212,6 @@ def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:
 
 
 def _shot(values: Mapping[str, str], where: str) -> int:
-    """The number of a row's shot."""
     shot = values.get("shot") or "0"
     if not shot.isdecimal() or len(shot) > 6:
         raise SceneError(f"{where}: shot: expected a whole number or nothing, found '{shot[:50]}'")

@@ -69,7 +69,6 @@ def _apart(tasks: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
 
 
 def _run(request: dict[str, Any]) -> int:
-    """Start the process, and wait for its exit status."""
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry),

@@ -102,15 +102,13 @@ def build_room(
     scene = scene_of(room, way, source=source)
     about = {"room": description_text(room), "step": room.grid.step, "turn": float(turn)}
     write_room(out, scene, views, encoder, attributes=about, provenance=provenance, progress=progress)
-    thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
-    return check_room(room) + check_views(thumbnails, contrasts, way)
+    return check_room(room) + view_problems(views, way)
 
 
 def check_packages() -> None:
     """Raise `SceneError` unless what renders rooms is installed; there are no wheels of it for Linux on ARM."""
-    for package in ("embreex", "tomli-w"):
-        if importlib.util.find_spec(package.replace("-", "_")) is None:
-            raise SceneError(f"to build rooms, {package} is missing: pip install {package}")
+    if importlib.util.find_spec("embreex") is None:
+        raise SceneError("to build rooms, embreex is missing: pip install embreex")
 
 
 def check_size(size: tuple[int, int]) -> None:
@@ -178,6 +176,11 @@ def scene_of(room: RoomDescription, way: Walk, *, source: str = "synthetic") -> 
 def poses(way: Walk) -> list[Pose]:
     """Where the camera of each state is and looks."""
     return [(float(x), float(y), float(heading)) for x, y in way.places for heading in way.headings]
+
+
+def view_problems(views: Sequence["View"], way: Walk) -> list[str]:
+    """What `check_views` finds in views."""
+    return check_views(np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views]), way)
 
 
 PIXELS = 2_000_000

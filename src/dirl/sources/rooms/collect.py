@@ -10,13 +10,19 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
 from dirl.scenes.io.digest import file_digest
-from dirl.sources.rooms.build import check_packages, check_size, poses, scene_of, take_views, write_room
-from dirl.sources.rooms.checks import check_room, check_views, far_apart
+from dirl.sources.rooms.build import (
+    check_packages,
+    check_size,
+    poses,
+    scene_of,
+    take_views,
+    view_problems,
+    write_room,
+)
+from dirl.sources.rooms.checks import check_room, far_apart
 from dirl.sources.rooms.description import RoomDescription, description_text
 from dirl.sources.rooms.looks import Changes, PhotoCamera, look_views
 from dirl.sources.rooms.navigation import walk
@@ -198,8 +204,7 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
             for look in seeds
         ]
     write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks)
-    thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
-    problems = check_room(room) + check_views(thumbnails, contrasts, way)
+    problems = check_room(room) + view_problems(views, way)
     scene = read_dump(dump, isolated=False)  # just written here
     return Entry(
         name=room.name,

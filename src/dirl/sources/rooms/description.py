@@ -11,6 +11,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, get_type_hints
 
+import tomli_w
+
 from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.furniture import FURNITURE
@@ -261,8 +263,6 @@ def _piece(table: Any, where: str) -> Piece:
 
 def description_text(room: RoomDescription) -> str:
     """The TOML text of a room; `parse_description` makes an equal room of it."""
-    import tomli_w  # only needed here, and not part of a plain install
-
     shell = {key: getattr(room, key) for key in SHELL}
     tables = {
         "name": room.name,

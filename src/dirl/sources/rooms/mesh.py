@@ -198,18 +198,14 @@ def _box_corners(beveled: bool) -> tuple[Array, Array]:
         a, b = (other for other in range(3) if other != axis)
         around = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
         for side in sides:
-            quads.append([(_signs({axis: side, a: p, b: q}), axis) for p, q in around])
+            quads.append([({axis: side, a: p, b: q}, axis) for p, q in around])
         for p, q in product(sides, sides) if beveled else ():
             ends = [(-1, a), (1, a), (1, b), (-1, b)]
-            quads.append([(_signs({axis: end, a: p, b: q}), face) for end, face in ends])
+            quads.append([({axis: end, a: p, b: q}, face) for end, face in ends])
     if beveled:
-        triangles = [[(sign, axis) for axis in range(3)] for sign in product(sides, sides, sides)]
+        triangles = [[(dict(enumerate(sign)), axis) for axis in range(3)] for sign in product(sides, sides, sides)]
     triangles += [[quad[i] for i in pick] for quad in quads for pick in ((0, 1, 2), (0, 2, 3))]
-    signs = np.array([[sign for sign, _ in triangle] for triangle in triangles])
+    signs = np.array([[[sign[axis] for axis in range(3)] for sign, _ in triangle] for triangle in triangles])
     # The corner of the face across an axis that lies nearest to a corner of the box.
     inset = np.array([[[other != axis for other in range(3)] for _, axis in triangle] for triangle in triangles])
     return signs, inset.astype(int)
-
-
-def _signs(chosen: dict[int, int]) -> tuple[int, int, int]:
-    return chosen[0], chosen[1], chosen[2]

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, IntArray
+from dirl.scenes.graph import AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Piece, RoomDescription
 from dirl.sources.rooms.furniture import NOT_SOLID
@@ -104,16 +104,13 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
         raise SceneError(f"turn={turn:g}: a turn must go into 90 degrees without rest, as 90, 45 and 30 do")
     cells, points = _places(room)
     headings = np.arange(turns) * turn
-    graph = np.full((len(cells) * turns, 4), -1, np.int64)
-    first = turns * np.arange(len(cells))
+    graph = turns_only(len(cells), turns)
     for k, heading in enumerate(np.radians(headings)):
-        graph[first + k, RIGHT] = first + (k + 1) % turns
-        graph[first + k, LEFT] = first + (k - 1) % turns
         if round(np.degrees(heading)) % 45 == 0:
             step = np.round([1.2 * np.sin(heading), 1.2 * np.cos(heading)]).astype(int)
             for action, way in ((AHEAD, step), (BACK, -step)):
                 here, there = _steps(cells, points, way, room)
-                graph[first[here] + k, action] = turns * there + k
+                graph[turns * here + k, action] = turns * there + k
     return Walk(points, headings, graph)
 
 

@@ -207,7 +207,6 @@ def _closing(loops: Array) -> str:
 
 
 def _about(tour: Tour, aligned: Alignment) -> Iterator[str]:
-    """The notes on links and headings."""
     ids = [panorama.id for panorama in tour.panoramas]
     if aligned.rejected:
         i, j, off = aligned.rejected[0]
@@ -252,7 +251,6 @@ def _about_parts(tour: Tour, part: NDArray[np.int64]) -> Iterator[str]:
 
 
 def _about_positions(tour: Tour, step: float) -> Iterator[str]:
-    """The note on a map that is a layout."""
     known, count = sum(panorama.position is not None for panorama in tour.panoramas), len(tour.panoramas)
     if known < count:
         about = f"known of {known} of {count} panoramas only, so they are not used" if known else "not known"

@@ -129,7 +129,6 @@ def _is_free(start: Array, end: Array, floor: _Floor) -> bool:
 
 
 def _crossing(a: Array, b: Array, c: Array, d: Array) -> Array | None:
-    """Where the segments ab and cd cross."""
     first, second = b - a, d - c
     cross = first[0] * second[1] - first[1] * second[0]
     if cross == 0:

@@ -82,7 +82,6 @@ def sofa(
 
 
 def _cushion(mesh: Mesh, x: float, y: float, material: str) -> None:
-    """A square cushion that leans back."""
     rings = [(-0.07, 0.10, 0.10, 3), (-0.04, 0.18, 0.18, 4), (0.04, 0.18, 0.18, 4), (0.07, 0.10, 0.10, 3)]
     lean = np.array([[1, 0, 0], [0, 0.3, 0.95], [0, -0.95, 0.3]])
     flat = Mesh().loft(rings, material, sides=32).parts[0].corners

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dirl.scenes.scene import SceneError
-from dirl.sources.rooms.build import View, poses, take_views
-from dirl.sources.rooms.checks import check_room, check_views
+from dirl.sources.rooms.build import View, poses, take_views, view_problems
+from dirl.sources.rooms.checks import check_room
 from dirl.sources.rooms.description import Grid, RoomDescription
 from dirl.sources.rooms.layout import assemble
 from dirl.sources.rooms.navigation import walk
@@ -79,8 +79,7 @@ def sample_views(
         problems = problems_of(room, KINDS[kind])
         views = look_around(room) if look and not problems else []
         if views:
-            thumbnails, contrasts = np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views])
-            problems = check_views(thumbnails, contrasts, walk(room))
+            problems = view_problems(views, walk(room))
         if not problems:
             return room, views
     raise SceneError(f"kind={kind} seed={seed}: none of {attempts} rooms passed the checks; the last: {problems[0]}")
