@@ -8,6 +8,7 @@ from dirl.sources.rooms.furniture import FURNITURE, NOT_SOLID
 from dirl.sources.rooms.layout import materials_of
 from dirl.sources.rooms.mesh import Mesh
 from dirl.sources.rooms.textures import TEXTURES, surfaces
+from dirl.sources.rooms.textures.noise import Canvas
 
 SIZES = {
     "bed": (1.6, 2.1, 1.1),
@@ -22,7 +23,7 @@ HIGH = {"wall_cupboard", "hood", "tv", "picture", "mirror", "window", "bottles",
 
 @pytest.mark.parametrize("kind", TEXTURES)
 def test_a_texture_is_fixed_by_its_seed_and_stays_in_range(kind):
-    first, again, other = (TEXTURES[kind](np.random.default_rng(seed), 64) for seed in (0, 0, 1))
+    first, again, other = (TEXTURES[kind](Canvas(np.random.default_rng(seed), 64)) for seed in (0, 0, 1))
     assert first.shape == (64, 64, 3)
     assert (first == again).all()
     assert (first != other).any()
@@ -33,7 +34,7 @@ def test_a_texture_is_fixed_by_its_seed_and_stays_in_range(kind):
 
 @pytest.mark.parametrize("kind", [kind for kind, make in TEXTURES.items() if make.__module__ == surfaces.__name__])
 def test_a_surface_repeats_without_a_seam(kind):
-    texture = TEXTURES[kind](np.random.default_rng(0), 128)
+    texture = TEXTURES[kind](Canvas(np.random.default_rng(0), 128))
     for axis in (0, 1):
         inside = np.abs(np.diff(texture, axis=axis)).mean((1 - axis, 2))
         seam = np.abs(texture.take(0, axis) - texture.take(-1, axis)).mean()

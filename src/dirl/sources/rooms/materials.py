@@ -8,7 +8,7 @@ import numpy as np
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Material
 from dirl.sources.rooms.textures import TEXTURES
-from dirl.sources.rooms.textures.noise import Array
+from dirl.sources.rooms.textures.noise import Array, Canvas
 
 
 def _plain(color: str, rough: float, *, metal: bool = False, var: float = 0.04) -> Material:
@@ -75,6 +75,6 @@ def paint(name: str, material: Material, limit: int = 2048) -> Array:
     digest = hashlib.sha256(f"{name}:{material.seed}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "big"))
     try:
-        return TEXTURES[material.kind](rng, min(material.resolution, limit), **material.options)
+        return TEXTURES[material.kind](Canvas(rng, min(material.resolution, limit)), **material.options)
     except ValueError as error:
         raise SceneError(f"[materials] {name}: {error}") from None

@@ -1,4 +1,4 @@
-"""Procedural textures: functions of a random generator, a size and a few colours; no image files.
+"""Procedural textures: functions of a `Canvas` and a few colours; no image files.
 
 Each returns sRGB values in [0, 1], float64 ``[n, n, 3]``; row 0 is the top. Those of `surfaces` repeat seamlessly.
 """

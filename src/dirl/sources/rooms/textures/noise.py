@@ -31,13 +31,6 @@ def mix(a: Array, b: Array, share: Array) -> Array:
     return a * (1 - share[..., None]) + b * share[..., None]
 
 
-def coordinates(n: int) -> tuple[Array, Array]:
-    """Rows (v, downwards) and columns (u) of the pixel centres, in [0, 1], ``[n, n]`` each."""
-    centres = (np.arange(n) + 0.5) / n
-    v, u = np.meshgrid(centres, centres, indexing="ij")
-    return v, u
-
-
 def fractal_noise(rng: np.random.Generator, height: int, width: int, fy: int, fx: int, octaves: int = 5) -> Array:
     """Value noise in [0, 1] that repeats seamlessly, float64 ``[height, width]``.
 
@@ -61,3 +54,19 @@ def fractal_noise(rng: np.random.Generator, height: int, width: int, fy: int, fx
         weights += weight
         weight /= 2
     return total / weights
+
+
+class Canvas:
+    """A square of ``n`` pixels a side to be painted at random; ``v`` and ``u`` are its pixels' rows and columns.
+
+    Those of their centres, in [0, 1], v downwards, ``[n, n]`` each.
+    """
+
+    def __init__(self, rng: np.random.Generator, n: int) -> None:
+        self.rng, self.n = rng, n
+        centres = (np.arange(n) + 0.5) / n
+        self.v, self.u = np.meshgrid(centres, centres, indexing="ij")
+
+    def noise(self, fy: int, fx: int, octaves: int = 5) -> Array:
+        """See `fractal_noise`."""
+        return fractal_noise(self.rng, self.n, self.n, fy, fx, octaves)
