@@ -111,7 +111,7 @@ def changed(line, old, new):
 @pytest.mark.parametrize(
     ("lines", "says"),
     [
-        ([], "states.csv: has no rows"),
+        ([], "states.csv: has no rows of first shots"),
         (changed(0, "hall_0.png", "hall_9.jpg"), "line 2: image: there is no file 'hall_9.jpg' in"),
         (changed(0, "hall_0.png", ""), "line 2: image: there is no file ''"),
         (changed(2, ",hall,", ",,"), "line 4: location: is empty"),

@@ -83,18 +83,20 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
     folder = Path(folder)
     name = name or folder.resolve().name
     table = _read_table(folder)
-    rows = [row for row in table if not row.shot]
     check_name(name, str(folder))
     places: dict[str, list[Row]] = {}
-    for row in rows:
-        places.setdefault(row.location, []).append(row)
+    for row in table:
+        if not row.shot:
+            places.setdefault(row.location, []).append(row)
+    count = len(next(iter(places.values()), ()))
     for location, here in places.items():
         here.sort(key=lambda row: row.heading % 360)
-        _check_place(location, here, len(next(iter(places.values()))))
+        _check_place(location, here, count)
     states = [row for here in places.values() for row in here]
+    numbers = {location: range(place * count, (place + 1) * count) for place, location in enumerate(places)}
     scene = Scene(
         name=name,
-        graph=_graph(places, states),
+        graph=_graph(states, numbers),
         positions=np.array([row.position for row in states]),
         headings=np.array([row.heading for row in states]) % 360,
         goals=tuple(state for state, row in enumerate(states) if row.goal),
@@ -102,26 +104,18 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
         extractor="none",
         origin=str(folder / TABLE),
     )
-    return scene, [row.image for row in states] + _further_shots(states, [row for row in table if row.shot])
+    return scene, [row.image for row in states] + _further_shots(states, numbers, [row for row in table if row.shot])
 
 
-def _further_shots(states: Sequence[Row], rows: Sequence[Row]) -> list[Path]:
+def _further_shots(states: Sequence[Row], numbers: Mapping[str, range], rows: Sequence[Row]) -> list[Path]:
     """The images of the shots after the first, shot by shot, each in the order of the states; none may be missing."""
     found: dict[tuple[int, int], Path] = {}
     for row in rows:
-        off = [(row.heading - one.heading + 180) % 360 - 180 for one in states]
-        same = [
-            state for state, one in enumerate(states) if one.location == row.location and abs(off[state]) <= TOLERANCE
-        ]
-        if not same:
-            raise SceneError(
-                f"{row.where}: shot {row.shot}: '{row.location}' has no first image with heading {row.heading:g}"
-            )
-        if (row.shot, same[0]) in found:
-            raise SceneError(
-                f"{row.where}: shot {row.shot}: '{row.location}' has two images with heading {row.heading:g}"
-            )
-        found[row.shot, same[0]] = row.image
+        state = _state_at(states, numbers.get(row.location, ()), row.heading)
+        if state is None or (row.shot, state) in found:
+            why = "no first image" if state is None else "two images"
+            raise SceneError(f"{row.where}: shot {row.shot}: '{row.location}' has {why} with heading {row.heading:g}")
+        found[row.shot, state] = row.image
     shots = sorted({shot for shot, _ in found})
     for shot in shots:
         for state, one in enumerate(states):
@@ -131,6 +125,13 @@ def _further_shots(states: Sequence[Row], rows: Sequence[Row]) -> list[Path]:
                     "is a visit to every place, which sees all headings"
                 )
     return [found[shot, state] for shot in shots for state in range(len(states))]
+
+
+def _state_at(states: Sequence[Row], here: Sequence[int], heading: float) -> int | None:
+    """Which of some states has a heading; None if none does."""
+    off = {state: abs((states[state].heading - heading + 180) % 360 - 180) for state in here}
+    nearest = min(off, key=off.__getitem__, default=None)
+    return nearest if nearest is not None and off[nearest] <= TOLERANCE else None
 
 
 def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[bytes]:
@@ -178,8 +179,8 @@ def _read_table(folder: Path) -> list[Row]:
     if not file.is_file():
         raise SceneError(f"{folder}: holds no {TABLE}; it has a row for each image: {','.join(REQUIRED)}")
     rows = [_row(values, where, folder) for where, values in read_csv(file, REQUIRED, OPTIONAL)]
-    if not rows:
-        raise SceneError(f"{file}: has no rows; each says where one image was taken")
+    if all(row.shot for row in rows):
+        raise SceneError(f"{file}: has no rows of first shots; each says where one image was taken")
     return rows
 
 
@@ -243,37 +244,34 @@ def _check_place(location: str, here: Sequence[Row], count: int) -> None:
             )
 
 
-def _graph(places: dict[str, list[Row]], states: Sequence[Row]) -> IntArray:
+def _graph(states: Sequence[Row], numbers: Mapping[str, range]) -> IntArray:
     """Next states, int64 ``[N, 4]``: turns by the order of headings, moves as the rows say."""
-    count = len(next(iter(places.values())))
-    first = {location: count * place for place, location in enumerate(places)}
-    graph = turns_only(len(places), count)
+    graph = turns_only(len(numbers), len(states) // len(numbers))
     for state, row in enumerate(states):
         for action, location in zip((AHEAD, BACK), row.moves, strict=True):
             if location:
-                graph[state, action] = _same_heading(places, first, row, ACTIONS[action], location)
+                graph[state, action] = _moved(states, numbers, row, ACTIONS[action], location)
     if states[0].moves[1] is None:
         _undo_ahead(graph, states)
     return graph
 
 
-def _same_heading(places: dict[str, list[Row]], first: dict[str, int], row: Row, column: str, location: str) -> int:
+def _moved(states: Sequence[Row], numbers: Mapping[str, range], row: Row, column: str, location: str) -> int:
     """The state at another location with the heading of a row."""
-    if location not in places:
-        near = difflib.get_close_matches(location, places, n=1)
+    if location not in numbers:
+        near = difflib.get_close_matches(location, numbers, n=1)
         hint = f"did you mean '{near[0]}'?" if near else "no row has it in the column location"
         raise SceneError(f"{row.where}: {column}: there is no location '{location}'; {hint}")
     if location == row.location:
         raise SceneError(
             f"{row.where}: {column}: leads to '{location}' itself; leave it empty where the way is blocked"
         )
-    off = [abs((there.heading - row.heading + 180) % 360 - 180) for there in places[location]]
-    nearest = int(np.argmin(off))
-    if off[nearest] > TOLERANCE:
+    state = _state_at(states, numbers[location], row.heading)
+    if state is None:
         raise SceneError(
             f"{row.where}: {column}: '{location}' has no image with heading {row.heading:g}; a move keeps it"
         )
-    return first[location] + nearest
+    return state
 
 
 def _undo_ahead(graph: IntArray, states: Sequence[Row]) -> None:

@@ -19,11 +19,8 @@ from dirl.scenes.views import MAX_PIXELS, ImageError, decode
 
 CHECKSUM_BYTES = 4
 """Of a Fletcher32 checksum. libhdf5 2.0 reads outside of its memory where a stored chunk is shorter."""
-MAX_ATTRIBUTE_BYTES = 2**20
 MAX_VALUES = 2**27
 """Of a mapped array: a quarter of a gigabyte."""
-MAX_UNPACKED_VIEWS = 2**29
-"""Bytes of raw views that are compressed in the file, for they are held in memory."""
 AT_A_TIME = 256
 """Encoded views that are read from a dataset at once."""
 COLLECTIONS = 16
@@ -82,17 +79,6 @@ def check_storage(dataset: h5py.Dataset) -> None:
         raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
 
 
-def read_attribute(holder: h5py.File | h5py.Dataset, name: str) -> Any:
-    """The value of an attribute of a plausible size; None if there is none."""
-    if name not in holder.attrs:
-        return None
-    stored = holder.attrs.get_id(name)
-    size = math.prod(stored.shape or ()) * stored.get_type().get_size()
-    if size > MAX_ATTRIBUTE_BYTES:
-        raise SceneError(f"attribute '{name}': takes {size} bytes; at most {MAX_ATTRIBUTE_BYTES}")
-    return holder.attrs[name]
-
-
 def short(value: Any, show: Any = repr) -> str:
     """A value of a file for a message, on one line, as Python's own type where it is NumPy's."""
     if hasattr(value, "tolist"):
@@ -148,11 +134,6 @@ def open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
     if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
         raise SceneError(f"observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}")
     check_storage(dataset)
-    if dataset.chunks is not None and dataset.nbytes > MAX_UNPACKED_VIEWS:
-        raise SceneError(
-            f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "
-            "stored in one piece (h5repack -l observation:CONTI)"
-        )
     return dataset
 
 

@@ -20,7 +20,6 @@ from dirl.scenes.io.datasets import (
     open_dataset,
     open_views,
     own_dataset,
-    read_attribute,
     short,
 )
 from dirl.scenes.io.digest import EXTRACTOR_ATTRIBUTES, blocks, check_digest
@@ -92,14 +91,14 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
             check_storage(distances)
     verified = intact or check_digest(file)
     contents = {
-        "graph": _in_our_order(graph[:], read_attribute(file, "actions")),
+        "graph": _in_our_order(graph[:], file.attrs.get("actions")),
         "positions": location[:],
         "headings": rotation[:],
         "features": None if features is None else _read_features(features, path, mapped=intact),
         "extractor": _extractor(features),
         "name": _text_attribute(file, "name"),
         "source": _text_attribute(file, "source"),
-        "goals": _goals(read_attribute(file, "goals"), states),
+        "goals": _goals(file.attrs.get("goals"), states),
         "mapped": mapped,
         "warning": "",
         **({} if views is None else locate_views(views, path, decoded=verified)),
@@ -208,7 +207,7 @@ def _compare_distances(graph: NDArray[Any], dataset: h5py.Dataset) -> str:
 
 def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
     """A text, empty if there is none."""
-    value = read_attribute(holder, name)
+    value = holder.attrs.get(name)
     try:
         text = "" if value is None else _text(value)
     except ValueError:
