@@ -7,12 +7,11 @@ solved by least squares, reweighted so that wrong ones lose weight (Geman and Mc
 The beginning are headings along a spanning tree of the equations whose short loops close best.
 """
 
-import heapq
-import itertools
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,7 +89,7 @@ def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Ali
     headings = _solved(ends, turns, trust, count)
     off = np.abs(_off(ends, turns, headings))
     kept = off <= REJECTED
-    part = _walk(ends[kept], turns[kept], count).part
+    part = _forest(ends[kept], turns[kept], count).part
     headings = _relaxed(ends[kept], turns[kept], headings, trust[kept], part)
     told = ~by_link | np.array([pair not in shown for pair in [*both, *shown]], bool)
     worst = sorted(np.flatnonzero(~kept & by_link).tolist(), key=lambda one: -off[one])
@@ -144,7 +143,7 @@ def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
     """Headings that most equations agree with: along a tree of those whose loops close best, then reweighted."""
     errors = _loop_errors(ends, turns, count)
     rank = np.argsort(np.argsort(errors, kind="stable"))
-    headings, part = _walk(ends, turns, count, rank)[:2]
+    headings, part = _forest(ends, turns, count, rank)[:2]
     for width in WIDTHS:
         for _ in range(2):
             weight = 1 / (1 + (_off(ends, turns, headings) / width) ** 2) ** 2
@@ -199,57 +198,44 @@ def _short_path(
     return path
 
 
-class _Walk(NamedTuple):
+class _Forest(NamedTuple):
     """A spanning forest of equations."""
 
     headings: Array
     """Along it, from 0 at the first panorama of each part."""
     part: Integers
     """Of each panorama, the largest part first."""
-    parent: Integers
-    """-1 for the first of a part."""
-    depth: Integers
     used: NDArray[np.bool_]
     """Which equations it takes."""
 
 
-def _walk(ends: Integers, turns: Array, count: int, rank: Integers | None = None) -> _Walk:
-    """A forest with the equations of lowest rank, Prim's; without ranks the nearest panoramas come first."""
-    near = _neighbours(ends, count)
-    headings, used = np.zeros(count), np.zeros(len(ends), bool)
-    part, parent, depth = np.full((3, count), -1)
-    steps = itertools.count()
-    for first in range(count):
-        todo = [(0, first, -1, -1, 0.0)]
-        number = part.max() + (part[first] < 0)
-        while todo:
-            _, here, before, equation, heading = heapq.heappop(todo)
-            if part[here] >= 0:
-                continue
-            part[here], parent[here], headings[here] = number, before, heading
-            depth[here] = depth[before] + 1 if before >= 0 else 0
-            if equation >= 0:
-                used[equation] = True
-            for there, step, sign in near[here]:
-                if part[there] < 0:
-                    cost = next(steps) if rank is None else int(rank[step])
-                    heapq.heappush(todo, (cost, there, here, step, heading + sign * turns[step]))
+def _forest(ends: Integers, turns: Array, count: int, rank: Integers | None = None) -> _Forest:
+    """A forest with the equations of lowest rank; without ranks the nearest panoramas come first."""
+    graph = nx.Graph()
+    graph.add_nodes_from(range(count))
+    for equation in np.argsort(rank).tolist() if rank is not None else range(len(ends)):
+        if not graph.has_edge(*ends[equation].tolist()):
+            graph.add_edge(*ends[equation].tolist(), equation=equation, rank=0 if rank is None else rank[equation])
+    if rank is not None:
+        graph = nx.minimum_spanning_tree(graph, "rank")
+    headings, part, used = np.zeros(count), np.zeros(count, np.int64), np.zeros(len(ends), bool)
+    for number, here in enumerate(nx.connected_components(graph)):
+        part[list(here)] = number
+        for near, far in nx.bfs_edges(graph, min(here)):
+            equation = graph.edges[near, far]["equation"]
+            headings[far] = headings[near] + (turns[equation] if ends[equation, 0] == near else -turns[equation])
+            used[equation] = True
     order = np.argsort(np.argsort(-np.bincount(part), kind="stable"))
-    return _Walk(headings, order[part], parent, depth, used)
+    return _Forest(headings, order[part], used)
 
 
 def _loops(ends: Integers, turns: Array, kept: NDArray[np.bool_], count: int) -> tuple[Array, set[int]]:
     """How far off loops close, degrees, float64 ``[L]``, one for each equation not in a forest; panoramas on any."""
-    walk = _walk(ends[kept], turns[kept], count)
+    forest = _forest(ends[kept], turns[kept], count)
     in_forest = np.zeros(len(ends), bool)
-    in_forest[np.flatnonzero(kept)[walk.used]] = True
-    closing = ~in_forest & (walk.part[ends[:, 0]] == walk.part[ends[:, 1]])
-    on_loop: set[int] = set()
-    for i, j in ends[closing].tolist():
-        while i != j:
-            if walk.depth[i] < walk.depth[j]:
-                i, j = j, i
-            on_loop |= {i, j}
-            i = int(walk.parent[i])
-        on_loop.add(i)
-    return np.abs(_off(ends, turns, walk.headings))[closing], on_loop
+    in_forest[np.flatnonzero(kept)[forest.used]] = True
+    closing = ~in_forest & (forest.part[ends[:, 0]] == forest.part[ends[:, 1]])
+    graph = nx.MultiGraph(ends[in_forest | closing].tolist())
+    bridges = {frozenset(bridge) for bridge in nx.bridges(graph)}
+    on_loop = {end for pair in graph.edges() if frozenset(pair) not in bridges for end in pair}
+    return np.abs(_off(ends, turns, forest.headings))[closing], on_loop
