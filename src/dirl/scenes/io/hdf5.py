@@ -41,7 +41,7 @@ UNREACHABLE_FROM = 1000
 """Stored distances at or above this mean "unreachable" (some copies of the published files hold 1000)."""
 
 
-def read_contents(path: Path, *, intact: bool = False) -> dict[str, Any]:
+def read_contents(path: str | Path, *, intact: bool = False) -> dict[str, Any]:
     """Read a dump. Nothing large is read before its shape has been checked, and links to other files are refused.
 
     Args:
@@ -54,7 +54,7 @@ def read_contents(path: Path, *, intact: bool = False) -> dict[str, Any]:
     """
     try:
         with h5py.File(path) as file, np.errstate(all="ignore"):
-            return _read(file, path, intact)
+            return _read(file, Path(path), intact)
     except SceneError:
         raise
     except MemoryError:

@@ -8,17 +8,17 @@ without torch. This is no protection against a file that was made to take over t
 import json
 import math
 import os
+import pkgutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dirl.scenes.scene import SceneError
 
@@ -32,28 +32,20 @@ PATIENCE = 20
 PROGRAM = Path(__file__)
 
 
-def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
-    """What `dirl.scenes.io.hdf5.read_contents` finds in dumps, all of them read in one separate process."""
-    return _apart([{"dump": os.path.abspath(path)} for path in paths])
+def call_apart(function: str, calls: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """What a function of dirl returns for each of its calls, all of them made in one separate process.
 
+    Args:
+        function: such as ``dirl.scenes.io.hdf5:read_contents``; it returns arrays and what JSON can hold, by name.
+        calls: its arguments by name, which JSON can hold; ``path`` is the dump.
 
-def copy_apart(
-    dump: Path, path: Path, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Mapping[str, str]]
-) -> None:
-    """Let another process do `dirl.scenes.io.write.copy_with`."""
+    Raises:
+        SceneError: of the function, or because it did not return. The message does not name the dump.
+    """
+    seconds = [SECONDS + SECONDS_A_MEGABYTE * Path(call["path"]).stat().st_size / 1e6 for call in calls]
     with TemporaryDirectory() as folder:
-        files = {name: os.path.abspath(Path(folder) / f"{name}.npy") for name in arrays}
-        for name, array in arrays.items():
-            np.save(files[name], array)
-        copy = {"path": os.path.abspath(path), "arrays": files, "attributes": attributes}
-        list(_apart([{"dump": os.path.abspath(dump), "copy": copy}]))
-
-
-def _apart(tasks: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """What `_done` answers to tasks; errors do not name the file, which the caller knows."""
-    seconds = [SECONDS + SECONDS_A_MEGABYTE * Path(task["dump"]).stat().st_size / 1e6 for task in tasks]
-    with TemporaryDirectory() as folder:
-        status = _run({"folder": os.path.abspath(folder), "memory": MEMORY, "tasks": tasks, "seconds": seconds})
+        request = {"function": function, "calls": calls, "folder": os.path.abspath(folder)}
+        status = _run({**request, "seconds": seconds, "memory": MEMORY})
         for number, limit in enumerate(seconds):
             answer = Path(folder) / f"{number}.npz"
             if not answer.is_file():
@@ -102,13 +94,13 @@ def _ended(status: int, seconds: float) -> str:
 
 
 def main() -> None:
-    """In the separate process: write an ``.npz`` for each task of the request, whole or not at all."""
+    """In the separate process: write an ``.npz`` for each call, whole or not at all."""
     request = json.load(sys.stdin)
     _limit("RLIMIT_AS", request["memory"])
-    for number, (task, seconds) in enumerate(zip(request["tasks"], request["seconds"], strict=True)):
+    for number, (call, seconds) in enumerate(zip(request["calls"], request["seconds"], strict=True)):
         _limit("RLIMIT_CPU", seconds + sum(os.times()[:2]))
         try:
-            answer = _done(**task)
+            answer = pkgutil.resolve_name(request["function"])(**call)
         except (SceneError, OSError, MemoryError) as error:
             answer = {"error": str(error) if isinstance(error, SceneError) else f"{type(error).__name__}: {error}"}
         arrays: dict[str, Any] = {name: value for name, value in answer.items() if isinstance(value, np.ndarray)}
@@ -127,19 +119,6 @@ def _limit(what: str, value: float) -> None:
         hard = resource.getrlimit(limit)[1]
         soft = math.ceil(value)
         resource.setrlimit(limit, (soft if hard < 0 else min(soft, hard), hard))
-
-
-def _done(dump: str, copy: dict[str, Any] | None = None) -> dict[str, Any]:
-    """The contents of a dump; or nothing, after a copy of it with other datasets was written."""
-    if copy is None:
-        from dirl.scenes.io.hdf5 import read_contents
-
-        return read_contents(Path(dump))
-    from dirl.scenes.io.write import copy_with
-
-    arrays = {name: np.load(file, mmap_mode="r") for name, file in copy["arrays"].items()}
-    copy_with(Path(dump), Path(copy["path"]), arrays, copy["attributes"])
-    return {}
 
 
 if __name__ == "__main__":

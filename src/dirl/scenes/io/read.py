@@ -30,7 +30,7 @@ import numpy as np
 
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.hdf5 import read_contents
-from dirl.scenes.io.isolation import read_apart
+from dirl.scenes.io.isolation import call_apart
 from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.scenes.views import Views
 
@@ -83,8 +83,10 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True, stacklevel: int 
         if not dump.path.is_file():
             raise SceneError(f"{dump.path}: there is no such file")
     intact = [_is_intact(dump) for dump in dumps]
-    unknown = [dump.path for dump, known in zip(dumps, intact, strict=True) if not known]
-    apart = read_apart(unknown) if isolated and unknown else map(read_contents, unknown)
+    unknown = [dump.path.absolute() for dump, known in zip(dumps, intact, strict=True) if not known]
+    calls = [{"path": str(path)} for path in unknown]
+    reading = "dirl.scenes.io.hdf5:read_contents"
+    apart = call_apart(reading, calls) if isolated and unknown else map(read_contents, unknown)
     scenes = []
     for dump, known in zip(dumps, intact, strict=True):
         try:

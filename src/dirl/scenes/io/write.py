@@ -1,8 +1,10 @@
 """Writing scene dumps, see `dirl.scenes.io.read` for their content; a file is complete or absent."""
 
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import h5py
@@ -14,7 +16,7 @@ from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.datasets import check_view
 from dirl.scenes.io.digest import DATASETS, write_digest
 from dirl.scenes.io.hdf5 import MAX_COMPARED
-from dirl.scenes.io.isolation import copy_apart
+from dirl.scenes.io.isolation import call_apart
 from dirl.scenes.scene import Scene, SceneError, check_name
 
 
@@ -95,10 +97,23 @@ def replace_features(
     if patches is not None:
         arrays["patches"] = patches
         attributes["patches"] = dict(patch_attributes or {})
-    try:
-        copy_apart(Path(dump), Path(path), arrays, attributes)
-    except SceneError as error:
-        raise SceneError(f"{dump}: {error}") from None
+    with TemporaryDirectory() as folder:
+        files = {name: os.path.abspath(Path(folder) / f"{name}.npy") for name in arrays}
+        for name, array in arrays.items():
+            np.save(files[name], array)
+        call = {"path": os.path.abspath(dump), "to": os.path.abspath(path), "files": files, "attributes": attributes}
+        try:
+            list(call_apart("dirl.scenes.io.write:copy_with_files", [call]))
+        except SceneError as error:
+            raise SceneError(f"{dump}: {error}") from None
+
+
+def copy_with_files(
+    path: str, to: str, files: Mapping[str, str], attributes: Mapping[str, Mapping[str, str]]
+) -> dict[str, Any]:
+    """`copy_with`, with each array in a ``.npy`` file; for `call_apart`."""
+    copy_with(Path(path), Path(to), {name: np.load(file, mmap_mode="r") for name, file in files.items()}, attributes)
+    return {}
 
 
 def copy_with(
