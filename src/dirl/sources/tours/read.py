@@ -1,14 +1,20 @@
-"""Which kind of tour a folder or file holds."""
+"""Which kind of tour a folder or file holds, and the plainest kind: images with a table of links."""
 
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
+from dirl.scenes.io.texts import read_csv
 from dirl.scenes.scene import SceneError
+from dirl.sources.tours.images import Equirectangular
 from dirl.sources.tours.javascript import SCENES, read_marzipano, read_pannellum
 from dirl.sources.tours.krpano import read_krpano
-from dirl.sources.tours.table import LINKS, read_table
-from dirl.sources.tours.tour import Tour, check_tour, tour_text
+from dirl.sources.tours.tour import MOST_TEXT, Link, Panorama, Tour, check_tour, inside, number, tour_text
 from dirl.sources.tours.zind import REACH, read_zind
+
+LINKS, PLACES = "links.csv", "panoramas.csv"
+
+ENDINGS = (".jpg", ".jpeg", ".png", ".webp")
+"""Of panoramas in a folder."""
 
 FORMATS: Mapping[str, tuple[str, ...]] = {
     "marzipano": ("data.js", "app-files/data.js"),
@@ -19,6 +25,47 @@ FORMATS: Mapping[str, tuple[str, ...]] = {
 }
 """Where the description of each kind of tour is in its folder; the first that is there is read."""
 
+PAGES = (".js", ".html", ".htm")
+"""Endings of files that may hold a configuration of Pannellum."""
+
+BY_ENDING = {".xml": "krpano", **dict.fromkeys(PAGES, "pannellum")}
+"""What a file of another name is taken for."""
+
+
+def read_table(file: Path) -> Tour:
+    """The tour of a folder of equirectangular images with ``links.csv``, and maybe ``panoramas.csv``.
+
+    | table | column | contents |
+    |---|---|---|
+    | ``links.csv`` | ``image`` | where the link starts: the image's file, relative to the folder |
+    | | ``to`` | the image that it leads to |
+    | | ``yaw`` | in which direction it lies, degrees clockwise from the middle of the image |
+    | ``panoramas.csv`` | ``image`` | one of those images |
+    | | ``x``, ``z`` | the place on a map, metres; empty = unknown |
+    | | ``heading`` | where the middle of the image looks, degrees clockwise from +z; empty = unknown |
+
+    Panoramas are the linked images, in the order of their names.
+    """
+    folder = file.parent
+    links: dict[str, list[Link]] = {}
+    for where, row in read_csv(file, ("image", "to", "yaw"), most=MOST_TEXT):
+        links.setdefault(row["image"], []).append(Link(row["to"], number(row["yaw"], f"{where}: yaw")))
+        links.setdefault(row["to"], [])
+    places: dict[str, tuple[tuple[float, float] | None, float | None]] = {}
+    if (folder / PLACES).is_file():
+        for where, row in read_csv(folder / PLACES, ("image", "x", "z", "heading"), most=MOST_TEXT):
+            x, z, heading = (number(row[key], f"{where}: {key}") if row[key] else None for key in ("x", "z", "heading"))
+            places[row["image"]] = (None if x is None or z is None else (x, z), heading)
+    panoramas = []
+    for name, of_image in sorted(links.items()):
+        position, heading = places.get(name, (None, None))
+        image = Equirectangular(inside(folder, name, str(file)))
+        panoramas.append(Panorama(name, image, tuple(of_image), position, heading))
+    lonely = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.name not in links)
+    notes = [f"{len(lonely)} images have no link and are left out, the first: {lonely[0]}"] if lonely else []
+    return Tour(folder.resolve().name, tuple(panoramas), tuple(notes), str(file))
+
+
 READERS: Mapping[str, Callable[[Path], Tour]] = {
     "marzipano": read_marzipano,
     "krpano": read_krpano,
@@ -26,12 +73,6 @@ READERS: Mapping[str, Callable[[Path], Tour]] = {
     "pannellum": read_pannellum,
 }
 """Of all kinds but ``zind``, whose links depend on an option."""
-
-PAGES = (".js", ".html", ".htm")
-"""Endings of files that may hold a configuration of Pannellum."""
-
-BY_ENDING = {".xml": "krpano", **dict.fromkeys(PAGES, "pannellum")}
-"""What a file of another name is taken for."""
 
 
 def read_tour(path: str | Path, *, reach: float = REACH, skip: Collection[str] = ()) -> Tour:
