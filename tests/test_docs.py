@@ -43,9 +43,17 @@ SHORTER = {
     "rooms.md": {"RoomSettings(height=48, width=64": "RoomSettings(height=24, width=32"},
     "gymnasium.md": {"40_960": "1_024", "36_864": "128", "set(range(180))": "set(range(20, 40))"},
     "navigator.md": {
-        'frames_per_scene=30000"': 'frames_per_scene=240", "imitation.max_steps=5"',
+        'frames_per_scene=30000"': 'frames_per_scene=240", "imitation.max_steps=5", "evaluation.max_steps=10"',
         "times=10": "times=1",
     },
+    "simulators.md": {
+        "out=freedoom_01.h5 places=10": "out=freedoom_01.h5 places=4",
+        "goals=every:4 max_steps=12": "goals=every:8 max_steps=4",
+        "frames_per_scene=600 evaluation.times=1 evaluation.live_episodes=4 evaluation.max_steps=12": (
+            "frames_per_scene=60 evaluation.times=1 evaluation.live_episodes=1 evaluation.max_steps=4"
+        ),
+    },
+    "sweeps.md": {"fraction=0,0.05 seed=0,1": "fraction=0,0.05 seed=0"},
 }
 """What makes the code of a page take seconds; it is otherwise run as it stands."""
 

@@ -108,19 +108,6 @@ def test_a_refusal_is_one_line_and_needs_no_torch(tmp_path, arguments, told):
 
 
 @pytest.mark.parametrize(
-    ("option", "told"),
-    [
-        ("encoder.widht=8", "there is no option 'encoder.widht'; did you mean encoder.width?"),
-        ("heads.width=0", "heads.width=0: must be between 1 and 65536"),
-    ],
-)
-def test_an_option_that_a_component_refuses_is_one_line_and_leaves_no_folder(tmp_path, option, told):
-    printed, errors, _ = dirl(tmp_path, "train", "scene=all", option)
-    assert (printed, errors) == ("", f"error: {told}")
-    assert list((tmp_path).iterdir()) == []
-
-
-@pytest.mark.parametrize(
     ("line", "offered"),
     [
         ("dirl ", "train evaluate scenes report map go benchmark copy version"),

@@ -48,7 +48,7 @@ def summaries(folder):
 def grid(tmp_path_factory):
     """A folder with the runs of a small grid: every kind of system, and the expert's share."""
     folder = tmp_path_factory.mktemp("grid")
-    options = [f"scene={room_file(folder)}", *SMALL]
+    options = [f"scene={room_file(folder)}", *SMALL, "reinforcement.frames_per_scene=300"]
     for given in (["table2", "system=random,il,td_drl,dirl"], ["fig8", "imitation={fraction:0.0},{fraction:0.5}"]):
         status, _, errors = run_recipe(folder, "train", "-m", f"experiment={given[0]}", *options, given[1], "seed=0,1")
         assert status == 0, errors
@@ -100,7 +100,7 @@ def test_table_1_is_half_of_the_way(grid):
     run_recipe(grid, "report", "experiment=table1", "out=half")
     (row, *_) = [row for row in rows_of(grid / "half" / "table1_greedy.csv") if row["system"] == "DIRL"]
     tests = rows_of(grid / "runs/experiments/fast/dirl_random_0.05_0/evaluation.csv")
-    (half,) = [test for test in tests if test["frames"] == "300"]
+    (half,) = [test for test in tests if test["frames"] == "150"]
     assert float(row["ATL, ours"]) == pytest.approx(float(half["atl"]))
 
 
@@ -166,17 +166,18 @@ def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # sums depend on the number of threads
     options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
-    options += ["reinforcement.gamma=1.5,0.9,0.95", "hydra.sweep.subdir=${reinforcement.gamma}"]
+    options += ["reinforcement.gamma=1.5,0.9", "hydra.sweep.subdir=${reinforcement.gamma}"]
     for folder, launcher in (("alone", "basic"), ("together", "cores")):
         status, _, errors = run_recipe(
             tmp_path, "train", *options, f"hydra/launcher={launcher}", f"hydra.sweep.dir={folder}"
         )
         assert status == 1
         assert f"failed: {folder}/1.5: reinforcement.gamma=1.5" in errors
-    for job in ("0.9", "0.95"):
-        ours, theirs = (tmp_path / folder / job / "network.pt" for folder in ("alone", "together"))
-        ours, theirs = (torch.load(file, weights_only=True)["network"] for file in (ours, theirs))
-        assert all(torch.equal(ours[key], theirs[key]) for key in ours)
+    ours, theirs = (
+        torch.load(tmp_path / folder / "0.9" / "network.pt", weights_only=True)["network"]
+        for folder in ("alone", "together")
+    )
+    assert all(torch.equal(ours[key], theirs[key]) for key in ours)
 
 
 def test_a_folder_with_a_run_of_other_options_is_left_alone(tmp_path):

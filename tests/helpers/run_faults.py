@@ -1,6 +1,7 @@
 """Runs that are killed, machines that fail, checkpoints that are damaged; each case says what was not as promised."""
 
 import csv
+import functools
 import json
 import os
 import resource
@@ -44,6 +45,15 @@ class Bench:
         assert ended.status == 0, ended.errors
         self.seconds = time.monotonic() - began
         self.calls = json.loads(counts.read_text())
+
+    @functools.cached_property
+    def stopped(self):
+        """The folder of a run that has stopped in the middle of its training."""
+        folder = self.new_folder()
+        fault = Faults(folder, "rename", 2 * self.calls["rename"] // 3)
+        ended = self.train(folder, prepare=fault.install)
+        assert ended.status, ended.told
+        return folder
 
     def new_folder(self):
         """A folder that is not there yet."""
@@ -158,10 +168,8 @@ def faults(bench, times, rng):
 def stopped_run(bench):
     """A run that has stopped in the middle of its training, with its latest checkpoint."""
     folder = bench.new_folder()
-    fault = Faults(folder, "rename", 2 * bench.calls["rename"] // 3)
-    ended = bench.train(folder, prepare=fault.install)
+    shutil.copytree(bench.stopped, folder)
     *_, latest = training_checkpoints(folder)
-    assert ended.status, ended.told
     return folder, latest
 
 
