@@ -1,6 +1,6 @@
 """The live demo of the site: the agent `general_lite` in a browser, without Python, with your own photo as its goal.
 
-`build` writes a folder of static files: viewer pages (`dirl.reporting.viewer_pages`) with `demo.js`, three models in
+`build` writes a folder of static files: viewer pages (`dirl.reporting.viewer_pages`) with `demo.js`, four models in
 ONNX with weights of 8 bits, and onnxruntime-web from npm. What takes longest is kept in a cache until the code changes.
 """
 
@@ -164,6 +164,19 @@ class Camera(nn.Module):
         return torch.cat([self.network.pool(stage)[0], patches.flatten()])
 
 
+class Place(nn.Module):
+    """What the policy sees in every state of a place, whatever the photo: computed once."""
+
+    def __init__(self, policy: Any) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, views: Tensor, surrounding: Tensor) -> Tensor:
+        """Embeddings ``[N, E]`` of views ``[N, D]`` and surrounding ``[N, 4]``."""
+        embedded: Tensor = self.policy.encoder.embed(self.policy.features.standardise(views)[surrounding])
+        return embedded
+
+
 class Mind(nn.Module):
     """The policy in every state of a place, on the way to one photo."""
 
@@ -171,17 +184,15 @@ class Mind(nn.Module):
         super().__init__()
         self.policy = policy
 
-    def forward(self, views: Tensor, surrounding: Tensor, photo: Tensor) -> tuple[Tensor, Tensor]:
-        """Of views ``[N, D]``, surrounding ``[N, 4]`` and photo ``[D]`` logits ``[N, 4]`` and matching ``[N]``.
+    def forward(self, views: Tensor, seen: Tensor, photo: Tensor) -> tuple[Tensor, Tensor]:
+        """Of views ``[N, D]``, what `Place` makes of them and photo ``[D]`` logits ``[N, 4]`` and matching ``[N]``.
 
-        As `dirl.agent.feature_policy`, but each view and the photo are read once.
+        As `dirl.agent.cameras.FeaturePolicy`, but each view and the photo are read once.
         """
         from dirl.perception.recognition.recogniser import ncc
 
         table, encoder, heads = self.policy.features, self.policy.encoder, self.policy.heads
-        read = table.standardise(views)
-        goal = torch.cat([table.standardise(photo.unsqueeze(0)), read.new_zeros(3, read.shape[1])])
-        seen = encoder.embed(read[surrounding])
+        goal = nn.functional.pad(table.standardise(photo.unsqueeze(0)), (0, 0, 0, 3))  # of other views nothing is known
         wanted = encoder.embed_goal(goal.unsqueeze(0)).expand(seen.shape[0], -1)
         scene = torch.zeros(seen.shape[0], dtype=torch.int64)
         pooled = len(table.mean)
@@ -239,16 +250,19 @@ def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
 
 
 def export_models(navigator: Any, folder: Path) -> None:
-    """camera.onnx, mind.onnx and memory.onnx."""
+    """camera.onnx, place.onnx, mind.onnx and memory.onnx."""
     from dirl.models import planning
 
     states = {0: torch.export.Dim("states")}
     views, photo = torch.rand(8, navigator.width), torch.rand(navigator.width)
     around = torch.randint(8, (8, 4))
     export(Camera(), {"pixels": torch.rand(224, 224, 3)}, ["photo"], {}, folder / "camera.onnx")
-    named = {"views": views, "surrounding": around, "photo": photo}
-    free = {"views": states, "surrounding": states, "photo": {}}
-    export(Mind(navigator.policy.policy), named, ["logits", "scores"], free, folder / "mind.onnx")
+    policy = navigator.policy.policy
+    place, named = Place(policy), {"views": views, "surrounding": around}
+    export(place, named, ["seen"], {"views": states, "surrounding": states}, folder / "place.onnx")
+    named = {"views": views, "seen": place(**named), "photo": photo}
+    free = {"views": states, "seen": states, "photo": {}}
+    export(Mind(policy), named, ["logits", "scores"], free, folder / "mind.onnx")
     table = torch.zeros(1, 8, 4)
     unknown = torch.full_like(table, -1, dtype=torch.int64)
     nothing = torch.zeros(1, 8, dtype=torch.bool)

@@ -109,14 +109,16 @@ def test_the_exported_memory_plans_as_the_memory_does(site):
 
 @pytest.mark.parametrize("name", ["bathroom_02", "tour"])
 def test_the_agent_of_8_bits_decides_as_the_agent_does(site, name):
-    session = pytest.importorskip("onnxruntime").InferenceSession(site / "mind.onnx")
+    place, mind = (
+        pytest.importorskip("onnxruntime").InferenceSession(site / f"{one}.onnx") for one in ("place", "mind")
+    )
     data, facts = data_of(site, name)
     views = np.frombuffer(gzip.decompress((site / f"{name}.f16.gz").read_bytes()), np.float16)
     views = views.reshape(facts["states"], facts["width"]).astype(np.float32)
+    (seen,) = place.run(None, {"views": views, "surrounding": np.array(data["surrounding"])})
     same, alike = [], []
     for goal in data["goals"]:
-        given = {"views": views, "surrounding": np.array(data["surrounding"]), "photo": views[goal["state"]]}
-        logits, scores = session.run(None, given)
+        logits, scores = mind.run(None, {"views": views, "seen": seen, "photo": views[goal["state"]]})
         read = [np.frombuffer(b64decode(goal[key]), "<f4") for key in ("logits", "scores")]
         same.append((logits.argmax(1) == read[0].reshape(-1, 4).argmax(1)).mean())
         alike.append(np.abs(scores - read[1]).max())

@@ -16,14 +16,20 @@ const models = () => (loading ??= load().catch((error) => { loading = null; thro
 async function load() {
   said("Loading the agent …");
   ort.env.wasm.numThreads = 1;  // more need headers that a static page does not have
-  const names = ["camera", "mind", "memory"];
+  const names = ["camera", "place", "mind", "memory"];
   const [wasm, views, ...files] = await Promise.all(["ort-wasm-simd-threaded.wasm.gz", `${facts.name}.f16.gz`,
     ...names.map((name) => `${name}.onnx`)].map(fetched));
   ort.env.wasm.wasmBinary = wasm;
-  const found = { views: halves(new Uint16Array(views)) };
+  const found = { views: tensor(halves(new Uint16Array(views)), facts.states, facts.width) };
   for (const [i, name] of names.entries()) found[name] = await ort.InferenceSession.create(new Uint8Array(files[i]));
-  await found.camera.run({ pixels: tensor(new Float32Array(SIZE * SIZE * 3), SIZE, SIZE, 3) });  // compiles what it needs
+  const around = whole(D.surrounding.flat(), facts.states, HEADINGS);
+  found.seen = (await found.place.run({ views: found.views, surrounding: around })).seen;  // whatever the photo
+  await decided(found, new Float32Array(SIZE * SIZE * 3));  // compiles what it needs
   return found;
+}
+async function decided({ camera, mind, views, seen }, pixels) {
+  const { photo } = await camera.run({ pixels: tensor(pixels, SIZE, SIZE, 3) });
+  return mind.run({ views, seen, photo });
 }
 function halves(bits) {  // float16 to float32
   return Float32Array.from(bits, (h) => {
@@ -74,11 +80,9 @@ function cropped(image) {  // the middle, in the shape of a view; a large one is
 let photos = 0;
 async function look(blob) {
   try {
-    const image = await createImageBitmap(blob), { camera, mind, views } = await models();
+    const image = await createImageBitmap(blob), loaded = await models();
     const begun = performance.now(), { shown, pixels } = cropped(image);
-    const { photo } = await camera.run({ pixels: tensor(resized(pixels), SIZE, SIZE, 3) });
-    const { logits, scores } = await mind.run({ views: tensor(views, facts.states, facts.width),
-      surrounding: whole(D.surrounding.flat(), facts.states, HEADINGS), photo });
+    const { logits, scores } = await decided(loaded, resized(pixels));
     const best = scores.data.indexOf(Math.max(...scores.data));
     const found = { state: null, name: `your photo ${++photos}`, image: shown, logits: logits.data, values: null,
       scores: scores.data, stops: new Set(), walks: D.agents.map(() => ({})), ask: (state) => answer(found, state), best };
