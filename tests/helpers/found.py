@@ -29,6 +29,19 @@ def chunk(name, stored, **options):
     return spoil
 
 
+def crumbs(file):
+    """Features in a quarter of a million chunks of one value."""
+    del file["resnet_feature"]
+    file.create_dataset("resnet_feature", (24, 10_000), "f4", chunks=(1, 1))
+
+
+def squeezed_doubles(file):
+    """Features of 75 megabytes in one tenth of one."""
+    del file["resnet_feature"]
+    values = np.repeat(np.arange(24.0)[:, None], 6 * 2**16, 1)
+    file.create_dataset("resnet_feature", data=values, compression="gzip", chunks=(24, 2**16))
+
+
 def views(*last):
     """Encoded views that are good but for the last ones."""
 
@@ -73,6 +86,11 @@ FOUND = {
     "a chunk that is too short": (
         chunk("graph", b"x" * 767),
         "graph: a chunk takes 767 bytes in the file; expected at least 768",
+    ),
+    "features in 240,000 chunks": (crumbs, "resnet_feature: is stored in 240000 chunks; at most 200000"),
+    "float64 features that unpack to 600 times their size": (
+        squeezed_doubles,
+        "resnet_feature: 108888 bytes would unpack to 75497472; no such data compresses as well",
     ),
     "8,000 goals": (attribute("goals", np.arange(8000)), "attribute 'goals': names 8000 goals of 24 states"),
     "a view that is no image": (views(b"RIFF----WEBP"), UNREADABLE),

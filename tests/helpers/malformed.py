@@ -24,6 +24,7 @@ from spoil import (
     no_states,
     of_states,
     partly_written,
+    squeezed,
     unknown_filter,
     webp,
     without,
@@ -312,6 +313,24 @@ ABSURD = {
     "views a trillion pixels high": (
         hollow("observation", (24, HUGE, 4, 3), "u1"),
         "observation: expected 1 to 16777216 pixels a view, found shape",
+    ),
+    "`graph` in one chunk of two gigabytes": (
+        lambda file: (
+            file.pop("graph"),
+            file.create_dataset("graph", (24, 4), "i8", maxshape=(None, None), chunks=(2**14, 2**14)),
+        ),
+        "graph: is stored in chunks of (16384, 16384), 2147483648 bytes each; at most 268435456",
+    ),
+    "features in one chunk of a gigabyte": (
+        lambda file: (
+            file.pop("resnet_feature"),
+            file.create_dataset("resnet_feature", (24, 8), "f4", maxshape=(None, None), chunks=(2**14, 2**14)),
+        ),
+        "resnet_feature: is stored in chunks of (16384, 16384), 1073741824 bytes each; at most 268435456",
+    ),
+    "features that unpack to a thousand times their size": (
+        squeezed("resnet_feature", (24, 2**20)),
+        "resnet_feature: 99008 bytes would unpack to 100663296",
     ),
 }
 

@@ -122,6 +122,16 @@ def partly_written(name):
     return spoil
 
 
+def squeezed(name, shape):
+    """Zeros, packed as well as gzip can."""
+
+    def spoil(file):
+        del file[name]
+        file.create_dataset(name, data=np.zeros(shape, "f4"), compression="gzip", chunks=(shape[0], 2**14))
+
+    return spoil
+
+
 def unknown_filter(name):
     """The values are packed by a filter that this machine has never heard of."""
 

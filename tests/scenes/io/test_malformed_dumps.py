@@ -55,6 +55,14 @@ def test_a_scene_may_have_all_its_states_for_goals(tmp_path):
     assert read_here(tmp_path / "room.h5").goals == tuple(range(6400))
 
 
+def test_an_attribute_of_two_megabytes_is_not_read(dump):
+    with h5py.File(dump.with_name("new.h5"), "w", libver="latest") as new, h5py.File(dump) as old:
+        for name in old:
+            old.copy(name, new)
+        new.attrs["goals"] = np.zeros(2**18)
+    assert refused(dump.with_name("new.h5")) == "attribute 'goals': takes 2097152 bytes; at most 1048576"
+
+
 def test_features_that_are_too_many_in_all_are_refused(dump):
     with h5py.File(dump, "a") as file:
         for name, shape, dtype in (

@@ -17,6 +17,17 @@ from dirl.scenes.graph import IntArray
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import MAX_PIXELS, ImageError, decode
 
+MAX_CHUNKS = 200_000
+"""Of a dataset; HDF5 looks up each of them."""
+MAX_CHUNK_BYTES = 2**28
+"""HDF5 unpacks a whole chunk to read any value in it, and a small file can hold a chunk of gigabytes."""
+MAX_FREELY_UNPACKED = 2**26
+"""Bytes; what is more may only be `MAX_RATIO` times larger than it is in the file."""
+MAX_RATIO = 500
+"""gzip packs zeros a thousand times."""
+MAX_ATTRIBUTE_BYTES = 2**20
+MAX_UNPACKED_VIEWS = 2**29
+"""Bytes of raw views that are compressed in the file, for they are held in memory."""
 CHECKSUM_BYTES = 4
 """Of a Fletcher32 checksum. libhdf5 2.0 reads outside of its memory where a stored chunk is shorter."""
 MAX_VALUES = 2**27
@@ -54,9 +65,32 @@ def own_dataset(file: h5py.File, name: str) -> h5py.Dataset:
     return dataset
 
 
-def check_storage(dataset: h5py.Dataset) -> None:
-    """Check that all of a dataset's values have been written, and can be unpacked here."""
-    name, layout = dataset.name.removeprefix("/"), dataset.id.get_create_plist()
+def check_storage(dataset: h5py.Dataset, *, max_ratio: int = MAX_RATIO) -> None:
+    """Check that all of a dataset's values have been written, in pieces that HDF5 can unpack.
+
+    Args:
+        dataset: of any shape.
+        max_ratio: how much larger than in the file its values may be, where they are many.
+    """
+    name, packed = dataset.name.removeprefix("/"), dataset.id.get_storage_size()
+    complete = _check_chunks(dataset, name) if dataset.chunks else bool(packed) or not dataset.size
+    if not complete:
+        raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
+    if dataset.nbytes > max(MAX_FREELY_UNPACKED, max_ratio * packed):
+        raise SceneError(f"{name}: {packed} bytes would unpack to {dataset.nbytes}; no such data compresses as well")
+
+
+def _check_chunks(dataset: h5py.Dataset, name: str) -> bool:
+    """Check the chunks of a dataset, and the filters that they go through; whether all have been written."""
+    size = math.prod(dataset.chunks) * dataset.dtype.itemsize
+    if size > MAX_CHUNK_BYTES:
+        raise SceneError(
+            f"{name}: is stored in chunks of {dataset.chunks}, {size} bytes each; at most {MAX_CHUNK_BYTES}"
+        )
+    count = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
+    if count > MAX_CHUNKS:
+        raise SceneError(f"{name}: is stored in {count} chunks; at most {MAX_CHUNKS}")
+    layout = dataset.id.get_create_plist()
     filters = [layout.get_filter(index)[0] for index in range(layout.get_nfilters())]
     for code in filters:
         if not h5py.h5z.filter_avail(code):
@@ -64,19 +98,24 @@ def check_storage(dataset: h5py.Dataset) -> None:
                 f"{name}: is compressed in a way that is not installed here (HDF5 filter {code}); store it with gzip, "
                 "or install the filter"
             )
-    if dataset.chunks is None:
-        complete = bool(dataset.id.get_storage_size()) or not dataset.size
-    else:
-        sizes: list[int] = []
-        if dataset.id.get_num_chunks():
-            dataset.id.chunk_iter(lambda chunk: sizes.append(chunk.size))
-        shortest = 1 if filters else math.prod(dataset.chunks) * dataset.dtype.itemsize
-        shortest = CHECKSUM_BYTES + 1 if h5py.h5z.FILTER_FLETCHER32 in filters else shortest
-        if min(sizes, default=shortest) < shortest:
-            raise SceneError(f"{name}: a chunk takes {min(sizes)} bytes in the file; expected at least {shortest}")
-        complete = len(sizes) >= math.prod(-(-n // m) for n, m in zip(dataset.shape, dataset.chunks, strict=True))
-    if not complete:
-        raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
+    stored: list[int] = []
+    if dataset.id.get_num_chunks():
+        dataset.id.chunk_iter(lambda chunk: stored.append(chunk.size))
+    shortest = CHECKSUM_BYTES + 1 if h5py.h5z.FILTER_FLETCHER32 in filters else 1 if filters else size
+    if min(stored, default=shortest) < shortest:
+        raise SceneError(f"{name}: a chunk takes {min(stored)} bytes in the file; expected at least {shortest}")
+    return len(stored) >= count
+
+
+def read_attribute(holder: h5py.File | h5py.Dataset, name: str) -> Any:
+    """The value of an attribute of a plausible size; None if there is none."""
+    if name not in holder.attrs:
+        return None
+    stored = holder.attrs.get_id(name)
+    size = math.prod(stored.shape or ()) * stored.get_type().get_size()
+    if size > MAX_ATTRIBUTE_BYTES:
+        raise SceneError(f"attribute '{name}': takes {size} bytes; at most {MAX_ATTRIBUTE_BYTES}")
+    return holder.attrs[name]
 
 
 def short(value: Any, show: Any = repr) -> str:
@@ -134,6 +173,11 @@ def open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
     if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
         raise SceneError(f"observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}")
     check_storage(dataset)
+    if dataset.chunks is not None and dataset.nbytes > MAX_UNPACKED_VIEWS:
+        raise SceneError(
+            f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "
+            "stored in one piece (h5repack -l observation:CONTI)"
+        )
     return dataset
 
 

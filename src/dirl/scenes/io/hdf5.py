@@ -20,6 +20,7 @@ from dirl.scenes.io.datasets import (
     open_dataset,
     open_views,
     own_dataset,
+    read_attribute,
     short,
 )
 from dirl.scenes.io.digest import EXTRACTOR_ATTRIBUTES, blocks, check_digest
@@ -29,6 +30,8 @@ from dirl.scenes.scene import SceneError
 MAX_STATES = 50_000
 MAX_FEATURE_VALUES = 2**27
 """Of the first crop, the one that is read: half a gigabyte as float32."""
+MAX_FEATURE_RATIO = 50
+"""How much larger than in the file features may be; those of a network hardly compress."""
 MAX_TEXT = 2000
 """Characters of an attribute."""
 
@@ -91,14 +94,14 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
             check_storage(distances)
     verified = intact or check_digest(file)
     contents = {
-        "graph": _in_our_order(graph[:], file.attrs.get("actions")),
+        "graph": _in_our_order(graph[:], read_attribute(file, "actions")),
         "positions": location[:],
         "headings": rotation[:],
         "features": None if features is None else _read_features(features, path, mapped=intact),
         "extractor": _extractor(features),
         "name": _text_attribute(file, "name"),
         "source": _text_attribute(file, "source"),
-        "goals": _goals(file.attrs.get("goals"), states),
+        "goals": _goals(read_attribute(file, "goals"), states),
         "mapped": mapped,
         "warning": "",
         **({} if views is None else locate_views(views, path, decoded=verified)),
@@ -120,7 +123,7 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
             f"resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "
             f"found shape {dataset.shape}"
         )
-    check_storage(dataset)
+    check_storage(dataset, max_ratio=MAX_FEATURE_RATIO)
     return dataset
 
 
@@ -207,7 +210,7 @@ def _compare_distances(graph: NDArray[Any], dataset: h5py.Dataset) -> str:
 
 def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
     """A text, empty if there is none."""
-    value = holder.attrs.get(name)
+    value = read_attribute(holder, name)
     try:
         text = "" if value is None else _text(value)
     except ValueError:
