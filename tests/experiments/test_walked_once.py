@@ -10,7 +10,7 @@ from odds import Odds
 from rooms import grid_scene
 
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import every_start
+from dirl.evaluation.episodes import Episodes, every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.experiments import walked_once
@@ -111,9 +111,11 @@ def test_a_report_has_every_way_and_goes_on_from_what_was_measured(collections, 
 
 def test_goals_can_be_photos_of_another_camera(collections, loaded, tmp_path, monkeypatch):
     before, after = collections
-    wanted, run = [], EvaluationProtocol.run
+    wanted, conditions = [], EvaluationProtocol._conditions
     monkeypatch.setattr(
-        EvaluationProtocol, "run", lambda self, policy: wanted.append((self.looks, self.photos)) or run(self, policy)
+        EvaluationProtocol,
+        "_conditions",
+        lambda self: wanted.append((self.looks, self.photos)) or conditions(self),
     )
     text = walked_once.report_walked_once([f"{before}:{before}:{after}"], "general", tmp_path / "out")
     assert wanted == [(range(3, 5), range(5, 7))] * 2
@@ -121,6 +123,18 @@ def test_goals_can_be_photos_of_another_camera(collections, loaded, tmp_path, mo
     assert rows[-2].split(" | ")[1:] == ["map of the walk", "1.000", "1.000", "0.000", "0.000", "1.000 |"]
     assert rows[-1].split(" | ")[1:5] == ["map, another goal's views", "0.000", "0.000", "1.000"]
     assert "four views" not in text
+
+
+def test_stops_at_the_place_of_the_goal_count_facing_any_way():
+    world = make_world([grid_scene(3, 2, name=name, goals=(0, 13), feature_width=64) for name in "ab"])
+    # Room, last state of the room, whether the agent stopped there; the goal is state 0, whose place has states 0 to 3.
+    ended = [(0, 0, True), (0, 2, True), (0, 4, True), (0, 3, False), (1, 1, True), (1, 5, True)]
+    room, last, stopped = (torch.tensor(column) for column in zip(*ended, strict=True))
+    right = stopped & (last == 0)
+    goals, start = 2 * room, 24 * room + 9
+    episodes = Episodes(goals, start, *[torch.ones(6)] * 2, right, stopped & ~right, torch.zeros(6, dtype=torch.bool))
+    paths = [[0, state] for state in (24 * room + last).tolist()]
+    assert walked_once.stops_at_places(world, episodes, paths) == [0.5, 0.5]
 
 
 def test_an_image_graph_leads_to_goals_in_rooms_that_do_not_change():

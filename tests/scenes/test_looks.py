@@ -9,6 +9,8 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
+from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.experts import RandomPolicy
 from dirl.scenes import SceneError, make_world, write_dump
 from dirl.scenes.io.write import replace_features
 
@@ -103,6 +105,23 @@ def test_every_visit_draws_a_look_that_its_four_views_share(scenes, kind):
     assert torch.equal(steps["goal_view_ids"] // 40, steps["goal_look"].unsqueeze(-1).expand(-1, -1, 4))
     same = ~steps["next", "done"].squeeze(-1)[:, :-1]
     assert torch.equal(steps["goal_look"][:, 1:][same], steps["goal_look"][:, :-1][same])
+
+
+@pytest.mark.parametrize(
+    ("looks", "photos", "of_goals", "of_visits"),
+    [(None, None, {0, 1, 2}, {0, 1, 2}), (range(2), None, {0, 1}, {0, 1}), (range(2), range(2, 3), {2}, {0, 1})],
+)
+def test_goals_of_episodes_can_have_looks_of_their_own(scenes, looks, photos, of_goals, of_visits):
+    world, seen = make_world(scenes), []
+
+    def stop(wanted, ahead):
+        seen.append((wanted // len(world.goals), ahead // len(world)))
+        return torch.zeros_like(wanted, dtype=torch.bool)
+
+    options = {"observation": SurroundingViews(world), "stop": stop, "max_steps": 8}
+    run_episodes(RandomPolicy(), world, every_start(world), greedy=False, looks=looks, photos=photos, **options)
+    goals, visits = (set(torch.cat(column).tolist()) for column in zip(*seen, strict=True))
+    assert (goals, visits) == (of_goals, of_visits)
 
 
 def test_a_world_that_never_changes_draws_nothing_for_looks():

@@ -8,12 +8,12 @@ second one is empty (``rooms::photos``), the episodes see the looks of the walk.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from tqdm import tqdm
 
 from dirl.agent.mapping import ImageGraph
@@ -50,26 +50,26 @@ PLACES = "stops at the place"
 QUALITY = {"nodes": "nodes a state", "covered": "states seen", "wrong": "wrong links"}
 
 
-def rooms(collection: str, folder: Path) -> tuple[list[str], list[range | None]]:
+def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
     """The dumps of the test rooms, and the looks of the walk, of the episodes and of their goals; None are all.
 
     Args:
         collection: a folder, or several with colons between them.
-        folder: where dumps with the looks of all are written.
+        out: a folder for dumps with the looks of all.
 
     Raises:
         RunError: they are not of the same rooms.
     """
     parts = collection.split(":")
-    places_of = [part for part in parts if part]
-    first = places_of[0]
+    folders = [Path(part) for part in parts if part]
+    first = folders[0]
     names = [entry.name for entry in read_collection(first).entries if entry.split == "test"]
     if len(parts) == 1:
-        return [str(Path(first) / f"{name}.h5") for name in names], [None, None, None]
-    files, ends = [], [0]
+        return [str(first / f"{name}.h5") for name in names], [None, None, None]
+    files, counts = [], [0] * len(folders)
     for name in names:
-        dumps = [read_dump(Path(place) / f"{name}.h5") for place in places_of]
-        for dump, place in zip(dumps, places_of, strict=True):
+        dumps = [read_dump(folder / f"{name}.h5") for folder in folders]
+        for dump, place in zip(dumps, folders, strict=True):
             if len(dump) != len(dumps[0]) or not np.array_equal(dump.graph, dumps[0].graph):
                 raise RunError(f"{place}: {name} is another room than in {first}; make both of one kind and seed")
             if dump.look_features is None:
@@ -77,12 +77,11 @@ def rooms(collection: str, folder: Path) -> tuple[list[str], list[range | None]]
         arrays = {"look_feature": np.concatenate([dump.look_features for dump in dumps])}
         if all(dump.look_patches is not None for dump in dumps):
             arrays["look_patches"] = np.concatenate([dump.look_patches for dump in dumps])
-        file = folder / f"{name}.h5"
-        copy_with(Path(first) / f"{name}.h5", file, arrays, {key: {} for key in arrays})
+        file = out / f"{name}.h5"
+        copy_with(first / f"{name}.h5", file, arrays, {key: {} for key in arrays})
         files.append(str(file))
-        # The first one's default look, too, is seen by the walk.
-        ends = [0, *(1 + sum(dump.looks - 1 for dump in dumps[: count + 1]) for count in range(len(dumps)))]
-    looks = [range(*between) for between in pairwise(ends)]
+        counts = [dumps[0].looks, *(dump.looks - 1 for dump in dumps[1:])]  # of others the default look is left out
+    looks = [range(*ends) for ends in pairwise(accumulate(counts, initial=0))]
     if not parts[1]:
         looks.insert(1, looks[0])
     return files, [*looks, *[None] * (3 - len(looks))]
@@ -122,23 +121,23 @@ def measure(agent: str, files: list[str], looks: Sequence[range | None]) -> dict
         def other(wanted: Tensor, seen: Tensor) -> Tensor:
             return arrived(shown[wanted % states] + wanted // states * states, seen)  # noqa: B023
 
-        ways = {MAPPED: known.run(policy), CONTROL: replace(known, stop=other).run(policy)}
+        ways = {CONTROL: replace(known, stop=other).run(policy)}
         if photos:
-            found[PLACES] = {PLACES: stops_at_places(policy, known)}
+            ways[MAPPED], paths = known.trajectories(policy, known.starts)
+            found[PLACES] = {PLACES: stops_at_places(world, ways[MAPPED], paths)}
         else:
-            ways |= {ALONE: later.run(policy), GRAPH: by_image_graphs(graphs, later, view)}
+            ways[MAPPED], ways[ALONE] = known.run(policy), later.run(policy)
+            ways[GRAPH] = by_image_graphs(graphs, later, view)
         found |= {f"{view}: {way}": by_measure(world, episodes) for way, episodes in ways.items()}
     return found
 
 
-def stops_at_places(policy: nn.Module, protocol: EvaluationProtocol) -> list[float]:
+def stops_at_places(world: World, episodes: Episodes, paths: Sequence[Sequence[int]]) -> list[float]:
     """In each room the fraction of episodes that end by a stop at the goal's place, facing any way."""
-    world, (goal_index, start) = protocol.world, protocol.starts
-    episodes, paths = protocol.trajectories(policy, protocol.starts)
-    ends = torch.tensor([path[-1] for path in paths])
-    place = torch.cat([torch.from_numpy(places(scene.graph)) + 100_000 * i for i, scene in enumerate(world.scenes)])
-    there = (episodes.success | episodes.false_stop) & (place[ends] == place[world.goals[goal_index]])
-    room = world.scene_of[start]
+    place = torch.cat([torch.from_numpy(places(scene.graph)) for scene in world.scenes])
+    end, goal = torch.tensor([path[-1] for path in paths]), world.goals[episodes.goal_index]  # of one room
+    there = (episodes.success | episodes.false_stop) & (place[end] == place[goal])
+    room = world.scene_of[episodes.start]
     return [float(there[room == index].double().mean()) for index in room.unique().tolist()]
 
 
@@ -163,7 +162,7 @@ def by_image_graphs(graphs: Sequence[ImageGraph], protocol: EvaluationProtocol, 
     """Episodes that are led by topological maps to the end; where one knows no path, the agent acts at random."""
     world, (goal_index, start) = protocol.world, protocol.starts
     generator = torch.Generator().manual_seed(protocol.seed)
-    wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=protocol.photos or protocol.looks)
+    wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=protocol.looks)
     found = []
     for goal, begin in zip(wanted.tolist(), start.tolist(), strict=True):
         state, look = int(world.goals[goal % len(world.goals)]), goal // len(world.goals)
@@ -219,19 +218,18 @@ def report_walked_once(collections: Sequence[str], agent: str, out: Path) -> str
         "walked_once": measure_table({"rooms": "", "goal": "", "way": ""}),
         "photos": Table({"rooms": "", "way": "", **decimals([*MEASURES.values(), PLACES])}),
     }
-    for collection, of in found.items():
-        tables["maps"].add(names[collection], MAPPED, *(of[MAPPED][key] for key in QUALITY))
-        if GRAPH in of:
-            tables["maps"].add(names[collection], GRAPH, of[GRAPH]["nodes"], None, None)
-        for view, shown in GOAL_VIEWS.items():
-            for way in WAYS:
-                if PLACES not in of:
-                    tables["walked_once"].add(names[collection], shown, way, *_measures(of[f"{view}: {way}"]))
-        if PLACES in of:
-            at_place = of[PLACES][PLACES]
-            tables["photos"].add(names[collection], MAPPED, *_measures(of[f"front: {MAPPED}"]), at_place)
-            tables["photos"].add(names[collection], CONTROL, *_measures(of[f"front: {CONTROL}"]), None)
     drawn = [one for one in found if PLACES not in found[one]]
+    for collection, of in found.items():
+        name = names[collection]
+        tables["maps"].add(name, MAPPED, *(of[MAPPED][key] for key in QUALITY))
+        if collection in drawn:
+            tables["maps"].add(name, GRAPH, of[GRAPH]["nodes"], None, None)
+            for view, shown in GOAL_VIEWS.items():
+                for way in WAYS:
+                    tables["walked_once"].add(name, shown, way, *_measures(of[f"{view}: {way}"]))
+        else:
+            for way, at_place in {MAPPED: of[PLACES][PLACES], CONTROL: None}.items():
+                tables["photos"].add(name, way, *_measures(of[f"front: {way}"]), at_place)
     lines = []
     for way, color in WAYS.items():
         spl = {goal: [found[one][f"{view}: {way}"]["spl"] for one in drawn] for view, goal in GOAL_VIEWS.items()}
