@@ -37,6 +37,9 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
         goals: `RULES`, for all scenes, or in a mapping for one; else states as `dirl.scenes.make_world` takes them.
         hold_out: the fraction of each scene's places whose states are no goals of the training, 0 to below 1.
         seed: of the order of places.
+
+    Raises:
+        SceneError: a rule that does not exist, or that leaves a scene without a goal.
     """
     by_name = goals if isinstance(goals, Mapping) else {scene.name: goals for scene in scenes}
     if not hold_out and not any(isinstance(rule, str) for rule in by_name.values()):
