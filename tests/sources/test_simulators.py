@@ -151,7 +151,7 @@ def test_a_killed_doom_is_one_line(doom):
     ).stdout
     mine = [int(line.split()[0]) for line in children.splitlines() if "vizdoom" in line]
     os.kill(mine[-1], signal.SIGKILL)
-    with pytest.raises(SceneError, match=r"^VizDoom failed \(.*\); run the command again$"):
+    with pytest.raises(SceneError, match=r"^freedoom2_map01: VizDoom failed \(.*\); run the command again$"):
         take_scene(doom, source="vizdoom", step=2.0, turn=90)
 
 

@@ -1,7 +1,8 @@
 """The navigation task in a simulator: moves are the simulator's own, and views are rendered when they are seen.
 
-TorchRL's ``GymWrapper`` has no part in it: one simulator serves all agents in turn, so that new views of all of
-them go through the encoder together, and a pose that returns is neither rendered nor encoded again.
+TorchRL's ``GymWrapper``, which takes a `dirl.envs.live_gymnasium.LiveGym`, has no part in it: one simulator serves all
+agents in turn, so that new views of all of them go through the encoder together, and a pose that returns is neither
+rendered nor encoded again.
 """
 
 from collections import OrderedDict

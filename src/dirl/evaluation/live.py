@@ -14,7 +14,7 @@ from dirl.agent.loading import Encoder, image_encoder, load_parts
 from dirl.agent.navigator import Navigator
 from dirl.evaluation.episodes import Episodes
 from dirl.scenes.graph import turns_per_circle
-from dirl.scenes.live import LiveWorld, Pose, shortest_move, state_pose
+from dirl.scenes.live import LiveWorld, arrived, shortest_move, state_pose
 from dirl.scenes.scene import Scene
 
 
@@ -100,7 +100,7 @@ def evaluate_live(
         world.reset(state_pose(scene, first))
         for step in range(max_steps + 1):
             decision = navigator.act(world.views())
-            there = _arrived(world.pose, wanted, within, turn / 2)
+            there = arrived(world.pose, wanted, within, turn / 2)
             if there if told else decision.stop:
                 found.success[episode], found.false_stop[episode] = there, not there
                 found.steps[episode] = step if there else max_steps
@@ -136,8 +136,3 @@ class LiveProtocol:
             one_photo=self.one_photo,
             told=told,
         )
-
-
-def _arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
-    turned = abs((pose.heading - wanted.heading + 180) % 360 - 180)
-    return bool(np.hypot(pose.x - wanted.x, pose.z - wanted.z) <= within and turned <= degrees)

@@ -17,6 +17,19 @@ from dirl.scenes.scene import Scene, SceneError
 Image = NDArray[np.uint8]
 
 
+class SimulatorError(SceneError):
+    """A simulator failed, while nothing is wrong with what it was asked for.
+
+    Args:
+        failure: which one, and why.
+        then: what to do now.
+    """
+
+    def __init__(self, failure: str, then: str) -> None:
+        super().__init__(f"{failure}; {then}")
+        self.failure = failure
+
+
 class Pose(NamedTuple):
     """Where an agent is."""
 
@@ -92,24 +105,27 @@ class Simulated:
 
     def reset(self, pose: Pose) -> None:
         """Put the agent somewhere."""
-        self.simulator.place(pose)
+        with simulator_errors(self.simulator.name):
+            self.simulator.place(pose)
         self.intended = pose.heading
 
     def step(self, action: int, error: float = 0.0) -> bool:
         """Take an action; whether the agent moved."""
-        if action in (AHEAD, BACK):
-            metres = stride(self.intended, self.metres)
-            return metres > 0 and self.simulator.push(metres if action == AHEAD else -metres)
-        turn = self.turn if action == RIGHT else -self.turn
-        x, z, heading = self.pose
-        self.intended = (self.intended + turn) % 360
-        self.simulator.place(Pose(x, z, (heading + turn + error) % 360))
-        return True
+        with simulator_errors(self.simulator.name):
+            if action in (AHEAD, BACK):
+                metres = stride(self.intended, self.metres)
+                return metres > 0 and self.simulator.push(metres if action == AHEAD else -metres)
+            turn = self.turn if action == RIGHT else -self.turn
+            x, z, heading = self.pose
+            self.intended = (self.intended + turn) % 360
+            self.simulator.place(Pose(x, z, (heading + turn + error) % 360))
+            return True
 
     def views(self) -> Image:
         """The four views around the agent."""
-        heading = self.pose.heading
-        return np.stack([self.simulator.look((heading + quarter) % 360) for quarter in (0, 90, 180, 270)])
+        with simulator_errors(self.simulator.name):
+            heading = self.pose.heading
+            return np.stack([self.simulator.look((heading + quarter) % 360) for quarter in (0, 90, 180, 270)])
 
 
 class Dumped:
@@ -194,6 +210,12 @@ def state_pose(scene: Scene, state: int) -> Pose:
     return Pose(x, z, float(scene.headings[state]))
 
 
+def arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
+    """Whether a pose is within so many metres of another one, and turned away from it by so many degrees at most."""
+    turned = abs((pose.heading - wanted.heading + 180) % 360 - 180)
+    return bool(np.hypot(pose.x - wanted.x, pose.z - wanted.z) <= within and turned <= degrees)
+
+
 def shortest_move(scene: Scene) -> float:
     """The metres of the shortest move ahead or back in a scene."""
     state, action = np.nonzero(scene.graph[:, [AHEAD, BACK]] >= 0)
@@ -210,4 +232,4 @@ def simulator_errors(name: str, then: str = "run the command again") -> Iterator
         raise
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        raise SceneError(f"{name} failed ({reason}); {then}") from None
+        raise SimulatorError(f"{name} failed ({reason})", then) from None

@@ -47,7 +47,8 @@ class MiniWorld:
                 + (f"did you mean {near[0]}?" if near else f"choose from {', '.join(short)}")
             )
         self.name = f"{env}_{seed}"
-        with simulator_errors("MiniWorld"), redirect_stdout(StringIO()):  # it tells about samples of pixels
+        # It tells about samples of pixels.
+        with simulator_errors(f"{self.name}: MiniWorld"), redirect_stdout(StringIO()):
             made = make(f"MiniWorld-{env}-v0", obs_height=height, obs_width=width, domain_rand=False)
             made.reset(seed=seed)
         self._world = made.unwrapped
@@ -80,7 +81,7 @@ class MiniWorld:
     def look(self, heading: float) -> NDArray[np.uint8]:
         """The view towards a heading."""
         self._face(heading)
-        with simulator_errors("MiniWorld"):
+        with simulator_errors(f"{self.name}: MiniWorld"):
             return np.array(self._world.render_obs())
 
     def _face(self, heading: float) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only
-from dirl.scenes.live import Pose, Simulator, stride
+from dirl.scenes.live import Pose, Simulator, simulator_errors, stride
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 
@@ -39,8 +39,9 @@ def take_scene(
     turns = round(360 / turn)
     if turns % 4 or abs(360 / turns - turn) > 1e-9:
         raise SceneError(f"turn={turn:g}: a turn must go into 90 degrees without rest, as 90, 45 and 30 do")
-    x, z, _ = simulator.pose
-    ways = _explore(simulator, (x, z), step, range(0, 360, 45 if turns % 8 == 0 else 90), most)
+    with simulator_errors(simulator.name):
+        x, z, _ = simulator.pose
+        ways = _explore(simulator, (x, z), step, range(0, 360, 45 if turns % 8 == 0 else 90), most)
     number = {cell: place for place, cell in enumerate(ways)}
     headings = np.arange(turns) * 360 / turns
     graph = turns_only(len(number), turns)
@@ -68,7 +69,8 @@ def take_scene(
         extractor="none",
         origin=simulator.name,
     )
-    return scene, list(_views(simulator, scene))
+    with simulator_errors(simulator.name):
+        return scene, list(_views(simulator, scene))
 
 
 def _explore(

@@ -79,7 +79,7 @@ class VizDoom:
         game.set_episode_timeout(0)
         game.add_game_args("+sv_nomonsters 1 +sv_cheats 1 +freeze 1")
         game.set_seed(1)
-        with simulator_errors("VizDoom"):
+        with simulator_errors(f"{self.name}: VizDoom"):
             game.init()
             self._clear()
         with suppress(OSError):  # an empty folder that Doom leaves
@@ -100,7 +100,7 @@ class VizDoom:
 
     def place(self, pose: Pose) -> None:
         """Put the agent somewhere; `SceneError` where it cannot stand."""
-        with simulator_errors("VizDoom"):
+        with simulator_errors(f"{self.name}: VizDoom"):
             self._warp(pose)
         at = self.pose_in_game()
         if np.hypot(at.x - pose.x, at.z - pose.z) > 0.05:
@@ -113,7 +113,7 @@ class VizDoom:
         along = way * np.array([np.sin(radians), np.cos(radians)])
         end = np.array(start[:2]) + abs(metres) * along
         still = 0
-        with simulator_errors("VizDoom"):
+        with simulator_errors(f"{self.name}: VizDoom"):
             self._turn(start.heading)
             for _ in range(TICS):
                 left = (end - self.pose[:2]) * UNITS
@@ -129,7 +129,7 @@ class VizDoom:
 
     def look(self, heading: float) -> NDArray[np.uint8]:
         """The view towards a heading."""
-        with simulator_errors("VizDoom"):
+        with simulator_errors(f"{self.name}: VizDoom"):
             self._turn(heading)
             self._tics(0, 0, SETTLED if self._moved else 1)
             self._moved = False

@@ -22,9 +22,11 @@ from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs import ranks
 from dirl.runs.exits import job_errors, one_line_exits
+from dirl.runs.finding import RunError
 from dirl.runs.folder import Run, open_run
 from dirl.runs.memory import peak_memory_mb
 from dirl.runs.states import check_state
+from dirl.scenes.live import SimulatorError
 from dirl.training.build import (
     build_demonstrations,
     build_env,
@@ -102,7 +104,10 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
         components = _components(run, initial)
         run.begin(components.protocol.world, components.protocol.observation.order)
     with one_line_exits(run.how_to_go_on) if alone else nullcontext():
-        return _train(run, components, stages)
+        try:
+            return _train(run, components, stages)
+        except SimulatorError as error:
+            raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
 
 
 def _components(run: Run, initial: Any) -> Components:

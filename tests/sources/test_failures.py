@@ -1,0 +1,169 @@
+"""Simulators that fail: each run ends in one line that says what, where and what to do, and leaves whole files."""
+
+import os
+from ctypes.util import find_library
+from importlib.util import find_spec
+
+import pytest
+from commands import run_recipe
+
+MORTAL = """
+import os, signal, subprocess
+
+from dirl.sources.vizdoom import VizDoom
+
+
+class Mortal(VizDoom):
+    "VizDoom whose process is killed before the view of that number."
+
+    def __init__(self, name, last):
+        super().__init__(name, height=60, width=80)
+        self.last = last
+
+    def look(self, heading):
+        self.last -= 1
+        if not self.last:
+            asked = ["ps", "-o", "pid=,comm=", "--ppid", str(os.getpid())]
+            children = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()
+            (process,) = (int(line.split()[0]) for line in children if "vizdoom" in line)
+            os.kill(process, signal.SIGKILL)
+        return super().look(heading)
+"""
+
+WITHOUT = """
+import ctypes, ctypes.util
+
+find, load = ctypes.util.find_library, ctypes.cdll.LoadLibrary
+
+
+def load_others(name):
+    if name == "{library}" or "lib{library}." in name:
+        raise OSError(name)
+    return load(name)
+
+
+ctypes.cdll.LoadLibrary = load_others
+ctypes.util.find_library = lambda name: None if name == "{library}" else find(name)
+import pyglet.gl
+"""
+"""In the place of MiniWorld: a library is hidden from pyglet, which MiniWorld imports first."""
+
+KILLED = "error: freedoom2_map01: VizDoom failed (ViZDoomErrorException: Unexpected ViZDoom instance crash.); "
+
+DUMP = ["simulator", "simulator=doom.yaml", "step=2", "places=6"]
+
+TRAINING = [
+    "scene=doom.h5",
+    "goals=every:8",
+    "env=live",
+    "env.simulator=doom.yaml",
+    "env.turn_error=5",  # every view is a new one
+    "env.views=2000",
+    "network.components=8",
+    "encoder.width=8",
+    "heads.width=8",
+    "imitation.max_steps=4",
+    "reinforcement.agents_per_scene=2",
+    "reinforcement.frames_per_scene=40",
+    "evaluation.times=0",
+    "evaluation.live_episodes=3",
+    "evaluation.max_steps=2",
+    "checkpoint.every_seconds=0",
+]
+
+
+@pytest.fixture
+def doom(tmp_path, monkeypatch):
+    """Write the file of a VizDoom that is killed before a view."""
+    pytest.importorskip("vizdoom", reason="the extra vizdoom is not installed")
+    (tmp_path / "mortal.py").write_text(MORTAL)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+
+    def write(last):
+        (tmp_path / "doom.yaml").write_text(f"_target_: mortal.Mortal\nname: map01\nlast: {last}\n")
+
+    return write
+
+
+def test_a_doom_that_is_killed_ends_each_run_in_one_line(doom, tmp_path):
+    before = {"doom.yaml", "mortal.py", "__pycache__"}
+    doom(last=10)
+    status, _, errors = run_recipe(tmp_path, "scenes", *DUMP, "out=doom.h5", "encoder=null")
+    assert status == 1
+    assert errors.splitlines()[-1] == f"{KILLED}run the command again"
+    assert "Traceback" not in errors
+    assert {path.name for path in tmp_path.iterdir()} <= before
+
+    doom(last=0)
+    status, _, errors = run_recipe(tmp_path, "scenes", *DUMP, "out=doom.h5", "encoder=resnet50_small")
+    assert status == 0, errors
+    dump = (tmp_path / "doom.h5").read_bytes()
+
+    doom(last=60)
+    status, _, errors = run_recipe(tmp_path, "train", *TRAINING, "hydra.run.dir=run")
+    assert status == 1
+    told = errors.splitlines()[-1]
+    assert told.startswith(f"{KILLED}its last checkpoint is safe; resume with: ")
+    assert told.endswith(" resume=run")
+    assert "Traceback" not in errors
+    doom(last=0)
+    status, printed, errors = run_recipe(tmp_path, "train", "resume=run", "trust=[mortal]")
+    assert status == 0, errors
+    assert "40 frames" in printed
+
+    doom(last=12)
+    walked = [
+        "checkpoint=run",
+        "goals=every:8",
+        "simulator=doom.yaml",
+        "starts=sampled",
+        "max_steps=9",
+        "out=walked.json",
+    ]
+    status, _, errors = run_recipe(tmp_path, "evaluate", *walked)
+    assert status == 1
+    assert errors.splitlines()[-1] == f"{KILLED}run the command again"
+    assert "Traceback" not in errors
+    assert not (tmp_path / "walked.json").exists()
+    assert (tmp_path / "doom.h5").read_bytes() == dump
+
+
+@pytest.mark.parametrize(
+    ("module", "command", "message"),
+    [
+        (
+            "vizdoom",
+            ["vizdoom", "map=map01"],
+            "VizDoom is not installed (No module named 'vizdoom'): pip install 'dirl[vizdoom]'",
+        ),
+        (
+            "miniworld",
+            ["miniworld", "env=MazeS3"],
+            "(ImportError: No module named 'miniworld'): pip install 'dirl[miniworld]'",
+        ),
+    ],
+)
+def test_an_extra_that_is_not_installed_is_one_line(module, command, message, tmp_path, monkeypatch):
+    folder = tmp_path / "packages"
+    folder.mkdir()
+    (folder / f"{module}.py").write_text(f"raise ImportError(\"No module named '{module}'\")\n")
+    monkeypatch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
+    status, _, errors = run_recipe(tmp_path, "scenes", *command, "out=new.h5", "encoder=null")
+    assert status == 1
+    assert len(errors.splitlines()) == 1
+    assert message in errors
+    assert [path.name for path in tmp_path.iterdir()] == ["packages"]
+
+
+@pytest.mark.parametrize("library", ["EGL", "GL", "GLU"])
+def test_a_library_that_miniworld_lacks_is_one_line(library, tmp_path, monkeypatch):
+    if not find_spec("miniworld") or not find_library("EGL"):
+        pytest.skip("the extra miniworld, or EGL, is not installed")
+    (tmp_path / "miniworld.py").write_text(WITHOUT.format(library=library))  # in front of the package
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    status, _, errors = run_recipe(tmp_path, "scenes", "miniworld", "env=MazeS3", "out=new.h5", "encoder=null")
+    assert status == 1
+    (line,) = errors.splitlines()
+    assert line.startswith(f'error: MiniWorld cannot be used (ImportError: Library "{library}" not found.)')
+    assert line.endswith("apt install libegl1 libgl1-mesa-dri libglu1-mesa")
+    assert not (tmp_path / "new.h5").exists()
