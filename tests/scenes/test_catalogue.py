@@ -134,6 +134,28 @@ def test_a_damaged_built_in_room_is_refused(tmp_path, monkeypatch):
         load_scenes("bathroom_02")
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: content[:-9],
+        lambda content: content[: content.index(b"\n") + 1],
+        lambda content: b"",
+        lambda content: content.replace(b"bathroom_02.patches.npy", b"bathroom_02.patcher.npy"),
+        lambda content: content.replace(b"bathroom_02.h5", b"bathroom\xff02.h5"),
+        lambda content: content.replace(b"  ", b" ", 1),
+    ],
+)
+def test_damaged_hashes_of_the_built_in_rooms_are_refused(tmp_path, monkeypatch, damage):
+    for file in ("SHA256SUMS", "bathroom_02.h5", "bathroom_02.patches.npy"):
+        (tmp_path / file).write_bytes((ROOMS / file).read_bytes())
+    for module in (catalogue, read):
+        monkeypatch.setattr(module, "ROOMS", tmp_path)
+    assert load_scenes("bathroom_02")[0].patches is not None
+    (tmp_path / "SHA256SUMS").write_bytes(damage((ROOMS / "SHA256SUMS").read_bytes()))
+    with pytest.raises(SceneError, match="SHA256SUMS: is not the list of hashes that was installed"):
+        load_scenes("bathroom_02")
+
+
 def test_the_views_of_a_built_in_room_are_found_where_libhdf5_finds_them(rooms):
     for room in rooms:
         with h5py.File(room.views.path) as file:

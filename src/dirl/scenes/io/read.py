@@ -20,6 +20,7 @@ the file and of ``graph``, which all files that dirl writes have: a SHA-256 over
 it is refused.
 """
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,6 +37,9 @@ from dirl.scenes.views import Views
 
 ROOMS = Path(__file__).parents[1] / "data"
 """The built-in rooms: synthetic, with the names, state counts and goals of the published scenes."""
+
+SUMS = re.compile(rb"([0-9a-f]{64}  [\w.]+\n)+")
+"""What is in the file of their hashes, as ``sha256sum`` writes it."""
 
 
 class SceneWarning(UserWarning):
@@ -146,9 +150,25 @@ def _is_intact_room(path: Path) -> bool:
     sums = ROOMS / "SHA256SUMS"
     if path.resolve().parent != ROOMS.resolve() or not sums.is_file():
         return False
-    expected = {name: digest for digest, name in map(str.split, sums.read_text().splitlines())}
+    expected = _room_digests(sums)
     if path.name not in expected:
         return False
     if file_digest(path) != expected[path.name]:
         raise SceneError(f"{path}: is not the built-in room that was installed (SHA-256 differs); install dirl again")
     return True
+
+
+def _room_digests(sums: Path) -> dict[str, str]:
+    """The SHA-256 of each file of the built-in rooms, each of which has a dump and patches.
+
+    Raises:
+        SceneError: the file is damaged.
+    """
+    content = sums.read_bytes()
+    found = {}
+    if SUMS.fullmatch(content):
+        found = {name: digest for digest, name in map(str.split, content.decode().splitlines())}
+    rooms = {name.partition(".")[0] for name in found}
+    if not found or found.keys() != {f"{room}{ending}" for room in rooms for ending in (".h5", ".patches.npy")}:
+        raise SceneError(f"{sums}: is not the list of hashes that was installed; install dirl again")
+    return found
