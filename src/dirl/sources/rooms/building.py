@@ -29,66 +29,155 @@ OVERHEAD = ("rug", "ceiling_lamp")
 
 
 @dataclass(frozen=True)
+class Door:
+    """A doorway between two rooms, which are given by their numbers.
+
+    Args:
+        first: the western or southern room.
+        second: the eastern or northern room.
+        axis: 0 if the second room lies east of the first, 1 if it lies north of it.
+        at: where the middle of the doorway is along the wall, metres.
+    """
+
+    first: int
+    second: int
+    axis: int
+    at: float
+
+
+@dataclass(frozen=True)
 class Building:
-    """Rooms in a row from west to east, their south walls in line, with a doorway from each to the next.
+    """Rooms in one row, or in two rows on both sides of a wall, with doorways between them.
+
+    The rooms of a row lie from west to east, with a doorway from each to the next. Those of the first row have their
+    south walls in line. A second row lies south of it, with its north walls in line.
 
     Args:
         name: what the scene is called.
-        rooms: two or more; what stood in the way of doorways is not in them any more.
-        doors: where the middle of each doorway is, y in metres; one less than rooms.
+        rooms: two or more, first row first; what stood in the way of doorways is not in them any more.
+        doors: where the middle of each doorway within a row is, y in metres.
+        south: how many of the rooms, the last ones, are the second row; 0 if there is none.
+        across: where the middle of each doorway between the rows is, x in metres.
     """
 
     name: str
     rooms: tuple[RoomDescription, ...]
     doors: tuple[float, ...]
+    south: int = 0
+    across: tuple[float, ...] = ()
+
+    @property
+    def corners(self) -> Array:
+        """The south-west corners of the rooms, metres, float64 ``[R, 2]``."""
+        return _corners(self.rooms, self.south)
 
     @property
     def starts(self) -> list[float]:
         """Where each room begins, x in metres."""
-        widths = [room.size[0] + WALL for room in self.rooms]
-        return [float(sum(widths[:index])) for index in range(len(widths))]
+        return [float(x) for x in self.corners[:, 0]]
 
     @property
     def size(self) -> tuple[float, float, float]:
         """Width, depth and height of all rooms together."""
-        depth, height = (max(room.size[axis] for room in self.rooms) for axis in (1, 2))
-        return self.starts[-1] + self.rooms[-1].size[0], depth, height
+        width, depth = (self.corners + [room.size[:2] for room in self.rooms]).max(0)
+        return float(width), float(depth), max(room.size[2] for room in self.rooms)
+
+    @property
+    def passages(self) -> list[Door]:
+        """All doorways, those between the rows last."""
+        pairs = _neighbours(len(self.rooms), self.south)
+        found = [Door(*pair, 0, y) for pair, y in zip(pairs, self.doors, strict=True)]
+        for x in self.across:
+            spans = zip(self.starts, self.rooms, strict=True)
+            north, south = (i for i, (start, room) in enumerate(spans) if start < x < start + room.size[0])
+            found.append(Door(south, north, 1, x))
+        return found
 
     @property
     def doorways(self) -> Array:
-        """The middles of the doorways, x and y, float64 ``[R - 1, 2]``."""
-        return np.array([(x - WALL / 2, y) for x, y in zip(self.starts[1:], self.doors, strict=True)]).reshape(-1, 2)
+        """The middles of `passages`, x and y, float64 ``[D, 2]``."""
+        corners, middles = self.corners, []
+        for door in self.passages:
+            through = corners[door.second, door.axis] - WALL / 2
+            middles.append((door.at, through) if door.axis else (through, door.at))
+        return np.array(middles).reshape(-1, 2)
+
+
+def _neighbours(count: int, south: int) -> list[tuple[int, int]]:
+    """The pairs of rooms that lie side by side in a row."""
+    return [(room, room + 1) for room in range(count - 1) if not south or room + 1 != count - south]
+
+
+def _corners(rooms: Sequence[RoomDescription], south: int) -> Array:
+    """See `Building.corners`."""
+    first, second = rooms[: len(rooms) - south], rooms[len(rooms) - south :]
+    line = max((room.size[1] for room in second), default=0.0)
+    lows = [line + WALL if second else 0.0] * len(first) + [line - room.size[1] for room in second]
+    starts = [sum(room.size[0] + WALL for room in row[:index]) for row in (first, second) for index in range(len(row))]
+    return np.array([starts, lows]).T
 
 
 def sample_building(kinds: Sequence[str], seed: int) -> Building:
     """Random rooms of these kinds, joined; kinds and seed determine them.
 
+    Up to four rooms lie in a row. More lie in two rows, with a doorway between the rows in the west, and another one
+    in the east.
+
     Args:
-        kinds: of the rooms from west to east, see `dirl.sources.rooms.KINDS`; two to four.
+        kinds: of the rooms from west to east, first row first, see `dirl.sources.rooms.KINDS`; two to eight.
         seed: of the first room; of the others the numbers that follow it.
 
     Raises:
         SceneError: another number of rooms, or `sample_room` cannot draw one.
     """
-    if not 2 <= len(kinds) <= 4 or not set(kinds) <= set(KINDS):
-        raise SceneError(f"kinds={list(kinds)}: expected two to four of {', '.join(KINDS)}")
+    if not 2 <= len(kinds) <= 8 or not set(kinds) <= set(KINDS):
+        raise SceneError(f"kinds={list(kinds)}: expected two to eight of {', '.join(KINDS)}")
     rooms = [sample_room(kind, seed + index, look=False) for index, kind in enumerate(kinds)]
-    doors = []
-    for index in range(len(rooms) - 1):
-        pair = rooms[index : index + 2]
-        last = min(room.size[1] for room in pair) - DOORWAY[0] / 2 - 0.2
-        heights = np.arange(DOORWAY[0] / 2 + 0.2, last, 0.1).round(2).tolist()
-        cleared = [[_cleared(room, x, y) for room, x in zip(pair, (pair[0].size[0], 0), strict=True)] for y in heights]
-        removed = [sum(len(room.furniture) for room in pair) - sum(len(r.furniture) for r in both) for both in cleared]
-        best = int(np.argmin(removed))
-        doors.append(heights[best])
-        rooms[index : index + 2] = cleared[best]
-    return Building(f"building_{seed}", tuple(rooms), tuple(doors))
+    south = len(rooms) // 2 if len(rooms) > 4 else 0
+    corners = _corners(rooms, south)
+    doors = [_join(rooms, corners, pair, 0) for pair in _neighbours(len(rooms), south)]
+    north = range(len(rooms) - south)
+    facing = [(b, a) for b in range(len(north), len(rooms)) for a in north if _spots(rooms, corners, (b, a), 1)]
+    facing.sort(key=lambda pair: float(corners[list(pair), 0].max()))
+    outermost = dict.fromkeys([*facing[:1], *facing[-1:]])
+    across = [_join(rooms, corners, pair, 1) for pair in outermost]
+    return Building(f"building_{seed}", tuple(rooms), tuple(doors), south, tuple(across))
 
 
-def _cleared(room: RoomDescription, x: float, y: float) -> RoomDescription:
-    """A room without the furniture in front of a doorway at a point of its wall, and without what stood on it."""
-    reach = np.array([[x - APPROACH, y, x + APPROACH, y]])
+def _spots(rooms: Sequence[RoomDescription], corners: Array, pair: tuple[int, int], axis: int) -> list[float]:
+    """Where the middle of a doorway between two rooms may be along their wall, see `Door`."""
+    low = max(corners[index, 1 - axis] for index in pair)
+    high = min(corners[index, 1 - axis] + rooms[index].size[1 - axis] for index in pair)
+    spots = np.arange(low + (DOORWAY[0] / 2 + 0.2), high - DOORWAY[0] / 2 - 0.2, 0.1)
+    return [float(at) for at in spots.round(2)]
+
+
+def _join(rooms: list[RoomDescription], corners: Array, pair: tuple[int, int], axis: int) -> float:
+    """Where the doorway between two rooms is, before which least furniture stands; the rooms lose that furniture."""
+    both = [rooms[index] for index in pair]
+    spots = _spots(rooms, corners, pair, axis)
+    cleared = [
+        [
+            _cleared(room, end, at - corners[index, 1 - axis], axis)
+            for index, room, end in zip(pair, both, (both[0].size[axis], 0), strict=True)
+        ]
+        for at in spots
+    ]
+    removed = [sum(len(room.furniture) for room in both) - sum(len(r.furniture) for r in left) for left in cleared]
+    best = int(np.argmin(removed))
+    for index, room in zip(pair, cleared[best], strict=True):
+        rooms[index] = room
+    return spots[best]
+
+
+def _cleared(room: RoomDescription, end: float, at: float, axis: int = 0) -> RoomDescription:
+    """A room without the furniture in front of a doorway, and without what stood on it.
+
+    The doorway is in the wall at ``end`` of the room, x with axis 0 or y with axis 1, and its middle at ``at``.
+    """
+    reach = np.array([[end - APPROACH, at, end + APPROACH, at]])
+    if axis:
+        reach = reach[:, [1, 0, 3, 2]]
     pieces = [piece for piece in room.furniture if piece.kind not in OVERHEAD]
     boxes = np.array([footprint(piece, room) for piece in pieces]).reshape(-1, 5)
     near = [clearance(reach[:, :2], reach[:, 2:], box[None])[0] < DOORWAY[0] / 2 for box in boxes]
@@ -102,45 +191,62 @@ def walls(building: Building) -> Array:
     """The walls of a building and what lies outside them, as `footprints` gives them, ``[n, 5]``."""
     width, depth, _ = building.size
     far, half = max(width, depth) + 2, DOORWAY[0] / 2
-    found = [(-1.0, 0.0, 1.0, far), (width + 1, 0.0, 1.0, far), (0.0, -1.0, far, 1.0)]
-    for room, start in zip(building.rooms, building.starts, strict=True):
-        found.append((start + room.size[0] / 2, room.size[1] + far / 2, room.size[0] / 2 + WALL, far / 2))
-    for x, y in building.doorways:
-        found += [(x, y + side * (half + far / 2), WALL / 2, far / 2) for side in (-1, 1)]
+    first = len(building.rooms) - building.south
+    line = building.corners[0, 1]  # where the first row's south walls are
+    found = [(-1.0, 0.0, 1.0, far)]
+    cuts = [-far, *(x + side * half for x in sorted(building.across) for side in (-1, 1)), far]
+    thick, outside = (WALL, far) if building.south else (2.0, 2.0)
+    for low, high in zip(cuts[::2], cuts[1::2], strict=True):
+        found.append(((low + high) / 2, line - thick / 2, (high - low) / 2, thick / 2))
+    for outwards, row in ((1, range(first)), (-1, range(first, len(building.rooms)))):
+        for index in row:
+            (x, y), room = building.corners[index], building.rooms[index]
+            outer = y + room.size[1] if outwards > 0 else y
+            found.append((x + room.size[0] / 2, outer + outwards * far / 2, room.size[0] / 2 + WALL, far / 2))
+            if index == row[-1]:
+                found.append((x + room.size[0] + outside / 2, line + outwards * far / 2, outside / 2, far / 2))
+    for door, (x, y) in zip(building.passages, building.doorways, strict=True):
+        if door.axis == 0:
+            to_line = abs(y - line) - half if building.south else far
+            low, high = (to_line, far) if door.first < first else (far, to_line)
+            found += [(x, y - (half + low / 2), WALL / 2, low / 2), (x, y + (half + high / 2), WALL / 2, high / 2)]
     return np.pad(np.array(found), ((0, 0), (0, 1)))
 
 
 def furniture(building: Building) -> Array:
     """What stands in a building, as `footprints` gives them, ``[n, 5]``."""
-    starts = [np.array([start, 0, 0, 0, 0]) for start in building.starts]
-    return np.concatenate([footprints(room) + start for room, start in zip(building.rooms, starts, strict=True)])
+    moves = [np.array([*corner, 0, 0, 0]) for corner in building.corners]
+    return np.concatenate([footprints(room) + move for room, move in zip(building.rooms, moves, strict=True)])
+
+
+WALLS = (("east", "west"), ("north", "south"))
+"""In which walls of its two rooms a doorway is, by its axis."""
 
 
 def assemble_building(building: Building) -> tuple[list[Part], dict[str, Material]]:
     """All triangles of a building, and its materials; those of different rooms have different names."""
     parts: list[Part] = []
     materials: dict[str, Material] = {}
-    for index, (room, start) in enumerate(zip(building.rooms, building.starts, strict=True)):
-        openings = [
-            Opening(wall, y - DOORWAY[0] / 2, y + DOORWAY[0] / 2, DOORWAY[1])
-            for wall, doors in (
-                ("west", building.doors[index - 1 : index] if index else ()),
-                ("east", building.doors[index : index + 1]),
-            )
-            for y in doors
-        ]
+    for index, (room, corner) in enumerate(zip(building.rooms, building.corners, strict=True)):
+        openings = []
+        for door in building.passages:
+            if index in (door.first, door.second):
+                at = float(door.at - corner[1 - door.axis])
+                wall = WALLS[door.axis][index == door.second]
+                openings.append(Opening(wall, at - DOORWAY[0] / 2, at + DOORWAY[0] / 2, DOORWAY[1]))
         own = {name: f"{index}.{name}" for name in materials_of(room)}
         materials |= {own[name]: material for name, material in materials_of(room).items()}
         for part in assemble(room, openings):
-            moved = part.moved((start, 0, 0), 0, 1.0)
+            moved = part.moved((float(corner[0]), float(corner[1]), 0), 0, 1.0)
             parts.append(replace(moved, material=own[part.material]))
-    for x, y in building.doorways:
-        parts += [replace(part, material=f"0.{part.material}") for part in _jambs(x, y)]
+    for door, (x, y) in zip(building.passages, building.doorways, strict=True):
+        jambs = _jambs(x, y) if door.axis == 0 else [part.moved((x, y, 0), 90, 1.0) for part in _jambs(0, 0)]
+        parts += [replace(part, material=f"0.{part.material}") for part in jambs]
     return parts, materials
 
 
 def _jambs(x: float, y: float) -> list[Part]:
-    """The inside of a doorway: threshold, sides and top."""
+    """The inside of a doorway from west to east: threshold, sides and top."""
     (left, right), (low, high) = (x - WALL / 2, x + WALL / 2), (y - DOORWAY[0] / 2, y + DOORWAY[0] / 2)
     top, paint = DOORWAY[1], "white_paint"
     mesh = Mesh().quad([(left, low, 0), (right, low, 0), (right, high, 0), (left, high, 0)], paint)

@@ -60,7 +60,7 @@ def choose_panoramas(building: Building, apart: float = 2.0) -> Panoramas:
     places = np.array(chosen)
     links = _links(places, walls(building))
     reached = _reached(links, len(places))
-    if not reached[: len(building.doors)].all():
+    if not reached[: len(building.doorways)].all():
         raise SceneError(f"{building.name}: not all doorways can be reached by links")
     number = np.cumsum(reached) - 1
     return Panoramas(places[reached], number[links[reached[links].all(1)]])
