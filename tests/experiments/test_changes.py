@@ -60,6 +60,16 @@ def test_each_way_has_its_recogniser_memory_and_stop(asked, way, recogniser, mem
         assert episodes.steps.float().mean() > 2 * episodes.shortest.float().mean()
 
 
+def test_a_folder_without_an_index_is_tested_in_all_its_dumps(asked, tmp_path):
+    for name in ("b.h5", "a.h5", "a.toml"):
+        (tmp_path / name).touch()
+    changes.walked("general", str(tmp_path), "front", "ncc")
+    (tmp_path / "collection.jsonl").touch()
+    changes.walked("general", str(tmp_path), "front", "ncc")
+    found = [(given["scene"], given["split"]) for _, given in asked]
+    assert found == [([f"{tmp_path}/a.h5", f"{tmp_path}/b.h5"], None), (f"collection:{tmp_path}", "test")]
+
+
 def test_the_controls_walk_as_they_say(asked, monkeypatch):
     walkers = []
     monkeypatch.setattr(

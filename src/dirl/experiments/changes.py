@@ -21,6 +21,7 @@ from dirl.experiments.measures import (
 )
 from dirl.experiments.results import write_tables
 from dirl.scenes import World
+from dirl.scenes.collection import INDEX
 from dirl.scenes.palette import SYSTEM_COLORS
 
 TESTED: dict[str, Any] = {
@@ -53,17 +54,25 @@ Measured = dict[str, list[float]]
 """A value for each room, by measure."""
 
 
+def tested(collection: str) -> dict[str, Any]:
+    """The options of an evaluation in the test rooms of a collection, or in all dumps of another folder."""
+    dumps = sorted(str(file) for file in Path(collection).glob("*.h5"))
+    if dumps and not (Path(collection) / INDEX).is_file():
+        return {**TESTED, "scene": dumps, "split": None}
+    return {**TESTED, "scene": f"collection:{collection}"}
+
+
 def walked(agent: str, collection: str, goal_view: str, way: str) -> tuple[World, Episodes]:
-    """Episodes in the test rooms of a collection, and these rooms.
+    """Episodes in the scenes of a folder, and these scenes.
 
     Args:
         agent: a checkpoint.
-        collection: a folder, with looks.
+        collection: a folder, with looks; see `tested`.
         goal_view: one of `GOAL_VIEWS`.
         way: one of `RECOGNISED` or `CONTROLS`.
     """
     recogniser, memory = RECOGNISED.get(way, ("learned", "planning"))
-    changes = {**TESTED, "scene": f"collection:{collection}", "stop.evaluation": "goal" if way in CONTROLS else "match"}
+    changes = {**tested(collection), "stop.evaluation": "goal" if way in CONTROLS else "match"}
     _, policy, protocol = load_agent(agent, changes, goal_view, recogniser=recogniser, episodic_memory=memory)
     walk = controls(policy, protocol).get(way.removesuffix(", told"))
     return protocol.world, walk() if walk else protocol.run(policy)
@@ -84,7 +93,7 @@ def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path)
     """Measure, and write tables and a figure. What was measured is kept in the folder, and not measured again.
 
     Args:
-        collections: folders with looks, see `dirl.sources.rooms.looks`, in the order of the strength of the changes.
+        collections: folders with looks, see `tested`, in the order of the strength of the changes.
         agents: the controls are of the first.
         out: a folder; what was measured is kept in it, and not measured again.
     """
@@ -108,8 +117,9 @@ def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path)
             lines.append((f"{Path(agent).name}: {way}", colors[index % len(colors)], "o-", spl))
     draw_spl(lines, [Path(one).name for one in collections], out, "changes")
     note = (
-        "Test rooms, **synthetic, not AI2-THOR**, which no training saw; three starts for every eighth state as the "
-        "goal, 100 steps. Interquartile mean over rooms and, in brackets, its 95 % bootstrap interval over rooms."
+        "Of a collection the test rooms, **synthetic, not AI2-THOR**, which no training saw, of another folder all "
+        "scenes; three starts for every eighth state as the goal, 100 steps. Interquartile mean over rooms and, in "
+        "brackets, its 95 % bootstrap interval over rooms."
     )
     shown = "SPL of each recogniser over the strength of the changes, with four views and with one photo"
     return write_tables(out, "Places that change", note, {"changes": table}, {"changes": shown})

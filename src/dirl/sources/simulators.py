@@ -2,17 +2,21 @@
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from tqdm import tqdm
 
-from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only
-from dirl.scenes.live import Pose, Simulator, simulator_errors, stride
+from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only, turns_per_circle
+from dirl.scenes.live import Pose, Simulator, SimulatorError, simulator_errors, stride
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 
 QUALITY = 90
 """Of the views, as WebP."""
+
+NEARER = (1.0, 0.5, 0.25, 0.0)
+"""Of the error of a position, tried in turn where the agent cannot stand."""
 
 Cell = tuple[int, int]
 """A place, in steps from the first one."""
@@ -102,3 +106,65 @@ def _views(simulator: Simulator, scene: Scene) -> Iterator[bytes]:
             simulator.place(Pose(x, z, heading))
             yield encode(simulator.look(heading), QUALITY)
             bar.update()
+
+
+@dataclass(frozen=True)
+class VisitErrors:
+    """By how much a visit differs from the planned one: standard deviations of normal distributions.
+
+    Args:
+        position: along each axis, metres; less where the agent cannot stand.
+        heading: degrees.
+        exposure: of the logarithm of the brightness; 0.05 is about 5 %.
+
+    Raises:
+        SceneError: a negative one.
+    """
+
+    position: float
+    heading: float
+    exposure: float
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value >= 0:
+                raise SceneError(f"changes.{name}={value:g}: must not be negative")
+
+
+def take_look(simulator: Simulator, scene: Scene, errors: VisitErrors, seed: int) -> Iterator[bytes]:
+    """The views of a scene's states, WebP, as visits that differ a little from the planned ones show them.
+
+    The error of a visit is sampled once for each place: all views from there share it, as those of a robot that turns
+    on the spot do.
+
+    Args:
+        simulator: that the scene was taken from.
+        scene: N states, those of a place one after another; see `take_scene`.
+        errors: their standard deviations.
+        seed: of the errors.
+
+    Raises:
+        SceneError: a failure of the simulator.
+    """
+    turns = turns_per_circle(scene.graph)
+    sampled = np.random.default_rng(seed).normal(0, 1, (len(scene) // turns, 4))
+    sampled *= [errors.position, errors.position, errors.heading, errors.exposure]
+    for state, ((x, z), planned) in enumerate(zip(scene.positions.tolist(), scene.headings.tolist(), strict=True)):
+        to_x, to_z, turned, brighter = sampled[state // turns].tolist()
+        towards = (planned + turned) % 360
+        with simulator_errors(simulator.name):
+            _place_near(simulator, Pose(x, z, towards), to_x, to_z)
+            seen = simulator.look(towards).astype(np.float64) * np.exp(brighter)
+        yield encode(seen.clip(0, 255).astype(np.uint8), QUALITY)
+
+
+def _place_near(simulator: Simulator, pose: Pose, to_x: float, to_z: float) -> None:
+    """Put the agent beside a pose, as near to what is asked for as it can stand."""
+    for share in NEARER:
+        try:
+            simulator.place(Pose(pose.x + share * to_x, pose.z + share * to_z, pose.heading))
+        except SceneError as error:
+            if isinstance(error, SimulatorError) or share == NEARER[-1]:
+                raise
+        else:
+            return
