@@ -229,6 +229,7 @@ def test_benchmark_measures_every_loop(tmp_path):
         (["scene=bathroom_02", "encoder._target_=nobody.Knows"], ["encoder._target_=nobody.Knows"]),
         (["scene=bathroom_02", "goals=[180]"], ["bathroom_02", "goal 180", "0..179"]),
         (["scene=bathroom_02", "source=thor"], ["source.root="]),
+        (["-m", "++losses.nope.weight=nope", "scene=bathroom_02"], ["losses.nope: names no class"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else value,
 )

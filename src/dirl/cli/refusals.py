@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dirl.config.components import TARGET, make
+from dirl.config.components import TARGET, components, make
 from dirl.config.places import command
 from dirl.config.schemas import ConfigError, EvaluateConfig, ExperimentName, ReportConfig, TrainConfig
 from dirl.runs.finding import find_checkpoint, find_unfinished, finished_folders, initial_weights_file
@@ -74,7 +74,7 @@ def _scene_command(name: str, options: Any) -> None:
 
 
 def _training(options: TrainConfig, overrides: Sequence[str]) -> None:
-    """Refuse a run that cannot be resumed, and weights and scenes that do not exist."""
+    """Refuse a run that cannot be resumed, components without a class, and weights and scenes that do not exist."""
     if options.resume is not None:
         if os.environ.get("RANK", "0") == "0":  # other ranks need not see the folder
             from dirl.runs.locks import finish_cleaning
@@ -82,6 +82,7 @@ def _training(options: TrainConfig, overrides: Sequence[str]) -> None:
             finish_cleaning(Path(options.resume))
             find_unfinished(options.resume, overrides)
         return
+    components(options)  # each names a class; whether there is such a class is known after the imports
     _scenes(options)
     if options.init is not None:
         initial_weights_file(options.init, overrides)
