@@ -136,6 +136,7 @@ def test_a_photo_is_a_goal(site, address, watched_tab, name):
     view = io.BytesIO()
     picture = b64decode(data["views"][goal["state"]])
     Image.open(io.BytesIO(picture)).save(view, "PNG")
+    tab.locator("#photo-said", has_text="The agent is ready").wait_for(timeout=120_000)  # loaded before the first photo
     tab.fill("#start", str(start))
     tab.press("#start", "Enter")
     tab.fill("#photo-threshold", "0.95")

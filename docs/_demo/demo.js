@@ -3,6 +3,7 @@ import * as ort from "./ort.wasm.bundle.min.mjs";
 
 const facts = JSON.parse(document.getElementById("demo").textContent);
 const SIZE = 224, HEADINGS = 4;
+const HERE = "It runs in this page, on your device; no photo leaves it.";
 const said = (text) => { byId("photo-said").textContent = text; };
 
 async function fetched(file) {
@@ -14,7 +15,7 @@ async function fetched(file) {
 let loading = null;
 const models = () => (loading ??= load().catch((error) => { loading = null; throw error; }));
 async function load() {
-  said("Loading the agent …");
+  said(`Loading the agent, 10 MB. ${HERE}`);
   ort.env.wasm.numThreads = 1;  // more need headers that a static page does not have
   const names = ["camera", "place", "mind", "memory"];
   const [wasm, views, ...files] = await Promise.all(["ort-wasm-simd-threaded.wasm.gz", `${facts.name}.f16.gz`,
@@ -24,7 +25,9 @@ async function load() {
   for (const [i, name] of names.entries()) found[name] = await ort.InferenceSession.create(new Uint8Array(files[i]));
   const around = whole(D.surrounding.flat(), facts.states, HEADINGS);
   found.seen = (await found.place.run({ views: found.views, surrounding: around })).seen;  // whatever the photo
-  await decided(found, new Float32Array(SIZE * SIZE * 3));  // compiles what it needs
+  const { logits } = await decided(found, new Float32Array(SIZE * SIZE * 3));  // this and the rest compile what they need
+  await planned({ logits: logits.data, stops: new Set(D.surrounding.keys()) }, path[0], found.memory);
+  resized({ data: new Uint8ClampedArray(4 * SIZE * SIZE), width: SIZE, height: SIZE });
   return found;
 }
 async function decided({ camera, mind, views, seen }, pixels) {
@@ -107,7 +110,7 @@ function setThreshold(found) {
   found.walks.forEach((walks) => Object.keys(walks).forEach((start) => delete walks[start]));
 }
 async function answer(found, start, shows = true) {  // what the agents do from a state
-  const walks = [await planned(found, start), greedy(found, start)];
+  const walks = [await planned(found, start, (await models()).memory), greedy(found, start)];
   walks.forEach((actions, who) => { found.walks[who][start] = actions; });
   if (shows && goal === found) began(start);
 }
@@ -120,8 +123,7 @@ function greedy(found, start) {
   }
   return actions;
 }
-async function planned(found, start) {  // see docs/demo.py: Memory
-  const { memory } = await models();
+async function planned(found, start, memory) {  // see docs/demo.py: Memory
   let state = start, actions = "", action = -1, seen = Array(HEADINGS).fill(null), used = Array(HEADINGS).fill(false);
   let known = { cost: tensor(new Float32Array(4 * HEADINGS).fill(Infinity), 1, HEADINGS, 4),
     after: whole(Array(4 * HEADINGS).fill(-1), 1, HEADINGS, 4), ring: whole(Array(4 * HEADINGS).fill(-1), 1, HEADINGS, 4),
@@ -155,3 +157,4 @@ byId("photo-threshold").value = facts.threshold;
 byId("photo-threshold").addEventListener("input", () => { setThreshold(goal); if (goal.ask) begin(path[0]); });
 byId("photo-threshold").addEventListener("change", (e) => e.target.blur());
 setThreshold(null);
+models().then(() => said(`The agent is ready. ${HERE}`), (error) => said(`The agent cannot be loaded: ${error.message}`));
