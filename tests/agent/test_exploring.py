@@ -156,8 +156,9 @@ def test_turns_are_an_integer(navigator, turns):
 
 @pytest.mark.parametrize("last_steps", ["x", float("nan"), -1, 2.5])
 def test_last_steps_are_a_count(navigator, explorer, world, last_steps):
-    with pytest.raises(NavigatorError, match=r"last_steps=.*: expected 0 or a positive integer"):
-        navigator.reset(images_of(world.surrounding[0]), graph=explorer.graph, last_steps=last_steps)
+    for graph in (explorer.graph, None):
+        with pytest.raises(NavigatorError, match=r"last_steps=.*: expected 0 or a positive integer"):
+            navigator.reset(images_of(world.surrounding[0]), graph=graph, last_steps=last_steps)
 
 
 def test_a_map_is_a_map_or_a_folder(navigator, world):

@@ -18,7 +18,7 @@ from dirl.agent.loading import (
     load_parts,
 )
 from dirl.agent.mapping import ImageGraph, PlaceMap
-from dirl.agent.mapping.policy import LAST_STEPS, Guide
+from dirl.agent.mapping.policy import LAST_STEPS, Guide, check_last_steps
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, LocalisingMemory
 from dirl.models.weights import tell_of_turns, turns_of_training
@@ -191,9 +191,10 @@ class Navigator:
             last_steps: see ``graph``; not used with a `PlaceMap`.
 
         Raises:
-            NavigatorError: images of another shape or type, an encoder whose features do not fit the checkpoint, or a
-                map that cannot be used.
+            NavigatorError: images of another shape or type, an encoder whose features do not fit the checkpoint, a
+                map that cannot be used, or ``last_steps`` that are no count.
         """
+        check_last_steps(last_steps)  # also where no map is given
         views = self._encode(goal_images, "goal_images")[0]
         if self.sequential:
             views = views.expand(-1, VIEWS, -1)

@@ -28,6 +28,12 @@ NO_WAY = 2**30
 """More steps than any path has."""
 
 
+def check_last_steps(last_steps: Any) -> None:
+    """Refuse with `MapError` what is no count of steps."""
+    if isinstance(last_steps, bool) or not isinstance(last_steps, int) or last_steps < 0:
+        raise MapError(f"last_steps={last_steps!r}: expected 0 or a positive integer")
+
+
 class Guide:
     """The path to one goal by a topological map, step by step; errors of the map are corrected on the way.
 
@@ -41,8 +47,7 @@ class Guide:
     """
 
     def __init__(self, graph: ImageGraph, goal_views: Tensor, last_steps: int) -> None:
-        if isinstance(last_steps, bool) or not isinstance(last_steps, int) or last_steps < 0:
-            raise MapError(f"last_steps={last_steps!r}: expected 0 or a positive integer")
+        check_last_steps(last_steps)
         if not len(graph):
             raise MapError("the map is empty; walk before it is used, see Navigator.explore")
         width = graph.views.shape[-1]
