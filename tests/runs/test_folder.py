@@ -194,9 +194,10 @@ def test_a_checkpoint_whose_tables_or_counts_cannot_be_is_not_gone_on_from(tmp_p
     for spoilt in ({"frames": 19}, {"frames": 10**15}, {"scenes": ["grid"] * 0}):
         save_checkpoint(second, state | spoilt)
         assert resumed(tmp_path).saved["frames"] == 10
-    save_checkpoint(second, {key: value for key, value in state.items() if key != "tables"})
-    assert resumed(tmp_path).saved["frames"] == 10
-    assert "it lacks tables" in capsys.readouterr().err
+    for missing in ("tables", "turns"):
+        save_checkpoint(second, {key: value for key, value in state.items() if key != missing})
+        assert resumed(tmp_path).saved["frames"] == 10
+        assert f"it lacks {missing}" in capsys.readouterr().err
     save_checkpoint(second, state | {"tables": {}})
     for begun_at, kept in ((0, 10), (20, 10), (21, 20)):
         table.write_text(f"frames,atl\n{begun_at},3\n" + 100 * " ")

@@ -17,7 +17,7 @@ from dirl.runs.finding import RunError, is_count
 
 def check_progress(file: Path, state: Mapping[str, Any], config: TrainConfig) -> None:
     """Raise `RunError` unless a run with these options can have a checkpoint's counts."""
-    missing = {"schema", "tables", "seconds"} - state.keys()
+    missing = {"schema", "tables", "seconds", "turns"} - state.keys()
     if missing:
         raise RunError(f"{file}: is no checkpoint of a training; it lacks {' and '.join(sorted(missing))}")
     options, scenes = config.reinforcement, len(state["scenes"])
