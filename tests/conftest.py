@@ -22,12 +22,15 @@ settings.load_profile("dirl")
 QUICK = ("agent", "config", "envs", "evaluation", "models", "perception/recognition", "training")
 """Folders whose tests are run by ``pytest -m quick``, besides `test_layout.py`."""
 
+SLOW = ("agent/test_navigator_encoders.py", "envs/test_start_method.py")
+"""What is left out of them: large networks of other packages are loaded, and interpreters started."""
+
 
 def pytest_collection_modifyitems(config, items):
     """Mark the quick tests."""
     for item in items:
-        inside = item.path.relative_to(Path(__file__).parent)
-        if inside.as_posix().startswith(QUICK) or inside.name == "test_layout.py":
+        inside = item.path.relative_to(Path(__file__).parent).as_posix()
+        if (inside.startswith(QUICK) and inside not in SLOW) or inside == "test_layout.py":
             item.add_marker("quick")
 
 

@@ -77,7 +77,7 @@ def test_it_learns_to_tell_a_place_from_its_neighbours_in_rooms_it_has_not_seen(
 def test_with_fine_patches_photos_are_compared_by_where_patches_moved():
     world, other = changing(patches="fine"), changing(seed=1, patches="fine")
     network = untrained(world)
-    learn_recogniser(world, network, steps=150, batch_size=64)
+    learn_recogniser(world, network, steps=30, batch_size=64)
     calibrate(network, other, pairs=1000)
     assert not torch.equal(network.photo.calibration, torch.tensor([1.0, 0.0]))
     ids, near = other.surrounding, other.surrounding[other.graph[:, 0]] + len(other)
