@@ -188,7 +188,7 @@ def beside(options: EvaluateConfig, trained: Trained, changes: Mapping[str, Any]
     goals = {name: world.local_goals(index).tolist() for index, name in enumerate(world.names)}
     asked = {"scene": trained.config.scene, "goals": goals, "evaluation.max_steps": trained.protocol.max_steps}
     other = load_trained(load_checkpoint(options.beside), options.beside, {**changes, **asked}, options.trust or [])
-    return {run_folder(options.beside).name: (other.policy, other.protocol)}
+    return {agent_name(options.beside): (other.policy, other.protocol)}
 
 
 def viewer(trained: Trained, facts: Mapping[str, Any], others: Mapping[str, tuple[Any, Any]]) -> dict[str, str]:
@@ -213,6 +213,11 @@ def film(trained: Trained, facts: Mapping[str, Any], folder: Path) -> None:
         file = folder / f"episodes_{scene.name}.mp4"
         film_scene(trained.policy, trained.protocol, index, file, facts=facts)
         print(f"video: {file}, {file.stat().st_size / 1e6:.1f} MB")
+
+
+def agent_name(checkpoint: str) -> str:
+    """What the viewer calls the agent of a checkpoint: its run's folder, or its name in the package."""
+    return (packaged_agent(checkpoint) or run_folder(checkpoint).resolve()).name
 
 
 def run_folder(checkpoint: str) -> Path:
