@@ -27,6 +27,7 @@ from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.config.choices import goal_view_options, group_options, load_simulator
 from dirl.config.schemas import EvaluateConfig, GoalView
 from dirl.evaluation.episodes import sampled_starts, shortest_episodes
+from dirl.evaluation.experts import SeesArrows
 from dirl.evaluation.live import LiveProtocol, Remembered
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
@@ -75,6 +76,8 @@ def main(options: EvaluateConfig) -> None:
     trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
     if options.starts is None:
         trained = trained._replace(protocol=few_enough(trained.protocol))
+    if options.arrows:
+        trained = trained._replace(policy=SeesArrows(trained.policy, trained.protocol.world))
     if options.map is not None:
         trained = with_map(trained, options.map, options.last_steps)
     if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:

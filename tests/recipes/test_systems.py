@@ -78,6 +78,9 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
         told = "map of one walk to the goal" if last_steps else "the greedy policy decides the last 3 steps"
         assert told in page.read_text()
     assert found["1.json"] > 0.95 > found["0.json"]
+    status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", "arrows=true", "out=arrows.json")
+    assert status == 0, errors
+    assert json.loads((tmp_path / "arrows.json").read_text())["greedy"]["sr"] > 0
     status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", "last_steps=1")
     assert status != 0
     assert "last_steps=1: only where a map leads; give map=2 too" in errors
@@ -85,6 +88,10 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
         (["beside=run"], "beside=run: only the viewer shows two agents; give viewer=true too"),
         (["slip=0.1"], "slip, turn_error: only in a live world; give simulator=dump"),
         (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer, no video and no map"),
+        (
+            ["arrows=true", "viewer=true"],
+            "arrows: agents see them in evaluation alone; leave out simulator, viewer",
+        ),
         (["simulator=nope.yaml"], "simulator=nope.yaml: there is no such file"),
     ):
         status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", *options)

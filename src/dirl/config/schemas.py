@@ -230,6 +230,7 @@ class EvaluateConfig:
     out: str | None = None
     map: Annotated[float, Bounds(0, 100)] | None = None
     last_steps: Annotated[int, Bounds(0, 10**6)] | None = None
+    arrows: bool = False
     viewer: bool = False
     beside: str | None = None
     video: bool = False
