@@ -29,6 +29,7 @@ from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
 from dirl.experiments.other_worlds import report_other_worlds
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
+from dirl.experiments.sptm import report_sptm
 from dirl.experiments.stopping import report_stopping
 from dirl.experiments.unseen_rooms import report_unseen_rooms
 from dirl.experiments.walked_once import report_walked_once
@@ -115,6 +116,8 @@ def write_of_agents(options: ReportConfig, out: Path) -> str:
             return report_changes(collections, agents, out)
         case ExperimentName.walked_once:
             return report_walked_once(collections, agents[0], out)
+        case ExperimentName.sptm:
+            return report_sptm(Path(options.folder or ""), options.trials, out, validation=options.validation)
     return report_other_worlds(collections, agents[0], out)
 
 

@@ -127,7 +127,7 @@ def _evaluation(options: EvaluateConfig) -> None:
     find_checkpoint(options.checkpoint)
 
 
-OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "changes", "walked_once", "other_worlds")]
+OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "changes", "walked_once", "other_worlds", "sptm")]
 """The experiments on agents instead of runs."""
 
 
@@ -135,6 +135,10 @@ def _report(options: ReportConfig) -> None:
     """Refuse a report without finished runs, or, of agents, without these or without somewhere to test them."""
     if options.experiment not in OF_AGENTS:
         finished_folders(*reported_runs(options))
+        return
+    if options.experiment == ExperimentName.sptm:
+        if options.folder is None or not os.path.isdir(os.path.join(options.folder, "data")):
+            raise ConfigError(f"folder={options.folder}: name a folder that github.com/nsavinov/SPTM was cloned to")
         return
     if not options.collections or (options.experiment == "image_graph" and len(options.collections) > 1):
         wanted = "files of scenes" if options.experiment == "other_worlds" else "folders made by scenes.py sample"

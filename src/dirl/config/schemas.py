@@ -15,7 +15,8 @@ Precision = StrEnum("Precision", ["float32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 ExperimentName = StrEnum(
     "ExperimentName",
-    "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal unseen_rooms image_graph changes walked_once other_worlds",
+    "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal unseen_rooms image_graph changes walked_once other_worlds "
+    "sptm",
 )
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Split = StrEnum("Split", ["train", "validation", "test"])
@@ -254,6 +255,9 @@ class ReportConfig:
     agents: list[str] = MISSING
     collections: list[str] = MISSING
     rooms: Positive | None = None
+    folder: str | None = None
+    trials: Positive = MISSING
+    validation: bool = MISSING
 
 
 @dataclass

@@ -1,0 +1,194 @@
+"""Two frames compared by their columns: how well they fit, and where one was taken, seen from the other.
+
+A network describes each of 40 columns of a frame, and says how far away the wall in it stands. Columns of two frames
+that are each other's best match are points of one wall; the rigid motion that lays these points on each other is where
+the other frame was taken. Nothing of it knows a place: it is trained in mazes with other walls.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+COLUMNS = 40
+
+WEIGHTS = Path(__file__).parent / "columns.pt"
+"""Trained by examples/train_columns.py."""
+
+WIDTH, HEIGHT = 80, 60
+"""What the network reads, of a field of view of 90 degrees from left to right."""
+
+BEARING = torch.atan((torch.arange(COLUMNS) + 0.5) / COLUMNS * 2 - 1)
+"""Of each column, to the right, radians."""
+
+UNIT = 100.0
+"""Distances in the network are in so many units of the map."""
+
+ROUNDS, TOLERANCE = 4, 0.2
+"""Of weighing matches by how well they agree, and the distance that halves a weight in the last."""
+
+BATCH = 400
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Described frames."""
+
+    looks: Tensor
+    """Of unit length, ``[N, C, COLUMNS]``."""
+    points: Tensor
+    """Of the walls, ahead and to the right of the camera, ``[N, COLUMNS, 2]``."""
+
+    def __getitem__(self, which: slice | NDArray[np.int64]) -> "Columns":
+        return Columns(self.looks[which], self.points[which])
+
+
+class Fit(NamedTuple):
+    """How frames fit one that is seen, ``[N]`` each."""
+
+    score: NDArray[np.float32]
+    """Columns that match and agree, 0 to `COLUMNS`."""
+    ahead: NDArray[np.float32]
+    """Where the frame was taken, seen from here, units."""
+    right: NDArray[np.float32]
+    """Likewise, to the right."""
+    turned: NDArray[np.float32]
+    """The frame's heading, to the left of the present one, degrees."""
+
+
+class ColumnNet(nn.Module):
+    """Columns of frames as vectors, and the depth in each; 126,000 parameters.
+
+    Args:
+        size: of a column's vector.
+    """
+
+    def __init__(self, size: int = 64) -> None:
+        super().__init__()
+        self.trunk = nn.Sequential(
+            _convolution(nn.Conv2d(3, 24, 5, (3, 2), 2, bias=False)),
+            _convolution(nn.Conv2d(24, 32, 3, (2, 1), 1, bias=False)),
+            _convolution(nn.Conv2d(32, 48, 3, (2, 1), 1, bias=False)),
+        )
+        self.along = nn.Sequential(
+            _convolution(nn.Conv1d(240, 96, 3, padding=1, bias=False)),
+            _convolution(nn.Conv1d(96, 96, 3, padding=1, bias=False)),
+        )
+        self.look = nn.Sequential(nn.Conv1d(96, size, 1, bias=False), nn.BatchNorm1d(size, affine=False))
+        self.depth = nn.Conv1d(96, 1, 1)
+        self.sharp = nn.Parameter(torch.tensor(2.3))
+        self.none = nn.Parameter(torch.tensor(3.0))
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Vectors of unit length, ``[N, C, COLUMNS]``, and the logarithm of depths, ``[N, COLUMNS]``.
+
+        Args:
+            images: RGB, float32 ``[N, 3, HEIGHT, WIDTH]``, -0.5 to 0.5.
+        """
+        columns = self.along(self.trunk(images).flatten(1, 2))
+        return F.normalize(self.look(columns), dim=1), self.depth(columns)[:, 0]
+
+    def logits(self, seen: Tensor, other: Tensor) -> Tensor:
+        """How alike columns of pairs are, ``[N, COLUMNS, COLUMNS]``; `none` is the logit of no match."""
+        return torch.einsum("nci,ncj->nij", seen, other) * self.sharp.exp()
+
+    def matches(self, seen: Tensor, other: Tensor) -> Tensor:
+        """Probabilities that columns match, by row times by column."""
+        alike, none = self.logits(seen, other).exp(), self.none.exp()
+        return alike / (alike.sum(2, keepdim=True) + none) * alike / (alike.sum(1, keepdim=True) + none)
+
+    @torch.no_grad()
+    def describe(self, frames: NDArray[np.uint8]) -> Columns:
+        """Columns of frames, RGB, uint8 ``[N, H, W, 3]``, of 90 degrees from left to right."""
+        found = [self(images_of(frames[first : first + BATCH])) for first in range(0, len(frames), BATCH)]
+        depth = torch.cat([depths for _, depths in found])
+        return Columns(torch.cat([looks for looks, _ in found]), wall_points(depth))
+
+    @torch.no_grad()
+    def likeness(self, seen: Columns, others: Columns) -> NDArray[np.float32]:
+        """Matched columns of one frame with others, ``[N]``: what `fit` tells, without whether they agree."""
+        alike = [
+            self.matches(seen.looks.expand(len(part), -1, -1), part).amax(2).sum(1)
+            for part in others.looks.split(BATCH)
+        ]
+        return torch.cat(alike).numpy()
+
+    @torch.no_grad()
+    def fit(self, seen: Columns, others: Columns) -> Fit:
+        """How frames fit one that is seen, or as many that are."""
+        count = len(others.looks)
+        both = Columns(seen.looks.expand(count, -1, -1), seen.points.expand(count, -1, -1))
+        parts = [
+            relative_pose(self.matches(here.looks, there.looks), here.points, there.points)
+            for here, there in zip(_parts(both), _parts(others), strict=True)
+        ]
+        return Fit(*(torch.cat(values).numpy() for values in zip(*parts, strict=True)))
+
+
+def load_column_net(file: str | Path = WEIGHTS) -> ColumnNet:
+    """The network with the weights of the package, or of a file, for `ColumnNet.describe`."""
+    net = ColumnNet()
+    stored = torch.load(file, map_location="cpu", weights_only=True)
+    net.load_state_dict({name: value.float() if value.is_floating_point() else value for name, value in stored.items()})
+    return net.eval()
+
+
+def images_of(frames: NDArray[np.uint8]) -> Tensor:
+    """What `ColumnNet` reads of frames, uint8 ``[N, H, W, 3]``."""
+    images = torch.from_numpy(np.ascontiguousarray(frames)).permute(0, 3, 1, 2).float()
+    if images.shape[2:] != (HEIGHT, WIDTH):
+        images = F.interpolate(images, (HEIGHT, WIDTH), mode="area")
+    return (images / 255 - 0.5).contiguous(memory_format=torch.channels_last)
+
+
+def wall_points(depth: Tensor) -> Tensor:
+    """Points of the walls ahead and to the right, ``[N, COLUMNS, 2]``, of the logarithm of depths."""
+    distance = depth.clamp(-2.5, 3.0).exp()
+    return torch.stack([distance * BEARING.cos(), distance * BEARING.sin()], -1)
+
+
+def relative_pose(matches: Tensor, seen: Tensor, other: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The rigid motion that lays matched points on each other, as `Fit` has it.
+
+    Weighted least squares in closed form; then matches that do not agree weigh less, and so on for `ROUNDS`.
+
+    Args:
+        matches: probabilities, ``[N, COLUMNS, COLUMNS]``.
+        seen: points of the frame that is seen, ``[N, COLUMNS, 2]``.
+        other: points of the other frame, likewise.
+    """
+    matched, best = matches.max(2)
+    other = other.gather(1, best[..., None].expand(-1, -1, 2))
+    size = TOLERANCE * (0.5 + 0.5 * seen.norm(dim=-1))
+    weight = matched
+    for left in reversed(range(ROUNDS)):
+        total = weight.sum(1, keepdim=True).clamp(min=1e-6)
+        middle, other_middle = ((weight[..., None] * points).sum(1) / total for points in (seen, other))
+        here, there = seen - middle[:, None], (other - other_middle[:, None]) * weight[..., None]
+        cross = here[..., 1] * there[..., 0] - here[..., 0] * there[..., 1]
+        angle = torch.atan2(cross.sum(1), (here * there).sum((1, 2)))
+        place = middle - _rotated(other_middle[:, None], angle)[:, 0]
+        off = (seen - _rotated(other, angle) - place[:, None]).norm(dim=-1) / size / 2**left
+        weight = matched / (1 + off**2) ** 2
+    return weight.sum(1), place[:, 0] * UNIT, place[:, 1] * UNIT, -torch.rad2deg(angle)
+
+
+def _rotated(points: Tensor, angle: Tensor) -> Tensor:
+    cos, sin = angle.cos()[:, None], angle.sin()[:, None]
+    ahead, right = points.unbind(-1)
+    return torch.stack([cos * ahead - sin * right, sin * ahead + cos * right], -1)
+
+
+def _convolution(layer: nn.Conv1d | nn.Conv2d) -> nn.Sequential:
+    norm = nn.BatchNorm2d if isinstance(layer, nn.Conv2d) else nn.BatchNorm1d
+    return nn.Sequential(layer, norm(layer.out_channels), nn.ReLU(inplace=True))
+
+
+def _parts(columns: Columns) -> Iterator[Columns]:
+    return (columns[first : first + BATCH] for first in range(0, len(columns.looks), BATCH))

@@ -1,0 +1,230 @@
+"""The protocol of SPTM (Savinov et al., ICLR 2018, arXiv 1803.00653): from a human's walkthrough of a maze to goals.
+
+Mazes, walkthroughs and recordings of goals are those of github nsavinov/SPTM (MIT), folder ``data``.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from dirl.agent.mapping.columns import load_column_net
+from dirl.agent.mapping.follow import BUTTONS, IDLE, Follower, Memory
+from dirl.experiments.measures import kept
+from dirl.experiments.results import Table, write_tables
+from dirl.scenes.scene import SceneError
+
+GOALS = ("tall_red_pillar", "candelabra", "tall_blue_torch", "short_green_pillar")
+STARTS = ("map02", "map03", "map04", "map05")
+
+NEAR = 63
+"""Units of the map: so near is at the goal."""
+
+STEPS, REPEAT = 5000, 4
+"""Of the simulator in an episode, and for each action."""
+
+SKIP = 4
+"""Every so many frames of the walkthrough one is kept."""
+
+WAIT = 140
+"""Steps before the first episode of a game, as in SPTM's code."""
+
+MEMORY, BLIND, RANDOM = "memory of the walkthrough", "the memory, to a random frame", "random walk"
+
+Walker = Callable[[NDArray[np.uint8]], int]
+
+
+class Maze(NamedTuple):
+    """A maze of SPTM: where its files are, and where its goals stand."""
+
+    folder: str
+    goals: tuple[tuple[float, float], ...]
+
+    @property
+    def name(self) -> str:
+        """That of its files."""
+        return self.folder.rpartition("/")[2]
+
+
+TESTS = (
+    Maze("Test/deepmind_small", ((-64, -192), (64, 64), (320, -64), (192, 64))),
+    Maze("Test/open_space_five", ((1728, 896), (832, 1728), (832, 128), (1728, 1152))),
+    Maze("Test/star_maze", ((-448, -992), (-704, -320), (736, -320), (544, 768))),
+    Maze("Test/office1", ((320, 192), (192, 192), (960, -64), (832, -576))),
+    Maze("Test/columns", ((-672, -480), (-224, 352), (256, 320), (768, -448))),
+    Maze("Test/office2", ((-384, -256), (0, 0), (352, -480), (768, 32))),
+    Maze("Test/topological_star_easier", ((-832, -384), (-704, -128), (960, -384), (960, 128))),
+)
+VALIDATION = (
+    Maze("Val/open_space_two", ((1728, 1600), (1728, 128), (128, 1728), (128, 128))),
+    Maze("Val/branching", ((192, -448), (64, 320), (320, -64), (448, -320))),
+    Maze("Val/deepmind_large", ((576, -320), (1088, -576), (320, -192), (704, -832))),
+)
+
+
+class Game:
+    """A maze in VizDoom, with SPTM's settings.
+
+    Args:
+        data: the folder ``data`` of SPTM.
+        maze: one of the mazes there.
+        seed: of the game.
+
+    Raises:
+        SceneError: there is no such maze, or VizDoom is not installed or does not start.
+    """
+
+    def __init__(self, data: Path, maze: Maze, seed: int = 0) -> None:
+        try:
+            import vizdoom
+        except ImportError as error:
+            raise SceneError(f"VizDoom is not installed ({error}): pip install 'dirl[vizdoom]'") from None
+        self.files, self.maze = data / maze.folder, maze
+        wad = self.files / f"{maze.name}.wad_manymaps_test.wad"
+        if not wad.is_file() or not (data / "default.cfg").is_file():
+            raise SceneError(f"folder={data.parent}: is no copy of github nsavinov/SPTM ({wad} is missing)")
+        # VizDoom replays recordings of short paths only.
+        self._folder = tempfile.TemporaryDirectory(prefix="dirl")
+        copied = Path(self._folder.name) / "m.wad"
+        shutil.copy(wad, copied)
+        self._game = game = vizdoom.DoomGame()
+        with _failures():
+            game.load_config(str(data / "default.cfg"))
+            game.set_doom_config_path(str(Path(self._folder.name) / "settings.ini"))
+            game.set_doom_game_path(str(Path(vizdoom.__file__).parent / "freedoom2.wad"))
+            game.set_doom_scenario_path(str(copied))
+            game.set_window_visible(False)
+            game.set_screen_format(vizdoom.ScreenFormat.RGB24)
+            game.set_seed(seed)
+            game.init()
+            self._buttons = [button.name for button in game.get_available_buttons()]
+            self.act(IDLE, WAIT)
+
+    def replay(self, name: str) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+        """The frames of a recording, ``[T, 120, 160, 3]``, and the positions, ``[T, 2]``."""
+        copied = Path(self._folder.name) / "m.lmp"
+        shutil.copy(self.files / f"{name}.lmp", copied)
+        frames, places = [], []
+        with _failures():
+            self._game.replay_episode(str(copied))
+            while not self._game.is_episode_finished():
+                state = self._game.get_state()
+                frames.append(state.screen_buffer.copy())
+                places.append(state.game_variables[:2].copy())
+                self._game.advance_action()
+        return np.stack(frames), np.stack(places)
+
+    def start(self, name: str) -> None:
+        """Begin an episode at one of `STARTS`."""
+        with _failures():
+            self._game.set_doom_map(name)
+            self._game.new_episode()
+
+    def act(self, action: int, steps: int = REPEAT) -> None:
+        """Do something for some steps."""
+        self._game.make_action([int(name == BUTTONS[action]) for name in self._buttons], steps)
+
+    def see(self) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+        """The present frame and position."""
+        state = self._game.get_state()
+        return state.screen_buffer.copy(), state.game_variables[:2].copy()
+
+    def close(self) -> None:
+        """End the game."""
+        self._game.close()
+        self._folder.cleanup()
+
+
+@contextmanager
+def _failures() -> Iterator[None]:
+    """Whatever VizDoom raises is one line."""
+    try:
+        yield
+    except Exception as error:
+        raise SceneError(f"VizDoom failed ({type(error).__name__}: {error}); run the command again") from None
+
+
+def walk(game: Game, start: str, goal: tuple[float, float], walker: Walker) -> tuple[bool, int]:
+    """An episode: whether the goal was reached, and after how many steps of the simulator."""
+    game.start(start)
+    for steps in range(0, STEPS + 1, REPEAT):
+        frame, place = game.see()
+        if np.hypot(*(place - goal)) <= NEAR:
+            return True, steps
+        if steps + REPEAT <= STEPS:
+            game.act(walker(frame))
+    return False, STEPS
+
+
+def random_walker(seed: int) -> Walker:
+    """Any of the actions, as SPTM's control."""
+    draw = np.random.default_rng(seed)
+    return lambda frame: int(draw.integers(len(BUTTONS)))
+
+
+def walk_maze(data: Path, maze: Maze, trials: int, bar: Any = None) -> dict[str, list[tuple[bool, int]]]:
+    """Episodes of a maze from every start to every goal, by what walks: reached, and steps of the simulator."""
+    game = Game(data, maze)
+    frames, _ = game.replay(maze.name)
+    photos = [game.replay(f"{maze.name}_{goal}")[0][-1] for goal in GOALS]
+    game.close()
+    memory = Memory(load_column_net(), frames[::SKIP])
+    found: dict[str, list[tuple[bool, int]]] = {MEMORY: [], BLIND: [], RANDOM: []}
+    game = Game(data, maze)
+    for trial, start, goal in product(range(trials), STARTS, range(len(GOALS))):
+        seed = 1000 * trial + 10 * STARTS.index(start) + goal
+        anywhere = memory.frames[np.random.default_rng(seed).integers(len(memory.frames))]
+        walkers: dict[str, Walker] = {
+            MEMORY: Follower(memory, photos[goal], seed).act,
+            BLIND: Follower(memory, anywhere, seed).act,
+            RANDOM: random_walker(seed),
+        }
+        for name, walker in walkers.items():
+            found[name].append(walk(game, start, maze.goals[goal], walker))
+        if bar is not None:
+            bar.update()
+    game.close()
+    return found
+
+
+def report_sptm(folder: Path, trials: int, out: Path, *, validation: bool = False) -> str:
+    """Write the share of reached goals in SPTM's mazes, beside walks that are blind to the goal.
+
+    Args:
+        folder: a clone of github nsavinov/SPTM.
+        trials: of each start and goal; six in the paper.
+        out: the report's folder; mazes that are finished there are not walked again.
+        validation: the three mazes that settings were chosen in, instead of the seven for tests.
+    """
+    mazes = VALIDATION if validation else TESTS
+    table = Table({"maze": "", "walks by": "", "reached": ".2f", "steps, median": ".0f", "episodes": "d"})
+    every: dict[str, list[tuple[bool, int]]] = {}
+    with tqdm(total=len(mazes) * trials * len(STARTS) * len(GOALS), unit=" episodes", disable=None) as bar:
+        for maze in mazes:
+            file = out / "episodes" / f"{maze.name}_{trials}.json"
+            found = kept(file, partial(walk_maze, folder / "data", maze, trials, bar))
+            for name, episodes in found.items():
+                every.setdefault(name, []).extend(episodes)
+                table.add(maze.name, name, *_measures(episodes))
+    for name, episodes in every.items():
+        table.add("all", name, *_measures(episodes))
+    text = (
+        f"{len(mazes)} mazes, {len(STARTS)} starts, {len(GOALS)} goals, {trials} of 6 trials. An episode ends "
+        f"within {NEAR} units of the goal, or after {STEPS:,} steps of the simulator without success; an action takes "
+        f"{REPEAT} steps. The memory is the human's walkthrough, its frames alone. Protocol and mazes: Savinov, "
+        "Dosovitskiy and Koltun, Semi-parametric topological memory for navigation, ICLR 2018 (arXiv 1803.00653)."
+    )
+    return write_tables(out, "The protocol of SPTM", text, {"sptm": table}, {})
+
+
+def _measures(episodes: list[tuple[bool, int]]) -> tuple[float, float | None, int]:
+    steps = [count for reached, count in episodes if reached]
+    return len(steps) / len(episodes), float(np.median(steps)) if steps else None, len(episodes)

@@ -1,0 +1,50 @@
+"""Frames compared by their columns: poses in closed form, and what the network of the package tells."""
+
+import numpy as np
+import pytest
+import torch
+
+from dirl.agent.mapping.columns import BEARING, COLUMNS, UNIT, load_column_net, relative_pose, wall_points
+
+
+def moved(points, ahead, right, turned):
+    """Points as they are seen from a camera that was taken so far, and turned to the left, in degrees."""
+    angle = np.radians(turned)
+    off = points - torch.tensor([ahead, right]) / UNIT
+    return torch.stack(
+        [off[:, 0] * np.cos(angle) - off[:, 1] * np.sin(angle), off[:, 0] * np.sin(angle) + off[:, 1] * np.cos(angle)],
+        1,
+    )
+
+
+@pytest.mark.parametrize(
+    ("ahead", "right", "turned"), [(0.0, 0.0, 0.0), (80.0, -30.0, 0.0), (20.0, 10.0, 25.0), (-60.0, 40.0, -40.0)]
+)
+def test_the_pose_of_points_that_match_is_exact_and_few_wrong_matches_change_little(ahead, right, turned):
+    generator = torch.Generator().manual_seed(0)
+    seen = wall_points(torch.rand(1, COLUMNS, generator=generator))
+    other = moved(seen[0], ahead, right, turned)[None]
+    matches = torch.eye(COLUMNS)[None]
+    score, *pose = (float(value[0]) for value in relative_pose(matches, seen, other))
+    assert score == pytest.approx(COLUMNS, abs=0.1)
+    assert pose == pytest.approx([ahead, right, turned], abs=0.5)
+    matches[0, :4] = matches[0, :4].roll(9, 1)
+    pose = [float(value[0]) for value in relative_pose(matches, seen, other)[1:]]
+    assert pose == pytest.approx([ahead, right, turned], abs=8)
+
+
+def test_depths_are_along_the_bearing_of_each_column():
+    points = wall_points(torch.zeros(1, COLUMNS))[0]
+    assert torch.allclose(points.norm(dim=1), torch.ones(COLUMNS))
+    assert torch.allclose(torch.atan2(points[:, 1], points[:, 0]), BEARING)
+    assert -np.pi / 4 < BEARING[0] < BEARING[-1] < np.pi / 4
+
+
+def test_a_frame_fits_itself_best_where_it_is():
+    frames = np.random.default_rng(0).integers(0, 255, (6, 6, 8, 3), dtype=np.uint8).repeat(20, 1).repeat(20, 2)
+    net = load_column_net()
+    columns = net.describe(frames)
+    for frame in range(6):
+        fit = net.fit(columns[frame : frame + 1], columns)
+        assert fit.score.argmax() == frame == net.likeness(columns[frame : frame + 1], columns).argmax()
+        assert np.abs([fit.ahead[frame], fit.right[frame], fit.turned[frame]]).max() < 5

@@ -1,0 +1,101 @@
+"""SPTM's protocol: where its mazes are found (``SPTM``, a clone of github nsavinov/SPTM), an episode of them."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dirl.agent.mapping.columns import load_column_net
+from dirl.agent.mapping.follow import AHEAD, IDLE, Follower, Memory
+from dirl.experiments import sptm
+from dirl.experiments.sptm import STARTS, STEPS, TESTS, VALIDATION, Game, Maze, random_walker, walk
+from dirl.scenes.scene import SceneError
+from dirl.sources import mazes
+
+SETTINGS = """screen_resolution = RES_160X120
+render_hud = false
+render_weapon = false
+render_crosshair = false
+available_buttons = { MOVE_LEFT MOVE_RIGHT MOVE_FORWARD MOVE_BACKWARD TURN_LEFT TURN_RIGHT }
+available_game_variables = { POSITION_X POSITION_Y ANGLE }
+game_args += +cl_run 1
+"""
+
+FOLDER = Path(os.environ.get("SPTM", "SPTM"))
+
+found = pytest.mark.skipif(not (FOLDER / "data").is_dir(), reason="SPTM=... is no clone of github nsavinov/SPTM")
+
+
+class Straight:
+    """A maze that is one corridor; the agent walks 10 units a step."""
+
+    def __init__(self):
+        self.at = 0.0
+
+    def start(self, name):
+        self.at = 0.0
+
+    def act(self, action, steps=4):
+        self.at += 10 * steps * (action == AHEAD)
+
+    def see(self):
+        return None, np.array([self.at, 0.0])
+
+
+def test_an_episode_ends_within_63_units_or_after_5000_steps():
+    assert walk(Straight(), "map02", (500, 0), lambda frame: AHEAD) == (True, 44)  # at 440 units
+    assert walk(Straight(), "map02", (500, 0), lambda frame: IDLE) == (False, STEPS)
+    assert walk(Straight(), "map02", (63, 0), lambda frame: IDLE) == (True, 0)
+
+
+def test_the_protocol_has_672_episodes():
+    assert len(TESTS) * len(STARTS) * len(TESTS[0].goals) * 6 == 672
+    assert not {maze.name for maze in TESTS} & {maze.name for maze in VALIDATION}
+
+
+def test_a_folder_without_the_mazes_is_one_line(tmp_path):
+    pytest.importorskip("vizdoom")
+    with pytest.raises(SceneError, match="is no copy of github nsavinov/SPTM"):
+        Game(tmp_path / "data", TESTS[0])
+
+
+@found
+def test_a_recording_of_a_goal_ends_near_the_goal_and_random_walks_begin_at_the_starts(monkeypatch):
+    pytest.importorskip("vizdoom")
+    monkeypatch.setattr(sptm, "STEPS", 40)
+    maze = VALIDATION[1]
+    game = Game(FOLDER / "data", maze)
+    frames, places = game.replay(f"{maze.name}_{sptm.GOALS[1]}")
+    assert frames.shape[1:] == (120, 160, 3)
+    assert abs(places[-1] - maze.goals[1]).max() <= sptm.NEAR
+    assert walk(game, STARTS[0], maze.goals[1], random_walker(0)) == (False, 40)
+    assert tuple(game.see()[1].round()) != tuple(places[0].round())
+    game.close()
+
+
+def test_a_follower_goes_where_a_walk_through_a_corridor_of_our_own_went(tmp_path, monkeypatch):
+    vizdoom = pytest.importorskip("vizdoom")
+    monkeypatch.setattr(sptm, "STEPS", 800)
+    right = np.zeros((7, 1), bool)
+    right[-1] = True
+    folder = tmp_path / "Val" / "own"
+    folder.mkdir(parents=True)
+    iwad = Path(vizdoom.__file__).parent / "freedoom2.wad"
+    plan = mazes.Maze(right, np.ones((7, 1), bool))
+    # From this seed the player looks along the corridor, from one end.
+    mazes.write_mazes(folder / "own.wad_manymaps_test.wad", [plan], iwad, np.random.default_rng(17))
+    (tmp_path / "default.cfg").write_text(SETTINGS)
+    game = Game(tmp_path, Maze("Val/own", ()))
+    game.start("map01")
+    frames, places = [], []
+    for action in [AHEAD, IDLE] * 9:
+        frame, place = game.see()
+        frames.append(frame)
+        places.append(place)
+        game.act(action)
+    assert np.hypot(*(places[-1] - places[0])) > 250
+    memory = Memory(load_column_net(), np.stack(frames))
+    reached = [walk(game, "map01", tuple(places[-1]), Follower(memory, frames[-1], seed).act)[0] for seed in range(3)]
+    game.close()
+    assert all(reached)
