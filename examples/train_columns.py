@@ -61,7 +61,7 @@ def main(out: str, mazes: int = 160, frames: int = 400, steps: int = 900, seed: 
         torch.nn.utils.clip_grad_norm_(net.parameters(), 5.0)
         optimizer.step()
         if step % 25 == 0:
-            print(f"step {step}: loss {float(loss):.2f}", flush=True)
+            print(f"step {step}: loss {loss.item():.2f}", flush=True)
     halves = {name: value.half() if value.is_floating_point() else value for name, value in net.state_dict().items()}
     torch.save(halves, out)
 

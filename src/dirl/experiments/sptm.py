@@ -95,7 +95,8 @@ class Game:
         self._folder = tempfile.TemporaryDirectory(prefix="dirl")
         copied = Path(self._folder.name) / "m.wad"
         shutil.copy(wad, copied)
-        self._game = game = vizdoom.DoomGame()
+        game: Any = vizdoom.DoomGame()
+        self._game = game
         with _failures():
             game.load_config(str(data / "default.cfg"))
             game.set_doom_config_path(str(Path(self._folder.name) / "settings.ini"))

@@ -118,16 +118,24 @@ class Follower:
     """
 
     def __init__(self, memory: Memory, photo: NDArray[np.uint8], seed: int = 0) -> None:
-        self.memory, self.net, self._random = memory, memory.net, np.random.default_rng(seed)
+        self.memory = memory
+        self.net = memory.net
+        self._random = np.random.default_rng(seed)
         self.photo = self.net.describe(photo[None])
         self._fits = memory.fits(self.photo)
         self._links = memory.links.copy()
         self._plan_ways()
         self.belief = np.full(len(memory.frames), 1 / len(memory.frames))
         self._ends = np.concatenate([memory.shortcuts, memory.shortcuts[:, ::-1]])
-        self._usual, self._count, self._last, self._seen = LEAST, 0, IDLE, None
+        self._usual = LEAST  # likeness of any frame
+        self._count = 0
+        self._last = IDLE
+        self._seen: NDArray[np.int64] | None = None
         self._moves: list[int] = []
-        self._stopped, self._lost, self._since, self._least = 0, 0, 0, np.inf
+        self._stopped = 0
+        self._lost = 0
+        self._since = 0
+        self._least = np.inf
 
     def act(self, frame: NDArray[np.uint8]) -> int:
         """What to do next: one of `BUTTONS`.
@@ -142,7 +150,8 @@ class Follower:
         action = self._moves.pop() if self._moves else self._follow(seen, node, sure)
         if {action, self._last} == {TURN_LEFT, TURN_RIGHT} and self._random.random() < 0.5:
             action = AHEAD  # else it would turn to and fro
-        self._count, self._last = self._count + 1, action
+        self._count += 1
+        self._last = action
         return action
 
     def _believe(self, seen: Columns) -> None:
@@ -154,9 +163,9 @@ class Follower:
         everywhere = self._count % ALL == 0 or (self._lost > 0 and self._count % 3 == 0)
         if everywhere or count <= LOOKED:
             some = np.arange(0, count, 2)
-            likeness = self.net.likeness(seen, self.memory.columns[some])
-            self._usual = float(np.median(likeness))
-            likeness = np.interp(np.arange(count), some, likeness)
+            found = self.net.likeness(seen, self.memory.columns[some])
+            self._usual = float(np.median(found))
+            likeness = np.interp(np.arange(count), some, found)
         else:
             some = np.unique(np.argpartition(-belief, LOOKED)[:LOOKED] // 2 * 2)
             found = self.net.likeness(seen, self.memory.columns[some])
@@ -176,7 +185,7 @@ class Follower:
     def _notice_walls(self, frame: NDArray[np.uint8]) -> None:
         """Steps aside where the view stayed the same."""
         small = frame[::2, ::2].astype(int)
-        same = self._seen is not None and np.abs(small - self._seen).mean() < SAME_VIEW
+        same = self._seen is not None and bool(np.abs(small - self._seen).mean() < SAME_VIEW)
         self._seen = small
         self._stopped = self._stopped + (self._last < IDLE) if same else 0
         if self._stopped >= 2:
@@ -233,7 +242,9 @@ class Follower:
 
     def _wander(self) -> int:
         """Some steps at random, then again."""
-        self._lost, self._since, self._least = 0, 0, np.inf
+        self._lost = 0
+        self._since = 0
+        self._least = np.inf
         self.belief = 0.7 * self.belief + 0.3 / len(self.belief)
         side = int(self._random.choice([TURN_LEFT, TURN_RIGHT]))
         self._moves = [AHEAD] * int(self._random.integers(2, 8)) + [side] * int(self._random.integers(1, 6))
