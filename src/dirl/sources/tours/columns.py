@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from dirl.sources.tours.images import Cube, Equirectangular, read_panorama, sample
 
-COLUMNS, ROWS = 180, 48
+COLUMNS, ROWS = 360, 64
 """Of a panorama that is compared."""
 
 HIGHEST, LOWEST = 1.0, -1.3
 """Tangents of the angles above the horizon between which rows are spread evenly: a thing's grow by its nearness."""
 
-SCALES = np.exp(np.linspace(-1, 1, 11))
+SCALES = np.exp(np.linspace(-1, 1, 17))
 """How much larger things may be in the other panorama."""
 
-DISTANCES = np.exp(np.linspace(np.log(0.4), np.log(6), 12))
+DISTANCES = np.exp(np.linspace(np.log(0.3), np.log(8), 24))
 """That are supposed, in distances between the two panoramas."""
 
 COARSE, FINE = 2.0, 0.5
