@@ -34,6 +34,7 @@ from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, me
 from dirl.models import LocalisingMemory
 from dirl.perception.backbones.registry import packaged_encoder
 from dirl.perception.recognition.build import build_recogniser, matching
+from dirl.perception.recognition.recogniser import NCC
 from dirl.reporting import film_scene, run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.finding import RunError, packaged_agent
@@ -49,6 +50,11 @@ MOST_EPISODES = 20_000
 
 LIVE_EPISODES = 100
 """Likewise, in a live world."""
+
+CHANGING = (
+    "these scenes never look the same twice, and the correlation of the paper misses nearly every arrival there: try "
+    "recogniser=learned episodic_memory=localising"
+)
 
 
 def main(options: EvaluateConfig) -> None:
@@ -82,6 +88,8 @@ def main(options: EvaluateConfig) -> None:
         trained = with_map(trained, options.map, options.last_steps)
     if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:
         raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
+    if misses_arrivals(trained):
+        print(CHANGING)
     facts = describe(trained.config, trained.protocol.world)
     if packaged_agent(options.checkpoint) is not None:
         facts["agent"] = Path(options.checkpoint).name
@@ -99,6 +107,12 @@ def main(options: EvaluateConfig) -> None:
         replaced = " (in place of the one before)" if file.exists() else ""
         write_text(file, page)
         print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+
+
+def misses_arrivals(trained: Trained) -> bool:
+    """Whether the agent stops by correlation in scenes with several looks (docs/results_changes.md)."""
+    correlates = isinstance(build_recogniser(trained.config), NCC)
+    return correlates and trained.protocol.world.looks > 1 and trained.config.stop.evaluation == "match"
 
 
 def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:

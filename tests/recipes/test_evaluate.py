@@ -1,14 +1,18 @@
-"""The recipe that evaluates: how many episodes it walks, and what it calls an agent."""
+"""The recipe that evaluates: how many episodes it walks, what it calls an agent, and what it tells of the stop."""
+
+from types import SimpleNamespace
 
 import evaluate
 import pytest
 import torch
 from rooms import grid_scene
 
+from dirl.config.choices import group_options
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.scenes import make_world
+from dirl.training.load import Trained
 
 
 @pytest.mark.parametrize(("most", "each"), [(10_000, None), (24 * 23 - 1, 22), (100, 4), (3, 1)])
@@ -34,3 +38,15 @@ def test_an_agent_beside_another_is_called_by_its_folder_or_its_name_in_the_pack
     assert evaluate.agent_name("runs/mine") == evaluate.agent_name("runs/mine/network.pt") == "mine"
     assert evaluate.agent_name("runs/mine/checkpoints/320.pt") == "mine"
     assert evaluate.agent_name("network.pt") == tmp_path.name
+
+
+@pytest.mark.parametrize(
+    ("looks", "recogniser", "stop", "told"),
+    [(2, "ncc", "match", True), (0, "ncc", "match", False), (2, "ncc", "goal", False), (2, "patches", "match", False)],
+)
+def test_a_stop_by_correlation_is_told_of_where_no_place_looks_the_same_twice(looks, recogniser, stop, told):
+    world = make_world([grid_scene(3, 2, looks=looks)])
+    protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world))
+    chosen = group_options("recogniser", recogniser)
+    config = SimpleNamespace(recogniser=chosen, trust=[], stop=SimpleNamespace(evaluation=stop))
+    assert evaluate.misses_arrivals(Trained(config, None, protocol)) == told
