@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.agent.mapping.columns import BEARING, COLUMNS, UNIT, ColumnNet, images_of
+from dirl.agent.mapping.follow import AHEAD, BUTTONS, IDLE, TURN_LEFT, TURN_RIGHT
 from dirl.sources.mazes import CELL, Maze, draw_maze, write_mazes
 
 Frames, Poses, Depths = NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]
 
-AHEAD, BACK, LEFT, RIGHT, IDLE, TURN_LEFT, TURN_RIGHT = range(7)
-BUTTONS = ("MOVE_FORWARD", "MOVE_BACKWARD", "MOVE_LEFT", "MOVE_RIGHT", None, "TURN_LEFT", "TURN_RIGHT")
 OFTEN = [0.45, 0.06, 0.06, 0.06, 0.05, 0.16, 0.16]
 
 NEAR_WALL, KEPT = 70, 0.05

@@ -60,6 +60,14 @@ def test_a_folder_without_the_mazes_is_one_line(tmp_path):
         Game(tmp_path / "data", TESTS[0])
 
 
+@pytest.mark.parametrize("use", [lambda game: game.see(), lambda game: game.act(AHEAD)])
+def test_a_game_that_is_gone_is_one_line(use):
+    game = Game.__new__(Game)
+    game._buttons, game._game = [], None  # its process was killed
+    with pytest.raises(SceneError, match=r"^VizDoom failed \(AttributeError: .*\); run the command again$"):
+        use(game)
+
+
 @found
 def test_a_recording_of_a_goal_ends_near_the_goal_and_random_walks_begin_at_the_starts(monkeypatch):
     pytest.importorskip("vizdoom")

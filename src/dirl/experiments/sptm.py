@@ -5,8 +5,7 @@ Mazes, walkthroughs and recordings of goals are those of github nsavinov/SPTM (M
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -20,6 +19,7 @@ from dirl.agent.mapping.columns import load_column_net
 from dirl.agent.mapping.follow import BUTTONS, IDLE, Follower, Memory
 from dirl.experiments.measures import kept
 from dirl.experiments.results import Table, write_tables
+from dirl.scenes.live import simulator_errors
 from dirl.scenes.scene import SceneError
 
 GOALS = ("tall_red_pillar", "candelabra", "tall_blue_torch", "short_green_pillar")
@@ -97,7 +97,7 @@ class Game:
         shutil.copy(wad, copied)
         game: Any = vizdoom.DoomGame()
         self._game = game
-        with _failures():
+        with simulator_errors("VizDoom"):
             game.load_config(str(data / "default.cfg"))
             game.set_doom_config_path(str(Path(self._folder.name) / "settings.ini"))
             game.set_doom_game_path(str(Path(vizdoom.__file__).parent / "freedoom2.wad"))
@@ -114,7 +114,7 @@ class Game:
         copied = Path(self._folder.name) / "m.lmp"
         shutil.copy(self.files / f"{name}.lmp", copied)
         frames, places = [], []
-        with _failures():
+        with simulator_errors("VizDoom"):
             self._game.replay_episode(str(copied))
             while not self._game.is_episode_finished():
                 state = self._game.get_state()
@@ -125,32 +125,25 @@ class Game:
 
     def start(self, name: str) -> None:
         """Begin an episode at one of `STARTS`."""
-        with _failures():
+        with simulator_errors("VizDoom"):
             self._game.set_doom_map(name)
             self._game.new_episode()
 
     def act(self, action: int, steps: int = REPEAT) -> None:
         """Do something for some steps."""
-        self._game.make_action([int(name == BUTTONS[action]) for name in self._buttons], steps)
+        with simulator_errors("VizDoom"):
+            self._game.make_action([int(name == BUTTONS[action]) for name in self._buttons], steps)
 
     def see(self) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
         """The present frame and position."""
-        state = self._game.get_state()
-        return state.screen_buffer.copy(), state.game_variables[:2].copy()
+        with simulator_errors("VizDoom"):
+            state = self._game.get_state()
+            return state.screen_buffer.copy(), state.game_variables[:2].copy()
 
     def close(self) -> None:
         """End the game."""
         self._game.close()
         self._folder.cleanup()
-
-
-@contextmanager
-def _failures() -> Iterator[None]:
-    """Whatever VizDoom raises is one line."""
-    try:
-        yield
-    except Exception as error:
-        raise SceneError(f"VizDoom failed ({type(error).__name__}: {error}); run the command again") from None
 
 
 def walk(game: Game, start: str, goal: tuple[float, float], walker: Walker) -> tuple[bool, int]:
