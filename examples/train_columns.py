@@ -3,7 +3,7 @@
     python examples/train_columns.py out=columns.pt        # needs dirl[vizdoom]
     python examples/train_columns.py out=try.pt mazes=2 frames=60 steps=3
 
-A player walks at random in 160 mazes of `dirl.sources.mazes`, whose walls are none of SPTM's test mazes. Its poses and
+A player walks at random in 160 mazes of ``mazes.py``, whose walls are none of SPTM's test mazes. Its poses and
 the plan of the maze tell where each column of a frame meets a wall, and in which column of another frame that point is
 seen; both are what the network learns. Where the network is used, neither is known.
 """
@@ -16,12 +16,12 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 import vizdoom
+from mazes import CELL, Maze, draw_maze, write_mazes
 from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.agent.mapping.columns import BEARING, COLUMNS, UNIT, ColumnNet, images_of
 from dirl.agent.mapping.follow import AHEAD, BUTTONS, IDLE, TURN_LEFT, TURN_RIGHT
-from dirl.sources.mazes import CELL, Maze, draw_maze, write_mazes
 
 Frames, Poses, Depths = NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]
 

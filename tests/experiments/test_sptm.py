@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import mazes
 import numpy as np
 import pytest
 
@@ -11,7 +12,6 @@ from dirl.agent.mapping.follow import AHEAD, IDLE, Follower, Memory
 from dirl.experiments import sptm
 from dirl.experiments.sptm import STARTS, STEPS, TESTS, VALIDATION, Game, Maze, random_walker, walk
 from dirl.scenes.scene import SceneError
-from dirl.sources import mazes
 
 SETTINGS = """screen_resolution = RES_160X120
 render_hud = false

@@ -3,8 +3,7 @@
 import struct
 
 import numpy as np
-
-from dirl.sources.mazes import CELL, draw_maze, read_lumps, write_mazes
+from mazes import CELL, draw_maze, read_lumps, write_mazes
 
 
 def reached(maze):
