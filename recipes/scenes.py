@@ -50,7 +50,7 @@ from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
 from dirl.sources.rooms.looks import Changes, PhotoCamera
 from dirl.sources.rooms.sampling import KINDS
 from dirl.sources.rooms.sheet import draw_sheet, preview
-from dirl.sources.simulators import VisitErrors, take_look, take_scene
+from dirl.sources.simulators import take_look, take_scene
 from dirl.sources.thor import start_simulator, take_views
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.images import cut_views
@@ -96,13 +96,12 @@ def simulator(options: Any) -> None:
 
 def write_simulated(begin: Callable[[], Simulator], options: Any, source: str) -> None:
     """A dump of the scene that a simulator starts with."""
-    errors = VisitErrors(**vars(options.changes))
     if options.looks < 0 or (options.looks and options.encoder is None):
         raise SceneError(f"looks={options.looks}: at least 0; their views are encoded and not stored: give an encoder")
     simulator, encoder = begin(), chosen_encoder(options)
     scene, views = take_scene(simulator, source=source, step=options.step, turn=options.turn, most=options.places)
     for seed in tqdm(range(options.looks), desc="looks", disable=None):
-        views += take_look(simulator, scene, errors, seed)
+        views += take_look(simulator, scene, seed, **vars(options.changes))
     write_encoded(Path(options.out), scene, views, encoder)
 
 

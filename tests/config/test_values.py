@@ -73,4 +73,4 @@ def test_options_of_scenes_are_those_of_conf():
     assert list(options)[:3] == ["kind", "seed", "count"]
     assert (options["workers"], options["encoder"], options["out"]) == (int | None, str | None, str)
     assert options["changes.position"] is float
-    assert set(TYPES) <= {name for command in COMMANDS.values() for name in option_types(command)}
+    assert set(TYPES) <= {name.split(".")[-1] for command in COMMANDS.values() for name in option_types(command)}

@@ -128,7 +128,7 @@ def test_a_mistyped_command_is_told_its_neighbour(name, says):
         ("simulator out=new.h5", "simulator must be given: a YAML file"),
         ("simulator simulator=nope.yaml out=new.h5", "simulator=nope.yaml: there is no such file"),
         ("miniworld env=FourRooms out=new.h5 looks=1 encoder=null", "looks=1: at least 0; their views are encoded"),
-        ("vizdoom map=map01 out=new.h5 changes.heading=-1", "changes.heading=-1: must not be negative"),
+        ("vizdoom map=map01 out=new.h5 changes.heading=-1", "changes.heading=-1.0: must be at least 0"),
         ("thor scene=FloorPlan1 out=new.h5 step=0", "step=0.0: must be between 0.05 and 10"),
     ],
 )

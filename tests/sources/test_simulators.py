@@ -19,7 +19,7 @@ from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import decode
 from dirl.sources.miniworld import MiniWorld
-from dirl.sources.simulators import VisitErrors, take_look, take_scene
+from dirl.sources.simulators import take_look, take_scene
 from dirl.sources.vizdoom import VizDoom
 
 
@@ -107,7 +107,7 @@ def look(simulator, scene, seed=0, **errors):
     """Where the views of a look were taken, each as what it is off the planned pose, ``[N, 3]``, and their colour."""
     simulator.seen.clear()
     sizes = {"position": 0.1, "heading": 5.0, "exposure": 0.2} | errors
-    views = list(take_look(simulator, scene, VisitErrors(**sizes), seed))
+    views = list(take_look(simulator, scene, seed, **sizes))
     planned = np.column_stack([scene.positions, scene.headings])
     off = np.array(simulator.seen) - planned
     off[:, 2] = (off[:, 2] + 180) % 360 - 180

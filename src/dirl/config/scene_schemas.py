@@ -12,7 +12,7 @@ from omegaconf import MISSING
 from dirl.config.bounds import Bounds
 from dirl.config.meanings import entries
 from dirl.config.places import CONF
-from dirl.config.schemas import Correlation, Device, Match, Positive, Precision, Seed
+from dirl.config.schemas import Correlation, Device, Match, NotNegative, Positive, Precision, Seed
 
 Layout = StrEnum("Layout", ["icra17"])
 
@@ -23,14 +23,17 @@ TYPES: dict[str, Any] = {
     "count": Positive,
     "device": Device,
     "encoder": str | None,
+    "exposure": NotNegative,
     "field_of_view": Annotated[float, Bounds(10, 150)],
     "goals": list[int],
+    "heading": NotNegative,
     "headings": Annotated[int, Bounds(4, 36)],
     "height": Pixels,
     "layout": Layout,
     "match": Match,
     "pitch": Annotated[float, Bounds(-80, 80)],
     "places": Annotated[int, Bounds(2)],
+    "position": NotNegative,
     "precision": Precision,
     "reach": Annotated[float, Bounds(0.1, 100)],
     "seed": Seed,

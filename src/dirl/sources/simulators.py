@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from tqdm import tqdm
@@ -108,47 +107,28 @@ def _views(simulator: Simulator, scene: Scene) -> Iterator[bytes]:
             bar.update()
 
 
-@dataclass(frozen=True)
-class VisitErrors:
-    """By how much a visit differs from the planned one: standard deviations of normal distributions.
-
-    Args:
-        position: along each axis, metres; less where the agent cannot stand.
-        heading: degrees.
-        exposure: of the logarithm of the brightness; 0.05 is about 5 %.
-
-    Raises:
-        SceneError: a negative one.
-    """
-
-    position: float
-    heading: float
-    exposure: float
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0:
-                raise SceneError(f"changes.{name}={value:g}: must not be negative")
-
-
-def take_look(simulator: Simulator, scene: Scene, errors: VisitErrors, seed: int) -> Iterator[bytes]:
+def take_look(
+    simulator: Simulator, scene: Scene, seed: int, *, position: float, heading: float, exposure: float
+) -> Iterator[bytes]:
     """The views of a scene's states, WebP, as visits that differ a little from the planned ones show them.
 
     The error of a visit is sampled once for each place: all views from there share it, as those of a robot that turns
-    on the spot do.
+    on the spot do. Errors are of normal distributions.
 
     Args:
         simulator: that the scene was taken from.
         scene: N states, those of a place one after another; see `take_scene`.
-        errors: their standard deviations.
         seed: of the errors.
+        position: standard deviation along each axis, metres; less where the agent cannot stand.
+        heading: likewise, degrees.
+        exposure: likewise, of the logarithm of the brightness; 0.05 is about 5 %.
 
     Raises:
         SceneError: a failure of the simulator.
     """
     turns = turns_per_circle(scene.graph)
     sampled = np.random.default_rng(seed).normal(0, 1, (len(scene) // turns, 4))
-    sampled *= [errors.position, errors.position, errors.heading, errors.exposure]
+    sampled *= [position, position, heading, exposure]
     for state, ((x, z), planned) in enumerate(zip(scene.positions.tolist(), scene.headings.tolist(), strict=True)):
         to_x, to_z, turned, brighter = sampled[state // turns].tolist()
         towards = (planned + turned) % 360
