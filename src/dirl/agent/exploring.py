@@ -158,12 +158,7 @@ def map_to_walk_on(
 
 
 def map_of(graph: object, extractor: str, recogniser: Recogniser) -> ImageGraph | PlaceMap:
-    """A map, or the one that was saved in a folder.
-
-    Args:
-        graph: the map, or its folder.
-        extractor: of the navigator's features.
-        recogniser: of the navigator.
+    """A map for a navigator with this extractor and recogniser, or the one that was saved in a folder.
 
     Raises:
         NavigatorError: there is no such map, or it was made with another extractor or recogniser.

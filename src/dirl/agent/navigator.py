@@ -13,10 +13,7 @@ from dirl.agent.cameras import FeaturePolicy, Goal, Views
 from dirl.agent.exploring import Explorer, check_turns, map_of, map_to_walk_on
 from dirl.agent.hub import fetch_pretrained
 from dirl.agent.images import Images, NavigatorError, checked_images
-from dirl.agent.loading import (
-    Encoder,
-    load_parts,
-)
+from dirl.agent.loading import Encoder, load_parts
 from dirl.agent.mapping import ImageGraph, PlaceMap
 from dirl.agent.mapping.policy import LAST_STEPS, Guide, check_last_steps
 from dirl.envs.transforms import VIEWS

@@ -15,14 +15,7 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
-from dirl.cli.command_line import (
-    SCHEMAS,
-    choose_command,
-    config_dirs,
-    parsed,
-    prepare,
-    register,
-)
+from dirl.cli.command_line import SCHEMAS, choose_command, config_dirs, parsed, prepare, register
 from dirl.cli.refusals import check_values
 from dirl.config.meanings import entries, explained
 from dirl.config.places import CONF, RECIPES, command
@@ -99,13 +92,7 @@ def run_main(main: Callable[[], Any]) -> None:
 
 
 def run_recipe(recipe: str, main: Callable[[Any], None], name: str = "") -> None:
-    """Run a recipe's function with its options, composed by Hydra and checked; see `run_main`.
-
-    Args:
-        recipe: a key of `RECIPES`.
-        main: takes the dataclass of the options.
-        name: of the command of ``recipes/scenes.py``.
-    """
+    """Run a recipe's function, or that of its command ``name``, with the dataclass of its options; see `run_main`."""
 
     def job(composed: DictConfig) -> None:
         with one_line_exits():  # Hydra would say something of its own about an error

@@ -37,11 +37,7 @@ def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
 
 
 def own_options(group: str, file: Path) -> dict[str, Any]:
-    """The options of a component in a YAML file of the user's.
-
-    Args:
-        group: the option that names the file, for errors.
-        file: with ``_target_``.
+    """The options of a component in a YAML file of the user's; ``group`` is the option that names it.
 
     Raises:
         ConfigError: it cannot be read, or names no class.
@@ -69,12 +65,7 @@ def goal_view_options(choice: str | None) -> dict[str, Any]:
 def load_simulator(file: str, trust: Collection[str] | None = None) -> Any:
     """The simulator of the user's own that a YAML file names: ``_target_``, its class, and its arguments.
 
-    Args:
-        file: with the ending ``.yaml``.
-        trust: see `dirl.config.components.find_class`.
-
-    Returns:
-        A `dirl.scenes.live.Simulator`.
+    ``trust`` is as for `dirl.config.components.find_class`.
 
     Raises:
         ConfigError: there is no such file or class, or it lacks a member of `dirl.scenes.live.Simulator`.

@@ -71,10 +71,7 @@ BASES = {
 
 
 def components(config: Any) -> dict[str, dict[str, Any]]:
-    """The options of each component that names a class, by dotted name (``encoder``, ``losses.a2c``).
-
-    Args:
-        config: a `dirl.config.schemas.TrainConfig`.
+    """The options of each component of a `TrainConfig` that names a class, by dotted name (``losses.a2c``).
 
     Raises:
         ConfigError: a value that is no component.
@@ -100,11 +97,7 @@ def packages_to_trust(config: Any) -> list[str]:
 
 
 def check_components(config: Any, trust: Collection[str] | None = None) -> None:
-    """Find every component's class and check its options, before anything is made.
-
-    Args:
-        config: a `dirl.config.schemas.TrainConfig`.
-        trust: see `find_class`.
+    """Find the class of every component of a `TrainConfig` and check its options, before anything is made.
 
     Raises:
         ConfigError: see `find_class` and `check_options`.
@@ -187,12 +180,7 @@ def _signature(owner: type) -> Parameters:
 
 
 def check_options(name: str, parameters: Parameters, options: Mapping[str, Any]) -> None:
-    """Check a component's options against its constructor.
-
-    Args:
-        name: of the component.
-        parameters: of the constructor, see `class_parameters`.
-        options: with ``_target_``.
+    """Check a component's options, ``_target_`` among them, against the parameters of its constructor.
 
     Raises:
         ConfigError: an unknown or missing option, or a value of the wrong type or out of bounds.

@@ -33,9 +33,6 @@ class ShortestPathExpert(TensorDictModuleBase):
     ``[B]``: -1 where it has no advice, here at the goal and where the goal cannot be reached. It may also write
     ``optimal_actions``, bool ``[B, 4]``, all actions that it accepts, for
     `dirl.training.objectives.OptimalActionsLoss`.
-
-    Args:
-        world: where to walk.
     """
 
     in_keys: ClassVar = ["state", "goal"]

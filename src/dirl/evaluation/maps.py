@@ -66,14 +66,7 @@ def walk_through(
 ) -> list[int]:
     """The states that are passed on a walk through a scene by a mapper; see `map_scene`.
 
-    Args:
-        world: where.
-        index: of the scene.
-        mapper: makes a map.
-        look: what it takes for the view ids of a visit, int64 ``[4]``.
-        steps_per_state: see `map_scene`.
-        seed: see `map_scene`.
-        looks: see `map_scene`.
+    ``look`` gives what the mapper takes for the view ids of a visit, int64 ``[4]``.
     """
     scene, offset = world.scenes[index], world.offsets[index]
     generator = torch.Generator(world.device).manual_seed(seed)
@@ -88,13 +81,9 @@ def walk_through(
 
 
 def map_quality(known: PlaceMap, passed: list[int], world: World, index: int) -> Quality:
-    """Compare a map with its scene; a node is of the state where the walker first was at its place.
+    """Compare a map, and the states of its visits, with the scene; see `map_scene`.
 
-    Args:
-        known: a map of a walk.
-        passed: the states of its visits, by their places in the scene.
-        world: see `map_scene`.
-        index: see `map_scene`.
+    A node is of the state where the walker first was at its place.
     """
     scene, places = world.scenes[index], known.places
     surrounding, node = torch.tensor(scene.surrounding), places.node[0]

@@ -63,13 +63,9 @@ def tested(collection: str) -> dict[str, Any]:
 
 
 def walked(agent: str, collection: str, goal_view: str, way: str) -> tuple[World, Episodes]:
-    """Episodes in the scenes of a folder, and these scenes.
+    """Episodes in the scenes of a folder with looks, see `tested`, and these scenes.
 
-    Args:
-        agent: a checkpoint.
-        collection: a folder, with looks; see `tested`.
-        goal_view: one of `GOAL_VIEWS`.
-        way: one of `RECOGNISED` or `CONTROLS`.
+    ``goal_view`` is one of `GOAL_VIEWS`, ``way`` one of `RECOGNISED` or `CONTROLS`.
     """
     recogniser, memory = RECOGNISED.get(way, ("learned", "planning"))
     changes = {**tested(collection), "stop.evaluation": "goal" if way in CONTROLS else "match"}
@@ -92,10 +88,8 @@ def measured(out: Path, agent: str, collection: str, goal_view: str, way: str) -
 def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path) -> str:
     """Measure, and write tables and a figure. What was measured is kept in the folder, and not measured again.
 
-    Args:
-        collections: folders with looks, see `tested`, in the order of the strength of the changes.
-        agents: the controls are of the first.
-        out: a folder; what was measured is kept in it, and not measured again.
+    Collections are folders with looks, see `tested`, in the order of the strength of the changes. Controls are of the
+    first agent.
     """
     ways = [(agent, way) for agent in agents for way in RECOGNISED] + [(agents[0], way) for way in CONTROLS]
     cases = [(one, view, *way) for one in collections for view in GOAL_VIEWS for way in ways]

@@ -41,14 +41,9 @@ Line = tuple[str, str, str, Mapping[str, Sequence[Sequence[float]]]]
 
 
 def draw_spl(lines: Sequence[Line], names: Sequence[str], out: Path, name: str, *, apart: float = 0.0) -> None:
-    """SPL over collections, a panel for each way of showing goals.
+    """SPL over collections, by their names, a panel for each way of showing goals.
 
-    Args:
-        lines: what is drawn.
-        names: of the collections.
-        out: a folder.
-        name: of the file.
-        apart: distance of the lines' points, where one collection is 1.
+    The points of lines are ``apart``, where one collection is 1.
     """
     figure, grid = panels(2, (8, 4.6))
     views = list(lines[0][3])

@@ -120,14 +120,9 @@ def report_image_graph(collection: str, rooms: int | None, agent: str | None, ou
 
 
 def measure(world: World, policies: Policies, about: str, out: Path, starts: int = STARTS) -> str:
-    """Measure, and write a report; the text of its README.
+    """Measure maps, and policies beside them, and write a report; the text of its README.
 
-    Args:
-        world: where, with its goals.
-        policies: whose episodes are measured beside those of maps.
-        about: what the world is.
-        out: a folder.
-        starts: of each scene and distance.
+    ``about`` says what the world is; ``starts`` are those of each scene and distance.
     """
     sees, stop = SurroundingViews(world), TemplateStop(THRESHOLD)(world)
     protocol = EvaluationProtocol(world, sees, drawn_starts(world, starts), stop, MAX_STEPS)

@@ -29,11 +29,7 @@ from dirl.training.build import build_optimiser, build_world
 
 
 class AnyBatch(nn.Module):
-    """Scene-specific layers for batches of any shape: TorchRL's GAE asks the critic for all steps of all agents.
-
-    Args:
-        layers: of rows ``[B, F]`` and scenes ``[B]``, see `dirl.models.heads`.
-    """
+    """Scene-specific layers, see `dirl.models.heads`, for batches of any shape, as TorchRL's GAE asks the critic."""
 
     def __init__(self, layers: nn.Module) -> None:
         super().__init__()

@@ -68,12 +68,8 @@ class Result:
 def finished_runs(folder: Path, hint: str) -> list[Result]:
     """The finished runs right in a folder, by name; those that are not finished are named on the terminal.
 
-    Args:
-        folder: holds a folder for each run.
-        hint: how to make them, for the error.
-
     Raises:
-        RunError: there is none.
+        RunError: there is none; ``hint`` says how to make them.
     """
     folders, unfinished = finished_folders(folder, hint)
     if unfinished:
@@ -159,12 +155,7 @@ def _text(cell: Any, form: str) -> str:
 def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], figures: Mapping[str, str]) -> str:
     """Write ``<name>.csv`` for each table, and ``README.md`` with all of them and the figures; returns its text.
 
-    Args:
-        out: a folder.
-        title: of the text.
-        note: above the tables.
-        tables: by the name of their file.
-        figures: what each shows, for readers who do not see it, by the name of its file.
+    Of figures it is given what each shows, for readers who do not see it.
     """
     out.mkdir(parents=True, exist_ok=True)
     parts = [f"# {title}", note]

@@ -71,12 +71,7 @@ VALIDATION = (
 
 
 class Game:
-    """A maze in VizDoom, with SPTM's settings.
-
-    Args:
-        data: the folder ``data`` of SPTM.
-        maze: one of the mazes there.
-        seed: of the game.
+    """A maze of SPTM's folder ``data`` in VizDoom, with SPTM's settings.
 
     Raises:
         SceneError: there is no such maze, or VizDoom is not installed or does not start.

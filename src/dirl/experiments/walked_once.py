@@ -53,9 +53,7 @@ QUALITY = {"nodes": "nodes a state", "covered": "states seen", "wrong": "wrong l
 def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
     """The dumps of the test rooms, and the looks of the walk, of the episodes and of their goals; None are all.
 
-    Args:
-        collection: a folder, or several with colons between them.
-        out: a folder for dumps with the looks of all.
+    Of several folders, with colons between them, dumps with the looks of all are written to ``out``.
 
     Raises:
         RunError: they are not of the same rooms.
@@ -205,10 +203,7 @@ def _led(
 def report_walked_once(collections: Sequence[str], agent: str, out: Path) -> str:
     """Measure, and write tables and a figure. What was measured is kept in the folder, and not measured again.
 
-    Args:
-        collections: folders, or two of the same rooms with a colon between them.
-        agent: that walks.
-        out: a folder; what was measured is kept in it, and not measured again.
+    Collections are folders, or several of the same rooms with colons between them.
     """
     bar = tqdm(collections, desc="walked once", unit=" collections", disable=None)
     found = {collection: measured(agent, collection, out) for collection in bar}

@@ -27,12 +27,7 @@ def build_policy(
 ) -> nn.Module:
     """The policy with its initial weights, which depend on the seed alone.
 
-    Args:
-        config: of the run.
-        features: of the world's states.
-        scenes: the scenes' names.
-        world: where it walks; a policy that is loaded outside of its scenes has none.
-        views: how many an observation has.
+    A policy that is loaded outside of its scenes has no world. ``views`` is how many an observation has.
 
     Raises:
         ConfigError: components that do not fit together.
@@ -91,12 +86,8 @@ def feature_table(
 ) -> FeatureTable:
     """The features of the world's states, standardised or whitened as configured.
 
-    Args:
-        config: of the run.
-        world: whose states.
-        weights: of a trained network, whose mean, standard deviation and axes are used; the world's if left out.
-        origin: where the weights stood, for errors.
-        room: for so many views that are encoded later, see `FeatureTable.write`.
+    If weights of a trained network are given, its mean, standard deviation and axes are used, not the world's. There is
+    ``room`` for so many views that are encoded later, see `FeatureTable.write`.
 
     Raises:
         ConfigError: the encoder reads patches, and the scenes have none.

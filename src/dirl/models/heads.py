@@ -73,15 +73,10 @@ class SceneTrunks(nn.Module):
 
 
 class SceneLinear(nn.Module):
-    """One small linear layer for each scene; each row is passed through the layer of its scene.
+    """One small linear layer for each scene; each row is passed through the layer of its scene, see `SceneTrunks`.
 
     All layers are applied to all rows, and the outputs of the right layer are selected. For a few outputs this is
     faster than sorting the rows.
-
-    Args:
-        scenes: as for `SceneTrunks`.
-        width: F, of the rows.
-        outputs: F', of each layer.
     """
 
     def __init__(self, scenes: Sequence[str], width: int, outputs: int) -> None:

@@ -165,14 +165,8 @@ class LocalisingMemory(nn.Module):
     def likely(self, places: Places, alike: Tensor) -> Tensor:
         """Log probabilities, up to a constant, that the agents are now at each node or, last, at a new place.
 
-        Agents that have not acted since the start may be at any place with the same probability.
-
-        Args:
-            places: see `arrive`.
-            alike: see `arrive`.
-
-        Returns:
-            float32 ``[B, 4 P + 1]``.
+        Agents that have not acted since the start may be at any place with the same probability. The result is float32
+        ``[B, 4 P + 1]``; for the arguments see `arrive`.
         """
         evidence = self._evidence(alike, places)
         used, at = evidence > -math.inf, torch.arange(len(evidence), device=evidence.device)
@@ -192,14 +186,7 @@ class LocalisingMemory(nn.Module):
         return torch.cat([prior.log() + evidence, new.log()], 1)
 
     def add(self, places: Places, here: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
-        """Add a visit of agents that are at nodes ``here``, int64 ``[B]``; ``4 P`` is a new place.
-
-        Args:
-            places: see `arrive`.
-            here: where they are.
-            goal: see `arrive`.
-            logits: see `arrive`.
-        """
+        """Add a visit of agents that are at nodes ``here``, int64 ``[B]``; ``4 P`` is a new place. See `arrive`."""
         position, heading = self._expected(places)
         new = places.cost.shape[1]
         made = here == new
@@ -248,13 +235,7 @@ class LocalisingMemory(nn.Module):
         return -torch.where(found.isinf().all(-1, keepdim=True), places.cost[at, places.here], found)
 
     def _certain(self, places: Places, evidence: Tensor, node: Tensor) -> Tensor:
-        """Whether the goal is at these nodes, int64 ``[B]``, with the probability that is asked for, bool ``[B]``.
-
-        Args:
-            places: so far.
-            evidence: log odds that the goal is at each node, float32 ``[B, 4 P]``.
-            node: one for each agent.
-        """
+        """Whether the goal is at a node of each agent with the probability that is asked for, bool ``[B]``."""
         at = torch.arange(len(node), device=node.device)
         # A move back at one heading is the move ahead at the opposite one.
         untried = (places.after[..., AHEAD] < 0) & places.used

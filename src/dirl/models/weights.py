@@ -10,12 +10,7 @@ from dirl.config.schemas import ConfigError
 
 
 def check_extractor(saved: Mapping[str, Any], extractor: str, origin: str) -> None:
-    """Compare the extractor of features with the one that a checkpoint was trained on.
-
-    Args:
-        saved: see `dirl.runs.checkpoints.load_checkpoint`.
-        extractor: of the scenes, see `dirl.scenes.Scene.extractor`, or of the encoder that a navigator uses.
-        origin: of the checkpoint, for the error.
+    """Compare the extractor of a scene's features, or of a navigator's encoder, with that of a checkpoint's training.
 
     Raises:
         ConfigError: they differ.
@@ -32,13 +27,7 @@ def turns_of_training(saved: Mapping[str, Any]) -> set[int]:
 
 
 def tell_of_turns(trained: Collection[int], found: Collection[int], origin: str) -> None:
-    """Tell in one line on the terminal if a policy is used with turns that it was not trained with.
-
-    Args:
-        trained: of the training, see `turns_of_training`.
-        found: where it is used, in a full circle.
-        origin: of the checkpoint.
-    """
+    """Tell in one line on the terminal if a policy is used with numbers of turns that it was not trained with."""
     if strange := set(found) - set(trained):
         known, new = (" and ".join(f"{360 / turns:g}" for turns in sorted(some)) for some in (trained, strange))
         print(
@@ -50,13 +39,7 @@ def tell_of_turns(trained: Collection[int], found: Collection[int], origin: str)
 
 
 def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, scenes: Sequence[str] = ()) -> None:
-    """Load a checkpoint's weights, also those of schema 1.
-
-    Args:
-        policy: gets them.
-        weights: by name.
-        origin: where they stood, for errors.
-        scenes: of a policy for some of the scenes only; the weights of other scenes are left out.
+    """Load a checkpoint's weights, also those of schema 1; if ``scenes`` are given, only those of their heads.
 
     Raises:
         ConfigError: they do not fit.

@@ -61,11 +61,7 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
 
 
 def write_mp4(episodes: Sequence[Sequence[Image.Image]], file: Path) -> None:
-    """Write episodes as one MP4 (H.264), one after the other; the last picture of each is held.
-
-    Args:
-        episodes: the pictures of each, of any sizes.
-        file: the video to write.
+    """Write episodes, each a row of pictures of any sizes, as one MP4 (H.264); the last picture of each is held.
 
     Raises:
         ImportError: imageio-ffmpeg is not installed.

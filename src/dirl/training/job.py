@@ -73,12 +73,7 @@ Stages = Callable[[Run, Components], dict[str, Any]]
 def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
     """Run one job of Hydra: alone, or of a sweep, in which an error fails the job and the others run.
 
-    Args:
-        composed: the configuration.
-        stages: the training.
-
-    Returns:
-        The summary.
+    The stages train; what is returned is the summary.
     """
     hydra: Any = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)

@@ -205,9 +205,7 @@ def plan_table(graph: ImageGraph, visits: Tensor, goals: Tensor) -> tuple[Tensor
 def first_actions(graph: ImageGraph, distances: Tensor) -> Tensor:
     """The first action of a shortest path from each node to each goal, int8 ``[N, G]``; -1 at it and without a path.
 
-    Args:
-        graph: a map of N nodes.
-        distances: see `ImageGraph.plan`, int32 ``[N, G]``.
+    For the distances see `ImageGraph.plan`, int32 ``[N, G]``.
     """
     moves = torch.tensor(graph.moves)
     after = torch.where((moves >= 0).unsqueeze(-1), distances[moves.clamp(min=0)], -1)  # [N, actions, G]

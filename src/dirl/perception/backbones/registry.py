@@ -127,13 +127,8 @@ def encode_scene(scene: Scene, encoder: ViewEncoder) -> Encoded:
 def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     """The scene with features of an encoder of the package, from its views; as it is if that is not possible.
 
-    The result is kept in the folder ``dirl`` of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), if that can
-    be written to.
-
-    Args:
-        scene: as it was read.
-        extractor: what its features shall be of, see `Scene.extractor`.
-        patches: whether they are needed too.
+    ``extractor`` describes the encoder, see `Scene.extractor`; ``patches`` says whether they are needed too. The result
+    is kept in the folder ``dirl`` of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), if that can be written.
     """
     enough = scene.extractor == extractor and (scene.patches is not None or not patches)
     if enough or scene.views is None:

@@ -13,15 +13,7 @@ from typing import TYPE_CHECKING, Any
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
 from dirl.scenes.io.digest import file_digest
-from dirl.sources.rooms.build import (
-    check_packages,
-    check_size,
-    poses,
-    scene_of,
-    take_views,
-    view_problems,
-    write_room,
-)
+from dirl.sources.rooms.build import check_packages, check_size, poses, scene_of, take_views, view_problems, write_room
 from dirl.sources.rooms.checks import check_room, far_apart
 from dirl.sources.rooms.description import RoomDescription, description_text
 from dirl.sources.rooms.looks import Changes, PhotoCamera, look_views
