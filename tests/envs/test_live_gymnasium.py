@@ -72,6 +72,7 @@ def test_torchrl_wraps_it_with_a_limit_of_steps_and_errors_of_moves(room):
     limited = gymnasium.wrappers.TimeLimit(LiveGym(Noisy(Dumped(room), slip=0.2), room), 5)
     env = GymWrapper(limited, categorical_action_encoding=True)
     check_env_specs(env)
+    env.set_seed(0)
     torch.manual_seed(0)
     steps = env.rollout(50, break_when_any_done=False)
     assert steps["next", "truncated"].sum() == 10
