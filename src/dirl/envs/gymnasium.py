@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 
 from dirl.envs.navigation import NavigationEnv, Reward
+from dirl.envs.rendering import Painter
 from dirl.envs.transforms import VIEWS
 from dirl.scenes import ACTIONS, SceneError, load_scenes, make_world
 
@@ -151,12 +152,6 @@ def _check_render_mode(render_mode: str | None) -> None:
         raise ValueError(f"there is no render_mode {render_mode!r}; choose 'rgb_array' or None")
 
 
-def _painter(task: Task) -> Any:
-    from dirl.envs.rendering import Painter  # imports matplotlib, which most users of the environment do not need
-
-    return Painter(task.scene, task.view)
-
-
 class NavigationGym(gymnasium.Env[Observation, np.int64]):
     """One agent on its way to a goal, ``gymnasium.make("dirl/Navigation-v0", scene="bathroom_02")``.
 
@@ -183,7 +178,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         self.observation_space = self.task.space()
         self.action_space = spaces.Discrete(len(ACTIONS))
         self._goal = self._state = -1
-        self._painter: Any = None
+        self._painter: Painter | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -214,7 +209,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         """The view, the goal's view and the map (agent blue, goal a yellow star), uint8 ``[300, W, 3]``."""
         if self.render_mode is None:
             return None
-        self._painter = self._painter or _painter(self.task)
+        self._painter = self._painter or Painter(self.task.scene, self.task.view)
         return self._painter.paint(int(self.task.goals[self._goal]), self._state)
 
 
@@ -251,7 +246,7 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._goal, self._state, self._steps = np.zeros((3, num_envs), np.int64)
         self._ended = np.zeros(num_envs, bool)
-        self._painter: Any = None
+        self._painter: Painter | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -304,6 +299,6 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
         """The picture of each agent, see `NavigationGym.render`."""
         if self.render_mode is None:
             return None
-        self._painter = self._painter or _painter(self.task)
+        self._painter = self._painter or Painter(self.task.scene, self.task.view)
         goals = self.task.goals[self._goal]
         return tuple(self._painter.paint(int(goal), int(state)) for goal, state in zip(goals, self._state, strict=True))

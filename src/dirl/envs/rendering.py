@@ -1,6 +1,7 @@
-"""The picture that the Gymnasium environments render."""
+"""Pictures of an agent in its room: the map that animations show too, and what the Gymnasium environments render."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,10 +9,60 @@ from PIL import Image, ImageDraw
 
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
-from dirl.scenes.palette import BLUE, GOAL_COLOR, WALL_COLOR, star_points
+from dirl.scenes.palette import BLUE, COLORS, GOAL_COLOR, WALL_COLOR, star_points
 
 HEIGHT = 300
-"""Of a picture, pixels."""
+"""Of a rendered picture, pixels."""
+
+
+class RoomMap:
+    """The map of a room in pixels, drawn once without a path and copied for each picture.
+
+    Args:
+        scene: the room.
+        goal: a state of it.
+        largest: width and height of the picture, of which it reaches one.
+        smooth: the map is drawn so many times larger and scaled down, because PIL draws jagged lines.
+    """
+
+    def __init__(self, scene: Scene, goal: int, largest: tuple[float, float], smooth: int = 1) -> None:
+        side, self.smooth = step_length(scene), smooth
+        low = scene.positions.min(0) - 0.75 * side
+        spans = scene.positions.max(0) + 0.75 * side - low
+        scale = (smooth * np.array(largest) / spans).min()
+        self.side = side * scale
+        width, height = (smooth * math.ceil(span * scale / smooth) for span in spans)
+        x, z = (scene.positions - low).T * scale
+        self.at = np.stack([x, height - z], 1)  # rows of an image count downwards
+        self.ahead = heading_directions(scene) * (1, -1)
+        self.room = Image.new("RGB", (width, height), WALL_COLOR)
+        draw = ImageDraw.Draw(self.room)
+        for x, y in np.unique(self.at.round(2), axis=0):
+            half = self.side / 2
+            draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#E5E5E5", width=smooth)
+        tip = self.at[goal] + 0.62 * self.side * self.ahead[goal]
+        draw.line([tuple(self.at[goal]), tuple(tip)], fill="black", width=2 * smooth)
+        x, y = map(float, self.at[goal])
+        star = star_points(x, y, 0.44 * self.side)
+        draw.polygon(star, fill=GOAL_COLOR, outline="black", width=smooth)
+
+    def draw(self, path: Sequence[int], color: str) -> Image.Image:
+        """The map with a path up to its last state, where the agent stands."""
+        picture = self.room.copy()
+        draw = ImageDraw.Draw(picture)
+        width = max(self.smooth, int(0.16 * self.side))
+        points = [tuple(self.at[state]) for state in path]
+        if len(points) > 1:
+            draw.line(points, fill=COLORS[4], width=width, joint="curve")
+        x, y = points[0]
+        draw.ellipse((x - width, y - width, x + width, y + width), fill=COLORS[4])
+        # A dart that points along the heading.
+        ahead = self.ahead[path[-1]]
+        beside = np.array([-ahead[1], ahead[0]])
+        corners = [ahead, -0.8 * ahead + 0.75 * beside, -0.4 * ahead, -0.8 * ahead - 0.75 * beside]
+        dart = [tuple(self.at[path[-1]] + 0.34 * self.side * corner) for corner in corners]
+        draw.polygon(dart, fill=color, outline="black", width=self.smooth)
+        return picture.reduce(self.smooth)
 
 
 class Painter:
@@ -23,48 +74,20 @@ class Painter:
     """
 
     def __init__(self, scene: Scene, view: Callable[[int], NDArray[np.uint8]]) -> None:
-        self.view = view
-        self.directions = heading_directions(scene)
-        side = step_length(scene)
-        low, high = scene.positions.min(0) - side, scene.positions.max(0) + side
-        self.scale = HEIGHT / (high[1] - low[1])
-        self.cell = self.scale * side
-        # Rows of a picture run down, z runs up.
-        self.pixels = (scene.positions - [low[0], high[1]]) * [self.scale, -self.scale]
-        self.width = max(1, round((high[0] - low[0]) * self.scale))
+        self.scene, self.view = scene, view
         self.panels: dict[int, Image.Image] = {}
-        self.maps: dict[int, Image.Image] = {}
+        self.maps: dict[int, RoomMap] = {}
 
     def paint(self, goal: int, state: int) -> NDArray[np.uint8]:
         """The picture of an agent at ``state`` on its way to the state ``goal``, uint8 ``[300, W, 3]``."""
         if goal not in self.maps:
-            self.maps[goal] = self._map(goal)
-        room = self.maps[goal].copy()
-        self._arrow(ImageDraw.Draw(room), state, BLUE)
-        return np.concatenate([np.asarray(self._panel(state)), np.asarray(self._panel(goal)), np.asarray(room)], 1)
+            self.maps[goal] = RoomMap(self.scene, goal, (math.inf, HEIGHT))
+        parts = self._panel(state), self._panel(goal), self.maps[goal].draw([state], BLUE)
+        # Rounding can give a map one row of wall too many.
+        return np.concatenate([np.asarray(part)[:HEIGHT] for part in parts], 1)
 
     def _panel(self, state: int) -> Image.Image:
         if state not in self.panels:
             view = Image.fromarray(self.view(state))
             self.panels[state] = view.resize((max(1, round(HEIGHT * view.width / view.height)), HEIGHT))
         return self.panels[state]
-
-    def _map(self, goal: int) -> Image.Image:
-        room = Image.new("RGB", (self.width, HEIGHT), WALL_COLOR)
-        draw, half = ImageDraw.Draw(room), self.cell / 2
-        for x, y in np.unique(self.pixels.round(3), axis=0):
-            draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#e6e6e6")
-        tip = self.pixels[goal] + 0.55 * self.cell * self.directions[goal] * [1, -1]
-        draw.line([tuple(self.pixels[goal]), tuple(tip)], fill="black", width=max(1, round(0.06 * self.cell)))
-        x, y = map(float, self.pixels[goal])
-        draw.polygon(star_points(x, y, 0.42 * self.cell), fill=GOAL_COLOR, outline="black")
-        return room
-
-    def _arrow(self, draw: ImageDraw.ImageDraw, state: int, colour: str) -> None:
-        """A disc at the state's place and a triangle that points to where it faces."""
-        at, radius = self.pixels[state], 0.3 * self.cell
-        ahead = self.directions[state] * [1, -1]
-        aside = ahead[::-1] * [1, -1]
-        draw.ellipse((*(at - radius), *(at + radius)), fill=colour)
-        tip = [at + 1.6 * radius * ahead, at + 0.9 * radius * aside, at - 0.9 * radius * aside]
-        draw.polygon([(float(x), float(y)) for x, y in tip], fill=colour, outline="black")

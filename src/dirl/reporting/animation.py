@@ -1,6 +1,5 @@
 """Episodes as GIF and MP4: the agent's view, the goal's view, and the path so far."""
 
-import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from dirl.envs.rendering import RoomMap
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import Scene
-from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR, star_points
+from dirl.scenes.palette import COLORS, GOAL_COLOR
 
 MAX_FRAMES = 60
 """Number of frames; of a longer episode the first steps and the last one are shown."""
@@ -27,7 +26,7 @@ FPS = 10
 """A step is shown for several frames: players do not like slower videos."""
 
 SMOOTH = 3
-"""The map is drawn this many times larger and scaled down: PIL draws jagged lines."""
+"""See `RoomMap`."""
 
 
 def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title: str, success: bool) -> None:
@@ -96,52 +95,9 @@ def episode_frames(scene: Scene, goal: int, path: Sequence[int], *, title: str, 
     steps = len(path) - 1
     actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
     shown = [*range(min(steps, MAX_FRAMES - 1)), steps]
-    room = _Map(scene, goal)
+    room = RoomMap(scene, goal, (MAP_SIZE, MAP_SIZE), SMOOTH)
     views = {state: _small_view(scene, state) for state in {goal, *(path[step] for step in shown)}}
     return [_frame(views, goal, path, step, actions[step], room, title) for step in shown]
-
-
-class _Map:
-    """The map of a room in pixels, drawn once without a path and copied for each frame."""
-
-    def __init__(self, scene: Scene, goal: int) -> None:
-        side = step_length(scene)
-        low = scene.positions.min(0) - 0.75 * side
-        spans = scene.positions.max(0) + 0.75 * side - low
-        scale = SMOOTH * MAP_SIZE / spans.max()
-        self.side = side * scale
-        width, height = (SMOOTH * math.ceil(span * scale / SMOOTH) for span in spans)
-        x, z = (scene.positions - low).T * scale
-        self.at = np.stack([x, height - z], 1)  # rows of an image count downwards
-        self.ahead = heading_directions(scene) * (1, -1)
-        self.room = Image.new("RGB", (width, height), WALL_COLOR)
-        draw = ImageDraw.Draw(self.room)
-        for x, y in np.unique(self.at.round(2), axis=0):
-            half = self.side / 2
-            draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#E5E5E5", width=SMOOTH)
-        tip = self.at[goal] + 0.62 * self.side * self.ahead[goal]
-        draw.line([tuple(self.at[goal]), tuple(tip)], fill="black", width=2 * SMOOTH)
-        x, y = map(float, self.at[goal])
-        star = star_points(x, y, 0.44 * self.side)
-        draw.polygon(star, fill=GOAL_COLOR, outline="black", width=SMOOTH)
-
-    def draw(self, path: Sequence[int], color: str) -> Image.Image:
-        """The map with a path up to its last state, where the agent stands."""
-        picture = self.room.copy()
-        draw = ImageDraw.Draw(picture)
-        width = max(SMOOTH, int(0.16 * self.side))
-        points = [tuple(self.at[state]) for state in path]
-        if len(points) > 1:
-            draw.line(points, fill=COLORS[4], width=width, joint="curve")
-        for x, y in points[:1]:
-            draw.ellipse((x - width, y - width, x + width, y + width), fill=COLORS[4])
-        # A dart that points along the heading.
-        ahead = self.ahead[path[-1]]
-        beside = np.array([-ahead[1], ahead[0]])
-        corners = [ahead, -0.8 * ahead + 0.75 * beside, -0.4 * ahead, -0.8 * ahead - 0.75 * beside]
-        dart = [tuple(self.at[path[-1]] + 0.34 * self.side * corner) for corner in corners]
-        draw.polygon(dart, fill=color, outline="black", width=SMOOTH)
-        return picture.reduce(SMOOTH)
 
 
 def _small_view(scene: Scene, state: int) -> Image.Image | None:
@@ -158,7 +114,7 @@ def _frame(
     path: Sequence[int],
     step: int,
     action: str,
-    room: _Map,
+    room: RoomMap,
     title: str,
 ) -> Image.Image:
     """The picture of one step; ``thumbnails`` are the views of the states that are shown."""
