@@ -117,7 +117,8 @@ def write_of_agents(options: ReportConfig, out: Path) -> str:
         case ExperimentName.walked_once:
             return report_walked_once(collections, agents[0], out)
         case ExperimentName.sptm:
-            return report_sptm(Path(options.folder or ""), options.trials, out, validation=options.validation)
+            folder, trials = Path(options.folder or ""), options.trials
+            return report_sptm(folder, trials, out, validation=options.validation, workers=options.workers)
     return report_other_worlds(collections, agents[0], out)
 
 

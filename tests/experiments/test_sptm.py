@@ -1,6 +1,7 @@
 """SPTM's protocol: where its mazes are found (``SPTM``, a clone of github nsavinov/SPTM), an episode of them."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import mazes
@@ -107,3 +108,22 @@ def test_a_follower_goes_where_a_walk_through_a_corridor_of_our_own_went(tmp_pat
     reached = [walk(game, "map01", tuple(places[-1]), Follower(memory, frames[-1], seed).act)[0] for seed in range(3)]
     game.close()
     assert all(reached)
+
+
+def test_the_report_walks_each_maze_in_a_process_of_its_own_and_keeps_what_is_finished(tmp_path, monkeypatch):
+    monkeypatch.setattr(sptm, "TESTS", (Maze("Test/own", ()), Maze("Test/other", ())))
+    monkeypatch.setattr(sptm, "check_files", lambda data, maze: data)
+    monkeypatch.setattr(sptm, "ProcessPoolExecutor", lambda workers, context: ThreadPoolExecutor(workers))
+    walked = []
+
+    def walk_maze(data, maze, name, trials):
+        walked.append((maze.name, name, trials))
+        return [(name == sptm.MEMORY, 400)] * 16 * trials
+
+    monkeypatch.setattr(sptm, "walk_maze", walk_maze)
+    text = sptm.report_sptm(tmp_path, 2, tmp_path / "out", workers=2)
+    assert len(set(walked)) == len(walked) == 6
+    assert f"| all | {sptm.MEMORY} | 1.00 | 400 | 64 |" in text
+    assert f"| all | {sptm.BLIND} | 0.00 |" in text
+    assert sptm.report_sptm(tmp_path, 2, tmp_path / "out", workers=2) == text
+    assert len(walked) == 6

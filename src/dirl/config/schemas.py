@@ -258,6 +258,7 @@ class ReportConfig:
     folder: str | None = None
     trials: Positive = MISSING
     validation: bool = MISSING
+    workers: Positive | None = None
 
 
 @dataclass

@@ -3,15 +3,19 @@
 Mazes, walkthroughs and recordings of goals are those of github nsavinov/SPTM (MIT), folder ``data``.
 """
 
+import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from itertools import product
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -83,9 +87,7 @@ class Game:
         except ImportError as error:
             raise SceneError(f"VizDoom is not installed ({error}): pip install 'dirl[vizdoom]'") from None
         self.files, self.maze = data / maze.folder, maze
-        wad = self.files / f"{maze.name}.wad_manymaps_test.wad"
-        if not wad.is_file() or not (data / "default.cfg").is_file():
-            raise SceneError(f"folder={data.parent}: is no copy of github nsavinov/SPTM ({wad} is missing)")
+        wad = check_files(data, maze)
         # VizDoom replays recordings of short paths only.
         self._folder = tempfile.TemporaryDirectory(prefix="dirl")
         copied = Path(self._folder.name) / "m.wad"
@@ -141,6 +143,15 @@ class Game:
         self._folder.cleanup()
 
 
+def check_files(data: Path, maze: Maze) -> Path:
+    """Where the maps of a maze are; raises `SceneError` if they, or the settings, are not there."""
+    wad = data / maze.folder / f"{maze.name}.wad_manymaps_test.wad"
+    for file in (wad, data / "default.cfg"):
+        if not file.is_file():
+            raise SceneError(f"folder={data.parent}: is no copy of github nsavinov/SPTM ({file} is missing)")
+    return wad
+
+
 def walk(game: Game, start: str, goal: tuple[float, float], walker: Walker) -> tuple[bool, int]:
     """An episode: whether the goal was reached, and after how many steps of the simulator."""
     game.start(start)
@@ -159,52 +170,67 @@ def random_walker(seed: int) -> Walker:
     return lambda frame: int(draw.integers(len(BUTTONS)))
 
 
-def walk_maze(data: Path, maze: Maze, trials: int, bar: Any = None) -> dict[str, list[tuple[bool, int]]]:
-    """Episodes of a maze from every start to every goal, by what walks: reached, and steps of the simulator."""
-    game = Game(data, maze)
-    frames, _ = game.replay(maze.name)
-    photos = [game.replay(f"{maze.name}_{goal}")[0][-1] for goal in GOALS]
-    game.close()
-    memory = Memory(load_column_net(), frames[::SKIP])
-    found: dict[str, list[tuple[bool, int]]] = {MEMORY: [], BLIND: [], RANDOM: []}
-    game = Game(data, maze)
+def walk_maze(data: Path, maze: Maze, name: str, trials: int) -> list[tuple[bool, int]]:
+    """Episodes of a maze from every start to every goal: whether each was reached, and after how many steps.
+
+    Args:
+        data: the folder ``data`` of SPTM.
+        maze: one of the mazes there.
+        name: what walks: `MEMORY`, `BLIND` or `RANDOM`.
+        trials: of each start and goal.
+    """
+    torch.set_num_threads(1)
+    recordings = Game(data, maze)
+    frames, _ = recordings.replay(maze.name)
+    photos = [recordings.replay(f"{maze.name}_{goal}")[0][-1] for goal in GOALS]
+    recordings.close()
+    memory = None if name == RANDOM else Memory(load_column_net(), frames[::SKIP])
+    game, episodes = Game(data, maze), []
     for trial, start, goal in product(range(trials), STARTS, range(len(GOALS))):
         seed = 1000 * trial + 10 * STARTS.index(start) + goal
-        anywhere = memory.frames[np.random.default_rng(seed).integers(len(memory.frames))]
-        walkers: dict[str, Walker] = {
-            MEMORY: Follower(memory, photos[goal], seed).act,
-            BLIND: Follower(memory, anywhere, seed).act,
-            RANDOM: random_walker(seed),
-        }
-        for name, walker in walkers.items():
-            found[name].append(walk(game, start, maze.goals[goal], walker))
-        if bar is not None:
-            bar.update()
+        if memory is None:
+            walker = random_walker(seed)
+        else:
+            anywhere = memory.frames[np.random.default_rng(seed).integers(len(memory.frames))]
+            walker = Follower(memory, photos[goal] if name == MEMORY else anywhere, seed).act
+        episodes.append(walk(game, start, maze.goals[goal], walker))
     game.close()
-    return found
+    return episodes
 
 
-def report_sptm(folder: Path, trials: int, out: Path, *, validation: bool = False) -> str:
+def report_sptm(folder: Path, trials: int, out: Path, *, validation: bool = False, workers: int | None = None) -> str:
     """Write the share of reached goals in SPTM's mazes, beside walks that are blind to the goal.
 
     Args:
         folder: a clone of github nsavinov/SPTM.
         trials: of each start and goal; six in the paper.
-        out: the report's folder; mazes that are finished there are not walked again.
+        out: the report's folder; what is finished there is not walked again.
         validation: the three mazes that settings were chosen in, instead of the seven for tests.
+        workers: processes, each with a maze and what walks there; all cores if left out.
+
+    Raises:
+        SceneError: the folder is no such clone, or VizDoom is not installed or fails.
     """
-    mazes = VALIDATION if validation else TESTS
+    mazes, data = VALIDATION if validation else TESTS, folder / "data"
+    for maze in mazes:
+        check_files(data, maze)
+    walks = [(maze, name) for name in (MEMORY, BLIND, RANDOM) for maze in mazes]
+    files = [out / "episodes" / f"{maze.name}_{name.replace(' ', '_')}_{trials}.json" for maze, name in walks]
+    # A game runs in a thread of its process, which a fork would not have.
+    with ProcessPoolExecutor(workers or os.cpu_count(), get_context("spawn")) as pool:
+        started = [
+            pool.submit(kept, file, partial(walk_maze, data, maze, name, trials))
+            for file, (maze, name) in zip(files, walks, strict=True)
+        ]
+        for _ in tqdm(as_completed(started), total=len(started), unit=" walks", disable=None):
+            pass
+    found = [one.result() for one in started]
     table = Table({"maze": "", "walks by": "", "reached": ".2f", "steps, median": ".0f", "episodes": "d"})
-    every: dict[str, list[tuple[bool, int]]] = {}
-    with tqdm(total=len(mazes) * trials * len(STARTS) * len(GOALS), unit=" episodes", disable=None) as bar:
-        for maze in mazes:
-            file = out / "episodes" / f"{maze.name}_{trials}.json"
-            found = kept(file, partial(walk_maze, folder / "data", maze, trials, bar))
-            for name, episodes in found.items():
-                every.setdefault(name, []).extend(episodes)
-                table.add(maze.name, name, *_measures(episodes))
-    for name, episodes in every.items():
-        table.add("all", name, *_measures(episodes))
+    for (maze, name), episodes in zip(walks, found, strict=True):
+        table.add(maze.name, name, *_measures(episodes))
+    for name in (MEMORY, BLIND, RANDOM):
+        every = [one for (_, walked), episodes in zip(walks, found, strict=True) if walked == name for one in episodes]
+        table.add("all", name, *_measures(every))
     text = (
         f"{len(mazes)} mazes, {len(STARTS)} starts, {len(GOALS)} goals, {trials} of 6 trials. An episode ends "
         f"within {NEAR} units of the goal, or after {STEPS:,} steps of the simulator without success; an action takes "
