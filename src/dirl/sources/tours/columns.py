@@ -67,20 +67,23 @@ def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
     """
     alike, alike_back = _alike(first, second), _alike(second, first)
 
-    def agreement(yaw: float, turn: float) -> float:
-        return _agreement(alike, yaw, turn) + _agreement(alike_back, yaw - turn + 180, -turn)
+    def agreement(yaw: float, turns: Array) -> Array:
+        return _agreement(alike, yaw, turns) + _agreement(alike_back, yaw - turns + 180, -turns)
 
     turns = np.arange(-180, 180, COARSE)
-    found = np.array([[agreement(yaw, turn) for turn in turns] for yaw in yaws])
+    found = np.array([agreement(yaw, turns) for yaw in yaws])
     which, nearest = (int(index) for index in np.unravel_index(found.argmax(), found.shape))
     around = turns[nearest] + np.arange(-COARSE, COARSE + FINE, FINE)
-    best = float(around[np.argmax([agreement(yaws[which], turn) for turn in around])])
+    best = float(around[agreement(yaws[which], around).argmax()])
     rivals = np.abs((turns - best + 180) % 360 - 180) > RIVAL
     return Seen((best + 180) % 360 - 180, float((found.max() - found[:, rivals].max()) / (found[which].std() + 1e-9)))
 
 
 def _alike(first: Array, second: Array) -> Array:
-    """The correlation of each column of one panorama, scaled, with each of another, ``[SCALES, COLUMNS, COLUMNS]``."""
+    """The correlation of each column of one panorama, scaled, with each of another, ``[SCALES, COLUMNS, COLUMNS + 1]``.
+
+    The last column is the first once more.
+    """
     rows = np.linspace(HIGHEST, LOWEST, ROWS)
     alike = []
     for scale in SCALES:
@@ -91,7 +94,7 @@ def _alike(first: Array, second: Array) -> Array:
         scaled = first[:, above] * (1 - below) + first[:, above + 1] * below
         matches = _normalised(scaled) @ _normalised(second[:, inside]).T
         alike.append(sum(np.roll(matches, (step, step), (0, 1)) for step in (-1, 0, 1)) / 3)
-    return np.array(alike)
+    return np.pad(alike, ((0, 0), (0, 0), (0, 1)), mode="wrap")
 
 
 def _normalised(values: Array) -> Array:
@@ -103,23 +106,34 @@ def _normalised(values: Array) -> Array:
 AZIMUTHS = (np.arange(COLUMNS) + 0.5) * 360 / COLUMNS - 180
 """Of columns, degrees clockwise from the way to the other panorama."""
 
-_RIGHT = DISTANCES * np.sin(np.radians(AZIMUTHS))[:, None]
-_AHEAD = DISTANCES * np.cos(np.radians(AZIMUTHS))[:, None] - 1
+_RIGHT = DISTANCES[:, None] * np.sin(np.radians(AZIMUTHS))
+_AHEAD = DISTANCES[:, None] * np.cos(np.radians(AZIMUTHS)) - 1
 THERE = np.degrees(np.arctan2(_RIGHT, _AHEAD))
-"""In which direction from the other panorama a thing lies, by azimuth and distance here, degrees."""
+"""In which direction from the other panorama a thing lies, by distance and azimuth here, degrees."""
 
-_GROWTH = np.log(DISTANCES / np.hypot(_RIGHT, _AHEAD)) / np.log(SCALES[1] / SCALES[0]) + len(SCALES) // 2
+_GROWTH = np.log(DISTANCES[:, None] / np.hypot(_RIGHT, _AHEAD)) / np.log(SCALES[1] / SCALES[0]) + len(SCALES) // 2
 SCALE = np.clip(_GROWTH.round().astype(int), 0, len(SCALES) - 1)
 """Which of `SCALES` it has there."""
 TOO_NEAR = np.abs(_GROWTH - SCALE) > 0.75
 
 
-def _agreement(alike: Array, yaw: float, turn: float) -> float:
-    """How well the columns of two panoramas agree, on average, each with its best distance."""
-    here = np.round((AZIMUTHS + yaw + 180) * COLUMNS / 360 - 0.5).astype(int) % COLUMNS
-    place = (THERE + yaw - turn + 180) * COLUMNS / 360 - 0.5
-    left = np.floor(place).astype(int)
-    share = place - left
-    matches = [alike[SCALE, here[:, None], (left + step) % COLUMNS] for step in (0, 1)]
-    matched = np.where(TOO_NEAR, -0.5, matches[0] * (1 - share) + matches[1] * share)
-    return float(matched.max(1).mean())
+def _agreement(alike: Array, yaws: Array | float, turns: Array) -> Array:
+    """How well the columns of two panoramas agree, on average, each with its best distance: at each turn, ``[T]``.
+
+    Args:
+        alike: see `_alike`.
+        yaws: where the second panorama stands in the image of the first, at each turn or at all of them.
+        turns: of the second, degrees ``[T]``.
+    """
+    found = []
+    for yaw, turn in zip(*np.broadcast_arrays(yaws, turns), strict=True):
+        here = np.round((AZIMUTHS + yaw + 180) * COLUMNS / 360 - 0.5).astype(int) % COLUMNS
+        place = (THERE + yaw - turn + 180) * COLUMNS / 360 - 0.5
+        left = np.floor(place)
+        share = place - left
+        # An index into all values at once: with one for each axis this takes twice as long.
+        index = (SCALE * COLUMNS + here) * (COLUMNS + 1) + left.astype(int) % COLUMNS
+        matched = alike.take(index) * (1 - share) + alike.take(index + 1) * share
+        matched[TOO_NEAR] = -0.5
+        found.append(matched.max(0).mean())
+    return np.array(found)
