@@ -1,11 +1,13 @@
 """What all tests share."""
 
+import gc
 import importlib
 import os
 import shutil
 import tempfile
 from pathlib import Path
 
+gc.disable()  # until the tests are collected: a million objects are made that stay
 os.environ["OMP_NUM_THREADS"] = "1"  # here and in every program that a test starts: they are small, and side by side
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="dirl-tests-")  # of features that are encoded when needed
@@ -32,6 +34,12 @@ def pytest_collection_modifyitems(config, items):
         inside = item.path.relative_to(Path(__file__).parent).as_posix()
         if (inside.startswith(QUICK) and inside not in SLOW) or inside == "test_layout.py":
             item.add_marker("quick")
+
+
+def pytest_collection_finish():
+    """Collect garbage again, but do not look through what the imports made."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture
