@@ -94,7 +94,8 @@ def _alike(first: Array, second: Array) -> Array:
         scaled = first[:, above] * (1 - below) + first[:, above + 1] * below
         matches = _normalised(scaled) @ _normalised(second[:, inside]).T
         alike.append(sum(np.roll(matches, (step, step), (0, 1)) for step in (-1, 0, 1)) / 3)
-    return np.pad(alike, ((0, 0), (0, 0), (0, 1)), mode="wrap")
+    found = np.array(alike)
+    return np.concatenate([found, found[:, :, :1]], 2)
 
 
 def _normalised(values: Array) -> Array:
