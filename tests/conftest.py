@@ -7,14 +7,16 @@ import shutil
 import tempfile
 from pathlib import Path
 
-gc.disable()  # until the tests are collected: a million objects are made that stay
 os.environ["OMP_NUM_THREADS"] = "1"  # here and in every program that a test starts: they are small, and side by side
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="dirl-tests-")  # of features that are encoded when needed
 
 import pytest
+from forks import reading_in_process
 from hypothesis import settings
 from rooms import grid_scene, published_dump
+
+gc.disable()  # until the tests are collected: a million objects are made that stay
 
 # The machine may be busy, so no example is timed; the same examples every time, so a red test stays red.
 settings.register_profile("dirl", deadline=None, derandomize=True, max_examples=50)
@@ -41,6 +43,20 @@ def pytest_collection_finish():
     gc.freeze()
     gc.set_threshold(20_000, 20)
     gc.enable()
+
+
+ISOLATED = ("scenes", "faults")
+"""Folders whose tests read dumps as a user does, each in a process of its own."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def reading(request):
+    """Elsewhere dumps are read in the process of the test, for which no other one is started."""
+    if request.path.relative_to(Path(__file__).parent).parts[0] in ISOLATED:
+        yield
+    else:
+        with reading_in_process():
+            yield
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from forks import Child, Ended, no_pictures, quick_hydra, read_in_process, warm_up
+from forks import Child, Ended, no_pictures, quick_hydra, reading_in_process, warm_up
 
 
 class Started:
@@ -61,7 +61,7 @@ def _serve(imported):
         importlib.import_module("dirl.cli.start")
     else:
         warm_up("train", "evaluate", "report", "scenes", "benchmark")
-        read_in_process()
+        reading_in_process().start()
     children = {}
     for line in sys.stdin:
         request = json.loads(line)

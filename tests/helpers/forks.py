@@ -131,12 +131,12 @@ def warm_up(*names):
         del sys.path[0]
 
 
-def read_in_process():
-    """Read dumps in the process that wants them, which need not start another one for it."""
+def reading_in_process():
+    """A patch by which dumps are read in the process that wants them, which need not start another one for it."""
     from dirl.scenes.io import read
 
     # `patch` fails if there is nothing of that name.
-    patch.object(read, "call_apart", lambda _, calls: (read.read_contents(**call) for call in calls)).start()
+    return patch.object(read, "call_apart", lambda _, calls: (read.read_contents(**call) for call in calls))
 
 
 def no_pictures():

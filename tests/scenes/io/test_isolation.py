@@ -16,7 +16,7 @@ from dirl.scenes.io import isolation
 from dirl.scenes.io.digest import BLOCK_BYTES
 from dirl.scenes.io.hdf5 import read_contents
 
-ARRAYS = ("graph", "positions", "headings", "features")
+ARRAYS = ("graph", "positions", "headings", "features", "patches", "look_features", "look_patches")
 
 
 def packed_views(file):
@@ -27,6 +27,9 @@ def packed_views(file):
 
 FILES = {
     "ours": lambda path: write_dump(path, grid_scene(name="hall", goals=(3, 1)), [VIEW] * 24),
+    "with looks and patches": lambda path: write_dump(
+        path, grid_scene(feature_width=64, patches=True, looks=2, noise=0.05), [VIEW] * 24
+    ),
     "without features": lambda path: write_dump(path, grid_scene(feature_width=1)),
     "published": lambda path: published_dump(path, grid_scene()),
     "in chunks": lambda path: make(path, packed_views),
@@ -39,8 +42,10 @@ def test_a_scene_is_the_same(tmp_path, what):
     FILES[what](path)
     apart, here = read_dump(path), read_here(path)
     for name in ARRAYS:
-        assert np.array_equal(getattr(apart, name), getattr(here, name)), name
-        assert getattr(apart, name).dtype == getattr(here, name).dtype, name
+        ours, theirs = getattr(apart, name), getattr(here, name)
+        assert np.array_equal(ours, theirs), name
+        assert ours is theirs is None or ours.dtype == theirs.dtype, name
+    assert (apart.look_features is not None) == (what == "with looks and patches")
     for name in ("name", "source", "goals", "extractor", "origin"):
         assert getattr(apart, name) == getattr(here, name), name
     assert (apart.views is None) == (here.views is None)
