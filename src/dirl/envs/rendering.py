@@ -68,9 +68,7 @@ class RoomMap:
 class Painter:
     """Draws the view, the goal's view and the map side by side; the constant parts are drawn once.
 
-    Args:
-        scene: the room.
-        view: returns the view of a state, uint8 ``[H, W, 3]``.
+    The view of a state is uint8 ``[H, W, 3]``.
     """
 
     def __init__(self, scene: Scene, view: Callable[[int], NDArray[np.uint8]]) -> None:

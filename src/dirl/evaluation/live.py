@@ -19,12 +19,7 @@ from dirl.scenes.scene import Scene
 
 
 class Remembered:
-    """An encoder that encodes each image once: ``navigator.encoder = Remembered(navigator.encoder)``.
-
-    Args:
-        encoder: images to features, see `dirl.agent.loading.Encoder`.
-        images: the last so many are remembered.
-    """
+    """An encoder that remembers the last so many images: ``navigator.encoder = Remembered(navigator.encoder)``."""
 
     def __init__(self, encoder: Encoder, images: int = 20_000) -> None:
         self.encoder, self.known, self.most = encoder, dict[bytes, Tensor](), images

@@ -29,10 +29,7 @@ class KeyedModule(TensorDictModuleBase):
 
     Each call of ``TensorDictModule`` in tensordict 0.14 searches the disk for pandas, a third of a rollout's time.
 
-    Args:
-        module: takes one tensor ``[B, ...]`` for each of ``in_keys``.
-        in_keys: what it reads.
-        out_key: what it writes.
+    The module takes one tensor ``[B, ...]`` for each of ``in_keys``.
     """
 
     def __init__(self, module: nn.Module, in_keys: Sequence[str], out_key: str) -> None:

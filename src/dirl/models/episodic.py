@@ -71,14 +71,9 @@ class EpisodicMemory(nn.Module):
         return logits.scatter_add(1, trace.action, -self.penalty * (trace.weight * same).to(logits.dtype))
 
     def record(self, trace: Trace, place: Tensor, action: Tensor, after: Tensor, moved: Tensor) -> Trace:
-        """The trace, extended by one step.
+        """The trace, extended by an action of each agent that led from one place to the next, int64 ``[B]`` each.
 
-        Args:
-            trace: of the agents.
-            place: where they were, int64 ``[B]``.
-            action: what they did, int64 ``[B]``.
-            after: where they are now, int64 ``[B]``.
-            moved: whether that looks different, bool ``[B]``.
+        ``moved`` is whether they look different, bool ``[B]``.
         """
         opposite = torch.tensor(OPPOSITE, device=action.device)[action]
         forth = torch.where(moved, 1.0, self.blocked)

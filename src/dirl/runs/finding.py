@@ -50,10 +50,7 @@ def packaged_agent(name: str | Path) -> Path | None:
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """The file of a checkpoint; or the folder of an unfinished run, or of a policy that was shared.
-
-    Args:
-        path: see `dirl.runs.checkpoints.load_checkpoint`.
+    """The file of a checkpoint, or the folder of an unfinished run or a shared policy; see `load_checkpoint`.
 
     Raises:
         RunError: there is none.
@@ -84,10 +81,6 @@ def initial_weights_file(init: str, overrides: Sequence[str]) -> Path:
 def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:
     """The folder of the run that ``resume`` names.
 
-    Args:
-        resume: the folder.
-        overrides: of the command line.
-
     Raises:
         RunError: it is no run's, its run is finished, or options were given together with ``resume``.
     """
@@ -105,12 +98,8 @@ def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:
 def finished_folders(folder: Path, hint: str) -> tuple[list[Path], list[Path]]:
     """The finished runs right in a folder, by name, and those that are not finished.
 
-    Args:
-        folder: holds a folder for each run.
-        hint: how to make them, for the error.
-
     Raises:
-        RunError: none is finished.
+        RunError: none is finished; ``hint`` says how to make them.
     """
     folders = sorted(file.parent for file in folder.glob("*/config.yaml"))
     finished = [one for one in folders if is_finished(one)]

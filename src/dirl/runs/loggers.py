@@ -22,12 +22,7 @@ from dirl.scenes.io.atomic import write_text
 
 
 def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> "Logger | None":
-    """The logger that a configuration names; None for ``csv``.
-
-    Args:
-        config: of the run.
-        folder: of the run.
-        frames: at which the run continues.
+    """The logger that the configuration of a run names, which continues at ``frames``; None for ``csv``.
 
     Raises:
         ConfigError: the package it needs is not installed.
@@ -45,9 +40,7 @@ def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> "Logger |
 class WandbLogger:
     """A run in Weights & Biases, offline if nobody is logged in; a resumed run continues there too.
 
-    Args:
-        config: of the run.
-        folder: of the run; stores its random id in the service.
+    The run's folder stores its random id in the service.
     """
 
     def __init__(self, config: TrainConfig, folder: Path) -> None:

@@ -37,12 +37,9 @@ SEEDS = 1_000_003
 def join(config: TrainConfig, *, alone: bool) -> None:
     """Meet the other ranks, if ``torchrun`` has started this process with any.
 
-    Args:
-        config: of the run.
-        alone: whether it is no job of a sweep.
-
     Raises:
-        ConfigError: what the configuration asks for cannot be shared among ranks.
+        ConfigError: what the configuration asks for cannot be shared among ranks, or the run is not ``alone`` but a job
+            of a sweep.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1 or dist.is_initialized():
         return

@@ -21,11 +21,7 @@ MISSING = "needs a package that is not installed (safetensors): pip install 'dir
 
 
 def write_shared(saved: Mapping[str, Any], folder: Path) -> None:
-    """Write a checkpoint as a folder that `read_shared` reads.
-
-    Args:
-        saved: see `dirl.runs.checkpoints.load_checkpoint`.
-        folder: an existing one.
+    """Write a checkpoint, see `load_checkpoint`, into an existing folder, which `read_shared` reads.
 
     Raises:
         RunError: safetensors is not installed.

@@ -18,12 +18,7 @@ Image = NDArray[np.uint8]
 
 
 class SimulatorError(SceneError):
-    """A simulator failed, while nothing is wrong with what it was asked for.
-
-    Args:
-        failure: which one, and why.
-        then: what to do now.
-    """
+    """A simulator failed, while nothing is wrong with what it was asked for; ``then`` says what to do now."""
 
     def __init__(self, failure: str, then: str) -> None:
         super().__init__(f"{failure}; {then}")
@@ -129,11 +124,7 @@ class Simulated:
 
 
 class Dumped:
-    """The world of a dump. Errors of turns add up, and the agent is in the state of the nearest heading.
-
-    Args:
-        scene: with views.
-    """
+    """The world of a dump with views. Errors of turns add up, and the agent is in the state of the nearest heading."""
 
     def __init__(self, scene: Scene) -> None:
         if scene.views is None:

@@ -170,14 +170,9 @@ def asynchronous_updates(
 
 
 def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: Connection) -> None:
-    """The loop of a worker: collect a rollout and update, as long as frames are left.
+    """The loop of a worker, numbered from 0: collect a rollout, update and send an `Update`.
 
-    Args:
-        config: of the run.
-        shared: see `share`.
-        total: frames of the whole training.
-        number: of the worker, from 0.
-        sender: an `Update` is sent there after each.
+    It ends when the workers together have claimed the ``total`` frames of the training. For ``shared`` see `share`.
     """
     torch.set_num_threads(1)
     world = build_world(config)

@@ -131,11 +131,8 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
     """What is observed in each picture, int64 ``[N, V]``, and whether goals may be given by their front view alone.
 
     It is what the transform says, not the world's own: one's own may hide views. None unless the first view id tells
-    the others of observation and goal, so that a cache may go by it.
-
-    Args:
-        observation: the transform.
-        front: whether drawn pairs have such goals, see `DrawnPairs`.
+    the others of observation and goal, so that a cache may go by it. ``front`` is whether drawn pairs have such goals,
+    see `DrawnPairs`.
     """
     every = torch.arange(observation.pictures, device=observation.surrounding.device)
     seen, goal = observation.begin(every), observation.of_goal(every)
@@ -177,10 +174,6 @@ def _scenes(trained: Sequence[str], names: Sequence[str]) -> Sequence[str]:
 
 def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:
     """The configuration with the architecture of the checkpoint that ``init`` names; unchanged without it.
-
-    Args:
-        config: as composed.
-        overrides: of the command line.
 
     Returns:
         The configuration, and the checkpoint, for `initial_weights`; None without ``init``.

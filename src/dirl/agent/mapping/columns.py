@@ -63,11 +63,7 @@ class Fit(NamedTuple):
 
 
 class ColumnNet(nn.Module):
-    """Columns of frames as vectors, and the depth in each; 126,000 parameters.
-
-    Args:
-        size: of a column's vector.
-    """
+    """Columns of frames as vectors of a size, and the depth in each; 126,000 parameters."""
 
     def __init__(self, size: int = 64) -> None:
         super().__init__()
@@ -88,8 +84,7 @@ class ColumnNet(nn.Module):
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Vectors of unit length, ``[N, C, COLUMNS]``, and the logarithm of depths, ``[N, COLUMNS]``.
 
-        Args:
-            images: RGB, float32 ``[N, 3, HEIGHT, WIDTH]``, -0.5 to 0.5.
+        The images are RGB, float32 ``[N, 3, HEIGHT, WIDTH]``, -0.5 to 0.5.
         """
         columns = self.along(self.trunk(images).flatten(1, 2))
         return F.normalize(self.look(columns), dim=1), self.depth(columns)[:, 0]

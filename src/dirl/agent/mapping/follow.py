@@ -138,11 +138,7 @@ class Follower:
         self._least = np.inf
 
     def act(self, frame: NDArray[np.uint8]) -> int:
-        """What to do next: one of `BUTTONS`.
-
-        Args:
-            frame: what is seen, RGB, uint8 ``[H, W, 3]``.
-        """
+        """What to do next, one of `BUTTONS`, where a frame is seen, RGB, uint8 ``[H, W, 3]``."""
         seen = self.net.describe(frame[None])
         self._believe(seen)
         self._notice_walls(frame)

@@ -124,11 +124,7 @@ class Panoramas:
         return node
 
     def merge_panoramas(self, same: Mapping[int, int]) -> None:
-        """Make the last panoramas the same as earlier ones.
-
-        Args:
-            same: to which node each node of the last panoramas is equal.
-        """
+        """Make the last panoramas the same as earlier ones, by the node to which each of their nodes is equal."""
         first = min(same)
         for node, moves in enumerate(self.moves):
             if node >= first:

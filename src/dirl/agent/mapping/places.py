@@ -41,8 +41,7 @@ class PlaceMap:
     def begin(self, goal: Tensor) -> Places:
         """What agents know that walked here once and now begin an episode, at a place that they do not know.
 
-        Args:
-            goal: log odds that their goals are seen at each visit of the walk, facing each view, ``[B, T, 4]``.
+        ``goal`` is the log odds that their goals are seen at each visit of the walk, facing each view, ``[B, T, 4]``.
         """
         agents, device = len(goal), goal.device
         known = {name: value.to(device).expand(agents, *value.shape[1:]) for name, value in vars(self.places).items()}

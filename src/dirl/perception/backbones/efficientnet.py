@@ -83,11 +83,7 @@ class Block(nn.Module):
 
 
 class EfficientNetLite0(nn.Module):
-    """The network without its classifier.
-
-    Args:
-        state: a state_dict with the names of ``efficientnet-lite-pytorch``.
-    """
+    """The network without its classifier, from a state_dict with the names of ``efficientnet-lite-pytorch``."""
 
     def __init__(self, state: Mapping[str, Tensor]) -> None:
         super().__init__()

@@ -88,10 +88,7 @@ class RoomSettings:
 def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]) -> list[Wanted]:
     """The rooms that a collection lacks, or does not have completely and as the index describes them.
 
-    Args:
-        folder: of the collection; it may not exist yet.
-        wanted: kinds and seeds.
-        stored: the settings, see `RoomSettings.stored`.
+    The folder may not exist yet. For ``stored`` see `RoomSettings.stored`.
 
     Raises:
         SceneError: the folder holds something else, or rooms that were made with other settings.

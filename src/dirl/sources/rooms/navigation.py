@@ -92,12 +92,9 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
     stays clear all the way: with turns of 90 degrees along the axes only, with 45 along the diagonals too. Other
     headings, such as those of 30 degrees, point at no neighbouring place, and moves ahead and back are blocked.
 
-    Args:
-        room: whose.
-        turn: degrees; must divide 90.
-
     Raises:
-        SceneError: the turn does not divide 90, there is no place, or their number is not that of the description.
+        SceneError: the turn, degrees, does not divide 90, there is no place, or their number is not that of the
+            description.
     """
     turns = round(360 / turn) if turn > 0 else 0
     if turns == 0 or turns % 4 or abs(360 / turns - turn) > 1e-9:
