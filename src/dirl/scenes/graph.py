@@ -5,6 +5,8 @@ A graph is an integer array ``[N, 4]``: ``graph[state, action]`` is the next sta
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 ACTIONS = ("ahead", "right", "left", "back")
 """The action order of every graph in memory; right and left are turns on the spot (as in the published dumps)."""
@@ -128,7 +130,7 @@ def places(graph: IntArray) -> IntArray:
 
 
 def shortest_distances(graph: IntArray, goals: IntArray | None = None) -> NDArray[np.int32]:
-    """The fewest actions from every state to each goal, by breadth-first search backwards from the goals.
+    """The fewest actions from every state to each goal.
 
     Args:
         graph: a checked graph, int64 ``[N, 4]``.
@@ -137,17 +139,8 @@ def shortest_distances(graph: IntArray, goals: IntArray | None = None) -> NDArra
     Returns:
         int32 ``[N, G]``, -1 where the goal cannot be reached.
     """
-    states = len(graph)
-    goals = np.arange(states) if goals is None else np.asarray(goals)
-    next_states = np.where(graph >= 0, graph, np.arange(states)[:, None])
-    distances = np.full((states, len(goals)), -1, np.int32)
-    distances[goals, np.arange(len(goals))] = 0
-    reached = distances == 0
-    for steps in range(1, states + 1):
-        nearer = np.logical_or.reduce([reached[next_states[:, action]] for action in range(len(ACTIONS))])
-        new = nearer & ~reached
-        if not new.any():
-            break
-        distances[new] = steps
-        reached |= nearer
-    return distances
+    state, action = np.nonzero(graph >= 0)
+    backwards = csr_array((np.ones(len(state)), (graph[state, action], state)), (len(graph), len(graph)))
+    distances = dijkstra(backwards, unweighted=True, indices=goals)
+    distances[np.isinf(distances)] = -1
+    return distances.T.astype(np.int32, order="C")
