@@ -1,7 +1,6 @@
 """SPTM's protocol: where its mazes are found (``SPTM``, a clone of github nsavinov/SPTM), an episode of them."""
 
 import os
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import mazes
@@ -113,7 +112,7 @@ def test_a_follower_goes_where_a_walk_through_a_corridor_of_our_own_went(tmp_pat
 def test_the_report_walks_each_maze_in_a_process_of_its_own_and_keeps_what_is_finished(tmp_path, monkeypatch):
     monkeypatch.setattr(sptm, "TESTS", (Maze("Test/own", ()), Maze("Test/other", ())))
     monkeypatch.setattr(sptm, "check_files", lambda data, maze: data)
-    monkeypatch.setattr(sptm, "ProcessPoolExecutor", lambda workers, context: ThreadPoolExecutor(workers))
+    monkeypatch.setattr(sptm, "in_processes", lambda tasks, workers, name: (task() for task in tasks))
     walked = []
 
     def walk_maze(data, maze, name, trials):

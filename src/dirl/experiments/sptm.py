@@ -7,15 +7,12 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from itertools import product
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -23,6 +20,7 @@ from dirl.agent.mapping.columns import load_column_net
 from dirl.agent.mapping.follow import BUTTONS, IDLE, Follower, Memory
 from dirl.experiments.measures import kept
 from dirl.experiments.results import Table, write_tables
+from dirl.scenes.io.processes import in_processes
 from dirl.scenes.live import simulator_errors
 from dirl.scenes.scene import SceneError
 
@@ -179,12 +177,13 @@ def walk_maze(data: Path, maze: Maze, name: str, trials: int) -> list[tuple[bool
         name: what walks: `MEMORY`, `BLIND` or `RANDOM`.
         trials: of each start and goal.
     """
-    torch.set_num_threads(1)
-    recordings = Game(data, maze)
-    frames, _ = recordings.replay(maze.name)
-    photos = [recordings.replay(f"{maze.name}_{goal}")[0][-1] for goal in GOALS]
-    recordings.close()
-    memory = None if name == RANDOM else Memory(load_column_net(), frames[::SKIP])
+    memory = None
+    if name != RANDOM:
+        recordings = Game(data, maze)
+        frames, _ = recordings.replay(maze.name)
+        photos = [recordings.replay(f"{maze.name}_{goal}")[0][-1] for goal in GOALS]
+        recordings.close()
+        memory = Memory(load_column_net(), frames[::SKIP])
     game, episodes = Game(data, maze), []
     for trial, start, goal in product(range(trials), STARTS, range(len(GOALS))):
         seed = 1000 * trial + 10 * STARTS.index(start) + goal
@@ -209,22 +208,20 @@ def report_sptm(folder: Path, trials: int, out: Path, *, validation: bool = Fals
         workers: processes, each with a maze and what walks there; all cores if left out.
 
     Raises:
-        SceneError: the folder is no such clone, or VizDoom is not installed or fails.
+        SceneError: the folder is no such clone, VizDoom is not installed or fails, or a process was killed.
     """
     mazes, data = VALIDATION if validation else TESTS, folder / "data"
     for maze in mazes:
         check_files(data, maze)
     walks = [(maze, name) for name in (MEMORY, BLIND, RANDOM) for maze in mazes]
-    files = [out / "episodes" / f"{maze.name}_{name.replace(' ', '_')}_{trials}.json" for maze, name in walks]
-    # A game runs in a thread of its process, which a fork would not have.
-    with ProcessPoolExecutor(workers or os.cpu_count(), get_context("spawn")) as pool:
-        started = [
-            pool.submit(kept, file, partial(walk_maze, data, maze, name, trials))
-            for file, (maze, name) in zip(files, walks, strict=True)
-        ]
-        for _ in tqdm(as_completed(started), total=len(started), unit=" walks", disable=None):
-            pass
-    found = [one.result() for one in started]
+    tasks = []
+    for maze, name in walks:
+        file = out / "episodes" / f"{maze.name}_{name.replace(', ', '_').replace(' ', '_')}_{trials}.json"
+        tasks.append(partial(kept, file, partial(walk_maze, data, maze, name, trials)))
+    walking = in_processes(tasks, workers or os.cpu_count() or 1, f"{out}: a process that walked in a maze")
+    for _ in tqdm(walking, total=len(tasks), unit=" walks", disable=None):
+        pass
+    found = [read() for read in tasks]  # all are kept by now
     table = Table({"maze": "", "walks by": "", "reached": ".2f", "steps, median": ".0f", "episodes": "d"})
     for (maze, name), episodes in zip(walks, found, strict=True):
         table.add(maze.name, name, *_measures(episodes))

@@ -21,8 +21,12 @@ class SimulatorError(SceneError):
     """A simulator failed, while nothing is wrong with what it was asked for; ``then`` says what to do now."""
 
     def __init__(self, failure: str, then: str) -> None:
-        super().__init__(f"{failure}; {then}")
+        super().__init__(failure, then)  # both, so that it can be pickled, as by the processes of `in_processes`
         self.failure = failure
+
+    def __str__(self) -> str:
+        """Both, in one line."""
+        return "; ".join(self.args)
 
 
 class Pose(NamedTuple):

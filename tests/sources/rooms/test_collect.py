@@ -11,7 +11,8 @@ pytest.importorskip("embreex")
 from dirl.perception.backbones.patches import patch_attributes
 from dirl.scenes import SceneError, read_dump
 from dirl.scenes.collection import INDEX, read_collection
-from dirl.sources.rooms import build_room, collect, read_description
+from dirl.scenes.io import processes
+from dirl.sources.rooms import build_room, read_description
 from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
 from dirl.sources.rooms.sampling.sample import LOOK, look_around
 from dirl.sources.rooms.sampling.splits import split_of
@@ -115,7 +116,7 @@ def test_features_and_patches_say_what_made_them(drawn, tmp_path):
 
 
 def test_two_processes_make_rooms(tmp_path, monkeypatch):
-    monkeypatch.setattr(collect, "_start", start_with_closets)
+    monkeypatch.setattr(processes, "_start", start_with_closets)
     wanted = [("bathroom", 30_000), ("bathroom", 930_000)]
     settings = replace(PLAIN, height=LOOK[0], width=LOOK[1])
     made = list(make_rooms(tmp_path, wanted, settings, workers=2))

@@ -2,17 +2,15 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field
-from functools import cache
-from multiprocessing import get_context
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
 from dirl.scenes.io.digest import file_digest
+from dirl.scenes.io.processes import in_processes
 from dirl.sources.rooms.build import check_packages, check_size, poses, scene_of, take_views, view_problems, write_room
 from dirl.sources.rooms.checks import check_room, far_apart
 from dirl.sources.rooms.description import RoomDescription, description_text
@@ -151,18 +149,9 @@ def make_rooms(
         for one in wanted:
             yield _index(folder, make_room(folder, one, settings, workers))
         return
-    processes = min(workers, len(wanted))
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _start)
-    try:
-        for done in as_completed([pool.submit(make_room, folder, one, settings) for one in wanted]):
-            yield _index(folder, done.result())
-    except BrokenProcessPool:
-        raise SceneError(
-            f"{folder}: a process that made a room was killed, perhaps because memory ran out; the same command "
-            f"continues; if it happens again, give workers={max(1, processes // 2)}"
-        ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
+    tasks = [partial(make_room, folder, one, settings) for one in wanted]
+    for made in in_processes(tasks, min(workers, len(wanted)), f"{folder}: a process that made a room"):
+        yield _index(folder, made)
 
 
 def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 1) -> Entry | SceneError:
@@ -240,10 +229,3 @@ def _index(folder: Path, made: Entry | SceneError) -> Entry | SceneError:
 def _encoder(settings: RoomSettings) -> "ViewEncoder | None":
     """What encodes the views, loaded once in each process."""
     return settings.load_encoder()
-
-
-def _start() -> None:
-    """In a process beside others: each has one core."""
-    import torch
-
-    torch.set_num_threads(1)

@@ -1,0 +1,21 @@
+"""Tasks of a process, which finds them by this module's name."""
+
+import os
+import signal
+
+import torch
+
+from dirl.scenes.live import simulator_errors
+
+
+def square(number):
+    return number**2, os.getpid(), torch.get_num_threads()
+
+
+def fail():
+    with simulator_errors("VizDoom"):
+        raise RuntimeError("its window is gone")
+
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
