@@ -73,7 +73,7 @@ NOT_RUN = {
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model", "takes half an hour"],
     "paper.md": ["takes an hour and a half"],
     "ranks.md": ["needs torchrun", "takes minutes"],
-    "recordings.md": ["takes three quarters of an hour"],
+    "recordings.md": ["takes about an hour"],
     "robot.md": ["needs ROS 2"],
     "share.md": ["needs an account"],
     "rooms.md": [*["takes minutes"] * 3, "takes an hour", *["takes minutes"] * 2],
