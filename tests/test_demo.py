@@ -167,7 +167,7 @@ def test_a_photo_is_a_goal(site, address, watched_tab, name):
     # The last digits of the features, and so near ties of a plan, depend on the processor: its own logits count.
     logits, stops = (torch.tensor(tab.evaluate(f"[...goal.{name}]")) for name in ("logits", "stops"))
     logits, read = logits.view(-1, 4), np.frombuffer(b64decode(goal["logits"]), "<f4").reshape(-1, 4)
-    assert (logits.argmax(1).numpy() == read.argmax(1)).mean() > 0.95
+    assert (logits.argmax(1).numpy() == read.argmax(1)).mean() > 0.97
     taken = tab.evaluate("taken.slice(1).join('')")
     assert taken == planned(logits, stops.tolist(), start, data, facts)
     tab.fill("#photo-threshold", "0.85")
