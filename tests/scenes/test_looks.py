@@ -37,8 +37,16 @@ def test_the_view_id_of_a_look_is_the_look_times_the_states_and_the_state(scenes
 
 
 def test_scenes_with_different_numbers_of_looks_are_no_world(scenes):
-    with pytest.raises(SceneError, match=r"different numbers of looks, \[1, 3\]"):
-        make_world([scenes[0], grid_scene(name="c")])
+    with pytest.raises(SceneError, match=r"different numbers of looks, \[1, 2, 3\]"):
+        make_world([scenes[0], grid_scene(name="c", patches=True, looks=1), grid_scene(name="d", patches=True)])
+
+
+def test_a_scene_of_one_look_shows_it_at_every_visit_beside_scenes_that_change(scenes):
+    world = make_world([scenes[0], grid_scene(2, 2, name="c", seed=2, patches=True)])
+    same, states = world.scenes[1], torch.arange(24, 40)
+    for look in range(3):
+        assert np.array_equal(world.features[look * 40 + states].numpy(), same.features)
+        assert np.array_equal(world.patches[look * 40 + states].numpy(), same.patches)
 
 
 def test_looks_are_kept_in_a_dump(scenes, tmp_path):

@@ -195,15 +195,16 @@ def _sharing(scene: Scene, features: NDArray[np.float32]) -> Scene:
 
 
 def _looks(scenes: Sequence[Scene]) -> int:
+    """How many looks every state has in the world; a scene of one look shows it at every visit."""
     counts = sorted({scene.looks for scene in scenes})
-    if len(counts) > 1:
-        raise SceneError(f"the scenes have different numbers of looks, {counts}; render or read them with as many")
-    return counts[0]
+    if len(counts) > 1 and counts[:-1] != [1]:
+        raise SceneError(f"the scenes have different numbers of looks, {counts}; make them with one or as many")
+    return counts[-1]
 
 
 def _of_look(scenes: Sequence[Scene], name: str, look: int) -> list[NDArray[np.floating]]:
     """The features or patches of one look of each scene."""
-    return [getattr(s, name) if look == 0 else getattr(s, f"look_{name}")[look - 1] for s in scenes]
+    return [getattr(s, name) if look == 0 or s.looks == 1 else getattr(s, f"look_{name}")[look - 1] for s in scenes]
 
 
 def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
