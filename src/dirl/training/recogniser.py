@@ -41,11 +41,12 @@ def learn_recogniser(
 ) -> None:
     """Train a recogniser by cross-entropy on pairs of visits, with four views and with one as the reference.
 
-    In rooms with fine patches `dirl.perception.recognition.photo.PhotoOdds` is trained on the same pairs.
+    In rooms with fine patches `dirl.perception.recognition.photo.PhotoOdds` is trained on the same pairs. New log
+    odds are too sure: call `calibrate` afterwards.
 
     Args:
         world: of rooms, with patches and at least two looks.
-        network: without weights.
+        network: without weights, or one to train on; that one goes on whitening by the rooms of its first training.
         steps: of AdamW; the learning rate falls linearly to zero.
         batch_size: pairs a step.
         lr: the first learning rate.
@@ -59,7 +60,12 @@ def learn_recogniser(
     if world.patches is None or world.looks < 2:
         raise ValueError("training a recogniser needs rooms with patches and looks: scenes sample patches=true looks=2")
     near, fine = torch.stack([_after(world.graph, actions) for actions in NEAR], 1), are_fine(world.patches)
-    network.measure(world.features[: len(world)], world.patches[: len(world)])
+    if not network.trained:
+        network.measure(world.features[: len(world)], world.patches[: len(world)])
+    elif fine and not network.photo.trained:
+        network.photo.measure(world.patches[: len(world)])
+    for calibration in (network.calibration, network.photo.calibration):
+        calibration.copy_(torch.tensor([1.0, 0.0]))
     parts = zip(world.features.split(4096), world.patches.split(4096), strict=True)
     whitened = [network.whiten(*part) for part in parts]
     pooled, patches = (torch.cat(part) for part in zip(*whitened, strict=True))

@@ -1,5 +1,7 @@
 """The learned recogniser: what it compares, and that it learns."""
 
+import copy
+
 import pytest
 import torch
 from rooms import grid_scene
@@ -72,6 +74,20 @@ def test_it_learns_to_tell_a_place_from_its_neighbours_in_rooms_it_has_not_seen(
         same, another = (network.log_odds(described[0], part[:, :views]) for part in described[1:])
         moved = other.graph[:, 0] != torch.arange(len(other))
         assert (same[moved] > another[moved]).float().mean() > 0.8
+
+
+def test_it_is_trained_on_from_its_weights_and_whitens_as_before():
+    network, other = Learned(weights="", width=8, features=32), changing(patches="fine")
+    learn_recogniser(changing(), network, steps=30, batch_size=64)
+    again = copy.deepcopy(network)
+    learn_recogniser(other, again, steps=1, batch_size=64, lr=1e-6)
+    assert torch.equal(again.axes, network.axes)
+    assert torch.equal(again.patch_mean, network.patch_mean)
+    torch.testing.assert_close(again.column.weight, network.column.weight, atol=1e-5, rtol=0)
+    assert not torch.equal(again.column.weight, network.column.weight)
+    assert (again.photo.trained, network.photo.trained) == (True, False)
+    learn_recogniser(other, network, steps=1, batch_size=64)
+    assert torch.equal(network.calibration, torch.tensor([[1.0, 0.0], [1.0, 0.0]]))
 
 
 def test_with_fine_patches_photos_are_compared_by_where_patches_moved():

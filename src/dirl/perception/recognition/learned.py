@@ -114,6 +114,11 @@ class Learned(nn.Module):
             reason = " ".join(str(error).split())[:300]
             raise ValueError(f"weights={file}: not of a network of these options: {reason}") from None
 
+    @property
+    def trained(self) -> bool:
+        """Whether there are weights to compare visits with."""
+        return bool(self.axes.any())
+
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
         """Itself: it was trained for unseen places."""
         return self
