@@ -13,6 +13,8 @@ from dirl.evaluation.experts import RandomPolicy, ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.experiments import changes, measures
 from dirl.models import PlanningMemory
+from dirl.perception.recognition import NCC
+from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import make_world
 from dirl.training.load import Trained
 
@@ -28,7 +30,13 @@ def asked(monkeypatch):
         found.append((agent, given))
         world = make_world(ROOMS)
         protocol = EvaluationProtocol(
-            world, SurroundingViews(world), every_start(world), stop=None, max_steps=30, memory=PlanningMemory()
+            world,
+            SurroundingViews(world),
+            every_start(world),
+            stop=None,
+            max_steps=30,
+            memory=PlanningMemory(),
+            scores=VisitScores(NCC(), world),
         )
         planned = given["episodic_memory"]["_target_"].endswith("PlanningMemory")
         return Trained(None, ShortestPathPolicy(world), protocol if planned else replace(protocol, memory=None))
@@ -48,7 +56,7 @@ def asked(monkeypatch):
     ],
 )
 def test_each_way_has_its_recogniser_memory_and_stop(asked, way, recogniser, memory, stop):
-    _, episodes = changes.walked("general", "rooms", "front", way)
+    _, episodes = changes.walked("general", "rooms", "front", way, {})
     ((agent, given),) = asked
     assert (agent, given["scene"], given["stop.evaluation"]) == ("general", "collection:rooms", stop)
     assert given["recogniser"]["_target_"] == f"dirl.perception.recognition.{recogniser}"
@@ -63,9 +71,9 @@ def test_each_way_has_its_recogniser_memory_and_stop(asked, way, recogniser, mem
 def test_a_folder_without_an_index_is_tested_in_all_its_dumps(asked, tmp_path):
     for name in ("b.h5", "a.h5", "a.toml"):
         (tmp_path / name).touch()
-    changes.walked("general", str(tmp_path), "front", "ncc")
+    changes.walked("general", str(tmp_path), "front", "ncc", {})
     (tmp_path / "collection.jsonl").touch()
-    changes.walked("general", str(tmp_path), "front", "ncc")
+    changes.walked("general", str(tmp_path), "front", "ncc", {})
     found = [(given["scene"], given["split"]) for _, given in asked]
     assert found == [([f"{tmp_path}/a.h5", f"{tmp_path}/b.h5"], None), (f"collection:{tmp_path}", "test")]
 
@@ -76,12 +84,23 @@ def test_the_controls_walk_as_they_say(asked, monkeypatch):
         EvaluationProtocol, "run", lambda self, policy, **options: walkers.append((self, policy, options))
     )
     for way in list(changes.CONTROLS)[1:3]:
-        changes.walked("general", "rooms", "surrounding", way)
+        changes.walked("general", "rooms", "surrounding", way, {})
     (wrong, policy, _), (_, sweep, options) = walkers
     assert isinstance(policy, ShortestPathPolicy)
     assert not torch.equal(wrong.shown, torch.arange(len(wrong.world.goals)))
     assert isinstance(sweep, RandomPolicy)
     assert options == {"greedy": True}
+
+
+def test_agents_share_the_scores_of_a_recogniser_in_a_collection(asked, monkeypatch):
+    used, tables = [], {}
+    run = EvaluationProtocol.run
+    monkeypatch.setattr(EvaluationProtocol, "run", lambda self, *a, **o: used.append(self.scores) or run(self, *a, **o))
+    for agent in ("general", "other"):
+        for collection, way in (("near", "ncc"), ("near", "patches"), ("far", "ncc")):
+            changes.walked(agent, collection, "surrounding", way, tables)
+    assert all(first is again for first, again in zip(used[:3], used[3:], strict=True))
+    assert len({id(scores) for scores in used}) == 3
 
 
 def test_a_report_has_every_case_and_goes_on_from_what_was_measured(asked, tmp_path):

@@ -1,6 +1,7 @@
 """Places that change: how well goals are found where no visit looks like another, beside controls."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,9 @@ CONTROLS = {TOLD: "o-", f"{WRONG}, told": "s--", f"{SWEEP}, told": "^:", f"{RAND
 Measured = dict[str, list[float]]
 """A value for each room, by measure."""
 
+Tables = dict[tuple[str, ...], Any]
+"""What no policy changes, shared by agents: scores and stops by collection, recogniser, goal view and kind of stop."""
+
 
 def tested(collection: str) -> dict[str, Any]:
     """The options of an evaluation in the test rooms of a collection, or in all dumps of another folder."""
@@ -62,7 +66,7 @@ def tested(collection: str) -> dict[str, Any]:
     return {**TESTED, "scene": f"collection:{collection}"}
 
 
-def walked(agent: str, collection: str, goal_view: str, way: str) -> tuple[World, Episodes]:
+def walked(agent: str, collection: str, goal_view: str, way: str, tables: Tables) -> tuple[World, Episodes]:
     """Episodes in the scenes of a folder with looks, see `tested`, and these scenes.
 
     ``goal_view`` is one of `GOAL_VIEWS`, ``way`` one of `RECOGNISED` or `CONTROLS`.
@@ -70,15 +74,20 @@ def walked(agent: str, collection: str, goal_view: str, way: str) -> tuple[World
     recogniser, memory = RECOGNISED.get(way, ("learned", "planning"))
     changes = {**tested(collection), "stop.evaluation": "goal" if way in CONTROLS else "match"}
     _, policy, protocol = load_agent(agent, changes, goal_view, recogniser=recogniser, episodic_memory=memory)
+    protocol = replace(
+        protocol,
+        scores=tables.setdefault((collection, recogniser), protocol.scores),
+        stop=tables.setdefault((collection, recogniser, goal_view, str(changes["stop.evaluation"])), protocol.stop),
+    )
     walk = controls(policy, protocol).get(way.removesuffix(", told"))
     return protocol.world, walk() if walk else protocol.run(policy)
 
 
-def measured(out: Path, agent: str, collection: str, goal_view: str, way: str) -> Measured:
+def measured(out: Path, agent: str, collection: str, goal_view: str, way: str, tables: Tables) -> Measured:
     """`MEASURES` of each room; from the folder, if they were measured before."""
 
     def measure() -> Measured:
-        return by_measure(*walked(agent, collection, goal_view, way))
+        return by_measure(*walked(agent, collection, goal_view, way, tables))
 
     parts = (Path(agent).name, Path(collection).name, way.replace(", ", "_").replace(" ", "_"), goal_view)
     found: Measured = kept(out / "measured" / f"{'-'.join(parts)}.json", measure)
@@ -93,10 +102,10 @@ def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path)
     """
     ways = [(agent, way) for agent in agents for way in RECOGNISED] + [(agents[0], way) for way in CONTROLS]
     cases = [(one, view, *way) for one in collections for view in GOAL_VIEWS for way in ways]
-    found = {}
+    found, tables = {}, Tables()
     table = measure_table({"rooms": "", "goal": "", "agent": "", "recogniser": ""})
     for collection, view, agent, way in tqdm(cases, desc="changes", unit=" cases", disable=None):
-        found[collection, view, agent, way] = values = measured(out, agent, collection, view, way)
+        found[collection, view, agent, way] = values = measured(out, agent, collection, view, way, tables)
         names = Path(collection).name, GOAL_VIEWS[view], Path(agent).name, way
         table.add(*names, *(values[key] for key in MEASURES))
     lines = []
