@@ -29,8 +29,8 @@ DISTANCES = np.exp(np.linspace(np.log(0.3), np.log(8), 24))
 COARSE, FINE = 2.0, 0.5
 """Degrees between the turns that are tried, everywhere and around the best."""
 
-RIVAL = 20.0
-"""Degrees from the best turn on, another one contradicts it."""
+RIVAL = 5.0
+"""Degrees from the best turn on, another peak contradicts it."""
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Seen:
 
     Args:
         turn: the heading of the second less that of the first, degrees.
-        lead: how much better they agree at that turn than at any rival, in standard deviations over all turns.
+        lead: how much better they agree at that turn than at the next peak, in standard deviations over all turns.
     """
 
     turn: float
@@ -49,12 +49,17 @@ class Seen:
 
 
 def columns(image: Equirectangular | Cube) -> Array:
-    """How colours change downwards in each column, clockwise from the one behind, float64 ``[COLUMNS, ROWS, 3]``."""
+    """How colours change in each column, clockwise from the one behind, float64 ``[COLUMNS, ROWS, 6]``.
+
+    Three of the six are the changes downwards, three those clockwise: a wall between two others looks alike in many
+    columns if only its upper and its lower edge tell.
+    """
     yaw = np.radians((np.arange(COLUMNS) + 0.5) * 360 / COLUMNS - 180)
     up, yaws = np.meshgrid(np.linspace(HIGHEST, LOWEST, ROWS), yaw)
     directions = np.stack([np.sin(yaws), up, np.cos(yaws)])
     seen = sample(read_panorama(image, COLUMNS / (2 * np.pi)), directions / np.linalg.norm(directions, axis=0))
-    return np.asarray(np.gradient(seen / 255.0, axis=1))
+    seen = seen / 255.0
+    return np.concatenate([np.gradient(seen, axis=1), (np.roll(seen, -1, 0) - np.roll(seen, 1, 0)) / 2], 2)
 
 
 def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
@@ -75,8 +80,10 @@ def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
     which, nearest = (int(index) for index in np.unravel_index(found.argmax(), found.shape))
     around = turns[nearest] + np.arange(-COARSE, COARSE + FINE, FINE)
     best = float(around[agreement(yaws[which], around).argmax()])
-    rivals = np.abs((turns - best + 180) % 360 - 180) > RIVAL
-    return Seen((best + 180) % 360 - 180, float((found.max() - found[:, rivals].max()) / (found[which].std() + 1e-9)))
+    at = found.max(0)
+    peaks = (at >= np.roll(at, 1)) & (at >= np.roll(at, -1)) & (np.abs((turns - best + 180) % 360 - 180) > RIVAL)
+    rival = at[peaks].max(initial=at.min())
+    return Seen((best + 180) % 360 - 180, float((at.max() - rival) / (found[which].std() + 1e-9)))
 
 
 def _alike(first: Array, second: Array) -> Array:
@@ -119,7 +126,10 @@ TOO_NEAR = np.abs(_GROWTH - SCALE) > 0.75
 
 
 def _agreement(alike: Array, yaws: Array | float, turns: Array) -> Array:
-    """How well the columns of two panoramas agree, on average, each with its best distance: at each turn, ``[T]``.
+    """How well the columns of two panoramas agree, each with its best distance: at each turn, ``[T]``.
+
+    It is the mean of cubes: some columns that agree well tell more than many that agree a little, as all do where
+    the other panorama does not see what they show.
 
     Args:
         alike: see `_alike`.
@@ -136,5 +146,5 @@ def _agreement(alike: Array, yaws: Array | float, turns: Array) -> Array:
         index = (SCALE * COLUMNS + here) * (COLUMNS + 1) + left.astype(int) % COLUMNS
         matched = alike.take(index) * (1 - share) + alike.take(index + 1) * share
         matched[TOO_NEAR] = -0.5
-        found.append(matched.max(0).mean())
+        found.append((np.maximum(matched.max(0), 0) ** 3).mean())
     return np.array(found)
