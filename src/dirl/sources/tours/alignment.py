@@ -30,6 +30,9 @@ REJECTED = 20.0
 LEAD = 0.5
 """Of `Seen.lead`: with less, what two panoramas show is not used."""
 
+LEAST_PEAK = 0.1
+"""Of `Seen.peak`: with less, what two panoramas show is used, but counts no less: it may be all that joins two parts."""
+
 LINKS_OFF, SEEN_OFF = 1.0, 3.0
 """Degrees that links are off at least, where panoramas are compared, and that turns by what panoramas show are off."""
 
@@ -84,7 +87,7 @@ def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Ali
     if shown:
         loops = align(tour).loops
         links_off = max(LINKS_OFF, float(np.median(loops))) if len(loops) else SEEN_OFF
-        seen_off = [SEEN_OFF / min(found.lead, 1) for found in shown.values()]
+        seen_off = [SEEN_OFF / np.clip(min(found.lead, found.peak), LEAST_PEAK, 1) for found in shown.values()]
         trust = (LINKS_OFF / np.array([*[links_off] * len(both), *seen_off])) ** 2
     headings = _solved(ends, turns, trust, count)
     off = np.abs(_off(ends, turns, headings))
@@ -140,8 +143,11 @@ def _relaxed(ends: Integers, turns: Array, headings: Array, weight: Array, part:
 
 
 def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
-    """Headings that most equations agree with: along a tree of those whose loops close best, then reweighted."""
-    errors = _loop_errors(ends, turns, count)
+    """Headings that most equations agree with: along a tree of those whose loops close best, then reweighted.
+
+    All equations of a lone loop close it equally well, so that the one trusted least is left out of the tree.
+    """
+    errors = _loop_errors(ends, turns, count) / np.sqrt(trust)
     rank = np.argsort(np.argsort(errors, kind="stable"))
     headings, part = _forest(ends, turns, count, rank)[:2]
     for width in WIDTHS:

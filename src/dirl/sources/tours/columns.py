@@ -29,8 +29,8 @@ DISTANCES = np.exp(np.linspace(np.log(0.3), np.log(8), 24))
 COARSE, FINE = 2.0, 0.5
 """Degrees between the turns that are tried, everywhere and around the best."""
 
-RIVAL = 5.0
-"""Degrees from the best turn on, another peak contradicts it."""
+RIVAL, NEAR = 20.0, 5.0
+"""Degrees from the best turn on, another one contradicts it; and another peak makes it doubtful."""
 
 Array = NDArray[np.float64]
 
@@ -41,11 +41,13 @@ class Seen:
 
     Args:
         turn: the heading of the second less that of the first, degrees.
-        lead: how much better they agree at that turn than at the next peak, in standard deviations over all turns.
+        lead: how much better they agree at that turn than at any rival, in standard deviations over all turns.
+        peak: how much better than at the next peak, which may be nearer than rivals, likewise.
     """
 
     turn: float
     lead: float
+    peak: float = np.inf
 
 
 def columns(image: Equirectangular | Cube) -> Array:
@@ -80,10 +82,10 @@ def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
     which, nearest = (int(index) for index in np.unravel_index(found.argmax(), found.shape))
     around = turns[nearest] + np.arange(-COARSE, COARSE + FINE, FINE)
     best = float(around[agreement(yaws[which], around).argmax()])
-    at = found.max(0)
-    peaks = (at >= np.roll(at, 1)) & (at >= np.roll(at, -1)) & (np.abs((turns - best + 180) % 360 - 180) > RIVAL)
-    rival = at[peaks].max(initial=at.min())
-    return Seen((best + 180) % 360 - 180, float((at.max() - rival) / (found[which].std() + 1e-9)))
+    at, off = found.max(0), np.abs((turns - best + 180) % 360 - 180)
+    peaks = (at >= np.roll(at, 1)) & (at >= np.roll(at, -1)) & (off > NEAR)
+    lead, peak = ((at.max() - at[there].max()) / (found[which].std() + 1e-9) for there in (off > RIVAL, peaks))
+    return Seen((best + 180) % 360 - 180, float(lead), float(peak))
 
 
 def _alike(first: Array, second: Array) -> Array:
