@@ -102,6 +102,18 @@ def test_headings_that_links_one_way_leave_open_are_seen(closets):
     )
 
 
+def test_a_panorama_of_which_half_is_hidden_is_aligned(closets):
+    tour, middles = closets
+    first, link = tour.panoramas[1], tour.panoramas[1].links[0]
+    number = [one.id for one in tour.panoramas].index(link.target)
+    shown = columns(tour.panoramas[number].image)
+    other = columns(tour.panoramas[(number + len(middles) // 2) % len(middles)].image)
+    hidden = (np.random.default_rng(1).integers(360) + np.arange(180)) % 360
+    shown[hidden] = other[(hidden + 77) % 360]
+    off = compare(columns(first.image), shown, [link.yaw]).turn - (middles[number] - middles[1])
+    assert abs(wrap(np.array(off))) <= 3
+
+
 def test_headings_of_links_that_contradict_each_other_are_seen(closets):
     tour, middles = closets
     made = tour_scene(changed(tour, off=50.0))
@@ -130,6 +142,20 @@ def test_what_panoramas_show_takes_the_place_of_links_that_are_missing_or_wrong(
     assert made.loops.max() < 1e-6
     unsure = {pair: replace(found, lead=LEAD / 2) for pair, found in seen.items()}
     assert (align(tour, unsure).part > 0).any()
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_of_a_lone_loop_that_does_not_close_the_pair_with_a_near_rival_is_left_out(number):
+    truth = turned(grid_truth(2, 2), 1.0)
+    ways = sorted({tuple(sorted(link[:2])) for link in truth.links})
+    assert len(ways) == 4
+    turn = {(a, b): float(wrap(np.array(truth.middles[b] - truth.middles[a]))) for a, b in ways}
+    seen = {pair: Seen(turn[pair], 1.0) for pair in ways}
+    wrong = ways[number]
+    seen[wrong] = Seen(turn[wrong] + 150, 1.0, 0.5)
+    made = align(tour_of(truth, None, [(b, a) for a, b in ways]), seen)
+    off = made.headings - truth.middles
+    assert np.abs(wrap(off - off[0])).max() < 1e-6
 
 
 def test_pictures_that_show_nothing_are_not_believed(tmp_path):

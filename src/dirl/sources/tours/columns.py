@@ -59,8 +59,8 @@ def columns(image: Equirectangular | Cube) -> Array:
     yaw = np.radians((np.arange(COLUMNS) + 0.5) * 360 / COLUMNS - 180)
     up, yaws = np.meshgrid(np.linspace(HIGHEST, LOWEST, ROWS), yaw)
     directions = np.stack([np.sin(yaws), up, np.cos(yaws)])
-    seen = sample(read_panorama(image, COLUMNS / (2 * np.pi)), directions / np.linalg.norm(directions, axis=0))
-    seen = seen / 255.0
+    pixels = sample(read_panorama(image, COLUMNS / (2 * np.pi)), directions / np.linalg.norm(directions, axis=0))
+    seen = pixels / 255.0
     return np.concatenate([np.gradient(seen, axis=1), (np.roll(seen, -1, 0) - np.roll(seen, 1, 0)) / 2], 2)
 
 
