@@ -31,7 +31,7 @@ LEAD = 0.5
 """Of `Seen.lead`: with less, what two panoramas show is not used."""
 
 LEAST_PEAK = 0.1
-"""Of `Seen.peak`: with less, what two panoramas show is used, but counts no less: it may be all that joins two parts."""
+"""Of `Seen.peak`: with less, what two panoramas show counts no less, since it may be all that joins two parts."""
 
 LINKS_OFF, SEEN_OFF = 1.0, 3.0
 """Degrees that links are off at least, where panoramas are compared, and that turns by what panoramas show are off."""
