@@ -8,7 +8,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dirl.evaluation.episodes import bar_interval, drawn_looks
-from dirl.perception.backbones.patches import are_fine
+from dirl.perception.backbones.patches import are_fine, coarse
 from dirl.perception.recognition import Learned
 from dirl.perception.recognition.learned import COLUMNS
 from dirl.perception.recognition.photo import PhotoOdds
@@ -110,8 +110,8 @@ def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0
     """
     assert world.patches is not None
     near = torch.stack([_after(world.graph, actions) for actions in NEAR], 1)
-    photo = network.photo if are_fine(world.patches) and network.photo.trained else None
-    rows = [network.calibration[0] if photo is None else photo.calibration, network.calibration[1]]
+    fine = are_fine(world.patches) and network.photo.trained
+    rows = [*network.calibration, *([network.photo.calibration] if fine else [])]
     for row in rows:
         row.copy_(torch.tensor([1.0, 0.0]))
     odds, truth = [], []
@@ -119,11 +119,15 @@ def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0
         torch.manual_seed(seed)
         for _ in range(pairs // 500):
             seen, reference, same = _pairs(world, near, 500)
-            visits, goals = (network.describe(world.features[i], world.patches[i]) for i in (seen, reference))
-            odds.append(torch.stack([_each(network, visits, part) for part in (goals[:, :1], goals)]))
+            visits, goals = (network.describe(world.features[i], coarse(world.patches[i])) for i in (seen, reference))
+            drawn = [_each(network, visits, part) for part in (goals[:, :1], goals)]
+            if fine:
+                views = (network.photo.describe(world.patches[ids]) for ids in (seen, reference[:, 0]))
+                drawn.append(_each(network.photo, *views))
+            odds.append(torch.stack(drawn))
             truth.append(same)
     found, same = torch.cat(odds, 1), torch.cat(truth)
-    fitted = torch.tensor([[1.0, 0.0], [1.0, 0.0]], requires_grad=True)
+    fitted = torch.tensor([[1.0, 0.0]] * len(rows), requires_grad=True)
     optimiser = torch.optim.LBFGS([fitted], max_iter=100, line_search_fn="strong_wolfe")
 
     def loss() -> Tensor:

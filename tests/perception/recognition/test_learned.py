@@ -95,7 +95,8 @@ def test_with_fine_patches_photos_are_compared_by_where_patches_moved():
     network = untrained(world)
     learn_recogniser(world, network, steps=30, batch_size=64)
     calibrate(network, other, pairs=1000)
-    assert not torch.equal(network.photo.calibration, torch.tensor([1.0, 0.0]))
+    for fitted in (network.photo.calibration, *network.calibration):
+        assert not torch.equal(fitted, torch.tensor([1.0, 0.0]))
     ids, near = other.surrounding, other.surrounding[other.graph[:, 0]] + len(other)
     seen, same, another = (network.describe(other.features[i], other.patches[i]) for i in (ids, ids + len(other), near))
     odds = [network.scores(seen, part[:, :1]).diagonal() for part in (same, another)]
