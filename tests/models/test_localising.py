@@ -54,8 +54,9 @@ def test_a_blocked_move_is_known_by_what_is_seen():
 def test_motion_outweighs_a_look_that_errs_and_strong_evidence_a_slip():
     there_and_back = walk(LocalisingMemory(), (AHEAD, {0: -3.0}), (BACK, {0: -2.0, 1: 1.0}))
     assert there_and_back.here.item() == 0
-    slipped = walk(LocalisingMemory(), (AHEAD, {0: -3.0}), (BACK, {0: -9.0, 1: 9.0}))
-    assert slipped.here.item() == 4
+    seen = (AHEAD, {0: -3.0}), (BACK, {0: -9.0, 1: 9.0})
+    assert walk(LocalisingMemory(), *seen).here.item() == 4
+    assert walk(LocalisingMemory(temperature=10.0), *seen).here.item() == 0
 
 
 def test_visits_of_a_place_add_up():

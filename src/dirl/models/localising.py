@@ -106,8 +106,10 @@ class LocalisingMemory(nn.Module):
         neighbour: how many more lie behind each move not tried at the most probable place.
         seek: try all moves around a place above these log odds, and return to it to see it again.
         correlation: of the log odds of the visits of one place, as to the goal: the share that they have in common.
-        least: log odds of a single comparison below this count as this, because a recogniser can be quite wrong.
+        least: tempered log odds of a single comparison below this count as this; a recogniser can be quite wrong.
         independence: how much further visits of a place add: the mean of n log odds counts n to this power.
+        temperature: log odds as to where the agent is are divided by this (temperature scaling): they are calibrated for
+            single comparisons, but those with the places of one room err alike.
     """
 
     def __init__(
@@ -118,19 +120,20 @@ class LocalisingMemory(nn.Module):
         slip: Annotated[float, Bounds(1e-9, 0.5)] = 0.02,
         confidence: Annotated[float, Bounds(0.01, 0.9999)] = 0.95,
         settle: Annotated[float, Bounds(0.01, 0.9999)] = 0.5,
-        elsewhere: Annotated[float, Bounds(1e-6, 1e6)] = 0.002,
+        elsewhere: Annotated[float, Bounds(1e-6, 1e6)] = 0.004,
         neighbour: Annotated[float, Bounds(0, 1e6)] = 0.5,
-        seek: float = 0.0,
-        correlation: Annotated[float, Bounds(0, 1)] = 0.35,
+        seek: float = 1.0,
+        correlation: Annotated[float, Bounds(0, 1)] = 0.5,
         least: float = -3.0,
         independence: Annotated[float, Bounds(0, 1)] = 0.5,
+        temperature: Annotated[float, Bounds(0.01, 100)] = 2.5,
     ) -> None:
         super().__init__()
         self.repeated, self.turn, self.blocked, self.slip = repeated, turn, blocked, slip
         self.confidence, self.settle = confidence, settle
         self.elsewhere, self.neighbour = elsewhere, neighbour
         self.seek, self.correlation = seek, correlation
-        self.least, self.independence = least, independence
+        self.least, self.independence, self.temperature = least, independence, temperature
 
     def begin(self, agents: int, device: torch.device | str = "cpu") -> Places:
         """What agents know at the start of their episodes: nothing."""
@@ -264,7 +267,7 @@ class LocalisingMemory(nn.Module):
 
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
         """Log odds of visits facing each view, float32 ``[B, T, 4]``, as those of nodes, ``[B, 4 T]``."""
-        total, visits = self._sums(odds.clamp(min=self.least), places)
+        total, visits = self._sums((odds / self.temperature).clamp(min=self.least), places)
         return torch.where(visits > 0, total * visits.clamp(min=1) ** (self.independence - 1), -math.inf)
 
     def _goal(self, places: Places) -> Tensor:

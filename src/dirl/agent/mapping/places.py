@@ -16,6 +16,9 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory
 from dirl.models.localising import Places
 
+TEMPERATURE = 1.5
+"""Of the log odds: particles keep several maps, so that they may count more than in `LocalisingMemory`."""
+
 PARTICLES = 256
 """In validation rooms at 10 cm and 10 degrees 64 give 2.7 % wrong links, 256 give 1.6 %; at 5 cm 64 are enough."""
 
@@ -72,6 +75,7 @@ class ParticleMapper:
         known: PlaceMap | None = None,
     ) -> None:
         evidence = {"slip": memory.slip, "least": memory.least, "independence": memory.independence}
+        evidence["temperature"] = TEMPERATURE
         # All actions cost the same, so that a walk goes to the nearest unknown outcome.
         self.memory = LocalisingMemory(repeated=1.0, turn=1.0, blocked=BLOCKED, **evidence)
         self.compare, self.seen = compare, None if known is None else known.seen
