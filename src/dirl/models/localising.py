@@ -108,8 +108,8 @@ class LocalisingMemory(nn.Module):
         correlation: of the log odds of the visits of one place, as to the goal: the share that they have in common.
         least: tempered log odds of a single comparison below this count as this; a recogniser can be quite wrong.
         independence: how much further visits of a place add: the mean of n log odds counts n to this power.
-        temperature: log odds as to where the agent is are divided by this (temperature scaling): they are calibrated for
-            single comparisons, but those with the places of one room err alike.
+        temperature: log odds as to where the agent is are divided by this (temperature scaling). They are calibrated
+            for single comparisons, but comparisons with the places of one room err alike.
     """
 
     def __init__(

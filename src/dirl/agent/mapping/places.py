@@ -16,9 +16,6 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory
 from dirl.models.localising import Places
 
-TEMPERATURE = 1.5
-"""Of the log odds: particles keep several maps, so that they may count more than in `LocalisingMemory`."""
-
 PARTICLES = 256
 """In validation rooms at 10 cm and 10 degrees 64 give 2.7 % wrong links, 256 give 1.6 %; at 5 cm 64 are enough."""
 
@@ -58,7 +55,7 @@ class ParticleMapper:
     """A walk that makes a `PlaceMap`.
 
     Args:
-        memory: whose slip, bound and independence of log odds are used.
+        memory: whose slip, and weights of the evidence, are used.
         compare: how much earlier visits, ``[1, T, 4, ...]``, look like a visit, ``[1, 4, ...]``: log odds,
             ``[1, T, 4]``.
         particles: maps at once, K.
@@ -74,8 +71,7 @@ class ParticleMapper:
         seed: int = 0,
         known: PlaceMap | None = None,
     ) -> None:
-        evidence = {"slip": memory.slip, "least": memory.least, "independence": memory.independence}
-        evidence["temperature"] = TEMPERATURE
+        evidence = {name: getattr(memory, name) for name in ("slip", "least", "independence", "temperature")}
         # All actions cost the same, so that a walk goes to the nearest unknown outcome.
         self.memory = LocalisingMemory(repeated=1.0, turn=1.0, blocked=BLOCKED, **evidence)
         self.compare, self.seen = compare, None if known is None else known.seen
