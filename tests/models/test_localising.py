@@ -59,6 +59,19 @@ def test_motion_outweighs_a_look_that_errs_and_strong_evidence_a_slip():
     assert walk(LocalisingMemory(temperature=10.0), *seen).here.item() == 0
 
 
+def test_what_is_seen_counts_in_full_with_a_map():
+    memory = LocalisingMemory(temperature=10.0)
+    places = walk(memory, (AHEAD, {0: -3.0}))
+    places.action[:] = -1
+    alike = torch.tensor([[[2.0, -3.0, -3.0, -3.0], [-3.0, -3.0, -3.0, -3.0]]])
+    found = []
+    for mapped in (False, True):
+        places.mapped[:] = mapped
+        likely = memory.likely(places, alike)[0]
+        found.append((likely[0] - likely[4]).item())
+    assert found == pytest.approx([0.5, 5.0])
+
+
 def test_visits_of_a_place_add_up():
     memory = LocalisingMemory(confidence=0.99, correlation=0.0)
     once = walk(memory, goal={0: {0: 3.0}})

@@ -59,7 +59,9 @@ def draw_spl(lines: Sequence[Line], names: Sequence[str], out: Path, name: str, 
         axes.set_xticks(range(len(names)), names, **turned)
         axes.set(title=view, ylim=(-0.03, 1.03), ylabel="SPL" if view == views[0] else None)
         axes.tick_params(axis="x", labelsize="small")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize="small", columnspacing=1.0, handlelength=1.5)
+    figure.legend(
+        loc="outside lower center", ncols=3, frameon=False, fontsize="small", columnspacing=1.0, handlelength=1.5
+    )
     save_figure(figure, out, name)
 
 

@@ -109,7 +109,8 @@ class LocalisingMemory(nn.Module):
         least: tempered log odds of a single comparison below this count as this; a recogniser can be quite wrong.
         independence: how much further visits of a place add: the mean of n log odds counts n to this power.
         temperature: log odds as to where the agent is are divided by this (temperature scaling). They are calibrated
-            for single comparisons, but comparisons with the places of one room err alike.
+            for single comparisons, but comparisons with the places of one room err alike. With a map of an earlier walk
+            they are not divided: agents may begin anywhere, and nothing but the evidence tells where.
     """
 
     def __init__(
@@ -267,7 +268,8 @@ class LocalisingMemory(nn.Module):
 
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
         """Log odds of visits facing each view, float32 ``[B, T, 4]``, as those of nodes, ``[B, 4 T]``."""
-        total, visits = self._sums((odds / self.temperature).clamp(min=self.least), places)
+        temperature = torch.where(places.mapped, 1.0, self.temperature)[:, None, None]
+        total, visits = self._sums((odds / temperature).clamp(min=self.least), places)
         return torch.where(visits > 0, total * visits.clamp(min=1) ** (self.independence - 1), -math.inf)
 
     def _goal(self, places: Places) -> Tensor:
