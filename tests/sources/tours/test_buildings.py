@@ -15,7 +15,7 @@ from dirl.sources.rooms.building import Building, sample_building
 from dirl.sources.rooms.building_tour import choose_panoramas, write_building_tour
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.alignment import LEAD, align, wrap
-from dirl.sources.tours.columns import Seen, columns, compare
+from dirl.sources.tours.columns import COLUMNS, ROWS, Seen, columns, compare
 from dirl.sources.tours.images import Equirectangular
 from dirl.sources.tours.moves import tour_scene
 
@@ -112,6 +112,14 @@ def test_a_panorama_of_which_half_is_hidden_is_aligned(closets):
     shown[hidden] = other[(hidden + 77) % 360]
     off = compare(columns(first.image), shown, [link.yaw]).turn - (middles[number] - middles[1])
     assert abs(wrap(np.array(off))) <= 3
+
+
+def test_panoramas_that_agree_at_no_other_turn_have_no_rival_peak():
+    yaw, rng = np.radians(np.arange(COLUMNS)), np.random.default_rng(0)
+    one, other = rng.normal(size=(2, 1, ROWS, 6))
+    seen = np.cos(yaw)[:, None, None] * one + np.sin(yaw)[:, None, None] * other
+    found = compare(seen, np.roll(seen, 30, 0), [0.0])
+    assert (found.turn, found.peak) == (-30.0, np.inf)
 
 
 def test_headings_of_links_that_contradict_each_other_are_seen(closets):

@@ -84,7 +84,8 @@ def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
     best = float(around[agreement(yaws[which], around).argmax()])
     at, off = found.max(0), np.abs((turns - best + 180) % 360 - 180)
     peaks = (at >= np.roll(at, 1)) & (at >= np.roll(at, -1)) & (off > NEAR)
-    lead, peak = ((at.max() - at[there].max()) / (found[which].std() + 1e-9) for there in (off > RIVAL, peaks))
+    others = (at[there].max(initial=-np.inf) for there in (off > RIVAL, peaks))  # there may be no other peak
+    lead, peak = ((at.max() - other) / (found[which].std() + 1e-9) for other in others)
     return Seen((best + 180) % 360 - 180, float(lead), float(peak))
 
 
