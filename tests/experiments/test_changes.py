@@ -103,6 +103,25 @@ def test_agents_share_the_scores_of_a_recogniser_in_a_collection(asked, monkeypa
     assert len({id(scores) for scores in used}) == 3
 
 
+def test_a_stop_is_shared_where_recogniser_and_goal_view_are_the_same(monkeypatch):
+    stops = []
+
+    def load_agent(agent, options, goal_view, **groups):
+        world = make_world(ROOMS)
+        protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), stop=lambda *ids: None)
+        return Trained(None, ShortestPathPolicy(world), protocol)
+
+    monkeypatch.setattr(changes, "load_agent", load_agent)
+    monkeypatch.setattr(EvaluationProtocol, "run", lambda self, policy: stops.append(self.stop))
+    tables = {}
+    cases = [(view, way) for view in changes.GOAL_VIEWS for way in changes.RECOGNISED]
+    for agent in ("general", "other"):
+        for view, way in cases:
+            changes.walked(agent, "near", view, way, tables)
+    assert all(first is again for first, again in zip(stops[: len(cases)], stops[len(cases) :], strict=True))
+    assert len(set(stops)) == len(cases)
+
+
 def test_a_report_has_every_case_and_goes_on_from_what_was_measured(asked, tmp_path):
     text = changes.report_changes(["near", "far"], ["general"], tmp_path)
     cases = 2 * 2 * (len(changes.RECOGNISED) + len(changes.CONTROLS))

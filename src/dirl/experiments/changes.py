@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -101,13 +102,17 @@ def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path)
     first agent.
     """
     ways = [(agent, way) for agent in agents for way in RECOGNISED] + [(agents[0], way) for way in CONTROLS]
-    cases = [(one, view, *way) for one in collections for view in GOAL_VIEWS for way in ways]
-    found, tables = {}, Tables()
+    cases = list(product(GOAL_VIEWS, ways))
+    found = {}
     table = measure_table({"rooms": "", "goal": "", "agent": "", "recogniser": ""})
-    for collection, view, agent, way in tqdm(cases, desc="changes", unit=" cases", disable=None):
-        found[collection, view, agent, way] = values = measured(out, agent, collection, view, way, tables)
-        names = Path(collection).name, GOAL_VIEWS[view], Path(agent).name, way
-        table.add(*names, *(values[key] for key in MEASURES))
+    with tqdm(total=len(collections) * len(cases), desc="changes", unit=" cases", disable=None) as bar:
+        for collection in collections:
+            tables = Tables()  # of one collection at a time: they take a gigabyte
+            for view, (agent, way) in cases:
+                found[collection, view, agent, way] = values = measured(out, agent, collection, view, way, tables)
+                names = Path(collection).name, GOAL_VIEWS[view], Path(agent).name, way
+                table.add(*names, *(values[key] for key in MEASURES))
+                bar.update()
     lines = []
     colors = list(SYSTEM_COLORS.values())
     for index, (agent, way) in enumerate(ways):

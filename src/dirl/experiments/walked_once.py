@@ -98,10 +98,11 @@ def measure(agent: str, files: list[str], looks: Sequence[range | None]) -> dict
     """Walk through each room, and go to goals in it with and without the map; see `measured`."""
     before, after, photos = looks
     found: dict[str, Measured] = {}
-    maps = None
+    maps = scores = None
     for view in ("front",) if photos else GOAL_VIEWS:
         _, policy, protocol = _loaded(agent, files, view)
-        world, memory, scores = protocol.world, protocol.memory, protocol.scores
+        scores = scores or protocol.scores  # the memory compares four views, however the goal is shown
+        world, memory = protocol.world, protocol.memory
         assert isinstance(memory, LocalisingMemory)
         assert scores is not None
         if maps is None:
@@ -111,7 +112,7 @@ def measure(agent: str, files: list[str], looks: Sequence[range | None]) -> dict
             found[MAPPED] = {key: [getattr(one, key) for one in qualities] for key in QUALITY}
             if not photos:
                 graphs, found[GRAPH] = image_graphs(world, before)
-        later = replace(protocol, looks=after, photos=photos)
+        later = replace(protocol, scores=scores, looks=after, photos=photos)
         known = replace(later, maps=maps)
         shown, states, arrived = wrong_goals(world), len(world.goals), protocol.stop
         assert callable(arrived)

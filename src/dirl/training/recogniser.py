@@ -79,8 +79,7 @@ def learn_recogniser(
             compared = network.compare(*(network.project(pooled[ids], patches[ids]) for ids in (seen, reference)))
             odds = [network.of_columns(compared[:, :COLUMNS]), network.of_columns(compared)]
             if fine:
-                views = (network.photo.describe(world.patches[ids]) for ids in (seen, reference[:, 0]))
-                odds.append(_each(network.photo, *views))
+                odds.append(_by_fine_patches(network.photo, world.patches, seen, reference))
             every = torch.stack(odds)
             loss = F.binary_cross_entropy_with_logits(every, same.expand_as(every), reduction="none").mean(1)
             optimiser.zero_grad()
@@ -122,8 +121,7 @@ def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0
             visits, goals = (network.describe(world.features[i], coarse(world.patches[i])) for i in (seen, reference))
             drawn = [_each(network, visits, part) for part in (goals[:, :1], goals)]
             if fine:
-                views = (network.photo.describe(world.patches[ids]) for ids in (seen, reference[:, 0]))
-                drawn.append(_each(network.photo, *views))
+                drawn.append(_by_fine_patches(network.photo, world.patches, seen, reference))
             odds.append(torch.stack(drawn))
             truth.append(same)
     found, same = torch.cat(odds, 1), torch.cat(truth)
@@ -145,6 +143,11 @@ def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0
 def _each(network: Learned | PhotoOdds, seen: Tensor, reference: Tensor) -> Tensor:
     """The log odds of each of B visits with its own reference, described, float32 ``[B]``."""
     return network.scores(seen.unsqueeze(1), reference.unsqueeze(1)).flatten()
+
+
+def _by_fine_patches(photo: PhotoOdds, patches: Tensor, seen: Tensor, reference: Tensor) -> Tensor:
+    """The log odds of visits with the view ahead of references, view ids int64 ``[B, 4]`` each; float32 ``[B]``."""
+    return _each(photo, *(photo.describe(patches[ids]) for ids in (seen, reference[:, 0])))
 
 
 def _after(graph: Tensor, actions: tuple[int, ...]) -> Tensor:

@@ -76,6 +76,12 @@ def test_many_particles_make_a_better_map_than_one_where_single_looks_err():
     assert wrong(64) < wrong(1) / 4
 
 
+def test_a_mapper_weighs_the_evidence_as_its_memory_does():
+    weights = {"slip": 0.1, "least": -1.0, "independence": 0.2, "temperature": 7.0}
+    used = ParticleMapper(LocalisingMemory(**weights), lambda seen, visit: torch.zeros(1, seen.shape[1], 4)).memory
+    assert {name: getattr(used, name) for name in weights} == weights
+
+
 def walked(mapper, world, seed, start=3):
     generator, state, passed, action = torch.Generator().manual_seed(seed), start, [], None
     for _ in range(2 * len(world)):
