@@ -26,9 +26,9 @@ from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.config.choices import goal_view_options, group_options, load_simulator
 from dirl.config.schemas import EvaluateConfig, GoalView
-from dirl.evaluation.episodes import sampled_starts, shortest_episodes
+from dirl.evaluation.episodes import Episodes, sampled_starts, shortest_episodes
 from dirl.evaluation.experts import SeesArrows
-from dirl.evaluation.live import LiveProtocol, Remembered
+from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
 from dirl.models import LocalisingMemory
@@ -157,14 +157,18 @@ def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
         protocol = replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
     goal, start = protocol.starts
     states = protocol.world.goals.cpu()[goal.cpu()], start.cpu()
-    live = LiveProtocol(
-        lambda _: navigator,
-        lambda: Noisy(world, slip=options.slip, turn_error=options.turn_error, seed=config.seed),
-        scene,
-        states,
-        protocol.max_steps,
-        one_photo=options.goal_view == GoalView.front,
-    )
+
+    def live(_: Any, told: bool = False) -> Episodes:
+        return evaluate_live(
+            navigator,
+            Noisy(world, slip=options.slip, turn_error=options.turn_error, seed=config.seed),
+            scene,
+            states,
+            max_steps=protocol.max_steps,
+            one_photo=options.goal_view == GoalView.front,
+            told=told,
+        )
+
     shortest = shortest_episodes(protocol.world, protocol.starts)
     return {"shortest_path": metrics(shortest), **assess_live(policy, live)}
 

@@ -10,13 +10,14 @@ import pytest
 import torch
 from parts import make_parts, train_in
 from PIL import Image
+from policies import run_episodes
 from rooms import grid_scene
 from tours import grid_truth, tour_of, turned
 
 from dirl.agent.mapping import GraphMemory
 from dirl.agent.navigator import Navigator
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.perception.recognition.build import matching

@@ -158,8 +158,8 @@ def test_the_recipe_trains_and_the_navigator_is_evaluated_in_it(options):
     assert state.frames == 120
     assert any(not torch.equal(value, before[name]) for name, value in parts.policy.named_parameters())
     opened = open_live(parts.config, parts.world, parts.observation)
-    protocol = live_protocol(parts.config, opened, parts.world, parts.observation)
-    found, told = protocol.run(parts.policy), protocol.run(parts.policy, told=True)
+    walk = live_protocol(parts.config, opened, parts.world, parts.observation)
+    found, told = walk(parts.policy), walk(parts.policy, told=True)
     assert len(found.steps) == len(told.steps) == 4
     assert not (told.false_stop | told.missed_stop).any()
     again = train_state(make_parts(*options))

@@ -1,7 +1,7 @@
 import pytest
 import torch
 from networks import make_policy
-from policies import BACK, COUNTED, RIGHT, Asked, always, expert, from_states, only_goals, outcome, pair
+from policies import BACK, COUNTED, RIGHT, Asked, always, expert, from_states, only_goals, outcome, pair, run_episodes
 from rooms import grid_scene
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
@@ -10,7 +10,7 @@ from dirl.agent import decisions as decisions_module
 from dirl.agent.decisions import answers
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation import episodes as episodes_module
-from dirl.evaluation.episodes import every_start, run_episodes, sampled_starts, shortest_episodes
+from dirl.evaluation.episodes import every_start, sampled_starts, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
 from dirl.evaluation.protocol import action_values, metrics
 from dirl.models import EpisodicMemory, PlanningMemory, initial_state, recurrent_keys

@@ -5,11 +5,11 @@ from itertools import pairwise
 import pytest
 import torch
 from networks import make_policy
-from policies import RIGHT, Asked, always, from_states, only_goals, outcome, pair
+from policies import RIGHT, Asked, always, from_states, only_goals, outcome, pair, run_episodes
 from rooms import grid_scene
 
 from dirl.envs import SequentialViews, SurroundingViews
-from dirl.evaluation.episodes import every_start, run_episodes, shortest_episodes
+from dirl.evaluation.episodes import every_start, shortest_episodes
 from dirl.evaluation.protocol import EvaluationProtocol, mean_shortest, metrics, report
 from dirl.scenes import make_world
 

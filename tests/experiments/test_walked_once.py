@@ -10,6 +10,7 @@ from odds import Odds
 from rooms import grid_scene
 
 from dirl.envs import SurroundingViews
+from dirl.evaluation import episodes as episodes_module
 from dirl.evaluation.episodes import Episodes, every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
@@ -111,11 +112,13 @@ def test_a_report_has_every_way_and_goes_on_from_what_was_measured(collections, 
 
 def test_goals_can_be_photos_of_another_camera(collections, loaded, tmp_path, monkeypatch):
     before, after = collections
-    wanted, conditions = [], EvaluationProtocol._conditions
+    wanted, walked = [], episodes_module.run_episodes
     monkeypatch.setattr(
-        EvaluationProtocol,
-        "_conditions",
-        lambda self: wanted.append((self.looks, self.photos)) or conditions(self),
+        episodes_module,
+        "run_episodes",
+        lambda policy, protocol, **how: (
+            wanted.append((protocol.looks, protocol.photos)) or walked(policy, protocol, **how)
+        ),
     )
     text = walked_once.report_walked_once([f"{before}:{before}:{after}"], "general", tmp_path / "out")
     assert wanted == [(range(3, 5), range(5, 7))] * 2

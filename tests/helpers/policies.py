@@ -3,10 +3,17 @@
 import torch
 from tensordict import TensorDict
 
+from dirl.evaluation import episodes
 from dirl.evaluation.experts import ShortestPathExpert
 
 RIGHT, BACK = 1, 3
 COUNTED = ("success", "steps", "false_stop", "missed_stop")
+
+
+def run_episodes(policy, world, starts, *, observation, greedy=True, watch=None, **conditions):
+    """Episodes under the conditions of an `EvaluationProtocol`."""
+    protocol = episodes.EvaluationProtocol(world, observation, starts, **conditions)
+    return episodes.run_episodes(policy, protocol, greedy=greedy, watch=watch)
 
 
 def expert(world, sureness=100.0):

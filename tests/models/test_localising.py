@@ -3,11 +3,11 @@
 import pytest
 import torch
 from odds import Odds
-from policies import expert
+from policies import expert, run_episodes
 from rooms import grid_scene
 
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import metrics
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition.matching import TemplateStop

@@ -4,12 +4,13 @@ import h5py
 import numpy as np
 import pytest
 import torch
+from policies import run_episodes
 from rooms import grid_scene, read_here
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
-from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import RandomPolicy
 from dirl.scenes import SceneError, make_world, write_dump
 from dirl.scenes.io.write import replace_features

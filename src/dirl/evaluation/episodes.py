@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -71,23 +71,75 @@ def shortest_episodes(world: World, starts: tuple[Tensor, Tensor]) -> Episodes:
     return Episodes(goal_index, start, shortest, shortest, ~never, never, never)
 
 
+@dataclass(frozen=True)
+class EvaluationProtocol:
+    """The conditions under which policies are evaluated."""
+
+    world: World
+    observation: SurroundingViews
+    """What the policies observe."""
+    starts: tuple[Tensor, Tensor]
+    """Goal index and start state of each episode, int64 ``[E]`` each; see `dirl.evaluation.episodes.every_start`."""
+    stop: Tensor | Arrived | None = None
+    """Where an agent stops on its way to each goal, bool ``[P]``, see `World.pair`, or by what it sees; None = exactly
+    at the goal. With a `LocalisingMemory` its log odds, `dirl.perception.recognition.matching.Compared`."""
+    max_steps: int = 200
+    """An episode that has not arrived by then has failed."""
+    seed: int = 0
+    """Of sampled actions."""
+    memory: Memory | None = None
+    """Changes the policies' logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`."""
+    scores: VisitScores | None = None
+    """By which the memory knows places; None = correlation."""
+    maps: Sequence[PlaceMap] | None = None
+    """Of a walk through each scene, with which a `LocalisingMemory` begins; None = it knows nothing."""
+    looks: range | None = None
+    """Of visits and goals in a world that changes; None = all."""
+    photos: range | None = None
+    """Of goals, if they are others."""
+    shown: Tensor | None = None
+    """The goal of the same scene that is shown in the place of each, int64 ``[G]``, for controls; None = itself."""
+    live: Callable[..., Episodes] | None = None
+    """``live(policy, told=False)``: episodes in the simulator that it was trained in, if any; see `evaluate_live`."""
+    held_out: "EvaluationProtocol | None" = None
+    """The same for goals that were held out of the training, if there are any."""
+
+    def run(self, policy: nn.Module, *, greedy: bool = True) -> Episodes:
+        """One episode from each start."""
+        return run_episodes(policy, self, greedy=greedy)
+
+    def run_random(self) -> Episodes:
+        """The same for random actions. The environment stops the agent, so that it makes no false stops."""
+        return replace(self, stop=None, memory=None, maps=None).run(RandomPolicy(), greedy=False)
+
+    def trajectories(
+        self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
+    ) -> tuple[Episodes, list[list[int]]]:
+        """Episodes from given starts, and the states that each passed, from its start to its last state."""
+        paths = [[state] for state in starts[1].tolist()]
+
+        def watch(walking: Tensor, state: Tensor, _: Tensor) -> None:
+            for episode, passed in zip(walking.tolist(), state.tolist(), strict=True):
+                paths[episode].append(passed)
+
+        return run_episodes(policy, replace(self, starts=starts), greedy=greedy, watch=watch), paths
+
+    def walks(self, policy: nn.Module, starts: tuple[Tensor, Tensor]) -> list[Tensor]:
+        """The actions of greedy episodes from given starts, until each stops or fails; int64 ``[steps]`` each."""
+        steps: list[tuple[Tensor, Tensor]] = []
+        protocol = replace(self, starts=starts)
+        run_episodes(policy, protocol, watch=lambda walking, _, action: steps.append((walking, action)))
+        episode, action = (torch.cat(parts) for parts in zip(*steps, strict=True))
+        order = torch.argsort(episode, stable=True)
+        return list(action[order].split(torch.bincount(episode, minlength=len(starts[0])).tolist()))
+
+
 @torch.no_grad()
 def run_episodes(
     policy: nn.Module,
-    world: World,
-    starts: tuple[Tensor, Tensor],
+    protocol: EvaluationProtocol,
     *,
-    observation: SurroundingViews,
-    stop: Tensor | Arrived | None = None,
-    max_steps: int = 200,
     greedy: bool = True,
-    seed: int = 0,
-    memory: Memory | None = None,
-    scores: VisitScores | None = None,
-    maps: Sequence[PlaceMap] | None = None,
-    looks: range | None = None,
-    photos: range | None = None,
-    shown: Tensor | None = None,
     watch: Callable[[Tensor, Tensor, Tensor], None] | None = None,
 ) -> Episodes:
     """One episode from each start. In a world that changes every visit and every goal has a look sampled for it.
@@ -99,27 +151,18 @@ def run_episodes(
 
     Args:
         policy: reads a tensordict and writes ``logits``; with memory also its next recurrent state.
-        world: where.
-        starts: goal indices and start states, int64 ``[E]`` each, see `every_start`.
-        observation: the transform that the policy was trained with.
-        stop: where an agent stops, bool ``[P]``, see `World.pair`, or see
-            `dirl.perception.recognition.matching.Arrived`; at the goal itself if left out. With a `LocalisingMemory`
-            its log odds, `dirl.perception.recognition.matching.Compared`.
-        max_steps: after so many steps an episode has failed.
+        protocol: where, from which starts, and under which conditions.
         greedy: take the most probable action (of equal ones the first), else draw one.
-        seed: of the draws.
-        memory: changes logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`.
-        scores: by which the memory knows places; correlation if left out.
-        maps: of a walk through each scene, which the episodes go on with; for a `LocalisingMemory`.
-        looks: of visits and goals; all if left out.
-        photos: looks of goals, if they are others.
-        shown: the goal that the policy is shown instead of each goal, int64 ``[G]``; it must be in the same scene.
         watch: called after each step with the unfinished episodes, their states and actions, int64 ``[W]`` each.
     """
-    goal_index, start = starts
+    world, observation, memory, scores = protocol.world, protocol.observation, protocol.memory, protocol.scores
+    looks, photos, maps = protocol.looks, protocol.photos, protocol.maps
+    goal_index, start = protocol.starts
     never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
-    episodes = Episodes(goal_index, start, world.distance(goal_index, start), torch.full_like(start, max_steps), *never)
-    generator = torch.Generator(world.device).manual_seed(seed)
+    episodes = Episodes(
+        goal_index, start, world.distance(goal_index, start), torch.full_like(start, protocol.max_steps), *never
+    )
+    generator = torch.Generator(world.device).manual_seed(protocol.seed)
     wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=photos or looks)
     few = len(start) <= MANY
     bar = tqdm(
@@ -130,7 +173,7 @@ def run_episodes(
     with frozen(policy), bar:
         at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
         decide = None if at_random else deciding(policy, world, observation, len(start))
-        known = Known(world, observation, decide, _arrived(world, stop), scores, shown)
+        known = Known(world, observation, decide, _arrived(world, protocol.stop), scores, protocol.shown)
 
         def ahead_in(state: Tensor, goals: Tensor) -> Tensor:
             besides = None if photos else goals // len(world.goals)
@@ -144,7 +187,7 @@ def run_episodes(
             map_of_scene = None if maps is None else maps[int(scene[0])]
             agent = make_agent(memory, world.turns[scene], map_of_scene)
             agent.arrive(walk)  # no agent stops before its first step
-            for step in range(1, max_steps + 1):
+            for step in range(1, protocol.max_steps + 1):
                 if at_random:
                     action = torch.randint(len(ACTIONS), walk.state.shape, generator=generator, device=world.device)
                 else:

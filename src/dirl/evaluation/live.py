@@ -1,13 +1,12 @@
 """A navigator walked in a live world by its own code, so that what is measured is what a robot runs."""
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Collection
 from hashlib import sha256
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from tqdm import tqdm
 
 from dirl.agent.loading import Encoder, image_encoder, load_parts
@@ -104,30 +103,3 @@ def evaluate_live(
             if step < max_steps:
                 world.step(int(decision.action))
     return found
-
-
-@dataclass(frozen=True)
-class LiveProtocol:
-    """The conditions under which policies are evaluated in a live world, while they learn and at the end."""
-
-    navigator: Callable[[nn.Module], Navigator]
-    """Of a policy."""
-    world: Callable[[], LiveWorld]
-    """Anew for each evaluation, so that errors are the same."""
-    scene: Scene
-    starts: tuple[Tensor, Tensor]
-    """Goal states and start states, int64 ``[E]`` each."""
-    max_steps: int
-    one_photo: bool = False
-
-    def run(self, policy: nn.Module, *, told: bool = False) -> Episodes:
-        """One episode from each start, see `evaluate_live`."""
-        return evaluate_live(
-            self.navigator(policy),
-            self.world(),
-            self.scene,
-            self.starts,
-            max_steps=self.max_steps,
-            one_photo=self.one_photo,
-            told=told,
-        )

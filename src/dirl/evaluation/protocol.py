@@ -1,93 +1,18 @@
 """Evaluation of a policy: the protocol, and ATL, SR and SPL (paper section 4.3)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from dirl.agent.agent import Memory
 from dirl.agent.decisions import answers
-from dirl.agent.mapping.places import PlaceMap
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import Episodes, run_episodes, shortest_episodes
+from dirl.evaluation.episodes import Episodes, shortest_episodes
+from dirl.evaluation.episodes import EvaluationProtocol as EvaluationProtocol
 from dirl.evaluation.experts import RandomPolicy
-from dirl.evaluation.live import LiveProtocol
-from dirl.perception.recognition.matching import Arrived
-from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import World
-
-
-@dataclass(frozen=True)
-class EvaluationProtocol:
-    """The conditions under which policies are evaluated."""
-
-    world: World
-    observation: SurroundingViews
-    """What the policies observe."""
-    starts: tuple[Tensor, Tensor]
-    """Goal index and start state of each episode, int64 ``[E]`` each; see `dirl.evaluation.episodes.every_start`."""
-    stop: Tensor | Arrived | None = None
-    """Where an agent stops on its way to each goal, see `run_episodes`; None = exactly at the goal."""
-    max_steps: int = 200
-    """An episode that has not arrived by then has failed."""
-    seed: int = 0
-    """Of sampled actions."""
-    memory: Memory | None = None
-    """Changes the policies' logits by what was done in the episode."""
-    scores: VisitScores | None = None
-    """By which the memory knows places; None = correlation."""
-    maps: Sequence[PlaceMap] | None = None
-    """Of a walk through each scene, with which a `LocalisingMemory` begins; None = it knows nothing."""
-    looks: range | None = None
-    """Of visits and goals in a world that changes; None = all."""
-    photos: range | None = None
-    """Of goals, if they are others."""
-    shown: Tensor | None = None
-    """The goal that is shown in the place of each, int64 ``[G]``, for controls; None = the goal itself."""
-    live: LiveProtocol | None = None
-    """The same in the simulator that the policy was trained in, if it was."""
-    held_out: "EvaluationProtocol | None" = None
-    """The same for goals that were held out of the training, if there are any."""
-
-    def run(self, policy: nn.Module, *, greedy: bool = True) -> Episodes:
-        """One episode from each start."""
-        return run_episodes(policy, self.world, self.starts, greedy=greedy, **self._conditions())
-
-    def run_random(self) -> Episodes:
-        """The same for random actions. The environment stops the agent, so that it makes no false stops."""
-        return replace(self, stop=None, memory=None, maps=None).run(RandomPolicy(), greedy=False)
-
-    def trajectories(
-        self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
-    ) -> tuple[Episodes, list[list[int]]]:
-        """Episodes from given starts, and the states that each passed, from its start to its last state."""
-        paths = [[state] for state in starts[1].tolist()]
-
-        def watch(walking: Tensor, state: Tensor, _: Tensor) -> None:
-            for episode, passed in zip(walking.tolist(), state.tolist(), strict=True):
-                paths[episode].append(passed)
-
-        return run_episodes(policy, self.world, starts, greedy=greedy, watch=watch, **self._conditions()), paths
-
-    def walks(self, policy: nn.Module, starts: tuple[Tensor, Tensor]) -> list[Tensor]:
-        """The actions of greedy episodes from given starts, until each stops or fails; int64 ``[steps]`` each."""
-        steps: list[tuple[Tensor, Tensor]] = []
-        run_episodes(
-            policy,
-            self.world,
-            starts,
-            watch=lambda walking, _, action: steps.append((walking, action)),
-            **self._conditions(),
-        )
-        episode, action = (torch.cat(parts) for parts in zip(*steps, strict=True))
-        order = torch.argsort(episode, stable=True)
-        return list(action[order].split(torch.bincount(episode, minlength=len(starts[0])).tolist()))
-
-    def _conditions(self) -> dict[str, Any]:
-        names = ("observation", "stop", "max_steps", "seed", "memory", "scores", "maps", "looks", "photos", "shown")
-        return {name: getattr(self, name) for name in names}
 
 
 def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[str, Any]]:
@@ -115,9 +40,9 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
     return found if protocol.live is None else found | assess_live(policy, protocol.live)
 
 
-def assess_live(policy: nn.Module, live: LiveProtocol) -> dict[str, dict[str, float]]:
+def assess_live(policy: nn.Module, live: Callable[..., Episodes]) -> dict[str, dict[str, float]]:
     """The metrics of a policy in a live world: stopping by itself, and told when it has arrived."""
-    return {"live": metrics(live.run(policy)), "live_told": metrics(live.run(policy, told=True))}
+    return {"live": metrics(live(policy)), "live_told": metrics(live(policy, told=True))}
 
 
 def mean_shortest(world: World) -> list[float]:

@@ -1,5 +1,6 @@
 """Training and evaluation in a simulator (``env=live``): what they share, made once."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -10,8 +11,8 @@ from dirl.config.components import packages_to_trust
 from dirl.config.saved import config_text
 from dirl.config.schemas import ConfigError, GoalView, Stop, TrainConfig
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import sampled_starts
-from dirl.evaluation.live import LiveProtocol, Remembered, remembering, trained_navigator
+from dirl.evaluation.episodes import Episodes, sampled_starts
+from dirl.evaluation.live import Remembered, evaluate_live, remembering, trained_navigator
 from dirl.models import plain_weights
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import packaged_encoder
@@ -75,8 +76,13 @@ def check_simulator(simulator: Simulator, scene: Scene, file: str) -> None:
         raise ConfigError(f"simulator={file}: is of {simulator.name}; {scene.origin} is of {scene.name}")
 
 
-def live_protocol(config: TrainConfig, live: Live, world: World, observation: SurroundingViews) -> LiveProtocol:
-    """The evaluation of policies by the navigator's own code in the simulator, with the errors of the training."""
+def live_protocol(
+    config: TrainConfig, live: Live, world: World, observation: SurroundingViews
+) -> Callable[..., Episodes]:
+    """The evaluation of policies by the navigator's own code in the simulator, with the errors of the training.
+
+    These are the same in each evaluation. What is returned is called as ``live(policy, told=False)``.
+    """
     scene = world.scenes[0]
     turns = turns_per_circle(scene.graph)
     facts: dict[str, Any] = {
@@ -86,20 +92,22 @@ def live_protocol(config: TrainConfig, live: Live, world: World, observation: Su
         "views": list(observation.order),
         "turns": turns_of(world.scenes),
     }
-
     trust, device = packages_to_trust(config), str(config.device)
-
-    def navigator(policy: nn.Module) -> Any:
-        return trained_navigator({**facts, "network": plain_weights(policy)}, live.encode, turns, device, trust)
-
     each = max(1, config.evaluation.live_episodes // len(world.goals))
     goal, start = sampled_starts(world, each, config.seed)
     errors = {name: config.env[name] for name in ("slip", "turn_error")}
-    return LiveProtocol(
-        navigator,
-        lambda: Noisy(Simulated(live.simulator, step=shortest_move(scene), turns=turns), **errors, seed=config.seed),
-        scene,
-        (world.goals[goal].cpu(), start.cpu()),
-        config.evaluation.max_steps,
-        one_photo=observation.goal_view == GoalView.front,
-    )
+
+    def walk(policy: nn.Module, told: bool = False) -> Episodes:
+        saved = {**facts, "network": plain_weights(policy)}
+        simulated = Simulated(live.simulator, step=shortest_move(scene), turns=turns)
+        return evaluate_live(
+            trained_navigator(saved, live.encode, turns, device, trust),
+            Noisy(simulated, **errors, seed=config.seed),
+            scene,
+            (world.goals[goal].cpu(), start.cpu()),
+            max_steps=config.evaluation.max_steps,
+            one_photo=observation.goal_view == GoalView.front,
+            told=told,
+        )
+
+    return walk

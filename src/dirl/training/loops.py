@@ -226,7 +226,7 @@ def write_evaluation(run: Run, policy: nn.Module, protocol: EvaluationProtocol, 
     def row() -> dict[str, float | int]:
         found = {"frames": frames, **metrics(protocol.run(policy))}
         if protocol.live is not None:
-            live = metrics(protocol.live.run(policy))
+            live = metrics(protocol.live(policy))
             found |= {f"live_{key}": live[key] for key in ("sr", "spl")}
         if protocol.held_out is not None:
             apart = metrics(protocol.held_out.run(policy))

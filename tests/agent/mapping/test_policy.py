@@ -4,12 +4,13 @@ from typing import ClassVar
 
 import pytest
 import torch
+from policies import run_episodes
 from rooms import grid_scene
 from tensordict.nn import TensorDictModuleBase
 
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import metrics
 from dirl.scenes import make_world
 

@@ -2,12 +2,12 @@
 
 import pytest
 import torch
-from policies import expert
+from policies import expert, run_episodes
 from rooms import grid_scene
 
 from dirl.agent.cameras import compare
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import every_start, run_episodes
+from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import metrics
 from dirl.models import EpisodicMemory, PlanningMemory
 from dirl.perception.backbones.patches import coarse
