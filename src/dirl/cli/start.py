@@ -104,8 +104,7 @@ def run_recipe(recipe: str, main: Callable[[Any], None], name: str = "") -> None
 
 def _by_hydra(config: str, job: Callable[[DictConfig], None]) -> Callable[[], Any]:
     folder, _, name = config.rpartition("/")
-    decorated: Callable[[], Any] = hydra.main(version_base="1.3", config_path=str(CONF / folder), config_name=name)(job)
-    return decorated
+    return hydra.main(version_base="1.3", config_path=str(CONF / folder), config_name=name)(job)
 
 
 def configuration(recipe: str, name: str) -> str:

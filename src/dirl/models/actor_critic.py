@@ -75,17 +75,10 @@ class ActorCritic(TensorDictModuleBase):
         self.memory = memory
         self.heads = heads
         self.cached: CachedEncoder | None = None
-        self.in_keys = [
-            *VIEW_IDS,
-            "scene",
-            *([] if memory is None else [key for key in memory.in_keys if key != "fused"]),
-        ]
-        self.out_keys = [
-            "hidden",
-            "logits",
-            "state_value",
-            *([] if memory is None else [key for key in memory.out_keys if key != "memory"]),
-        ]
+        self.in_keys, self.out_keys = [*VIEW_IDS, "scene"], ["hidden", "logits", "state_value"]
+        if memory is not None:
+            self.in_keys += [key for key in memory.in_keys if key != "fused"]
+            self.out_keys += [key for key in memory.out_keys if key != "memory"]
 
     def cache(
         self,
@@ -197,8 +190,7 @@ def noisy(policy: nn.Module, deviation: float) -> AbstractContextManager[None]:
 
 def plain_weights(policy: nn.Module) -> dict[str, Tensor]:
     """A policy's state_dict, in the form that it has without a cache."""
-    weights: dict[str, Tensor] = getattr(policy, "plain_state_dict", policy.state_dict)()
-    return weights
+    return getattr(policy, "plain_state_dict", policy.state_dict)()
 
 
 def recurrent_keys(policy: nn.Module) -> list[str]:

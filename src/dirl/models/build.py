@@ -73,8 +73,7 @@ def _remember(memory: TensorDictModuleBase, width: int, steps: int | None = None
         result = memory(rows if steps is None else rows.unsqueeze(1).expand(1, steps).clone())
     if missing := {*memory.out_keys} - {*result.keys(include_nested=True)}:
         raise ValueError(f"does not write {min(missing, key=str)}, which is among its out_keys")
-    made: Tensor = result["memory"]
-    return made if steps is None else made.flatten(1)
+    return result["memory"] if steps is None else result["memory"].flatten(1)
 
 
 def feature_table(
@@ -122,7 +121,8 @@ def saved_statistics(weights: Mapping[str, Tensor], origin: str) -> tuple[Tensor
         ConfigError: they are not of one feature width.
     """
     found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
-    mean, std, axes = (_float32(found.get(f"features.{name}")) for name in ("mean", "std", "axes"))
+    keys = [f"features.{name}" for name in ("mean", "std", "axes")]
+    mean, std, axes = (found[key].float() if key in found else None for key in keys)
     width = 0 if mean is None else mean.numel()
     for name, value in {"mean": mean, "std": std, "axes": axes}.items():
         if value is not None and (len(value) if value.ndim == 1 + (name == "axes") else None) != width:
@@ -130,10 +130,6 @@ def saved_statistics(weights: Mapping[str, Tensor], origin: str) -> tuple[Tensor
                 f"{origin}: the weights' features.{name} has the shape {list(value.shape)}, for {width} features"
             )
     return mean, std, axes
-
-
-def _float32(values: Tensor | None) -> Tensor | None:
-    return None if values is None else values.float()
 
 
 def reads_patches(config: TrainConfig) -> bool:

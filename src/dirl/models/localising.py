@@ -219,7 +219,8 @@ class LocalisingMemory(nn.Module):
 
     def plan(self, places: Places) -> Tensor:
         """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
-        evidence, exits = self._goal(places), _exits(places)
+        evidence = self._goal(places)
+        exits = (places.after < 0).unflatten(1, (-1, VIEWS)).flatten(2)  # what was not tried at each place, [B, P, 16]
         odds, best = evidence.max(1)
         at = torch.arange(len(best), device=best.device)
         certain = self._certain(places, evidence, best)
@@ -288,8 +289,3 @@ class LocalisingMemory(nn.Module):
 def _carried(places: Places) -> bool:
     """Whether the agents have not acted yet in this episode; all begin at once."""
     return bool((places.action < 0).any())
-
-
-def _exits(places: Places) -> Tensor:
-    """Which actions at each place were not tried, bool ``[B, T, 16]`` by heading and action."""
-    return (places.after < 0).unflatten(1, (-1, VIEWS)).flatten(2)

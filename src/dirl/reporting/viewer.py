@@ -169,6 +169,8 @@ def file_name(scene: str) -> str:
 
 def _room(scene: Scene) -> dict[str, Any]:
     """The data of a scene that a page needs, apart from its goals."""
+    views = scene.views
+    encoded = (views.encoded(state) or encode(views[state]) for state in range(len(scene))) if views else ()
     return {
         "scene": scene.name,
         "graph": scene.graph.tolist(),
@@ -177,7 +179,7 @@ def _room(scene: Scene) -> dict[str, Any]:
         "directions": heading_directions(scene).round(4).tolist(),
         "side": round(step_length(scene), 4),
         "source": scene.source,
-        "views": None if scene.views is None else [_view(scene, state) for state in range(len(scene))],
+        "views": None if views is None else [base64.b64encode(view).decode() for view in encoded],
     }
 
 
@@ -198,11 +200,6 @@ def _image_graph(graph: ImageGraph, world: World, index: int) -> dict[str, Any]:
     }
     links = sorted({(min(pair), max(pair)) for pair in pairs if pair[0] != pair[1]})
     return {"place": place[node.numpy()].tolist(), "places": int(place.max()) + 1, "links": links}
-
-
-def _view(scene: Scene, state: int) -> str:
-    assert scene.views is not None
-    return base64.b64encode(scene.views.encoded(state) or encode(scene.views[state])).decode()
 
 
 def _base64(values: Tensor) -> str:

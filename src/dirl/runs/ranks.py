@@ -176,8 +176,7 @@ def from_first(make: Callable[[], T]) -> T:
         dist.broadcast_object_list(outcome)
     if outcome[1] is not None:
         raise outcome[1]
-    made: T = outcome[0]
-    return made
+    return outcome[0]
 
 
 @torch.no_grad()

@@ -223,8 +223,7 @@ def _check_loss(name: str, module: Any, policy: nn.Module, workers: int) -> None
 
 def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | None = None) -> Optimizer:
     """The optimiser of the policy's weights, and of the losses' own."""
-    made: Optimizer = make("optimiser", config.optimiser, config.trust, params=trained_parameters(policy, losses))
-    return made
+    return make("optimiser", config.optimiser, config.trust, params=trained_parameters(policy, losses))
 
 
 def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | Arrived | None:

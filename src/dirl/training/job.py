@@ -94,8 +94,7 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
         run = open_run(config, folder, overrides)
         if ranks.from_first(lambda: run.finished):
             print(f"finished before: {run.folder}")
-            summary: dict[str, Any] = ranks.from_first(lambda: json.loads((run.folder / "summary.json").read_text()))
-            return summary
+            return ranks.from_first(lambda: json.loads((run.folder / "summary.json").read_text()))
         components = _components(run, initial)
         run.begin(components.protocol.world, components.protocol.observation.order)
     with one_line_exits(run.how_to_go_on) if alone else nullcontext():

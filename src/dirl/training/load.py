@@ -84,7 +84,10 @@ def learning_policy(
         observation: what it observes.
         initial: weights that the training begins with, see `initial_weights`; sampled with the seed if left out.
     """
-    everywhere = world.with_goals(goals) if (goals := _all_goals(config, world)) else world
+    everywhere = world
+    if held_out := build_goals(config, world.scenes).held_out:  # a policy that knows the world walks to all goals
+        trained = {name: world.local_goals(index).tolist() for index, name in enumerate(world.names)}
+        everywhere = world.with_goals({name: (*trained[name], *held_out[name]) for name in world.names})
     live = config.env.get("simulator") is not None  # then more views are seen than those of the world
     table = feature_table(config, world, initial, str(config.init), room=config.env["views"] if live else 0)
     views = len(observation.order)
@@ -95,13 +98,6 @@ def learning_policy(
     # In principal axes a run that goes on from a checkpoint could not have the given weights to the last digit.
     principal = config.network.axes == Axes.principal and not noisy and initial is None
     return cached(policy, config, world, observation, front=front, noisy=noisy, principal=principal, live=live)
-
-
-def _all_goals(config: TrainConfig, world: World) -> dict[str, tuple[int, ...]]:
-    """The trained and the held-out goals of each scene, which a policy that knows the world walks to; empty if same."""
-    held_out = build_goals(config, world.scenes).held_out
-    names = enumerate(world.names) if held_out else ()
-    return {name: (*world.local_goals(index).tolist(), *held_out[name]) for index, name in names}
 
 
 def cached(
@@ -123,8 +119,7 @@ def cached(
         known = surrounding is not None or type(observation) is SequentialViews
         principal = principal and known and not live and not fronts and len(world) <= world.features.shape[1]
         policy.cache(surrounding, views=len(observation.order), front=fronts, noisy=noisy, principal=principal)
-    made: nn.Module = policy
-    return made
+    return policy
 
 
 def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor | None, bool]:
@@ -210,5 +205,4 @@ def initial_weights(
     unknown = sorted(set(world.names) - set(saved["scenes"]))
     if unknown and not config.heads.get("shared"):
         raise ConfigError(f"init={config.init}: has heads for the scenes {saved['scenes']}, none for {unknown[0]}")
-    weights: Mapping[str, Tensor] = saved["network"]
-    return weights
+    return saved["network"]

@@ -167,8 +167,7 @@ class CachedEncoder(nn.Module):
             seen, shown = self._rows(keys, encoder.embed, known), self._rows(goal_keys, encoder.embed_goal, goals)
         else:
             seen, shown = self._rows(torch.cat([keys, goal_keys]), encoder.embed, known).split(len(keys))
-        fused: Tensor = encoder.fuse(seen, shown)
-        return fused
+        return encoder.fuse(seen, shown)
 
     def _rows(self, keys: Tensor, embed: Callable[[Tensor], Tensor], cache: EmbeddingCache | None) -> Tensor:
         """The embedding of each key, int64 ``[K]`` to ``[K, E]``; every distinct one is computed once."""
@@ -198,18 +197,11 @@ class CachedEncoder(nn.Module):
         """The cache, a new one if the weights have changed: each in-place change counts a tensor's version up."""
         versions = [parameter._version for parameter in self._wrapped[0].parameters()]
         if self._cache is None or not self._keeps or versions != self._versions:
-            self._cache, self._versions = self._new_cache(), versions
+            known = self.surrounding is not None and avoid_host_sync(self._wrapped[1].table)
+            every = len(self.surrounding) if known else None  # type: ignore[arg-type]
+            # For observations, and for goals that are embedded otherwise.
+            self._cache, self._versions = (EmbeddingCache(every), EmbeddingCache(every)), versions
         return self._cache
-
-    def _new_cache(self) -> tuple[EmbeddingCache, EmbeddingCache]:
-        """For observations, and for goals that are embedded otherwise."""
-        every = self._every()
-        return EmbeddingCache(every), EmbeddingCache(every)
-
-    def _every(self) -> int | None:
-        """See `EmbeddingCache`."""
-        known = self.surrounding is not None and avoid_host_sync(self._wrapped[1].table)
-        return len(self.surrounding) if known else None  # type: ignore[arg-type]
 
     @contextmanager
     def caching(self) -> Iterator[None]:

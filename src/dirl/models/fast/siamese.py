@@ -57,7 +57,9 @@ class CachedSiamese(CachedEncoder):
     def restore(self) -> None:
         """Convert the encoder's embedding back to a layer on features, with the learned weights."""
         encoder, _ = self._wrapped
-        encoder.embedding = _linear(self.weight_on_features(), encoder.embedding.bias)
+        weight, bias = self.weight_on_features(), encoder.embedding.bias
+        encoder.embedding = nn.Linear(weight.shape[1], len(weight), device="meta")
+        encoder.embedding.weight, encoder.embedding.bias = nn.Parameter(weight.detach()), nn.Parameter(bias.detach())
         self.axes = None
 
     @torch.no_grad()
@@ -97,8 +99,7 @@ class CachedSiamese(CachedEncoder):
         encoder, views = self._wrapped[0], self._views(keys)
         if self._projected is None:
             layer = encoder.embedding if self.axes is None else encoder.embedding.of_coordinates
-            embedded: Tensor = layer(self._inputs(views))
-            return embedded
+            return layer(self._inputs(views))
         slots = self._projected.shape[1]
         return (
             self._projected[views[:, :slots], torch.arange(slots, device=views.device)].sum(1) + encoder.embedding.bias
@@ -168,9 +169,3 @@ class KnownLinear(torch.autograd.Function):
             gradient.sum(0) if asked[2] else None,
             None,
         )
-
-
-def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:
-    layer = nn.Linear(weight.shape[1], len(weight), device="meta")
-    layer.weight, layer.bias = nn.Parameter(weight.detach()), nn.Parameter(bias.detach())
-    return layer
