@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Categorical, Unbounded
 
-from dirl.envs.navigation import NavigationEnv, Reward
+from dirl.envs.navigation import NavigationEnv
 from dirl.envs.transforms import VIEWS, front_only
 from dirl.scenes import World
 from dirl.scenes.graph import AHEAD, BACK, RIGHT, turns_per_circle
@@ -57,19 +57,15 @@ class LiveEnv(NavigationEnv):
     The dump of the simulator gives goals, starts and distances; ``state`` is the nearest one to the pose. Of the views
     the last ``views`` are remembered, by their poses to a millimetre and a tenth of a degree.
 
+    It takes what `NavigationEnv` does, with a world of one scene, the dump of the simulator, and:
+
     Args:
-        world: of one scene, the dump of the simulator.
-        num_agents: how many, B.
         simulator: in which the agents take turns.
         encode: images, uint8 ``[R, H, W, 3]``, to backbone outputs ``[R, D + patches]``.
         table: gets what is encoded, and has room for it.
-        slip: the probability that an action has no effect.
         turn_error: standard deviation of each turn, degrees; with it hardly any view returns.
         views: how many are remembered.
         front: show the goals' front view alone.
-        reward: of a step.
-        stop: see `NavigationEnv`; by default at the goal's state.
-        seed: of goals, starts and errors.
     """
 
     def __init__(
@@ -80,17 +76,14 @@ class LiveEnv(NavigationEnv):
         simulator: Any,
         encode: Callable[[Tensor], Tensor],
         table: Table,
-        slip: float = 0.0,
         turn_error: float = 0.0,
         views: int = 20_000,
         front: bool = False,
-        reward: Reward | None = None,
-        stop: Tensor | None = None,
-        seed: int = 0,
+        **walking: Any,
     ) -> None:
         if turn_error < 0:
             raise ValueError(f"turn_error={turn_error}: is a standard deviation, at least 0")
-        super().__init__(world, num_agents, slip=slip, reward=reward, stop=stop, seed=seed)
+        super().__init__(world, num_agents, **walking)
         scene = world.scenes[0]
         self.simulator: Simulator = simulator
         self.encode, self.table, self.front = encode, table, front

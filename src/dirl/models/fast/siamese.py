@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.autograd.function import FunctionCtx
 
-from dirl.envs.transforms import VIEWS
 from dirl.models.fast.caching import CachedEncoder
 from dirl.models.fast.principal_axes import PrincipalAxes
 from dirl.models.features import FeatureTable
@@ -23,13 +23,10 @@ class CachedSiamese(CachedEncoder):
       once for each distinct row as well.
     - In principal axes the embedding has a column for each axis instead of each feature, see `PrincipalAxes`.
 
+    It takes what `CachedEncoder` does, and:
+
     Args:
-        encoder: to wrap. With ``principal`` its embedding becomes an `AxesLinear` until `restore`.
-        table: as for `CachedEncoder`.
-        surrounding: as for `CachedEncoder`.
-        views: as for `CachedEncoder`.
-        front: as for `CachedEncoder`.
-        principal: learn the embedding in principal axes; not with ``front``.
+        principal: learn the embedding in principal axes, as an `AxesLinear` until `restore`; not with ``front``.
     """
 
     def __init__(
@@ -38,11 +35,10 @@ class CachedSiamese(CachedEncoder):
         table: FeatureTable,
         surrounding: Tensor | None,
         *,
-        views: int = VIEWS,
-        front: bool = False,
         principal: bool = False,
+        **read: Any,
     ) -> None:
-        super().__init__(encoder, table, surrounding, views=views, front=front)
+        super().__init__(encoder, table, surrounding, **read)
         self.axes: PrincipalAxes | None = None
         self._projected: Tensor | None = None
         if principal:
