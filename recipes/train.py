@@ -31,14 +31,8 @@ from dirl.training import hogwild
 from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, run_job
 from dirl.training.loops import Updates, dagger_rounds, imitation_steps, updates, write_evaluation
-from dirl.training.losses import (
-    Advantages,
-    clip_gradients,
-    demonstration_batches,
-    minibatches,
-    set_learning_rate,
-    total_loss,
-)
+from dirl.training.losses import clip_gradients, demonstration_batches, minibatches, set_learning_rate, total_loss
+from dirl.training.objectives import bootstrap, make_advantages
 from dirl.training.pairs import Demonstrations
 from dirl.training.rollout import collect, summarise
 from dirl.training.state import TrainState
@@ -97,14 +91,15 @@ def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict
 def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
     """Collect, losses, backward, clip, step; as long as the loop goes on."""
     options, optimiser, policy = config.reinforcement, state.optimiser, state.policy
-    operator, advantages = policy.operator(), Advantages(policy, options.gamma, options.lmbda)
+    operator, advantages = policy.operator(), make_advantages(options.gamma, options.lmbda)
+    critic = operator.get_value_operator()
     parameters, rate = state.parameters, optimiser.defaults["lr"]
     by_agent, bfloat16 = bool(state.losses.recurrent), config.precision == "bfloat16"
     while loop.goes_on:
         set_learning_rate(optimiser, rate * loop.left)
         with caching(policy), torch.autocast(state.env.device.type, torch.bfloat16, enabled=bfloat16):
             batch, state.agents = collect(state.env, operator, state.agents, options.n_steps)
-            batch = advantages(state.losses.rewarded(batch))
+            batch = advantages(bootstrap(state.losses.rewarded(batch), critic))
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
                 losses = state.losses(part, loop.left)
                 optimiser.zero_grad()

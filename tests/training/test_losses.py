@@ -8,7 +8,8 @@ from parts import make_parts, train_in, train_state
 from dirl.config.schemas import Schedule
 from dirl.evaluation.protocol import metrics
 from dirl.models import recurrent_keys
-from dirl.training.losses import Advantages, as_first_steps, clip_gradients, minibatches, set_learning_rate, total_loss
+from dirl.training.losses import as_first_steps, clip_gradients, minibatches, set_learning_rate, total_loss
+from dirl.training.objectives import bootstrap, make_advantages
 from dirl.training.rollout import collect, summarise
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=30", "reinforcement.max_steps=9"]
@@ -53,7 +54,8 @@ def rollout(parts, steps=20):
     """Steps with advantages, ``[B, T]``, and the environment they were walked in."""
     state = train_state(parts)
     batch, _ = collect(state.env, parts.policy.operator(), state.agents, steps)
-    return Advantages(parts.policy, 0.9, 0.9)(batch), state.env
+    critic = parts.policy.operator().get_value_operator()
+    return make_advantages(0.9, 0.9)(bootstrap(batch, critic)), state.env
 
 
 def rows(parts):

@@ -32,8 +32,8 @@ from dirl.training.build import (
 )
 from dirl.training.load import learning_policy
 from dirl.training.loops import Updates
-from dirl.training.losses import Advantages, clip_gradients, minibatches, set_learning_rate, total_loss
-from dirl.training.objectives import TFRMSprop
+from dirl.training.losses import clip_gradients, minibatches, set_learning_rate, total_loss
+from dirl.training.objectives import TFRMSprop, bootstrap, make_advantages
 from dirl.training.rollout import Update, collect, summarise
 from dirl.training.state import TrainState
 
@@ -191,7 +191,8 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
     count = len(range(number, agents_in_all, options.workers))
     env = build_env(config, world, observation, policy, agents=count, seed=seed)
     agents = env.reset()
-    operator, advantages = policy.operator(), Advantages(policy, options.gamma, options.lmbda)
+    operator, advantages = policy.operator(), make_advantages(options.gamma, options.lmbda)
+    critic = operator.get_value_operator()
     compute_losses = build_losses(config, policy, world, build_demonstrations(config, world, observation))
     own, rate = list(policy.parameters()), optimiser.defaults["lr"]
     by_agent, several = bool(recurrent_keys(policy)), options.epochs * options.minibatches > 1
@@ -204,7 +205,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
         fetch(shared, policy)
         with caching(policy), torch.autocast("cpu", torch.bfloat16, enabled=config.precision == Precision.bfloat16):
             batch, agents = collect(env, operator, agents, options.n_steps)
-            batch = advantages(compute_losses.rewarded(batch))
+            batch = advantages(bootstrap(compute_losses.rewarded(batch), critic))
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
                 losses = compute_losses(part, left)
                 policy.zero_grad()

@@ -15,8 +15,7 @@ from torchrl.modules import set_recurrent_mode
 from dirl.config.schemas import ConfigError, Schedule
 from dirl.models import initial_state, recurrent_keys
 from dirl.runs import ranks
-from dirl.training.objectives import bootstrap, clip_each
-from dirl.training.objectives.reinforcement import make_advantages
+from dirl.training.objectives import clip_each
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 EXPERT = {"expert_action", "optimal_actions"}
@@ -184,24 +183,6 @@ def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> li
 def total_loss(losses: TensorDictBase) -> Tensor:
     """The sum of the ``loss_*`` entries."""
     return sum(value for key, value in losses.items() if key.startswith("loss_"))
-
-
-class Advantages:
-    """Writes advantages and value targets into rollouts by generalised advantage estimation (paper equations 5, 6).
-
-    Args:
-        policy: whose critic.
-        gamma: discount.
-        lmbda: of the estimation; 1 gives the paper's n-step return minus the value.
-    """
-
-    def __init__(self, policy: Any, gamma: float, lmbda: float) -> None:
-        self.critic = policy.operator().get_value_operator()
-        self.estimator = make_advantages(gamma, lmbda)
-
-    def __call__(self, batch: TensorDictBase) -> TensorDictBase:
-        """Add advantages and value targets to a rollout ``[B, T]`` with ``state_value``."""
-        return self.estimator(bootstrap(batch, self.critic))
 
 
 def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: bool = False) -> Iterator[TensorDictBase]:
