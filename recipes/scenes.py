@@ -34,6 +34,7 @@ from dirl.config.places import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import Inspection, inspect_scene
+from dirl.perception.virtual import VirtualCameras
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
@@ -205,6 +206,9 @@ def sample(options: Any) -> None:
     folder, kinds = Path(options.out), [kind for kind in KINDS if options.kind in (kind, "all")]
     values = {field.name: getattr(options, field.name) for field in fields(RoomSettings)}
     values |= {"changes": Changes(**vars(options.changes)), "photo": PhotoCamera(**vars(options.photo))}
+    values["virtual"] = VirtualCameras(options.virtual.fov, tuple(options.virtual.yaws))
+    if options.virtual.fov and not options.fine_patches:
+        raise SceneError(f"virtual.fov={options.virtual.fov:g}: the patches of virtual views need fine_patches=true")
     settings = RoomSettings(**values)
     seeds = range(options.seed, options.seed + options.count)
     wanted = [(kind, seed) for seed in seeds for kind in kinds]

@@ -9,9 +9,9 @@ import pytest
 import torch
 from commands import ROOT
 
+from dirl.agent.cameras import Decision, Scores
 from dirl.agent.exploring import Explorer
 from dirl.agent.mapping import ImageGraph, load_graph
-from dirl.agent.navigator import Decision, Scores
 
 
 @pytest.fixture(scope="module")

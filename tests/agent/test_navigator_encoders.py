@@ -95,7 +95,7 @@ def test_more_images_than_a_batch_are_encoded_in_parts(run, resnet50, monkeypatc
         return torch.ones(len(images), 2048)
 
     monkeypatch.setattr(
-        "dirl.agent.loading.load_encoder", lambda name, device, patches: type(resnet50)(encode, resnet50.attributes)
+        "dirl.agent.loading.load_encoder", lambda *_, **options: type(resnet50)(encode, resnet50.attributes)
     )
     navigator = Navigator.load(run, "resnet50")
     navigator.reset(np.broadcast_to(IMAGES, (9, *IMAGES.shape)))

@@ -1,7 +1,7 @@
 """A trained policy on features instead of view ids, as robots, simulators and ONNX need it."""
 
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict
@@ -12,6 +12,25 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import initial_state, recurrent_keys
 from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
 from dirl.perception.recognition.recogniser import Recogniser
+
+
+class Scores(NamedTuple):
+    """The scores behind a decision; for a batch, tensors with a first dimension of ``B``."""
+
+    matching: float | Tensor
+    """Correlation of the agent's views with the goal's, in [-1, 1]; the agent stops above the threshold."""
+    probabilities: Tensor
+    """Probabilities of ahead, right, left and back, float32 ``[4]`` on the navigator's device."""
+
+
+class Decision(NamedTuple):
+    """The agent's action and whether it stops; for a batch, tensors ``[B]``."""
+
+    action: int | Tensor
+    """0 ahead, 1 turn right, 2 turn left, 3 back; take it unless ``stop`` is true."""
+    stop: bool | Tensor
+    """Whether the views match the goal's, that is, the agent has arrived."""
+    scores: Scores
 
 
 class FeaturePolicy(nn.Module):
@@ -49,6 +68,7 @@ class FeaturePolicy(nn.Module):
         """Logits, value and the next recurrent state; see `forward`."""
         # Not `len`: ONNX would then keep the number of agents of the trace, which is a free dimension.
         policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
+        features, goal_features = (of[..., : policy.features.inputs] for of in (features, goal_features))
         known = (goal_features != 0).any(-1, keepdim=True)
         goal = torch.where(known, policy.features.standardise(goal_features), 0.0)
         encoded = policy.encoder(policy.features.standardise(features), goal)
@@ -70,10 +90,15 @@ class FeaturePolicy(nn.Module):
         return torch.where(whole, ncc(features.flatten(1), goal_features.flatten(1)), front)
 
     def describe(self, features: Tensor, recogniser: Recogniser) -> Tensor:
-        """What a recogniser compares of views, ``[..., D]`` to ``[..., F]``."""
+        """What a recogniser compares of views, ``[..., D]`` to ``[..., F]``.
+
+        Fine patches, which the policy does not read, come last and are compared instead of the others.
+        """
         table = self.policy.features
-        pooled = len(table.mean)
-        patches = None if table.patches is None else features[..., pooled:].unflatten(-1, table.patches.shape[1:])
+        pooled, patches = len(table.mean), None
+        if table.patches is not None:
+            finest = features[..., table.inputs if features.shape[-1] > table.inputs else pooled :]
+            patches = finest.unflatten(-1, (-1, table.patches.shape[-1]))
         return recogniser.describe(features[..., :pooled], patches)
 
     def _remember(self, encoded: Tensor, state: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:

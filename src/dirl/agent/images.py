@@ -1,5 +1,7 @@
 """The camera images that a navigator accepts."""
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -42,6 +44,23 @@ def checked_images(images: Images, name: str, *, sequential: bool) -> tuple[Tens
         raise NavigatorError(f"{name}: expected uint8 {text}{photo}, found {pixels.dtype} {list(shape)}")
     count = 1 if sequential or len(shape) == 3 else shape[-4]
     return pixels.reshape(-1, *shape[-3:]), count, len(shape) == (4 if sequential else 5)
+
+
+def checked_features(found: Any, rows: int, width: int, extractor: str) -> Tensor:
+    """What an encoder returned for so many images, floats ``[rows, width]``.
+
+    Raises:
+        NavigatorError: it has another shape or type, or is not finite.
+    """
+    features = torch.as_tensor(found)
+    if features.shape != (rows, width) or not features.is_floating_point():
+        raise NavigatorError(
+            f"the encoder returned {features.dtype} {list(features.shape)} for {rows} images; the checkpoint was "
+            f"trained on {width} features a view, float [{rows}, {width}]: {extractor}"
+        )
+    if not features.isfinite().all():
+        raise NavigatorError("the encoder returned features that are not finite")
+    return features
 
 
 def _accepted(shape: tuple[int, ...], *, sequential: bool, goal: bool) -> bool:

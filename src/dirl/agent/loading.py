@@ -19,9 +19,11 @@ from dirl.models import FeatureTable
 from dirl.models.build import build_policy, reads_patches, saved_statistics
 from dirl.models.weights import check_extractor, load_weights
 from dirl.perception.backbones import ViewEncoder, load_encoder
-from dirl.perception.backbones.patches import PATCH_SHAPE
+from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.registry import BATCH
 from dirl.perception.recognition.build import build_recogniser, suit
+from dirl.perception.recognition.learned import Learned
+from dirl.perception.virtual import VirtualCameras
 
 Encoder = Callable[[Tensor], Any]
 """RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""
@@ -36,6 +38,7 @@ def load_parts(
     chosen: Mapping[str, str | None],
     device: str | torch.device,
     trust: Collection[str],
+    virtual: VirtualCameras | None = None,
 ) -> dict[str, Any]:
     """What a `dirl.Navigator` is made of, by name, from a checkpoint of ``origin``; see `Navigator.load`.
 
@@ -45,7 +48,8 @@ def load_parts(
         raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
     changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
     config = read_config(saved["config"], origin, changes, trust)
-    encodes = image_encoder(encoder, extractor, saved, origin, device, patches=reads_patches(config))
+    patches = reads_patches(config)
+    encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=virtual is not None)
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
     order = saved.get("views", own)  # checkpoints of older versions name none
     if order != own:
@@ -56,6 +60,8 @@ def load_parts(
     policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched_view(config, order))
     memory, recognises = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
     suit(memory, recognises)
+    if virtual is not None and not (patches and isinstance(recognises, Learned)):
+        raise NavigatorError(f"{origin}: virtual cameras need recogniser='learned', and a policy that compares patches")
     if memory is not None and order[-1] == "now":
         raise NavigatorError(
             f"{origin}: an episodic memory recognises places by surrounding views; this policy sees others"
@@ -68,6 +74,7 @@ def load_parts(
         "facts": {"scene": scene or "any", "extractor": saved["extractor"]},
         "memory": memory,
         "recogniser": recognises,
+        "virtual": virtual,
     }
 
 
@@ -79,8 +86,11 @@ def image_encoder(
     device: str | torch.device,
     *,
     patches: bool,
+    fine: bool = False,
 ) -> Encoder:
     """The encoder that was given, or that of its name or file; with ``patches`` their features follow the pooled ones.
+
+    With ``fine`` they are followed by those of fine patches.
 
     Raises:
         NavigatorError: it is another extractor than the training's, unless ``extractor`` confirms it; or a function
@@ -90,6 +100,8 @@ def image_encoder(
         extractor = encoder.extractor
     if extractor is not None:
         _check_extractor(saved, extractor, origin)
+    if fine and encoder != "resnet50_small":
+        raise NavigatorError("virtual cameras compare fine patches, which only encoder='resnet50_small' gives")
     if callable(encoder):
         if extractor is None:
             raise NavigatorError(
@@ -97,7 +109,7 @@ def image_encoder(
                 f"the checkpoint was trained with '{saved['extractor']}'"
             )
         return encoder
-    loaded = load_encoder(str(encoder), device, patches=patches)
+    loaded = load_encoder(str(encoder), device, patches=patches, fine_patches=fine)
     if extractor is None and not Path(encoder).is_file():
         hint = f" (encoder={encoder}); if both names mean the same, confirm it with extractor=..."
         _check_extractor(saved, loaded.extractor, origin, hint)
@@ -155,4 +167,5 @@ def _both(encoder: ViewEncoder, images: Tensor) -> Tensor:
     if encoder.forward_patches is None:
         return encoder(images)
     pooled, patches = encoder.forward_patches(images)
-    return torch.cat([pooled, patches.flatten(1).to(pooled)], 1)
+    parts = [coarse(patches), patches] if are_fine(patches) else [patches]
+    return torch.cat([pooled, *(part.flatten(1).to(pooled) for part in parts)], 1)

@@ -1,45 +1,29 @@
 """A trained policy on a robot: from camera images to actions."""
 
+import math
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from dirl.agent.agent import Agent, Memory, make_agent
-from dirl.agent.cameras import FeaturePolicy, Goal, Views
+from dirl.agent.cameras import Decision, FeaturePolicy, Goal, Scores, Views
 from dirl.agent.exploring import Explorer, check_turns, map_of, map_to_walk_on
 from dirl.agent.hub import fetch_pretrained
-from dirl.agent.images import Images, NavigatorError, checked_images
+from dirl.agent.images import Images, NavigatorError, checked_features, checked_images
 from dirl.agent.loading import Encoder, load_parts
 from dirl.agent.mapping import ImageGraph, PlaceMap
 from dirl.agent.mapping.policy import LAST_STEPS, Guide, check_last_steps
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, LocalisingMemory
 from dirl.models.weights import tell_of_turns, turns_of_training
+from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import NCC, Recogniser
+from dirl.perception.virtual import VirtualCameras
 from dirl.runs.checkpoints import load_checkpoint
-
-
-class Scores(NamedTuple):
-    """The scores behind a decision; for a batch, tensors with a first dimension of ``B``."""
-
-    matching: float | Tensor
-    """Correlation of the agent's views with the goal's, in [-1, 1]; the agent stops above the threshold."""
-    probabilities: Tensor
-    """Probabilities of ahead, right, left and back, float32 ``[4]`` on the navigator's device."""
-
-
-class Decision(NamedTuple):
-    """The agent's action and whether it stops; for a batch, tensors ``[B]``."""
-
-    action: int | Tensor
-    """0 ahead, 1 turn right, 2 turn left, 3 back; take it unless ``stop`` is true."""
-    stop: bool | Tensor
-    """Whether the views match the goal's, that is, the agent has arrived."""
-    scores: Scores
 
 
 class Navigator:
@@ -58,6 +42,7 @@ class Navigator:
         memory: of what was done in an episode, or None.
         recogniser: by which the goal and known places are recognised; correlation if left out.
         turns: right turns of the agent in a full circle: 4 if a turn is 90 degrees, 12 if it is 30.
+        virtual: cameras by which photos of another camera are recognised; the encoder gives fine patches then.
 
     Raises:
         NavigatorError: ``turns`` that the memory cannot plan with.
@@ -73,15 +58,18 @@ class Navigator:
         memory: Memory | None = None,
         recogniser: Recogniser | None = None,
         turns: int = VIEWS,
+        virtual: VirtualCameras | None = None,
     ) -> None:
         check_turns(turns, memory)
         self.policy = policy
         self.view_order = view_order
         self.sequential = view_order[-1] == "now"
         self.threshold = threshold
-        self.facts = facts
         self.memory, self.recogniser, self.turns = memory, recogniser or NCC(), turns
-        self.encoder = encoder
+        self.encoder, self.virtual = encoder, virtual
+        if virtual is not None:
+            facts = facts | {"extractor": f"{facts['extractor']}; {virtual}"}  # of maps too
+        self.facts = facts
         self.agent = Agent()
         self._goal: Goal | None = None
         self._seen: Views | None = None
@@ -97,6 +85,7 @@ class Navigator:
         recogniser: str | None = None,
         episodic_memory: str | None = None,
         turns: int = VIEWS,
+        virtual: VirtualCameras | None = None,
         device: str | torch.device = "cpu",
         trust: Collection[str] = (),
     ) -> "Navigator":
@@ -115,6 +104,9 @@ class Navigator:
                 checkpoint if left out.
             episodic_memory: likewise: ``none``, ``counts``, ``planning``, ``localising`` or a YAML file.
             turns: right turns of the robot in a full circle; a memory that plans needs to know.
+            virtual: cameras by which goals are recognised that are photos of another camera, narrower than the agent's
+                or turned aside. Needs ``encoder="resnet50_small"`` and ``recogniser="learned"``. Each visit takes one
+                more pass of the encoder for each of their yaws.
             device: ``cpu`` or ``cuda``.
             trust: packages besides dirl whose classes the checkpoint's configuration may name.
 
@@ -125,7 +117,9 @@ class Navigator:
         """
         saved, origin = load_checkpoint(checkpoint), str(checkpoint)
         chosen = {"recogniser": recogniser, "episodic_memory": episodic_memory}
-        navigator = cls(**load_parts(saved, origin, encoder, extractor, scene, chosen, device, trust), turns=turns)
+        navigator = cls(
+            **load_parts(saved, origin, encoder, extractor, scene, chosen, device, trust, virtual), turns=turns
+        )
         tell_of_turns(turns_of_training(saved), {turns}, origin)
         return navigator
 
@@ -286,14 +280,15 @@ class Navigator:
     def _encode(self, images: Images, name: str) -> tuple[Tensor, bool]:
         """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
         pixels, count, batched = checked_images(images, name, sequential=self.sequential)
-        features = torch.as_tensor(self.encoder(pixels.to(self.device)))
-        if features.shape != (len(pixels), self.width) or not features.is_floating_point():
-            raise NavigatorError(
-                f"the encoder returned {features.dtype} {list(features.shape)} for {len(pixels)} images; the "
-                f"checkpoint was trained on {self.width} features a view, float [{len(pixels)}, {self.width}]: "
-                f"{self.facts['extractor']}"
-            )
-        features = features.to(self.device, torch.float32)
-        if not features.isfinite().all():
-            raise NavigatorError("the encoder returned features that are not finite")
-        return features.reshape(-1, count, self.width), batched
+        features = self._features(pixels)
+        if self.virtual is not None and count == VIEWS:
+            seen = self.virtual.around(pixels.unflatten(0, (-1, VIEWS)).cpu().numpy())
+            further = self._features(torch.from_numpy(seen).flatten(0, 2))[:, self.width :]
+            features = torch.cat([features, further.reshape(len(features), -1)], 1)
+        return features.unflatten(0, (-1, count)), batched
+
+    def _features(self, pixels: Tensor) -> Tensor:
+        """Of images ``[N, H, W, 3]``, float32 ``[N, D]``; with virtual cameras those of fine patches follow."""
+        width = self.width + (0 if self.virtual is None else math.prod(FINE_SHAPE))
+        found = checked_features(self.encoder(pixels.to(self.device)), len(pixels), width, self.facts["extractor"])
+        return found.to(self.device, torch.float32)

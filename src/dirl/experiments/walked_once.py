@@ -28,7 +28,7 @@ from dirl.experiments.results import Table, write_tables
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition.recogniser import normal_vectors
 from dirl.runs.finding import RunError
-from dirl.scenes import World, read_dump
+from dirl.scenes import Scene, World, read_dump
 from dirl.scenes.collection import read_collection
 from dirl.scenes.graph import places
 from dirl.scenes.io.write import copy_with
@@ -74,7 +74,7 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
                 raise RunError(f"{place}: {name} has no looks; make it with looks=2")
         arrays = {"look_feature": np.concatenate([dump.look_features for dump in dumps])}
         if all(dump.look_patches is not None for dump in dumps):
-            arrays["look_patches"] = np.concatenate([dump.look_patches for dump in dumps])
+            arrays["look_patches"] = np.concatenate([_as_many(dump.look_patches, dumps[0]) for dump in dumps])
         file = out / f"{name}.h5"
         copy_with(first / f"{name}.h5", file, arrays, {key: {} for key in arrays})
         files.append(str(file))
@@ -83,6 +83,13 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
     if not parts[1]:
         looks.insert(1, looks[0])
     return files, [*looks, *[None] * (3 - len(looks))]
+
+
+def _as_many(patches: np.ndarray | None, first: Scene) -> np.ndarray:
+    """Patches of photos, which have no virtual views, as many as those of the walk: they are not compared."""
+    assert first.patches is not None
+    assert patches is not None
+    return np.tile(patches, (1, 1, first.patches.shape[1] // patches.shape[2], 1))
 
 
 def measured(agent: str, collection: str, out: Path) -> dict[str, Measured]:

@@ -3,7 +3,8 @@
 The third stage of the shipped ResNet-50, of views at 96x128 pixels, is averaged over 2 x 4 cells and projected from
 1024 to 96 channels of about unit variance. The projection, principal components of training rooms, is the same for
 every room, so that patches of different rooms are comparable; see ``data/NOTICE.md``. Fine patches are the same of all
-6 x 8 cells of the map; their means are the others (`coarse`).
+6 x 8 cells of the map; their means are the others (`coarse`). Behind the fine patches of a view there may be those of
+virtual views, 48 each, by which photos of another camera are recognised (`with_virtual`).
 """
 
 import hashlib
@@ -20,8 +21,8 @@ PATCH_SIZE = (96, 128)
 CELLS, FINE = (2, 4), (6, 8)
 """Rows and columns, and those of fine patches."""
 
-PATCH_SHAPE = (CELLS[0] * CELLS[1], 96)
-"""Patches of a view, and channels of a patch."""
+PATCH_SHAPE, FINE_SHAPE = (CELLS[0] * CELLS[1], 96), (FINE[0] * FINE[1], 96)
+"""Patches of a view, and channels of a patch; and those of fine patches."""
 
 PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
 
@@ -48,14 +49,20 @@ def cells_of(third_stage: Tensor, cells: tuple[int, int] = CELLS) -> Tensor:
 
 
 def are_fine(patches: Tensor) -> bool:
-    """Whether patches ``[..., cells, channels]`` are of `FINE` cells."""
-    return patches.shape[-2] == FINE[0] * FINE[1]
+    """Whether patches ``[..., cells, channels]`` are of `FINE` cells, of one view or with those of virtual views."""
+    return patches.shape[-2] % FINE_SHAPE[0] == 0
+
+
+def own_patches(patches: Tensor) -> Tensor:
+    """Fine patches without those of virtual views, ``[..., 48, channels]``."""
+    return patches[..., : FINE_SHAPE[0], :]
 
 
 def coarse(patches: Tensor) -> Tensor:
     """Patches of `CELLS`: the means of fine ones, ``[..., cells, channels]``; others as they are."""
     if not are_fine(patches):
         return patches
+    patches = own_patches(patches)
     (rows, columns), (high, wide) = CELLS, (fine // few for fine, few in zip(FINE, CELLS, strict=True))
     cells = patches.unflatten(-2, (rows, high, columns, wide))
     return cells.float().mean((-4, -2)).flatten(-3, -2).to(patches.dtype)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
+from dirl.perception.virtual import VirtualCameras
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import decode, encode
@@ -22,7 +23,7 @@ from dirl.sources.rooms.navigation import Walk, walk
 from dirl.sources.rooms.view import Pose, Renderer
 
 if TYPE_CHECKING:  # the models are built on the scenes
-    from dirl.perception.backbones import ViewEncoder
+    from dirl.perception.backbones import Encoded, ViewEncoder
 
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
 """The built-in rooms, one TOML file each."""
@@ -127,27 +128,33 @@ def write_room(
     provenance: str = "",
     progress: bool = False,
     looks: Sequence[Sequence[Array]] = (),
+    virtual: VirtualCameras | None = None,
 ) -> None:
     """Encode the stored views of a room, and write its dump, completely or not at all.
 
     Of ``looks``, the views of each further look, uint8 ``[height, width, 3]`` each, only features are stored.
-    ``provenance`` is where the encoder's weights come from, if it does not say so itself.
+    ``provenance`` is where the encoder's weights come from, if it does not say so itself. The patches of ``virtual``
+    cameras follow those of each view.
     """
     about, about_patches = {"extractor": "none"}, {}
     if encoder is not None:
-        from dirl.perception.backbones import encode_all
+        from dirl.perception.backbones.virtual import encode_with_virtual, with_virtual
 
-        stored = (decode(view.encoded) for view in views)
-        found = encode_all(encoder, stored, len(views), str(out), progress=progress)
+        cameras, surrounding = virtual or VirtualCameras(), np.array(scene.surrounding)
+
+        def encoded(images: Sequence[Array]) -> "Encoded":
+            return encode_with_virtual(encoder, images, surrounding, cameras, str(out), progress=progress)
+
+        found = encoded([decode(view.encoded) for view in views])
         features = found.features.astype(np.float16)
         scene = replace(scene, features=features, extractor=encoder.extractor, patches=found.patches)
         if looks:
-            again = [encode_all(encoder, iter(views), len(views), str(out), progress=progress) for views in looks]
+            again = [encoded(images) for images in looks]
             look_features = np.stack([one.features.astype(np.float16) for one in again])
             parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
             scene = replace(scene, look_features=look_features, look_patches=parts)
         about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
-        about_patches = dict(encoder.patch_attributes) if found.patches is not None else {}
+        about_patches = dict(with_virtual(encoder, cameras).patch_attributes) if found.patches is not None else {}
     write_dump(
         out,
         scene,

@@ -2,11 +2,12 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dirl.perception.virtual import VirtualCameras
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
 from dirl.scenes.io.digest import file_digest
@@ -46,6 +47,7 @@ class RoomSettings:
         looks: further looks of each state; needs an encoder, since their views are not stored.
         changes: by how much these differ from the views of the dump.
         photo: the camera that these are taken with.
+        virtual: cameras whose patches are stored too; needs fine patches.
     """
 
     height: int = 300
@@ -60,6 +62,7 @@ class RoomSettings:
     looks: int = 0
     changes: Changes = field(default_factory=Changes)
     photo: PhotoCamera = field(default_factory=PhotoCamera)
+    virtual: VirtualCameras = field(default_factory=VirtualCameras)
 
     def load_encoder(self) -> "ViewEncoder | None":
         """The encoder that the settings name."""
@@ -72,14 +75,16 @@ class RoomSettings:
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
         """The settings as the index stores them: the encoder by its description, not by its name."""
-        apart = ("encoder", "device", "patches", "fine_patches", "looks", "changes", "photo")
+        apart = ("encoder", "device", "patches", "fine_patches", "looks", "changes", "photo", "virtual")
         kept = {key: value for key, value in asdict(self).items() if key not in apart}
         if self.looks:
             kept["looks"] = self.looks
             kept |= {f"{of}.{key}": value for of in ("changes", "photo") for key, value in asdict(self)[of].items()}
         kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
         if encoder is not None and (self.patches or self.fine_patches):
-            kept |= {"patches": "; ".join(encoder.patch_attributes.values())}
+            from dirl.perception.backbones.virtual import with_virtual
+
+            kept |= {"patches": "; ".join(with_virtual(encoder, self.virtual).patch_attributes.values())}
         return kept
 
 
@@ -181,7 +186,8 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
             )
             for look in seeds
         ]
-    write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks)
+    virtual = replace(settings.virtual, own=room.camera.fov, pitch=room.camera.pitch)
+    write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks, virtual=virtual)
     problems = check_room(room) + view_problems(views, way)
     scene = read_dump(dump, isolated=False)  # just written here
     return Entry(
