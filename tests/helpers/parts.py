@@ -12,6 +12,7 @@ from dirl.runs.folder import Run
 from dirl.training.build import build_demonstrations, build_losses, build_observation, build_protocol, build_world
 from dirl.training.job import begin
 from dirl.training.load import learning_policy
+from dirl.training.loops import noticing_divergence
 
 
 def make_parts(*options):
@@ -46,9 +47,10 @@ def train_in(folder, parts):
     run = Run(folder, parts.config)
     state = begin(run, parts.policy, parts.losses, parts.protocol)
     run.begin(parts.world, parts.observation.order)
-    if len(parts.demos):
-        imitate(run, parts.policy, parts.demos)
-    result = reinforce(run, state, parts.protocol)
+    with noticing_divergence():
+        if len(parts.demos):
+            imitate(run, parts.policy, parts.demos)
+        result = reinforce(run, state, parts.protocol)
     parts.policy.restore()
     run.finish({"frames": result["frames"], "network": plain_weights(parts.policy)}, {})
     return result

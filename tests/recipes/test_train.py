@@ -1,6 +1,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import time
 
@@ -259,3 +260,12 @@ def test_what_only_the_training_finds_out_is_told_in_one_line(tmp_path):
     assert status == 1
     lines = [line for line in errors.splitlines() if line and "frames/s" not in line]  # of the progress bar
     assert lines == ["error: losses.again: writes entropy, as another loss does"]
+
+
+def test_a_policy_that_diverges_in_its_last_step_is_one_line(tmp_path):
+    """The loss of that step was finite; no number is, where its actions are sampled afterwards."""
+    short = ["system=il", "imitation.max_steps=1", "imitation.fraction=1", "imitation.lr=1e20"]
+    status, _, errors = run_program(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *short)
+    assert status == 1
+    assert re.search(r"^error: the policy has diverged, .*: lower imitation\.lr, .*$", errors, re.MULTILINE), errors
+    assert "Traceback" not in errors

@@ -20,7 +20,7 @@ SMALL += ["reinforcement.frames_per_scene=2000"]
         ),
         (
             ["imitation.fraction=0", "optimiser.lr=1e30"],
-            "^the policy has diverged, its logits are not finite: lower opt",
+            "^the policy has diverged, its logits are not finite: lower imi",
         ),
     ],
     ids=["imitation", "reinforcement"],

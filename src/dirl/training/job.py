@@ -40,6 +40,7 @@ from dirl.training.build import (
 )
 from dirl.training.live import live_protocol, open_live
 from dirl.training.load import initial_weights, learning_policy, with_architecture
+from dirl.training.loops import noticing_divergence
 from dirl.training.losses import Losses
 from dirl.training.pairs import Demonstrations
 from dirl.training.state import TrainState, in_imitation
@@ -148,8 +149,9 @@ def _train(run: Run, components: Components, stages: Stages) -> dict[str, Any]:
     print(f"{run_title(facts)}: {run.folder}")
     if not count_parameters(policy):
         return ranks.from_first(lambda: _conclude_untrained(run, policy, protocol, facts))
-    trained = stages(run, components)
-    return ranks.from_first(lambda: _conclude(run, policy, protocol, facts | NOT_REINFORCED | trained))
+    with noticing_divergence():
+        trained = stages(run, components)
+        return ranks.from_first(lambda: _conclude(run, policy, protocol, facts | NOT_REINFORCED | trained))
 
 
 def _conclude_untrained(

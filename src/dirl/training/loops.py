@@ -164,8 +164,7 @@ def updates(run: Run, state: TrainState, protocol: EvaluationProtocol) -> Iterat
         if loop.done:
             loop.stop.append(0)
         state.start_clock()
-        with _noticing_divergence():
-            yield loop
+        yield loop
         if loop.stop and not loop.done:
             run.save(state.state_dict())
             bar.close()
@@ -173,7 +172,7 @@ def updates(run: Run, state: TrainState, protocol: EvaluationProtocol) -> Iterat
 
 
 @contextmanager
-def _noticing_divergence() -> Iterator[None]:
+def noticing_divergence() -> Iterator[None]:
     """Within this context torch's refusal to draw actions by logits that are not finite is told as what it means.
 
     Raises:
@@ -185,7 +184,7 @@ def _noticing_divergence() -> Iterator[None]:
         if "probability tensor contains" not in str(error):
             raise
         raise RunError(
-            "the policy has diverged, its logits are not finite: lower optimiser.lr or reward.scale"
+            "the policy has diverged, its logits are not finite: lower imitation.lr, optimiser.lr or reward.scale"
         ) from None
 
 
