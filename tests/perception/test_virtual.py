@@ -49,9 +49,7 @@ def test_a_quarter_turn_shows_the_next_view_and_gaps_show_its_edge():
         turned = virtual_views(views, fov=75, own=75, yaw=90.0 * quarter)
         assert np.abs(turned.astype(int) - view).max() <= 1
     between = virtual_views(views, fov=75, own=75, yaw=45)
-    assert (
-        np.abs(between[24, 31].astype(int) - views[0][24, -1]).max() <= 4
-    )  # at 44 of 37.5 degrees
+    assert np.abs(between[24, 31].astype(int) - views[0][24, -1]).max() <= 4  # at 44 of 37.5 degrees
     many = virtual_views(np.stack([views, views[::-1]]), fov=50, own=75)
     assert (many[0] == virtual_views(views, fov=50, own=75)).all()
 
