@@ -137,9 +137,8 @@ size = [0.2, 0.2, 0.4]
 
 
 def later(seed=0, **changes):
-    none = {"lamps": 0.0, "daylight": 0.0, "furniture": 0.0, "objects": 0.0}
     room = closet("[grid]", WINDOW)
-    return room, changed_room(room, np.random.default_rng(seed), **{**none, **changes})
+    return room, changed_room(room, np.random.default_rng(seed), Changes(**changes))
 
 
 def test_a_room_without_changes_is_the_same():
@@ -151,7 +150,7 @@ def test_lamps_are_off_if_there_is_a_window():
     _, dark = later(lamps=1)
     assert dark.materials["lamp"].emit == 0
     only = closet()
-    kept = changed_room(only, np.random.default_rng(0), lamps=1, daylight=0, furniture=0, objects=0)
+    kept = changed_room(only, np.random.default_rng(0), Changes(lamps=1))
     assert kept.materials == only.materials
 
 

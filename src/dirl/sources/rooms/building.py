@@ -8,12 +8,10 @@ import numpy as np
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Material, RoomDescription
 from dirl.sources.rooms.layout import Opening, assemble, materials_of
-from dirl.sources.rooms.light import bake
 from dirl.sources.rooms.mesh import Array, Mesh, Part
 from dirl.sources.rooms.navigation import clearance, footprint, footprints
 from dirl.sources.rooms.sampling import KINDS, sample_room
-from dirl.sources.rooms.scenery import Scenery
-from dirl.sources.rooms.view import Renderer, exposure
+from dirl.sources.rooms.view import Renderer
 
 WALL = 0.12
 """Metres: how thick the walls between rooms are."""
@@ -258,8 +256,4 @@ def _jambs(x: float, y: float) -> list[Part]:
 
 def building_renderer(building: Building) -> Renderer:
     """A building in coarse light, seen from anywhere in it."""
-    scenery = Scenery(*assemble_building(building), edge=0.25, texture_limit=128)
-    light = bake(scenery, direct=9, indirect=36, bounces=3, rng=np.random.default_rng(0))
-    renderer = Renderer(scenery, light)
-    renderer.exposure = exposure(renderer, building.size, 1.4)
-    return renderer
+    return Renderer.lit(*assemble_building(building), building.size, 1.4, fine=False)

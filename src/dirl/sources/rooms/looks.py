@@ -24,9 +24,6 @@ from dirl.sources.rooms.view import Renderer
 LARGEST = {"heading": 45.0, "daylight": 3.0}
 """What a visit can be called; 1 for what is not named here."""
 
-OF_ROOM = ("lamps", "daylight", "furniture", "objects")
-"""What is sampled once for a look, not for each of its visits; see `changed_room`."""
-
 LAMPS = ("lamp", "lampshade")
 """Materials that glow in a lamp that is on."""
 
@@ -50,11 +47,12 @@ class Changes:
         exposure: of the logarithm of the brightness; 0.05 is about 5 %.
         white_balance: of the logarithm of red and of blue.
         camera_height: metres.
-        lamps: probability that the lamps of one kind are off; of this and the next three see
-            `changed_room`.
-        daylight: of the logarithm of the light through each window.
-        furniture: of how far a chair or the like is moved along each axis, metres.
-        objects: probability that a small thing is gone.
+        lamps: probability that the lamps of one kind, on the ceiling or with shades, are off; this and the next three
+            are sampled once for a look, not for each of its visits.
+        daylight: of the logarithm of the light through each window: cloud, and sun on another side.
+        furniture: of how far a chair, stool, basket, plant or small round table is moved along each axis, metres, and
+            of its turn, in units of 45 degrees a metre. What would stand in the way stays.
+        objects: probability that a small thing, such as a vase or a picture, is gone.
         vary: each look has all of these times a factor sampled from ``1 - vary`` to ``1 + vary``, for rooms to train
             in.
 
@@ -150,9 +148,8 @@ def look_views(
     shape = size[::-1] if photo.portrait else size
     if changes.vary:
         changes = changes.times(float(rng.uniform(1 - changes.vary, 1 + changes.vary)))
-    of_room = {name: getattr(changes, name) for name in OF_ROOM}
-    if any(of_room.values()):
-        renderer = Renderer.of(changed_room(room, np.random.default_rng((seed, 1)), **of_room), fine=fine)
+    if changes.lamps or changes.daylight or changes.furniture or changes.objects:
+        renderer = Renderer.of(changed_room(room, np.random.default_rng((seed, 1)), changes), fine=fine)
     turns, places = len(way.headings), len(way.places)
     moved = rng.normal(0, 1, (places, 2)) * changes.position
     turned, raised = rng.normal(0, 1, (2, places)) * [[changes.heading], [changes.camera_height]]
@@ -175,41 +172,29 @@ def look_views(
         yield decode(encode(view, QUALITY))
 
 
-def changed_room(
-    room: RoomDescription, rng: np.random.Generator, *, lamps: float, daylight: float, furniture: float, objects: float
-) -> RoomDescription:
-    """The room at a later visit, with the same places to stand at.
-
-    Args:
-        room: as it is.
-        rng: draws the changes.
-        lamps: probability that the lamps of one kind, on the ceiling or with shades, are off.
-        daylight: standard deviation of the logarithm of the light through each window: cloud, and sun on another side.
-        furniture: standard deviation of how far a chair, stool, basket, plant or small round table is moved along each
-            axis, metres, and of its turn, in units of 45 degrees a metre. What would stand in the way stays.
-        objects: probability that a small thing, such as a vase or a picture, is gone.
-    """
-    kept = [piece for piece in room.furniture if piece.kind not in THINGS or rng.random() >= objects]
+def changed_room(room: RoomDescription, rng: np.random.Generator, changes: Changes) -> RoomDescription:
+    """The room at a later visit, with the same places to stand at: its lamps, daylight, furniture and objects."""
+    kept = [piece for piece in room.furniture if piece.kind not in THINGS or rng.random() >= changes.objects]
     grid = replace(room.grid, places=None)  # where a thing is gone there may be more
-    changed = replace(room, furniture=tuple(kept), materials=_relit(room, rng, lamps, daylight), grid=grid)
-    if furniture:
+    changed = replace(room, furniture=tuple(kept), materials=_relit(room, rng, changes), grid=grid)
+    if changes.furniture:
         places = _places(room)
         for number, piece in enumerate(kept):
             if piece.kind in MOVABLE and not piece.lift:
-                changed = _moved(changed, number, rng.normal(0, furniture, 3), places)
+                changed = _moved(changed, number, rng.normal(0, changes.furniture, 3), places)
     return changed
 
 
-def _relit(room: RoomDescription, rng: np.random.Generator, lamps: float, daylight: float) -> Mapping[str, Material]:
+def _relit(room: RoomDescription, rng: np.random.Generator, changes: Changes) -> Mapping[str, Material]:
     known = materials_of(room)
     outlooks = {str(piece.options.get("outlook", "outdoors")) for piece in room.furniture if piece.kind == "window"}
     made = dict(room.materials)
     for name in sorted(outlooks):
-        factor = float(np.exp(rng.normal(0, 1) * daylight))
-        if daylight:
+        factor = float(np.exp(rng.normal(0, 1) * changes.daylight))
+        if changes.daylight:
             made[name] = replace(known[name], emit=known[name].emit * factor, glow=known[name].glow * min(1.0, factor))
     for name in LAMPS:
-        off = rng.random() < lamps
+        off = rng.random() < changes.lamps
         if off and outlooks:  # a room without a window keeps its only light
             made[name] = replace(known[name], emit=0.0, options={**known[name].options, "color": DARK})
     return made

@@ -4,8 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dirl.sources.rooms.description import Material, RoomDescription
-from dirl.sources.rooms.layout import assemble, materials_of
+from dirl.sources.rooms.description import Material
 from dirl.sources.rooms.materials import paint
 from dirl.sources.rooms.mesh import Array, Part
 
@@ -50,11 +49,6 @@ class Scenery:
         self.metal, self.mirror = np.array([one.metal for one in used]), np.array([one.mirror for one in used])
         self._store_textures([paint(name, one, texture_limit) for name, one in zip(names, used, strict=True)])
         self._embree: Any = None
-
-    @classmethod
-    def of(cls, room: RoomDescription, *, edge: float = 0.10, texture_limit: int = 2048) -> "Scenery":
-        """The scenery of a described room; raises `SceneError` if something in it cannot be made."""
-        return cls(assemble(room), materials_of(room), edge=edge, texture_limit=texture_limit)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_embree": None}  # Embree's tree cannot be pickled; it is rebuilt

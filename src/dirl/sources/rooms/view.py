@@ -5,9 +5,10 @@ from typing import Self
 
 import numpy as np
 
-from dirl.sources.rooms.description import Camera, RoomDescription
+from dirl.sources.rooms.description import Camera, Material, RoomDescription, Size
+from dirl.sources.rooms.layout import assemble, materials_of
 from dirl.sources.rooms.light import bake
-from dirl.sources.rooms.mesh import Array
+from dirl.sources.rooms.mesh import Array, Part
 from dirl.sources.rooms.scenery import Scenery, interpolate, unit
 
 SAMPLES = ((0.125, 0.625), (0.375, 0.125), (0.625, 0.875), (0.875, 0.375))
@@ -48,11 +49,22 @@ class Renderer:
         Raises:
             SceneError: something in the room cannot be made.
         """
-        scenery = Scenery.of(room) if fine else Scenery.of(room, edge=0.25, texture_limit=128)
+        return cls.lit(assemble(room), materials_of(room), room.size, room.camera.height, fine=fine)
+
+    @classmethod
+    def lit(
+        cls, parts: list[Part], materials: dict[str, Material], size: Size, height: float, *, fine: bool = True
+    ) -> Self:
+        """Light and expose what is assembled already; ``size`` and ``height``, of the camera, see `exposure`."""
         rng = np.random.default_rng(0)
-        light = bake(scenery, rng=rng) if fine else bake(scenery, direct=9, indirect=36, bounces=3, rng=rng)
+        if fine:
+            scenery = Scenery(parts, materials)
+            light = bake(scenery, rng=rng)
+        else:
+            scenery = Scenery(parts, materials, edge=0.25, texture_limit=128)
+            light = bake(scenery, direct=9, indirect=36, bounces=3, rng=rng)
         renderer = cls(scenery, light)
-        renderer.exposure = exposure(renderer, room.size, room.camera.height)
+        renderer.exposure = exposure(renderer, size, height)
         return renderer
 
     def view(self, camera: Camera, pose: Pose, size: tuple[int, int], roll: float = 0.0) -> Array:
@@ -161,7 +173,7 @@ def _axes(heading: float, pitch: float) -> tuple[Array, Array, Array]:
     return ahead, right, np.cross(right, ahead)
 
 
-def exposure(renderer: Renderer, size: tuple[float, float, float], height: float) -> float:
+def exposure(renderer: Renderer, size: Size, height: float) -> float:
     """What makes the mean brightness of rays from all over a room `MIDDLE_GREY`; ``height`` is the camera's.
 
     It has three digits, so that the last bit of a sum, which differs between machines, does not show.
