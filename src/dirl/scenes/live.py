@@ -84,6 +84,14 @@ def stride(heading: float, step: float) -> float:
     return step if round(heading) % 90 == 0 else step * 2**0.5
 
 
+def turns_of(turn: float) -> int:
+    """How many turns by so many degrees are a full circle; `SceneError` unless they go into 90 without rest."""
+    turns = round(360 / turn) if turn > 0 else 0
+    if turns == 0 or turns % 4 or abs(360 / turns - turn) > 1e-9:
+        raise SceneError(f"turn={turn:g}: a turn must go into 90 degrees without rest, as 90, 45 and 30 do")
+    return turns
+
+
 class Simulated:
     """The world of a simulator: an agent that moves as in the dumps made of it.
 

@@ -7,7 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only, turns_per_circle
-from dirl.scenes.live import Pose, Simulator, SimulatorError, simulator_errors, stride
+from dirl.scenes.live import Pose, Simulator, SimulatorError, simulator_errors, stride, turns_of
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 
@@ -39,9 +39,7 @@ def take_scene(
     Raises:
         SceneError: a turn that does not go into 90 degrees, no place to go, or a failure of the simulator.
     """
-    turns = round(360 / turn)
-    if turns % 4 or abs(360 / turns - turn) > 1e-9:
-        raise SceneError(f"turn={turn:g}: a turn must go into 90 degrees without rest, as 90, 45 and 30 do")
+    turns = turns_of(turn)
     with simulator_errors(simulator.name):
         x, z, _ = simulator.pose
         ways = _explore(simulator, (x, z), step, range(0, 360, 45 if turns % 8 == 0 else 90), most)

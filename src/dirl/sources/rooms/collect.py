@@ -107,9 +107,8 @@ def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]
     collection = read_collection(folder)
     for entry in collection.entries:
         for key, value in stored.items():
-            older = (
-                0.0 if key.startswith(("changes.", "photo.")) else None
-            )  # collections made before there was such a change
+            # Collections made before there was such a change do not tell it.
+            older = 0.0 if key.startswith(("changes.", "photo.")) else None
             if entry.settings.get(key, older) != value:
                 raise SceneError(
                     f"{folder}: {entry.name} was made with {key}={entry.settings.get(key)}, not {value}; give the same "

@@ -120,9 +120,7 @@ def _stretches(first: Corner, last: Corner, openings: Sequence[Opening]) -> Iter
         yield ((a, first[1]), (b, first[1]), foot) if axis == 0 else ((first[0], a), (first[0], b), foot)
 
 
-def _board(
-    mesh: Mesh, a: tuple[float, float], b: tuple[float, float], z: tuple[float, float], thick: float, material: str
-) -> None:
+def _board(mesh: Mesh, a: Corner, b: Corner, z: tuple[float, float], thick: float, material: str) -> None:
     """A board along the foot of a wall from a to b, which has the room on its right."""
     start, end = np.array(a), np.array(b)
     along = (end - start) / np.linalg.norm(end - start)

@@ -7,6 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dirl.scenes.graph import AHEAD, BACK, IntArray, turns_only
+from dirl.scenes.live import turns_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Piece, RoomDescription
 from dirl.sources.rooms.furniture import NOT_SOLID
@@ -96,9 +97,7 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
         SceneError: the turn, degrees, does not divide 90, there is no place, or their number is not that of the
             description.
     """
-    turns = round(360 / turn) if turn > 0 else 0
-    if turns == 0 or turns % 4 or abs(360 / turns - turn) > 1e-9:
-        raise SceneError(f"turn={turn:g}: a turn must go into 90 degrees without rest, as 90, 45 and 30 do")
+    turns = turns_of(turn)
     cells, points = _places(room)
     headings = np.arange(turns) * turn
     graph = turns_only(len(cells), turns)

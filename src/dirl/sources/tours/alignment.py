@@ -72,12 +72,7 @@ def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Ali
         seen: what linked panoramas show, by their places in the tour; nothing if left out.
     """
     count = len(tour.panoramas)
-    number = {panorama.id: index for index, panorama in enumerate(tour.panoramas)}
-    yaw = {
-        (index, number[link.target]): link.yaw
-        for index, panorama in enumerate(tour.panoramas)
-        for link in panorama.links
-    }
+    yaw = tour.yaws()
     both = [pair for pair in yaw if pair[0] < pair[1] and pair[::-1] in yaw]
     shown = {pair: found for pair, found in (seen or {}).items() if found.lead >= LEAD}
     ends = np.array([*both, *shown], np.int64).reshape(-1, 2)

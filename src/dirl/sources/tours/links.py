@@ -29,10 +29,8 @@ NAMED = 5
 
 def link_ends(tour: Tour) -> tuple[IntArray, Array]:
     """Start and end of every link, int64 ``[L, 2]``, and its yaw, degrees, float64 ``[L]``."""
-    number = {panorama.id: index for index, panorama in enumerate(tour.panoramas)}
-    found = [(number[one.id], number[link.target], link.yaw) for one in tour.panoramas for link in one.links]
-    table = np.array(found, float).reshape(-1, 3)
-    return table[:, :2].astype(np.int64), table[:, 2]
+    yaws = tour.yaws()
+    return np.array(list(yaws), np.int64).reshape(-1, 2), np.array(list(yaws.values()), float)
 
 
 def follow_links(tour: Tour, along: Array, facing: Array, tolerance: float | None) -> tuple[IntArray, Array]:

@@ -177,10 +177,9 @@ def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
 
 def _compared(tour: Tour, aligned: Alignment) -> dict[tuple[int, int], Seen]:
     """What the panoramas show of their headings at links that do not give them, or at all if loops do not close."""
-    ends, yaws = link_ends(tour)
+    links = tour.yaws()
     open_ = len(aligned.loops) > 0 and np.median(aligned.loops) > CLOSED
     doubtful = {*aligned.one_way, *(pair[:2] for pair in aligned.rejected)}
-    links = {(i, j): yaw for (i, j), yaw in zip(ends.tolist(), yaws.tolist(), strict=True)}
     chosen = [pair for pair in links if (open_ and (pair[0] < pair[1] or pair[::-1] not in links)) or pair in doubtful]
     shown = {index: columns(tour.panoramas[index].image) for index in sorted({end for pair in chosen for end in pair})}
     aside = ASTRAY if open_ else (0.0,)

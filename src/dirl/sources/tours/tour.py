@@ -78,6 +78,12 @@ class Tour:
     notes: tuple[str, ...]
     origin: str
 
+    def yaws(self) -> dict[tuple[int, int], float]:
+        """The yaw of each link, degrees, by the places of its two panoramas in the tour."""
+        number = {panorama.id: index for index, panorama in enumerate(self.panoramas)}
+        links = ((index, link) for index, panorama in enumerate(self.panoramas) for link in panorama.links)
+        return {(index, number[link.target]): link.yaw for index, link in links}
+
 
 def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
     """A tour without some panoramas, if its files exist and its ids differ.

@@ -1,22 +1,20 @@
 """What the textures are made of: noise that repeats seamlessly, colours, coordinates."""
 
+import re
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import ImageColor
 
 Array = NDArray[Any]
 
 
 def rgb(color: str) -> Array:
     """A colour such as ``#d94f30`` as sRGB values in [0, 1], float64 ``[3]``; ValueError if the text is none."""
-    digits = color.removeprefix("#")
-    try:
-        if len(digits) != 6 or not color.startswith("#"):
-            raise ValueError
-        return np.array([int(digits[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0
-    except ValueError:
-        raise ValueError(f"'{color}' is no colour; write e.g. '#d94f30'") from None
+    if not re.fullmatch("#[0-9a-fA-F]{6}", color):
+        raise ValueError(f"'{color}' is no colour; write e.g. '#d94f30'")
+    return np.array(ImageColor.getrgb(color)) / 255.0
 
 
 def palette(colors: tuple[str, ...]) -> Array:
