@@ -26,6 +26,7 @@ from dirl.experiments.figures import draw_spl
 from dirl.experiments.measures import MEASURES, by_measure, decimals, kept, load_agent, measure_table, wrong_goals
 from dirl.experiments.results import Table, write_tables
 from dirl.models import LocalisingMemory
+from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import normal_vectors
 from dirl.runs.finding import RunError
 from dirl.scenes import Scene, World, read_dump
@@ -74,7 +75,9 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
                 raise RunError(f"{place}: {name} has no looks; make it with looks=2")
         arrays = {"look_feature": np.concatenate([dump.look_features for dump in dumps])}
         if all(dump.look_patches is not None for dump in dumps):
-            arrays["look_patches"] = np.concatenate([_as_many(dump.look_patches, dumps[0]) for dump in dumps])
+            has_photos = [False] * (len(dumps) - 1) + [len(parts) == 3]
+            patches = [_patches_like(dumps[0], *each) for each in zip(dumps, has_photos, strict=True)]
+            arrays["look_patches"] = np.concatenate(patches)
         file = out / f"{name}.h5"
         copy_with(first / f"{name}.h5", file, arrays, {key: {} for key in arrays})
         files.append(str(file))
@@ -85,11 +88,18 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
     return files, [*looks, *[None] * (3 - len(looks))]
 
 
-def _as_many(patches: np.ndarray | None, first: Scene) -> np.ndarray:
-    """Patches of photos, which have no virtual views, as many as those of the walk: they are not compared."""
+def _patches_like(first: Scene, dump: Scene, photo: bool) -> np.ndarray:
+    """The patches of a dump's looks in the form of the walk's: photos have no virtual views, and need none.
+
+    Raises:
+        RunError: they are of another kind.
+    """
     assert first.patches is not None
-    assert patches is not None
-    return np.tile(patches, (1, 1, first.patches.shape[1] // patches.shape[2], 1))
+    assert dump.look_patches is not None
+    cells, wanted = dump.look_patches.shape[2], first.patches.shape[1]
+    if cells != wanted and not (photo and cells == FINE_SHAPE[0] and wanted % cells == 0):
+        raise RunError(f"{dump.origin}: has {cells} patches a view, {first.origin} {wanted}; encode them alike")
+    return np.tile(dump.look_patches, (1, 1, wanted // cells, 1))
 
 
 def measured(agent: str, collection: str, out: Path) -> dict[str, Measured]:
