@@ -61,6 +61,9 @@ def test_an_unknown_option_is_told_its_neighbours(name, told):
         ("evaluate", "stop=never", "stop=never: must be one of goal, match or null"),
         ("import", "goals=[a]", "goals=['a']: must be a list, each a whole number or null"),
         ("import", "goals=3", "goals=3: must be a list, each a whole number or null"),
+        ("import", "goals=[[1]]", "goals=[[1]]: must be a list, each a whole number or null"),
+        ("sample", "virtual.yaws=[a]", "virtual.yaws=['a']: must be a list, each a number"),
+        ("sample", "virtual.yaws=[[1]]", "virtual.yaws=[[1]]: must be a list, each a number"),
     ],
 )
 def test_a_value_of_another_type_is_told_the_one_that_is_wanted(recipe, argument, told):

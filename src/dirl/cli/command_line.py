@@ -29,7 +29,7 @@ from dirl.config.schemas import (
     TrainConfig,
     Weight,
 )
-from dirl.config.values import check_choice, in_words, option_types
+from dirl.config.values import check_choice, fits, in_words, option_types
 from dirl.runs.exits import one_line
 
 SCHEMAS = {
@@ -222,6 +222,10 @@ def _check_value(trial: DictConfig, name: str, kind: Any, override: Override) ->
     for given in _values(override):
         try:
             OmegaConf.update(trial, name, given)
+            # OmegaConf takes a list where an element of a list should be a number.
+            nested = isinstance(given, list) and any(isinstance(one, list | dict) for one in given)
+            converted = not nested or fits(given, kind)
         except OmegaConfBaseException:
-            shown = "null" if given is None else given
-            raise ConfigError(f"{name}={shown}: must be {in_words(kind)}") from None
+            converted = False
+        if not converted:
+            raise ConfigError(f"{name}={'null' if given is None else given}: must be {in_words(kind)}")

@@ -44,6 +44,7 @@ TYPES: dict[str, Any] = {
     "turn": Annotated[float, Bounds(1, 360)],
     "width": Pixels,
     "workers": int,
+    "yaws": list[float],
 }
 """Of options by name; an option that is not here is of the type of its value in ``conf/``, or a text."""
 
