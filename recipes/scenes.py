@@ -206,9 +206,10 @@ def sample(options: Any) -> None:
     folder, kinds = Path(options.out), [kind for kind in KINDS if options.kind in (kind, "all")]
     values = {field.name: getattr(options, field.name) for field in fields(RoomSettings)}
     values |= {"changes": Changes(**vars(options.changes)), "photo": PhotoCamera(**vars(options.photo))}
-    values["virtual"] = VirtualCameras(options.virtual.fov, tuple(options.virtual.yaws))
-    if options.virtual.fov and not options.fine_patches:
-        raise SceneError(f"virtual.fov={options.virtual.fov:g}: the patches of virtual views need fine_patches=true")
+    fov, yaws = options.virtual.fov, tuple(options.virtual.yaws)
+    if fov and not options.fine_patches:
+        raise SceneError(f"virtual.fov={fov:g}: the patches of virtual views need fine_patches=true")
+    values["virtual"] = VirtualCameras(fov, yaws) if fov else None
     settings = RoomSettings(**values)
     seeds = range(options.seed, options.seed + options.count)
     wanted = [(kind, seed) for seed in seeds for kind in kinds]

@@ -63,7 +63,13 @@ def test_cameras_see_around_each_view():
 
 @pytest.mark.parametrize(
     ("wrong", "named"),
-    [({"fov": 171}, "fov=171"), ({"own": 0}, "own=0"), ({"yaws": ()}, "yaws"), ({"pitch": 90}, "90")],
+    [
+        ({"fov": 0}, "fov=0"),
+        ({"fov": 171}, "fov=171"),
+        ({"own": 0}, "own=0"),
+        ({"yaws": ()}, "yaws"),
+        ({"pitch": 90}, "90"),
+    ],
 )
 def test_angles_that_no_camera_has_are_refused(wrong, named):
     with pytest.raises(ValueError, match=named):
@@ -135,8 +141,8 @@ def test_what_cannot_compare_virtual_views_is_refused(encoder, recogniser):
 def test_patches_of_virtual_views_follow_those_of_each_view(bathroom):
     encoder = load_encoder("resnet50_small", fine_patches=True)
     surrounding = np.array([np.roll(np.arange(4), -turns) for turns in range(4)])
-    found = encode_with_virtual(encoder, list(bathroom[0]), surrounding, CAMERAS, "here", progress=False)
-    plain = encode_with_virtual(encoder, list(bathroom[0]), surrounding, VirtualCameras(), "here", progress=False)
+    found = encode_with_virtual(encoder, bathroom[0].__getitem__, surrounding, CAMERAS, "here", progress=False)
+    plain = encode_with_virtual(encoder, bathroom[0].__getitem__, surrounding, None, "here", progress=False)
     assert found.patches is not None
     assert plain.patches is not None
     assert found.patches.shape == (4, 96, 96)
@@ -148,4 +154,4 @@ def test_patches_of_virtual_views_follow_those_of_each_view(bathroom):
     assert (
         with_virtual(encoder, CAMERAS).patch_attributes["extractor"].endswith("virtual views of 50 degrees at yaws 0")
     )
-    assert with_virtual(encoder, VirtualCameras()) is encoder
+    assert with_virtual(encoder, None) is encoder

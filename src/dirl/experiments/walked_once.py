@@ -60,7 +60,8 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
         RunError: they are not of the same rooms.
     """
     parts = collection.split(":")
-    folders = [Path(part) for part in parts if part]
+    given = [number for number, part in enumerate(parts) if part]
+    folders = [Path(parts[number]) for number in given]
     first = folders[0]
     names = [entry.name for entry in read_collection(first).entries if entry.split == "test"]
     if len(parts) == 1:
@@ -75,9 +76,9 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
                 raise RunError(f"{place}: {name} has no looks; make it with looks=2")
         arrays = {"look_feature": np.concatenate([dump.look_features for dump in dumps])}
         if all(dump.look_patches is not None for dump in dumps):
-            has_photos = [False] * (len(dumps) - 1) + [len(parts) == 3]
-            patches = [_patches_like(dumps[0], *each) for each in zip(dumps, has_photos, strict=True)]
-            arrays["look_patches"] = np.concatenate(patches)
+            arrays["look_patches"] = np.concatenate(
+                [_patches_like(dumps[0], dump, photos=number == 2) for number, dump in zip(given, dumps, strict=True)]
+            )
         file = out / f"{name}.h5"
         copy_with(first / f"{name}.h5", file, arrays, {key: {} for key in arrays})
         files.append(str(file))
@@ -88,7 +89,7 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
     return files, [*looks, *[None] * (3 - len(looks))]
 
 
-def _patches_like(first: Scene, dump: Scene, photo: bool) -> np.ndarray:
+def _patches_like(first: Scene, dump: Scene, *, photos: bool) -> np.ndarray:
     """The patches of a dump's looks in the form of the walk's: photos have no virtual views, and need none.
 
     Raises:
@@ -97,7 +98,7 @@ def _patches_like(first: Scene, dump: Scene, photo: bool) -> np.ndarray:
     assert first.patches is not None
     assert dump.look_patches is not None
     cells, wanted = dump.look_patches.shape[2], first.patches.shape[1]
-    if cells != wanted and not (photo and cells == FINE_SHAPE[0] and wanted % cells == 0):
+    if cells != wanted and not (photos and cells == FINE_SHAPE[0] and wanted % cells == 0):
         raise RunError(f"{dump.origin}: has {cells} patches a view, {first.origin} {wanted}; encode them alike")
     return np.tile(dump.look_patches, (1, 1, wanted // cells, 1))
 

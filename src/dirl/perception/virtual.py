@@ -7,9 +7,11 @@ can be made of the agent's four views.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 
 @dataclass(frozen=True)
@@ -17,8 +19,8 @@ class VirtualCameras:
     """Cameras at the agent's place, by which photos of another camera are found.
 
     Args:
-        fov: their horizontal field of view, degrees; 0 for no such cameras. Photos with a wider one are cropped to it,
-            see `dirl.perception.photos.as_seen_by`.
+        fov: their horizontal field of view, degrees. Photos with a wider one are cropped to it, see
+            `dirl.perception.photos.as_seen_by`.
         yaws: degrees that they are turned to the right of each of the agent's views.
         own: the agent's field of view, degrees.
         pitch: degrees that the agent's cameras look up; negative down.
@@ -27,15 +29,15 @@ class VirtualCameras:
         ValueError: an angle that no camera has, or no yaw.
     """
 
-    fov: float = 0.0
+    fov: float
     yaws: tuple[float, ...] = (0.0, -15.0, 15.0, -30.0, 30.0, 45.0)
     own: float = 75.0
     pitch: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in {"fov": self.fov or 1.0, "own": self.own}.items():
+        for name, value in {"fov": self.fov, "own": self.own}.items():
             if not 1 <= value <= 170:
-                raise ValueError(f"virtual.{name}={value:g}: a field of view is 1 to 170 degrees; fov=0 for none")
+                raise ValueError(f"virtual.{name}={value:g}: a field of view is 1 to 170 degrees")
         if not self.yaws or not all(-180 <= yaw <= 180 for yaw in self.yaws):
             raise ValueError(f"virtual.yaws={list(self.yaws)}: at least one, of -180 to 180 degrees")
         if abs(self.pitch) > 80:
@@ -77,23 +79,18 @@ def virtual_views(
         >>> virtual_views(views, fov=50, own=75, yaw=45).shape
         (10, 48, 64, 3)
     """
-    height, width = views.shape[-3:-1]
-    view, row, column = _looked_up((height, width), fov, own, yaw, pitch)
-    top, left = (np.minimum(at.astype(int), length - 2) for at, length in ((row, height), (column, width)))
-    down, across = (row - top)[..., None], (column - left)[..., None]
-
-    def corner(y: int, x: int) -> NDArray[np.float64]:
-        return views[..., view, top + y, left + x, :].astype(float)
-
-    above = corner(0, 0) * (1 - across) + corner(0, 1) * across
-    below = corner(1, 0) * (1 - across) + corner(1, 1) * across
-    return np.rint(above * (1 - down) + below * down).astype(np.uint8)
+    at = _looked_up(views.shape[-3:-1], fov, own, yaw, pitch)
+    seen = [
+        [map_coordinates(visit[..., channel], at, float, order=1, mode="nearest") for channel in range(3)]
+        for visit in views.reshape(-1, *views.shape[-4:])
+    ]
+    colours = np.moveaxis(np.array(seen), 1, -1).reshape(*views.shape[:-4], *views.shape[-3:])
+    return np.rint(colours).astype(np.uint8)
 
 
-def _looked_up(
-    size: tuple[int, int], fov: float, own: float, yaw: float, pitch: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Of each pixel of a virtual view the agent's view, and row and column there, ``[H, W]`` each."""
+@lru_cache(maxsize=64)
+def _looked_up(size: tuple[int, ...], fov: float, own: float, yaw: float, pitch: float) -> NDArray[np.float64]:
+    """Of each pixel of a virtual view the agent's view, and row and column there, ``[3, H, W]``."""
     (height, width), (half, own_half) = size, (math.tan(math.radians(angle / 2)) for angle in (fov, own))
     across = ((np.arange(width) + 0.5) / width * 2 - 1) * half
     down = ((np.arange(height) + 0.5) / height * 2 - 1) * half * height / width
@@ -104,7 +101,7 @@ def _looked_up(
     view = np.rint(azimuth / (math.pi / 2)).astype(int)
     beside, length = azimuth - view * math.pi / 2, np.hypot(x, level)
     right, ahead = length * np.sin(beside), length * np.cos(beside)
-    depth, below = ahead * cosine + up * sine, ahead * sine - up * cosine
+    depth, below = np.maximum(ahead * cosine + up * sine, 1e-9), ahead * sine - up * cosine
     column = ((right / depth / own_half + 1) * width - 1) / 2
     row = ((below / depth / (own_half * height / width) + 1) * height - 1) / 2
-    return view % 4, np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+    return np.stack([view % 4, np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)])

@@ -84,7 +84,7 @@ def stride(heading: float, step: float) -> float:
     return step if round(heading) % 90 == 0 else step * 2**0.5
 
 
-def turns_of(turn: float) -> int:
+def turns_by_angle(turn: float) -> int:
     """How many turns by so many degrees are a full circle; `SceneError` unless they go into 90 without rest."""
     turns = round(360 / turn) if turn > 0 else 0
     if turns == 0 or turns % 4 or abs(360 / turns - turn) > 1e-9:

@@ -7,7 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only, turns_per_circle
-from dirl.scenes.live import Pose, Simulator, SimulatorError, simulator_errors, stride, turns_of
+from dirl.scenes.live import Pose, Simulator, SimulatorError, simulator_errors, stride, turns_by_angle
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 
@@ -39,7 +39,7 @@ def take_scene(
     Raises:
         SceneError: a turn that does not go into 90 degrees, no place to go, or a failure of the simulator.
     """
-    turns = turns_of(turn)
+    turns = turns_by_angle(turn)
     with simulator_errors(simulator.name):
         x, z, _ = simulator.pose
         ways = _explore(simulator, (x, z), step, range(0, 360, 45 if turns % 8 == 0 else 90), most)

@@ -1,6 +1,6 @@
 """Patches of virtual views, behind those of each view."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +11,9 @@ from dirl.perception.backbones.registry import Encoded, encode_all
 from dirl.perception.virtual import VirtualCameras
 
 
-def with_virtual(encoder: ViewEncoder, cameras: VirtualCameras) -> ViewEncoder:
+def with_virtual(encoder: ViewEncoder, cameras: VirtualCameras | None) -> ViewEncoder:
     """The encoder with virtual cameras, if there are any, in the description of its patches."""
-    if not cameras.fov:
+    if cameras is None:
         return encoder
     own = encoder.patch_attributes["extractor"]
     return replace(encoder, patch_attributes={**encoder.patch_attributes, "extractor": f"{own}; {cameras}"})
@@ -21,28 +21,30 @@ def with_virtual(encoder: ViewEncoder, cameras: VirtualCameras) -> ViewEncoder:
 
 def encode_with_virtual(
     encoder: ViewEncoder,
-    views: Sequence[NDArray[np.uint8]],
+    view: Callable[[int], NDArray[np.uint8]],
     surrounding: NDArray[np.int64],
-    cameras: VirtualCameras,
+    cameras: VirtualCameras | None,
     origin: str,
     *,
     progress: bool = True,
 ) -> Encoded:
-    """Features and patches of views, and behind the patches of each view those of its virtual views.
+    """Features and patches of N views, and behind the patches of each view those of its virtual views, if any.
 
     Args:
-        encoder: with fine patches.
-        views: RGB, uint8 ``[H, W, 3]`` each, N.
+        encoder: with fine patches, if there are cameras.
+        view: that of a state, RGB, uint8 ``[H, W, 3]``; asked for when it is encoded.
         surrounding: of each state the views ahead, right, back and left, int64 ``[N, 4]``.
-        cameras: without a field of view there are no virtual views.
+        cameras: whose views are encoded too.
         origin: named in errors.
         progress: show a progress bar.
     """
-    found = encode_all(encoder, iter(views), len(views), origin, progress=progress)
-    if not cameras.fov or found.patches is None:
+    count = len(surrounding)
+    found = encode_all(encoder, map(view, range(count)), count, origin, progress=progress)
+    if cameras is None:
         return found
-    virtual = (seen for four in surrounding for seen in cameras.see(np.stack([views[view] for view in four])))
-    further = encode_all(encoder, virtual, len(views) * len(cameras.yaws), origin, progress=progress).patches
-    assert further is not None
-    cells = further.reshape(len(views), -1, further.shape[-1])
+    virtual = (seen for four in surrounding for seen in cameras.see(np.stack([view(state) for state in four])))
+    further = encode_all(encoder, virtual, count * len(cameras.yaws), origin, progress=progress)
+    assert found.patches is not None
+    assert further.patches is not None
+    cells = further.patches.reshape(count, -1, further.patches.shape[-1])
     return Encoded(found.features, np.concatenate([found.patches, cells], 1))

@@ -2,7 +2,7 @@
 
 import importlib.util
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -140,21 +140,21 @@ def write_room(
     if encoder is not None:
         from dirl.perception.backbones.virtual import encode_with_virtual, with_virtual
 
-        cameras, surrounding = virtual or VirtualCameras(), np.array(scene.surrounding)
+        surrounding = np.array(scene.surrounding)
 
-        def encoded(images: Sequence[Array]) -> "Encoded":
-            return encode_with_virtual(encoder, images, surrounding, cameras, str(out), progress=progress)
+        def encoded(view: Callable[[int], Array]) -> "Encoded":
+            return encode_with_virtual(encoder, view, surrounding, virtual, str(out), progress=progress)
 
-        found = encoded([decode(view.encoded) for view in views])
+        found = encoded(lambda state: decode(views[state].encoded))
         features = found.features.astype(np.float16)
         scene = replace(scene, features=features, extractor=encoder.extractor, patches=found.patches)
         if looks:
-            again = [encoded(images) for images in looks]
+            again = [encoded(images.__getitem__) for images in looks]
             look_features = np.stack([one.features.astype(np.float16) for one in again])
             parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
             scene = replace(scene, look_features=look_features, look_patches=parts)
         about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
-        about_patches = dict(with_virtual(encoder, cameras).patch_attributes) if found.patches is not None else {}
+        about_patches = dict(with_virtual(encoder, virtual).patch_attributes) if found.patches is not None else {}
     write_dump(
         out,
         scene,

@@ -47,7 +47,7 @@ class RoomSettings:
         looks: further looks of each state; needs an encoder, since their views are not stored.
         changes: by how much these differ from the views of the dump.
         photo: the camera that these are taken with.
-        virtual: cameras whose patches are stored too; needs fine patches.
+        virtual: cameras whose patches are stored too, at the room's own field of view and pitch; needs fine patches.
     """
 
     height: int = 300
@@ -62,7 +62,7 @@ class RoomSettings:
     looks: int = 0
     changes: Changes = field(default_factory=Changes)
     photo: PhotoCamera = field(default_factory=PhotoCamera)
-    virtual: VirtualCameras = field(default_factory=VirtualCameras)
+    virtual: VirtualCameras | None = None
 
     def load_encoder(self) -> "ViewEncoder | None":
         """The encoder that the settings name."""
@@ -185,7 +185,8 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
             )
             for look in seeds
         ]
-    virtual = replace(settings.virtual, own=room.camera.fov, pitch=room.camera.pitch)
+    camera, virtual = room.camera, settings.virtual
+    virtual = None if virtual is None else replace(virtual, own=camera.fov, pitch=camera.pitch)
     write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks, virtual=virtual)
     problems = check_room(room) + view_problems(views, way)
     scene = read_dump(dump, isolated=False)  # just written here

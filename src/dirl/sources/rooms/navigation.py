@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dirl.scenes.graph import AHEAD, BACK, IntArray, turns_only
-from dirl.scenes.live import turns_of
+from dirl.scenes.live import turns_by_angle
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Piece, RoomDescription
 from dirl.sources.rooms.furniture import NOT_SOLID
@@ -97,7 +97,7 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
         SceneError: the turn, degrees, does not divide 90, there is no place, or their number is not that of the
             description.
     """
-    turns = turns_of(turn)
+    turns = turns_by_angle(turn)
     cells, points = _places(room)
     headings = np.arange(turns) * turn
     graph = turns_only(len(cells), turns)
