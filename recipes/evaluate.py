@@ -31,7 +31,7 @@ from dirl.evaluation.experts import SeesArrows
 from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
-from dirl.models import LocalisingMemory
+from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.perception.backbones.registry import packaged_encoder
 from dirl.perception.recognition.build import build_recogniser, matching
 from dirl.perception.recognition.recogniser import NCC
@@ -82,8 +82,7 @@ def main(options: EvaluateConfig) -> None:
     trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
     if options.starts is None:
         trained = trained._replace(protocol=few_enough(trained.protocol))
-    if options.arrows:
-        trained = trained._replace(policy=SeesArrows(trained.policy, trained.protocol.world))
+    trained = shown_more(trained, arrows=options.arrows, panorama=options.panorama)
     if options.map is not None:
         trained = with_map(trained, options.map, options.last_steps)
     if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:
@@ -107,6 +106,20 @@ def main(options: EvaluateConfig) -> None:
         replaced = " (in place of the one before)" if file.exists() else ""
         write_text(file, page)
         print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+
+
+def shown_more(trained: Trained, *, arrows: bool, panorama: bool) -> Trained:
+    """The same agent, which sees the arrows of a tour, or all headings of its place."""
+    if panorama:
+        if not isinstance(trained.protocol.memory, PlanningMemory):
+            raise RunError("panorama: only episodic_memory=planning plans with all headings; give that too")
+        protocol = replace(trained.protocol, panorama=True)
+        if protocol.held_out is not None:
+            protocol = replace(protocol, held_out=replace(protocol.held_out, panorama=True))
+        trained = trained._replace(protocol=protocol)
+    if arrows:
+        trained = trained._replace(policy=SeesArrows(trained.policy, trained.protocol.world))
+    return trained
 
 
 def misses_arrivals(trained: Trained) -> bool:

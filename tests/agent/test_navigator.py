@@ -182,21 +182,38 @@ def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world
         load(run, world, recogniser="other")
 
 
+@pytest.mark.parametrize("panorama", [False, True])
 @pytest.mark.parametrize("turns", [8, 12])
-def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, turns):
+def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, turns, panorama):
     world = make_world([grid_scene(3, 2, headings=turns, goals=(9,), blocked=[(0, 1)])])
     policy, seen = trained(tmp_path, world, "episodic_memory=planning")
     starts = every_start(world)
     stop = TemplateStop(0.9)(world)
-    protocol = EvaluationProtocol(world, seen, starts, max_steps=25, memory=PlanningMemory(), stop=stop)
+    protocol = EvaluationProtocol(
+        world, seen, starts, max_steps=25, memory=PlanningMemory(), stop=stop, panorama=panorama
+    )
     _, paths = protocol.trajectories(policy, starts)
-    navigator = load(tmp_path, world, turns=turns)
+    navigator, around = load(tmp_path, world, turns=turns), world.panoramas() if panorama else world.surrounding
     for episode, path in enumerate(paths):
         navigator.reset(images_of(world.surrounding[world.goals[0]]))
         walked = [int(starts[1][episode])]
         while walked[-1] != int(world.goals[0]) and len(walked) <= 25:
-            walked.append(int(world.graph[walked[-1], navigator.act(images_of(world.surrounding[walked[-1]])).action]))
+            walked.append(int(world.graph[walked[-1], navigator.act(images_of(around[walked[-1]])).action]))
         assert walked == path
+
+
+def test_who_sees_a_panorama_gives_the_images_of_all_headings_at_each_step(tmp_path):
+    world = make_world([grid_scene(2, 2, headings=8, goals=(3,))])
+    trained(tmp_path, world, "episodic_memory=planning")
+    navigator, around = load(tmp_path, world, turns=8), world.panoramas()
+    navigator.reset(images_of(world.surrounding[3]))
+    navigator.act(images_of(around[0]))
+    with pytest.raises(NavigatorError, match=r"^images: 4 views after 8; call reset first$"):
+        navigator.act(images_of(world.surrounding[1]))
+    with pytest.raises(NavigatorError, match=r"^images: expected uint8 .*, or a panorama's \[8, H, W, 3\] or"):
+        navigator.act(images_of(around[0, :6]))
+    with pytest.raises(NavigatorError, match=r"^goal_images: expected uint8"):
+        navigator.reset(images_of(around[0]))
 
 
 @pytest.mark.parametrize("turns", [0, 6, True, "4", -4])

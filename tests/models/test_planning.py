@@ -145,6 +145,22 @@ def test_smaller_turns_are_not_known_until_one_was_taken_and_then_they_are_from_
     assert (after[:, [AHEAD, BACK]] == -1).all()
 
 
+def test_in_a_panorama_small_turns_are_known_and_so_is_the_goal_that_no_quarter_turn_faces():
+    """Turns of 45 degrees: the goal is three views to the left, where the agent came from lies behind."""
+    memory, views = PlanningMemory(), 8
+    likes, nothing = LIKES_ROOM.repeat(1, 2, 1), torch.zeros(1, views, dtype=torch.bool)
+    walked = memory.begin(torch.tensor([views]), views)
+    walked = memory.arrive(walked, at(walked), likes, nothing)
+    assert walked.after[0, :, RIGHT].tolist() == [1, 2, 3, 4, 5, 6, 7, 0]
+    assert walked.after[0, :, LEFT].tolist() == [7, 0, 1, 2, 3, 4, 5, 6]
+    walked.action = torch.tensor([AHEAD])
+    walked = memory.arrive(walked, at(walked), likes, torch.arange(views).unsqueeze(0) == 5)
+    assert walked.here.tolist() == [8]
+    assert (walked.after[0, 0, AHEAD], walked.after[0, 8, BACK]) == (8, 0)
+    assert (walked.after[0, 12, AHEAD], walked.after[0, 4, BACK]) == (4, 12)
+    assert torch.allclose(memory.plan(walked)[0, [RIGHT, LEFT]], torch.tensor([-5 * SURE, -3 * SURE]))
+
+
 @pytest.mark.parametrize("turns", [8, 12])
 @pytest.mark.parametrize(("view", "action", "way"), [(1, RIGHT, 1), (3, LEFT, 1), (2, RIGHT, 2)])
 def test_at_the_place_of_the_goal_an_agent_turns_until_it_faces_it_however_small_the_turns(turns, view, action, way):

@@ -90,8 +90,10 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
         (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer, no video and no map"),
         (
             ["arrows=true", "viewer=true"],
-            "arrows: agents see them in evaluation alone; leave out simulator, viewer",
+            "arrows: agents see it in evaluation alone; leave out simulator, viewer",
         ),
+        (["panorama=true", "video=true"], "panorama: agents see it in evaluation alone; leave out simulator, viewer"),
+        (["panorama=true"], "panorama: only episodic_memory=planning plans with all headings; give that too"),
         (["simulator=nope.yaml"], "simulator=nope.yaml: there is no such file"),
     ):
         status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", *options)

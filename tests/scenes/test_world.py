@@ -50,6 +50,16 @@ def test_surrounding_states_are_those_of_the_scenes(world, scenes):
     assert world.surrounding.tolist() == np.concatenate(expected).tolist()
 
 
+def test_panoramas_are_the_states_after_each_turn_right_if_all_scenes_have_as_many(world):
+    quarters = make_world([hall()])
+    assert torch.equal(quarters.panoramas(), quarters.surrounding)
+    eighths = make_world([grid_scene(2, 2, name="eighths", headings=8)])
+    assert eighths.panoramas()[9].tolist() == [9, 10, 11, 12, 13, 14, 15, 8]
+    assert torch.equal(eighths.panoramas()[:, ::2], eighths.surrounding)
+    with pytest.raises(SceneError, match=r"^panoramas of \[4, 12\] views: scenes have turns of several angles; take"):
+        world.panoramas()
+
+
 def test_features_are_those_of_the_scenes_as_float32(world, scenes):
     assert world.features.dtype == torch.float32
     assert (world.features.numpy() == np.concatenate([scene.features for scene in scenes])).all()

@@ -26,22 +26,25 @@ class Observed(Protocol):
 
     @property
     def visit(self) -> Tensor:
-        """The views ahead, right, back and left, as memories keep them, ``[B, 4, ...]``: view ids or descriptions."""
+        """The views around the agents, clockwise from the one ahead, as memories keep them: view ids or descriptions.
+
+        ``[B, K, ...]``: K is four, ahead, right, back and left; or in a panorama the number of turns in a full circle.
+        """
 
     def alike(self, seen: Tensor) -> Tensor:
-        """How much it looks like earlier visits, ``[B, T, 4, ...]``, facing each of their views; ``[B, T, 4]``."""
+        """How much it looks like earlier visits, ``[B, T, K, ...]``, facing each of their views; ``[B, T, K]``."""
 
     def logits(self) -> Tensor:
         """Those of the policy, float32 ``[B, 4]``."""
 
     def facing(self, chosen: Tensor) -> Tensor:
-        """The policy's logits of the chosen agents, bool ``[B]``, facing each view; ``[B, 4, 4]``, of others zero."""
+        """The policy's logits of the chosen agents, bool ``[B]``, facing each view; ``[B, K, 4]``, of others zero."""
 
     def at_goal(self) -> Tensor:
         """Whether the recogniser takes this visit for the goal, bool ``[B]``."""
 
     def goal_around(self, chosen: Tensor) -> Tensor:
-        """The same of the chosen agents facing each view, bool ``[B, 4]``; of others False."""
+        """The same of the chosen agents facing each view, bool ``[B, K]``; of others False."""
 
     def goal_odds(self, visits: Tensor) -> Tensor:
         """Log odds that visits, ``[B, T, 4, ...]``, see the goal facing each of their views; float32 ``[B, T, 4]``."""
@@ -69,7 +72,7 @@ class Agent:
         logits = self.logits(now)
         self.action = choose(logits, generator, greedy=greedy)
         if self.guide is not None:
-            led = self.guide.advise(now.visit[0])
+            led = self.guide.advise(now.visit[0, :: now.visit.shape[1] // VIEWS])
             self.guide.action = int(self.action) if led is None else led
             self.action = torch.full_like(self.action, self.guide.action)
         return self.action, logits
@@ -85,10 +88,10 @@ class Agent:
 class Remembering(Agent):
     """Agents that compare what they see with all that they have seen in their episodes.
 
-    A *node* is a visit and a heading: ``4 * visit + quarters``.
+    A *node* is a visit and the heading of one of its K views: ``K * visit + heading``.
 
     Args:
-        seen: in an earlier walk through the place, ``[1, T, 4, ...]``.
+        seen: in an earlier walk through the place, ``[1, T, K, ...]``.
         guide: see `Agent`.
     """
 
@@ -97,11 +100,11 @@ class Remembering(Agent):
         self.seen = seen
 
     def remember(self, now: Observed) -> Tensor:
-        """How much the visit looks like each node so far, float32 ``[B, T, 4]``; it becomes the next."""
+        """How much the visit looks like each node so far, float32 ``[B, T, K]``; it becomes the next."""
         visit = now.visit[:, None]
         seen = visit[:, :0] if self.seen is None else self.seen.expand(len(visit), *self.seen.shape[1:])
         self.seen = torch.cat([seen, visit], 1)
-        return now.alike(seen) if seen.shape[1] else torch.zeros((len(visit), 0, VIEWS), device=visit.device)
+        return now.alike(seen) if seen.shape[1] else torch.zeros(seen.shape[:3], device=visit.device)
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents."""
@@ -143,11 +146,11 @@ class Planning(Remembering):
         self.walked: Walked | None = None
 
     def logits(self, now: Observed) -> Tensor:
-        """Those of the plan; the policy is asked at places that are new, facing all four ways."""
+        """Those of the plan; the policy is asked at places that are new, facing every view."""
         alike = self.remember(now).flatten(1) > self.memory.threshold
         walked = self.walked
         if walked is None:
-            walked = self.memory.begin(self.turns.expand(len(alike)))
+            walked = self.memory.begin(self.turns.expand(len(alike)), now.visit.shape[1])
         else:
             walked.action = self.action
         same = alike & walked.used

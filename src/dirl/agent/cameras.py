@@ -12,6 +12,7 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import initial_state, recurrent_keys
 from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
 from dirl.perception.recognition.recogniser import Recogniser
+from dirl.scenes import ACTIONS
 
 
 class Scores(NamedTuple):
@@ -180,7 +181,7 @@ class Views:
 
     Args:
         goal: of the agents.
-        features: of their views, float32 ``[B, 4, D]``.
+        features: of their K views, clockwise from the one ahead, float32 ``[B, K, D]``; four, or more in a panorama.
         threshold: above which they stop.
         state: of a recurrent policy; empty at the start of an episode.
     """
@@ -190,13 +191,13 @@ class Views:
 
     @cached_property
     def visit(self) -> Tensor:
-        """The described views, float32 ``[B, 4, F]``."""
+        """The described views, float32 ``[B, K, F]``."""
         return self.goal.policy.describe(self.features, self.goal.recogniser)
 
     @cached_property
     def matching(self) -> Tensor:
         """How much the agents' views look like their goals', ``[B]``."""
-        return self.goal.matching(self.features)
+        return self.goal.matching(four_of(self.features))
 
     def alike(self, seen: Tensor) -> Tensor:
         """See `dirl.agent.agent.Observed`, as all below."""
@@ -206,17 +207,18 @@ class Views:
         """Those of the policy, whose state goes on: call this once."""
         policy, wanted = self.goal.policy, self.goal.wanted(self.goal.features, len(self.features))
         state = self.state or initial_state(policy.policy, len(self.features), self.features.device).values()
-        logits, _, *after = policy.decide(self.features, wanted, *state)
+        logits, _, *after = policy.decide(four_of(self.features), wanted, *state)
         self.state = tuple(after)
         return logits
 
     def facing(self, chosen: Tensor) -> Tensor:
         """The policy's logits facing each view; of agents that are not chosen zero."""
-        logits = self.features.new_zeros(len(chosen), VIEWS, VIEWS)
+        headings = self.features.shape[1]
+        logits = self.features.new_zeros(len(chosen), headings, len(ACTIONS))
         if chosen.any():
             views = each_heading(self.features[chosen])
             asked = self.goal.policy.decide(views, self.goal.wanted(self.goal.features, len(views), chosen))[0]
-            logits[chosen] = asked.unflatten(0, (-1, VIEWS))
+            logits[chosen] = asked.unflatten(0, (-1, headings))
         return logits
 
     def at_goal(self) -> Tensor:
@@ -225,26 +227,35 @@ class Views:
 
     def goal_around(self, chosen: Tensor) -> Tensor:
         """Whether they would, facing each view; of agents that are not chosen False."""
-        found = chosen.new_zeros(len(chosen), VIEWS)
+        headings = self.features.shape[1]
+        found = chosen.new_zeros(len(chosen), headings)
         if chosen.any():
             matching = self.goal.matching(each_heading(self.features[chosen]), chosen)
-            found[chosen] = matching.unflatten(0, (-1, VIEWS)) > self.threshold
+            found[chosen] = matching.unflatten(0, (-1, headings)) > self.threshold
         return found
 
     def goal_odds(self, visits: Tensor) -> Tensor:
         """Log odds that visits see the goal facing each view."""
-        return self.goal.scores(each_heading(visits.flatten(0, 1))).view(*visits.shape[:2], VIEWS)
+        return self.goal.scores(each_heading(visits.flatten(0, 1))).view(*visits.shape[:3])
 
 
 def compare(recogniser: Recogniser, seen: Tensor, visit: Tensor) -> Tensor:
-    """How much described visits ``[B, 4, F]`` look like earlier ones, ``[B, T, 4, F]``, facing each of their views.
+    """How much described visits ``[B, K, F]`` look like earlier ones, ``[B, T, K, F]``, facing each of their views.
 
-    An agent that turned right since a visit sees the same views rolled by minus one: rolled back they are alike.
+    An agent that turned right since a visit sees the same views rolled by minus one: rolled back they are alike. Of a
+    panorama four views are compared, 90 degrees apart.
     """
-    facing = torch.stack([visit.roll(quarters, 1) for quarters in range(VIEWS)], 1)
-    return recogniser.scores(seen, facing)
+    facing = torch.stack([four_of(visit).roll(quarters, 1) for quarters in range(VIEWS)], 1)
+    between = visit.shape[1] // VIEWS
+    scores = [recogniser.scores(seen[:, :, first::between], facing) for first in range(between)]
+    return torch.stack(scores, -1).flatten(-2)
 
 
 def each_heading(views: Tensor) -> Tensor:
-    """Views ``[B, 4, D]`` as agents see them that face each of the four, ``[4 B, 4, D]``."""
-    return torch.stack([views.roll(-turns, 1) for turns in range(VIEWS)], 1).flatten(0, 1)
+    """Views ``[B, K, D]`` as agents see them that face each of the K, ``[K B, 4, D]``."""
+    return torch.stack([four_of(views.roll(-turns, 1)) for turns in range(views.shape[1])], 1).flatten(0, 1)
+
+
+def four_of(views: Tensor) -> Tensor:
+    """Of K views ``[B, K, D]`` those ahead, right, back and left, ``[B, 4, D]``."""
+    return views[:, :: views.shape[1] // VIEWS]

@@ -10,7 +10,6 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from dirl.envs import SurroundingViews
-from dirl.envs.transforms import VIEWS
 from dirl.models import frozen, initial_state, recurrent_keys
 from dirl.models.fast.caching import EmbeddingCache, Keys
 from dirl.perception.recognition.matching import Arrived
@@ -153,6 +152,8 @@ class Known:
     """By which a memory knows places."""
     shown: Tensor | None = None
     """The goal that is shown to the policy in the place of each, int64 ``[G]``."""
+    around: Tensor | None = None
+    """The states that are seen from each, clockwise, int64 ``[N, K]``; None = `World.surrounding`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,9 +183,10 @@ class Walk:
 
     @cached_property
     def visit(self) -> Tensor:
-        """The view ids around the agents, int64 ``[W, 4]``."""
+        """The view ids around the agents, int64 ``[W, K]``."""
+        around = self.known.world.surrounding if self.known.around is None else self.known.around
         state = self.ahead % len(self.known.world)
-        return self.known.world.surrounding[state] + (self.ahead - state).unsqueeze(-1)
+        return around[state] + (self.ahead - state).unsqueeze(-1)
 
     @cached_property
     def shown(self) -> Tensor:
@@ -210,9 +212,10 @@ class Walk:
         ahead = self.visit[chosen].flatten()
         logits = torch.zeros((*self.visit.shape, len(ACTIONS)), device=ahead.device)
         if len(ahead):
-            episode, shown = (rows[chosen].repeat_interleave(VIEWS) for rows in (self.episode, self.shown))
+            views = self.visit.shape[1]
+            episode, shown = (rows[chosen].repeat_interleave(views) for rows in (self.episode, self.shown))
             asked = self.known.decide(episode, ahead, self.known.observation.begin(ahead), shown)
-            logits[chosen] = asked.view(-1, VIEWS, len(ACTIONS))
+            logits[chosen] = asked.view(-1, views, len(ACTIONS))
         return logits
 
     def at_goal(self) -> Tensor:

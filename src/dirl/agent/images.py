@@ -16,7 +16,7 @@ class NavigatorError(ValueError):
     """An input that a `dirl.Navigator` cannot use; the message says why and what to do."""
 
 
-def checked_images(images: Images, name: str, *, sequential: bool) -> tuple[Tensor, int, bool]:
+def checked_images(images: Images, name: str, *, sequential: bool, views: int = VIEWS) -> tuple[Tensor, int, bool]:
     """The images as one batch, uint8 ``[N, H, W, 3]``; the number of images per agent; whether a batch was given.
 
     Args:
@@ -24,6 +24,7 @@ def checked_images(images: Images, name: str, *, sequential: bool) -> tuple[Tens
             photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``. For sequential views ``[H, W, 3]`` or ``[B, H, W, 3]``.
         name: ``images`` or ``goal_images``.
         sequential: whether the policy reads sequential views.
+        views: around an agent in a panorama, which are taken in place of four.
 
     Raises:
         NavigatorError: the images have another shape or type.
@@ -35,13 +36,14 @@ def checked_images(images: Images, name: str, *, sequential: bool) -> tuple[Tens
     # Copied, because the array of a camera driver or image library may be read-only or have negative strides.
     pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.array(images, order="C"))
     shape = tuple(pixels.shape)
-    accepted = _accepted(shape, sequential=sequential, goal=name == "goal_images")
+    accepted = _accepted(shape, sequential=sequential, goal=name == "goal_images", views=views)
     if pixels.dtype != torch.uint8 or shape[-1:] != (3,) or 0 in shape or not accepted:
         text = (
             "[H, W, 3] or [B, H, W, 3]" if sequential else "[4, H, W, 3] (ahead, right, back, left) or [B, 4, H, W, 3]"
         )
+        panorama = "" if views == VIEWS else f", or a panorama's [{views}, H, W, 3] or [B, {views}, H, W, 3]"
         photo = "" if sequential or name != "goal_images" else ", or one photo [H, W, 3] or [B, 1, H, W, 3]"
-        raise NavigatorError(f"{name}: expected uint8 {text}{photo}, found {pixels.dtype} {list(shape)}")
+        raise NavigatorError(f"{name}: expected uint8 {text}{panorama}{photo}, found {pixels.dtype} {list(shape)}")
     count = 1 if sequential or len(shape) == 3 else shape[-4]
     return pixels.reshape(-1, *shape[-3:]), count, len(shape) == (4 if sequential else 5)
 
@@ -63,12 +65,12 @@ def checked_features(found: Any, rows: int, width: int, extractor: str) -> Tenso
     return features
 
 
-def _accepted(shape: tuple[int, ...], *, sequential: bool, goal: bool) -> bool:
+def _accepted(shape: tuple[int, ...], *, sequential: bool, goal: bool, views: int) -> bool:
     if sequential:
         return len(shape) in (3, 4)
     if len(shape) == 3:
         return goal
-    return (len(shape) in (4, 5) and shape[-4] == VIEWS) or (goal and len(shape) == 5 and shape[-4] == 1)
+    return (len(shape) in (4, 5) and shape[-4] in (VIEWS, views)) or (goal and len(shape) == 5 and shape[-4] == 1)
 
 
 def _unreadable(images: Images) -> str | None:

@@ -18,7 +18,7 @@ from dirl.agent.loading import Encoder, load_parts
 from dirl.agent.mapping import ImageGraph, PlaceMap
 from dirl.agent.mapping.policy import LAST_STEPS, Guide, check_last_steps
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, LocalisingMemory
+from dirl.models import FeatureTable, LocalisingMemory, PlanningMemory
 from dirl.models.weights import tell_of_turns, turns_of_training
 from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import NCC, Recogniser
@@ -209,7 +209,8 @@ class Navigator:
         """Choose the action. Call this exactly once a step, because the navigator may keep a history.
 
         Args:
-            images: the agent's present views, in the form that `reset` takes.
+            images: the agent's present views, in the form that `reset` takes. With ``episodic_memory=planning`` also
+                those of a panorama, one for each of the navigator's ``turns``, clockwise from the one ahead.
             sample: draw the action by its probability instead of taking the most probable one.
             generator: to draw with, on the navigator's device; torch's own if left out.
 
@@ -218,7 +219,8 @@ class Navigator:
         """
         if self._goal is None:
             raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
-        views, batched = self._encode(images, "images")
+        headings = self.turns if isinstance(self.memory, PlanningMemory) else VIEWS
+        views, batched = self._encode(images, "images", headings)
         agents, goals = len(views), len(self._goal.features)
         if goals not in (1, agents):
             raise NavigatorError(
@@ -227,6 +229,8 @@ class Navigator:
         before = self._seen
         if before is not None and len(before.features) != agents:
             raise NavigatorError(f"images of {agents} agents after those of {len(before.features)}; call reset first")
+        if before is not None and not self.sequential and before.features.shape[1] != views.shape[1]:
+            raise NavigatorError(f"images: {views.shape[1]} views after {before.features.shape[1]}; call reset first")
         if self.agent.guide is not None:
             self._check_alone(agents)
         if self.sequential:
@@ -277,9 +281,11 @@ class Navigator:
         if self.sequential or agents != 1:
             raise NavigatorError("a map leads one agent that sees four views around it, not a batch")
 
-    def _encode(self, images: Images, name: str) -> tuple[Tensor, bool]:
+    def _encode(self, images: Images, name: str, headings: int = VIEWS) -> tuple[Tensor, bool]:
         """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
-        pixels, count, batched = checked_images(images, name, sequential=self.sequential)
+        pixels, count, batched = checked_images(images, name, sequential=self.sequential, views=headings)
+        if self.virtual is not None and count > VIEWS:
+            raise NavigatorError(f"{name}: virtual views are made of four views around the agent; give those")
         features = self._features(pixels)
         if self.virtual is not None and count == VIEWS:
             seen = self.virtual.around(pixels.unflatten(0, (-1, VIEWS)).cpu().numpy())

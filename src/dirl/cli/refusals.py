@@ -114,8 +114,10 @@ def _evaluation(options: EvaluateConfig) -> None:
         raise ConfigError("slip, turn_error: only in a live world; give simulator=dump or a YAML file too")
     if options.simulator is not None and (options.viewer or options.video or options.map is not None):
         raise ConfigError("simulator: a live world has no viewer, no video and no map; leave them out")
-    if options.arrows and (options.simulator is not None or options.viewer or options.video):
-        raise ConfigError("arrows: agents see them in evaluation alone; leave out simulator, viewer and video")
+    shown = options.simulator is not None or options.viewer or options.video
+    for name in ("arrows", "panorama"):
+        if getattr(options, name) and shown:
+            raise ConfigError(f"{name}: agents see it in evaluation alone; leave out simulator, viewer and video")
     if options.video and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise ConfigError("video=true needs a package that is not installed: pip install imageio-ffmpeg")
     if options.out is not None:

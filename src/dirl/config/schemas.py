@@ -232,6 +232,7 @@ class EvaluateConfig:
     map: Annotated[float, Bounds(0, 100)] | None = None
     last_steps: Annotated[int, Bounds(0, 10**6)] | None = None
     arrows: bool = False
+    panorama: bool = False
     viewer: bool = False
     beside: str | None = None
     video: bool = False

@@ -99,6 +99,8 @@ class EvaluationProtocol:
     """Of goals, if they are others."""
     shown: Tensor | None = None
     """The goal of the same scene that is shown in the place of each, int64 ``[G]``, for controls; None = itself."""
+    panorama: bool = False
+    """Agents with a `PlanningMemory` see all headings of their place, as in a panorama, not only four."""
     live: Callable[..., Episodes] | None = None
     """``live(policy, told=False)``: episodes in the simulator that it was trained in, if any; see `evaluate_live`."""
     held_out: "EvaluationProtocol | None" = None
@@ -110,7 +112,7 @@ class EvaluationProtocol:
 
     def run_random(self) -> Episodes:
         """The same for random actions. The environment stops the agent, so that it makes no false stops."""
-        return replace(self, stop=None, memory=None, maps=None).run(RandomPolicy(), greedy=False)
+        return replace(self, stop=None, memory=None, maps=None, panorama=False).run(RandomPolicy(), greedy=False)
 
     def trajectories(
         self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
@@ -173,7 +175,8 @@ def run_episodes(
     with frozen(policy), bar:
         at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
         decide = None if at_random else deciding(policy, world, observation, len(start))
-        known = Known(world, observation, decide, _arrived(world, protocol.stop), scores, protocol.shown)
+        around = world.panoramas() if protocol.panorama else None
+        known = Known(world, observation, decide, _arrived(world, protocol.stop), scores, protocol.shown, around)
 
         def ahead_in(state: Tensor, goals: Tensor) -> Tensor:
             besides = None if photos else goals // len(world.goals)

@@ -22,9 +22,9 @@ SURE = 10.0
 class Walked:
     """What B agents have seen and done in their present episodes; made by `PlanningMemory.begin`.
 
-    A node is a place and a heading, that of one of the four views there, clockwise from the first: ``4 * place +
-    heading``. Each step makes a place, which stays unused where the
-    agent recognises an earlier one.
+    A node is a place and a heading, that of one of the K views there, clockwise from the first:
+    ``K * place + heading``. K is four, or in a panorama the number of turns in a full circle. Each step makes a place,
+    which stays unused where the agent recognises an earlier one.
     """
 
     cost: Tensor
@@ -39,8 +39,8 @@ class Walked:
     """The present node, int64 ``[B]``; -1 at the start."""
     action: Tensor
     """The last action, int64 ``[B]``; -1 at the start."""
-    quarter: Tensor
-    """Whether a turn is a quarter of a circle, so that it leads to another of the four views, bool ``[B]``."""
+    next_view: Tensor
+    """Whether a turn leads to the next of the K views, bool ``[B]``: with four of them, a turn of 90 degrees."""
 
     @property
     def used(self) -> Tensor:
@@ -65,7 +65,8 @@ class PlanningMemory(nn.Module):
     At each place the policy is asked for all four headings, as the four views around the agent are those around it
     after a turn too. That a turn of 90 degrees leads from one to the next is assumed, and corrected where it does not.
     A smaller turn leads to four other views, which lie between them: where one has led, so do turns from the other
-    three. Moves count in both directions.
+    three. In a panorama the views of all headings are seen at once, and each turn leads to the next. Moves count in
+    both directions.
 
     `EpisodicMemory` lowers logits where the agent stands, and knows nothing of other places. Both are used in
     evaluation, in the viewer and in a `dirl.Navigator`, but not in training. The policy must depend on the
@@ -86,8 +87,13 @@ class PlanningMemory(nn.Module):
         super().__init__()
         self.repeated, self.turn, self.threshold = repeated, turn, threshold
 
-    def begin(self, turns: Tensor) -> Walked:
-        """What agents know at the start of their episodes: how many turns a full circle has, int64 ``[B]``."""
+    def begin(self, turns: Tensor, views: int = VIEWS) -> Walked:
+        """What agents know at the start of their episodes.
+
+        Args:
+            turns: in a full circle, int64 ``[B]``.
+            views: that are seen around an agent, K: four, or in a panorama as many as all agents have turns.
+        """
         agents, device = len(turns), turns.device
         nowhere = torch.full((agents,), -1, device=device)
         return Walked(
@@ -97,7 +103,7 @@ class PlanningMemory(nn.Module):
             goal=torch.empty((agents, 0), dtype=torch.bool, device=device),
             here=nowhere,
             action=nowhere,
-            quarter=turns == VIEWS,
+            next_view=turns == views,
         )
 
     def arrive(self, walked: Walked, same: Tensor, logits: Tensor, goal: Tensor) -> Walked:
@@ -106,19 +112,19 @@ class PlanningMemory(nn.Module):
         Args:
             walked: so far, N nodes.
             same: whether each used node looks like where the agent is, bool ``[B, N]``.
-            logits: of the policy facing each of the four views around the agent, float32 ``[B, 4, 4]``; those of
-                agents at known nodes are not used.
-            goal: whether it looks like the goal facing there, bool ``[B, 4]``.
+            logits: of the policy facing each of the K views around the agent, float32 ``[B, K, 4]``; those of agents at
+                known nodes are not used.
+            goal: whether it looks like the goal facing there, bool ``[B, K]``.
         """
         agents, nodes = same.shape
-        device = same.device
+        device, views = same.device, logits.shape[1]
         known = same.any(1)
-        new = nodes + torch.arange(VIEWS, device=device)
+        new = nodes + torch.arange(views, device=device)
         here = torch.where(known, same.int().argmax(1) if nodes else nodes, nodes)
         cost = torch.where(known[:, None, None], math.inf, -logits.log_softmax(-1))
-        ring = torch.full((agents, VIEWS, len(ACTIONS)), -1, device=device)
+        ring = torch.full((agents, views, len(ACTIONS)), -1, device=device)
         ring[:, :, RIGHT], ring[:, :, LEFT] = new.roll(-1), new.roll(1)
-        after = torch.where(walked.quarter[:, None, None], ring, -1)
+        after = torch.where(walked.next_view[:, None, None], ring, -1)
         at = torch.arange(agents, device=device)
         made = Walked(
             cost=torch.cat([walked.cost, cost], 1),
@@ -127,11 +133,11 @@ class PlanningMemory(nn.Module):
             goal=torch.cat([walked.goal, goal & ~known[:, None]], 1),
             here=here,
             action=walked.action,
-            quarter=walked.quarter,
+            next_view=walked.next_view,
         )
         made.goal[at, here] = False  # the agent would have stopped
         if nodes:
-            connect(made.after, walked.here, walked.action, here)
+            connect(made.after, walked.here, walked.action, here, views)
             _connect_turns(made, walked.here)
         return made
 
@@ -173,22 +179,22 @@ def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
         value[:, :-1] = better
 
 
-def connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor) -> None:
+def connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor, views: int = VIEWS) -> None:
     """Note in ``after`` what an action led to, and what follows from it for the opposite headings and actions."""
     at, opposite = torch.arange(len(here), device=here.device), torch.tensor(OPPOSITE, device=here.device)[action]
     moved, turned = here != before, (action == RIGHT) | (action == LEFT)
     after[at, before, action] = here
     after[at[moved], here[moved], opposite[moved]] = before[moved]
     # Ahead is back for who faces the other way.
-    around = at[~turned], _turned(before)[~turned], opposite[~turned]
-    after[around] = _turned(here)[~turned]
+    beyond, behind = (_turned(node, views // 2, views) for node in (before, here))
+    after[at[~turned], beyond[~turned], opposite[~turned]] = behind[~turned]
     both = moved & ~turned
-    after[at[both], _turned(here)[both], action[both]] = _turned(before)[both]
+    after[at[both], behind[both], action[both]] = beyond[both]
 
 
 def _connect_turns(made: Walked, before: Tensor) -> None:
     """Note what a turn by less than 90 degrees, from nodes int64 ``[B]``, means for the other three views there."""
-    turned = ((made.action == RIGHT) | (made.action == LEFT)) & (made.here != before) & ~made.quarter
+    turned = ((made.action == RIGHT) | (made.action == LEFT)) & (made.here != before) & ~made.next_view
     at = torch.nonzero(turned)[:, 0]
     action, new = made.action[at], made.here[at] >= made.ring.shape[1] - VIEWS
     opposite = torch.tensor(OPPOSITE, device=at.device)[action]
@@ -201,6 +207,6 @@ def _connect_turns(made: Walked, before: Tensor) -> None:
         made.ring[at, start, action], made.ring[at, end, opposite] = end, start
 
 
-def _turned(node: Tensor, right: int = VIEWS // 2) -> Tensor:
-    """The same place, facing the view that lies so many quarters of a circle to the right; the opposite if left out."""
-    return node - node % VIEWS + (node + right) % VIEWS
+def _turned(node: Tensor, right: int, views: int = VIEWS) -> Tensor:
+    """The same place, facing the view that lies so many views to the right."""
+    return node - node % views + (node + right) % views

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dirl.scenes.graph import shortest_distances, turns_per_circle
+from dirl.scenes.graph import RIGHT, shortest_distances, turns_per_circle
 from dirl.scenes.scene import Scene, SceneError, check_goals_differ, check_name
 
 
@@ -81,6 +81,20 @@ class World:
         index = torch.full((len(self),), -1, device=self.device)
         index[self.goals] = torch.arange(len(self.goals), device=self.device)
         return index
+
+    def panoramas(self) -> Tensor:
+        """The states of all headings of each place, clockwise from each state, int64 ``[N, K]``.
+
+        Raises:
+            SceneError: scenes whose turns differ.
+        """
+        counts = self.turns.unique().tolist()
+        if len(counts) > 1:
+            raise SceneError(f"panoramas of {counts} views: scenes have turns of several angles; take them apart")
+        views = [torch.arange(len(self), device=self.device)]
+        for _ in range(counts[0] - 1):
+            views.append(self.graph[views[-1], RIGHT])
+        return torch.stack(views, 1)
 
     def pair(self, goal_index: Tensor, state: Tensor) -> Tensor:
         """The place of pairs in ``distances`` and every other table of pairs, int64 ``[...]``.
