@@ -20,6 +20,7 @@ from dirl.agent.navigator import NavigatorError
 from dirl.agent.onnx import export_onnx
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
+from dirl.evaluation.experts import SeesArrows
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.perception.backbones import ResNet50
@@ -182,9 +183,10 @@ def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world
         load(run, world, recogniser="other")
 
 
+@pytest.mark.parametrize("arrows", [False, True])
 @pytest.mark.parametrize("panorama", [False, True])
 @pytest.mark.parametrize("turns", [8, 12])
-def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, turns, panorama):
+def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, turns, panorama, arrows):
     world = make_world([grid_scene(3, 2, headings=turns, goals=(9,), blocked=[(0, 1)])])
     policy, seen = trained(tmp_path, world, "episodic_memory=planning")
     starts = every_start(world)
@@ -192,14 +194,28 @@ def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, t
     protocol = EvaluationProtocol(
         world, seen, starts, max_steps=25, memory=PlanningMemory(), stop=stop, panorama=panorama
     )
-    _, paths = protocol.trajectories(policy, starts)
+    _, paths = protocol.trajectories(SeesArrows(policy, world) if arrows else policy, starts)
+    open_moves = world.graph != torch.arange(len(world)).unsqueeze(1)
     navigator, around = load(tmp_path, world, turns=turns), world.panoramas() if panorama else world.surrounding
     for episode, path in enumerate(paths):
         navigator.reset(images_of(world.surrounding[world.goals[0]]))
         walked = [int(starts[1][episode])]
         while walked[-1] != int(world.goals[0]) and len(walked) <= 25:
-            walked.append(int(world.graph[walked[-1], navigator.act(images_of(around[walked[-1]])).action]))
+            seen = around[walked[-1]]
+            decided = navigator.act(images_of(seen), possible=open_moves[seen] if arrows else None)
+            walked.append(int(world.graph[walked[-1], decided.action]))
         assert walked == path
+
+
+def test_moves_that_are_possible_are_told_facing_each_view(run, world):
+    navigator, views = load(run, world), images_of(world.surrounding[0])
+    navigator.reset(images_of(world.surrounding[3]))
+    turns_right = np.tile([False, True, False, False], (4, 1))
+    assert navigator.act(views, possible=turns_right).action == 1
+    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found torch.int64 \[4, 4\]$"):
+        navigator.act(views, possible=turns_right.astype(int))
+    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found torch.bool \[4\]$"):
+        navigator.act(views, possible=turns_right[0])
 
 
 def test_who_sees_a_panorama_gives_the_images_of_all_headings_at_each_step(tmp_path):

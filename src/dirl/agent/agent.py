@@ -17,6 +17,9 @@ from dirl.models.localising import Places
 
 Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
 
+NEVER = -20.0
+"""Logit of a move that is not possible."""
+
 MANY = 50_000
 """Agents for more than which actions are sampled by one random number each, where `torch.multinomial` draws four."""
 

@@ -8,8 +8,9 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 
+from dirl.agent.agent import NEVER
 from dirl.envs.transforms import VIEWS
-from dirl.models import initial_state, recurrent_keys
+from dirl.models import FeatureTable, initial_state, recurrent_keys
 from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
 from dirl.perception.recognition.recogniser import Recogniser
 from dirl.scenes import ACTIONS
@@ -50,6 +51,12 @@ class FeaturePolicy(nn.Module):
         """Of the recurrent state, in the order of arguments and results."""
         self.recurrent = _in_plain_operations(getattr(policy, "memory", None))
 
+    @property
+    def table(self) -> FeatureTable:
+        """By which features are standardised."""
+        table: FeatureTable = self.policy.features
+        return table
+
     def forward(self, features: Tensor, goal_features: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
         """Action logits and matching coefficient.
 
@@ -83,7 +90,7 @@ class FeaturePolicy(nn.Module):
         """The matching coefficient ``[B]``: of all views if the goal's are known, else of one; see `forward`."""
         whole = (goal_features[:, 1:] != 0).any(-1).any(1)
         # As in dirl.perception.recognition.matching, the pooled features are matched as the backbone gave them.
-        pooled = len(self.policy.features.mean)
+        pooled = len(self.table.mean)
         features, goal_features = features[..., :pooled], goal_features[..., :pooled]
         front = ncc(features[:, self.front or 0], goal_features[:, self.front or 0])
         if self.front is not None:
@@ -95,7 +102,7 @@ class FeaturePolicy(nn.Module):
 
         Fine patches, which the policy does not read, come last and are compared instead of the others.
         """
-        table = self.policy.features
+        table = self.table
         pooled, patches = len(table.mean), None
         if table.patches is not None:
             finest = features[..., table.inputs if features.shape[-1] > table.inputs else pooled :]
@@ -184,10 +191,19 @@ class Views:
         features: of their K views, clockwise from the one ahead, float32 ``[B, K, D]``; four, or more in a panorama.
         threshold: above which they stop.
         state: of a recurrent policy; empty at the start of an episode.
+        possible: which moves are possible facing each view, bool ``[B, K, 4]``; all if left out.
     """
 
-    def __init__(self, goal: Goal, features: Tensor, threshold: float, state: tuple[Tensor, ...] = ()) -> None:
+    def __init__(
+        self,
+        goal: Goal,
+        features: Tensor,
+        threshold: float,
+        state: tuple[Tensor, ...] = (),
+        possible: Tensor | None = None,
+    ) -> None:
         self.goal, self.features, self.threshold, self.state = goal, features, threshold, state
+        self.blocked = features.new_zeros(1, 1, 1, dtype=torch.bool) if possible is None else ~possible
 
     @cached_property
     def visit(self) -> Tensor:
@@ -209,7 +225,7 @@ class Views:
         state = self.state or initial_state(policy.policy, len(self.features), self.features.device).values()
         logits, _, *after = policy.decide(four_of(self.features), wanted, *state)
         self.state = tuple(after)
-        return logits
+        return logits.masked_fill(self.blocked[:, 0], NEVER)
 
     def facing(self, chosen: Tensor) -> Tensor:
         """The policy's logits facing each view; of agents that are not chosen zero."""
@@ -218,7 +234,8 @@ class Views:
         if chosen.any():
             views = each_heading(self.features[chosen])
             asked = self.goal.policy.decide(views, self.goal.wanted(self.goal.features, len(views), chosen))[0]
-            logits[chosen] = asked.unflatten(0, (-1, headings))
+            blocked = self.blocked.expand_as(logits)[chosen]
+            logits[chosen] = asked.unflatten(0, (-1, headings)).masked_fill(blocked, NEVER)
         return logits
 
     def at_goal(self) -> Tensor:

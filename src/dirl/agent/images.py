@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.envs.transforms import VIEWS
+from dirl.scenes import ACTIONS
 
 Images = Tensor | NDArray[np.uint8]
 
@@ -46,6 +47,32 @@ def checked_images(images: Images, name: str, *, sequential: bool, views: int = 
         raise NavigatorError(f"{name}: expected uint8 {text}{panorama}{photo}, found {pixels.dtype} {list(shape)}")
     count = 1 if sequential or len(shape) == 3 else shape[-4]
     return pixels.reshape(-1, *shape[-3:]), count, len(shape) == (4 if sequential else 5)
+
+
+def check_agents(views: Tensor, goals: int, before: Tensor | None) -> None:
+    """Raise `NavigatorError` unless views ``[B, V, D]`` are of as many agents as goals, and as those a step before."""
+    agents = len(views)
+    if goals not in (1, agents):
+        raise NavigatorError(f"images of {agents} agents for {goals} goals; give each agent a goal, or all the same")
+    if before is not None and len(before) != agents:
+        raise NavigatorError(f"images of {agents} agents after those of {len(before)}; call reset first")
+    if before is not None and views.shape[1] not in (1, before.shape[1]):
+        raise NavigatorError(f"images: {views.shape[1]} views after {before.shape[1]}; call reset first")
+
+
+def checked_moves(possible: Tensor | NDArray[np.bool_] | None, views: Tensor, *, batched: bool) -> Tensor | None:
+    """Which moves are possible, bool ``[B, K, 4]`` beside views ``[B, K, D]``, if that is known.
+
+    Raises:
+        NavigatorError: it has another shape or type.
+    """
+    if possible is None:
+        return None
+    moves, expected = torch.as_tensor(possible), [*views.shape[:2], len(ACTIONS)]
+    if moves.dtype != torch.bool or [*moves.shape] != expected[not batched :]:
+        found = f"{moves.dtype} {list(moves.shape)}"
+        raise NavigatorError(f"possible: expected bool {expected[not batched :]}, found {found}")
+    return moves.to(views.device).view(expected)
 
 
 def checked_features(found: Any, rows: int, width: int, extractor: str) -> Tensor:

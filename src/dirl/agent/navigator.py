@@ -5,20 +5,22 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.agent.agent import Agent, Memory, make_agent
 from dirl.agent.cameras import Decision, FeaturePolicy, Goal, Scores, Views
 from dirl.agent.exploring import Explorer, check_turns, map_of, map_to_walk_on
 from dirl.agent.hub import fetch_pretrained
-from dirl.agent.images import Images, NavigatorError, checked_features, checked_images
+from dirl.agent.images import Images, NavigatorError, check_agents, checked_features, checked_images, checked_moves
 from dirl.agent.loading import Encoder, load_parts
 from dirl.agent.mapping import ImageGraph, PlaceMap
 from dirl.agent.mapping.policy import LAST_STEPS, Guide, check_last_steps
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, LocalisingMemory, PlanningMemory
+from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.weights import tell_of_turns, turns_of_training
 from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import NCC, Recogniser
@@ -147,19 +149,14 @@ class Navigator:
         return cls.load(fetch_pretrained(name, revision=revision), encoder, **options)
 
     @property
-    def _table(self) -> FeatureTable:
-        table: FeatureTable = self.policy.policy.features
-        return table
-
-    @property
     def device(self) -> torch.device:
         """Where the weights are."""
-        return self._table.mean.device
+        return self.policy.table.mean.device
 
     @property
     def width(self) -> int:
         """The number of features of a view, D, as the encoder gives them."""
-        return self._table.inputs
+        return self.policy.table.inputs
 
     @torch.no_grad()
     def reset(
@@ -205,12 +202,21 @@ class Navigator:
         self._goal, self._seen = goal, None
 
     @torch.no_grad()
-    def act(self, images: Images, *, sample: bool = False, generator: torch.Generator | None = None) -> Decision:
+    def act(
+        self,
+        images: Images,
+        *,
+        possible: Tensor | NDArray[np.bool_] | None = None,
+        sample: bool = False,
+        generator: torch.Generator | None = None,
+    ) -> Decision:
         """Choose the action. Call this exactly once a step, because the navigator may keep a history.
 
         Args:
             images: the agent's present views, in the form that `reset` takes. With ``episodic_memory=planning`` also
                 those of a panorama, one for each of the navigator's ``turns``, clockwise from the one ahead.
+            possible: which actions are possible facing each of these views, as a tour's arrows tell, bool ``[K, 4]`` or
+                ``[B, K, 4]``. If left out, the agent finds out by trying.
             sample: draw the action by its probability instead of taking the most probable one.
             generator: to draw with, on the navigator's device; torch's own if left out.
 
@@ -221,22 +227,15 @@ class Navigator:
             raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
         headings = self.turns if isinstance(self.memory, PlanningMemory) else VIEWS
         views, batched = self._encode(images, "images", headings)
-        agents, goals = len(views), len(self._goal.features)
-        if goals not in (1, agents):
-            raise NavigatorError(
-                f"images of {agents} agents for {goals} goals; give each agent a goal, or all the same"
-            )
         before = self._seen
-        if before is not None and len(before.features) != agents:
-            raise NavigatorError(f"images of {agents} agents after those of {len(before.features)}; call reset first")
-        if before is not None and not self.sequential and before.features.shape[1] != views.shape[1]:
-            raise NavigatorError(f"images: {views.shape[1]} views after {before.features.shape[1]}; call reset first")
+        check_agents(views, len(self._goal.features), None if before is None else before.features)
         if self.agent.guide is not None:
-            self._check_alone(agents)
+            self._check_alone(len(views))
         if self.sequential:
             views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
         state = () if before is None else before.state
-        now = Views(self._goal, views, self._goal.threshold(self.threshold), state)
+        moves = checked_moves(possible, views, batched=batched)
+        now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
         stop = self.agent.arrive(now)
         action, logits = self.agent.act(now, generator, greedy=not sample)
         self._seen = now

@@ -7,6 +7,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from dirl.agent.agent import NEVER
 from dirl.envs import SurroundingViews
 from dirl.scenes import ACTIONS, World
 from dirl.scenes.graph import places
@@ -18,9 +19,6 @@ DEMONSTRATED = ("state", "goal", "scene", "view_ids", "goal_view_ids", "expert_a
 
 OPTIONAL = ("optimal_actions",)
 """What it holds besides if the expert writes it."""
-
-NEVER = -20.0
-"""The logit of a move that an agent sees to be blocked."""
 
 LABELS_AT_ONCE = 65_536
 """Rows that an expert is asked for together."""
