@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -52,6 +53,18 @@ def dirl(wheel, tmp_path_factory):
 
     run.folder = folder
     return run
+
+
+def test_the_package_index_shows_the_readme_without_dead_links_or_captions_of_pictures_that_are_not_there(wheel):
+    archive = zipfile.ZipFile(wheel)
+    (file,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+    shown = archive.read(file).decode()
+    assert "Description-Content-Type: text/markdown" in shown
+    assert "(docs/results_changes.md)" in shown
+    assert re.findall(r"\]\((?!https://)[^)]*\)", shown) == []
+    captions = re.findall(r"^!\[[^\n]*\n\n\*(.{20})", (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert len(captions) > 2
+    assert [caption for caption in captions if caption in shown] == []
 
 
 def test_the_wheel_holds_the_package_its_types_configuration_and_recipes(wheel):
