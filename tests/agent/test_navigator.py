@@ -212,10 +212,21 @@ def test_moves_that_are_possible_are_told_facing_each_view(run, world):
     navigator.reset(images_of(world.surrounding[3]))
     turns_right = np.tile([False, True, False, False], (4, 1))
     assert navigator.act(views, possible=turns_right).action == 1
-    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found torch.int64 \[4, 4\]$"):
+    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found int64 \[4, 4\]$"):
         navigator.act(views, possible=turns_right.astype(int))
-    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found torch.bool \[4\]$"):
+    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found bool \[4\]$"):
         navigator.act(views, possible=turns_right[0])
+    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found str \[\]$"):
+        navigator.act(views, possible="ahead")
+    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[1, 4, 4\], found bool \[4, 4\]$"):
+        navigator.act(views[None], possible=torch.as_tensor(turns_right))
+
+
+def test_a_policy_of_the_last_views_is_told_what_is_possible_facing_ahead(sequential, world):
+    navigator = load(sequential, world)
+    navigator.reset(images_of(3))
+    for _ in range(2):
+        assert navigator.act(images_of(0), possible=np.array([[False, False, True, False]])).action == 2
 
 
 def test_who_sees_a_panorama_gives_the_images_of_all_headings_at_each_step(tmp_path):

@@ -68,11 +68,12 @@ def checked_moves(possible: Tensor | NDArray[np.bool_] | None, views: Tensor, *,
     """
     if possible is None:
         return None
-    moves, expected = torch.as_tensor(possible), [*views.shape[:2], len(ACTIONS)]
-    if moves.dtype != torch.bool or [*moves.shape] != expected[not batched :]:
-        found = f"{moves.dtype} {list(moves.shape)}"
-        raise NavigatorError(f"possible: expected bool {expected[not batched :]}, found {found}")
-    return moves.to(views.device).view(expected)
+    of_all = [*views.shape[:2], len(ACTIONS)]
+    expected, shape = of_all if batched else of_all[1:], list(np.shape(possible))
+    dtype = str(getattr(possible, "dtype", type(possible).__name__)).removeprefix("torch.")
+    if (dtype, shape) != ("bool", expected):
+        raise NavigatorError(f"possible: expected bool {expected}, found {dtype} {shape}")
+    return torch.as_tensor(possible, device=views.device).view(of_all)
 
 
 def checked_features(found: Any, rows: int, width: int, extractor: str) -> Tensor:

@@ -229,12 +229,12 @@ class Navigator:
         views, batched = self._encode(images, "images", headings)
         before = self._seen
         check_agents(views, len(self._goal.features), None if before is None else before.features)
+        moves = checked_moves(possible, views, batched=batched)
         if self.agent.guide is not None:
             self._check_alone(len(views))
         if self.sequential:
             views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
         state = () if before is None else before.state
-        moves = checked_moves(possible, views, batched=batched)
         now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
         stop = self.agent.arrive(now)
         action, logits = self.agent.act(now, generator, greedy=not sample)
