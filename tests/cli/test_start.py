@@ -3,6 +3,8 @@ import gc
 import io
 import os
 import random
+import signal
+import subprocess
 import sys
 from unittest.mock import patch
 
@@ -19,10 +21,13 @@ RECIPES = sorted(set(SCHEMAS) - {"benchmark"})
 
 
 @pytest.fixture(autouse=True)
-def _collect_garbage():
-    """A recipe would turn it on again after its imports, which these tests do not reach."""
+def _as_before():
+    """A recipe would collect garbage again after its imports, which these tests do not reach, and then end."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield
     gc.enable()
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
 
 
 def started(recipe, *arguments):
@@ -43,6 +48,19 @@ def test_any_options_are_let_go_on_or_refused_with_one_line(tmp_path_factory, rn
     (files / "room.h5").touch()
     told = started(program(recipe), *command_line(recipe, draw_arguments(rng, recipe), files))
     assert told is None or (told.startswith("error: ") and len(told.splitlines()) == 1)
+
+
+@pytest.mark.parametrize(("number", "line"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
+@pytest.mark.parametrize("when", ["start('train')", "start('train'); run_main(lambda: None)"])
+def test_a_signal_during_the_imports_of_a_recipe_or_after_its_end_gets_one_line(number, line, when):
+    setting = "signal.signal(signal.SIGINT, signal.default_int_handler)"  # a shell's background programs ignore it
+    imports, end = "import signal, time; from dirl.cli.start import *", "print('now', flush=True); time.sleep(99)"
+    command = [sys.executable, "-c", "; ".join([imports, setting, when, end]), "scene=bathroom_02"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "now\n"
+        process.send_signal(number)
+        assert process.stderr.read() == f"{line}\n"
+    assert process.returncode == 128 + number
 
 
 @pytest.mark.parametrize("own", [None, "ACTIVE"])

@@ -22,7 +22,7 @@ from dirl.config.places import CONF, RECIPES, command
 from dirl.config.scene_schemas import command_meanings
 from dirl.config.schemas import ConfigError
 from dirl.config.values import typed
-from dirl.runs.exits import one_line_exits
+from dirl.runs.exits import end_at_once, one_line_exits
 
 HELP = ("-h", "--help")
 COMPLETION = ("-sc", "--shell-completion")
@@ -61,6 +61,7 @@ def start(recipe: str, text: str | None = None) -> str:
     # Threads of OpenMP that wait for each other spin, and beside other processes they wait for most of the time
     # (docs/performance.md). Read when torch is imported, also by the processes that this one starts.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    end_at_once()
     register()
     with one_line_exits():
         arguments = sys.argv[1:]

@@ -45,6 +45,23 @@ class LostRankError(Exception):
     """Another rank of the run has ended, see `dirl.runs.ranks`."""
 
 
+def end_at_once() -> None:
+    """From now on SIGINT and SIGTERM end the program with one line where no context of this module handles them.
+
+    That is while a recipe imports torch, and after it has ended: there is nothing to save then. Python's own handlers
+    would print a traceback, or nothing.
+    """
+    for number, own in {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}.items():
+        if signal.getsignal(number) is own and threading.current_thread() is threading.main_thread():
+            signal.signal(number, _end_at_once)
+
+
+def _end_at_once(number: int, _: Any) -> NoReturn:
+    if speaks():
+        os.write(2, b"interrupted\n" if number == signal.SIGINT else b"terminated\n")
+    os._exit(128 + number)
+
+
 @contextlib.contextmanager
 def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None = None) -> Iterator[None]:
     """Within this context an interrupt, a wrong input or an error of the machine ends the program with one line.
@@ -56,8 +73,11 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
     Raises:
         SystemExit: with a status of the table above.
     """
+    handlers = {signal.SIGTERM: _terminate}
+    if signal.getsignal(signal.SIGINT) is _end_at_once:
+        handlers[signal.SIGINT] = signal.default_int_handler
     try:
-        with _signals({signal.SIGTERM: _terminate}):
+        with _signals(handlers):
             yield
     except (ValueError, HydraException) as error:
         if folder is not None:
