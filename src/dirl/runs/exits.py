@@ -73,11 +73,8 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
     Raises:
         SystemExit: with a status of the table above.
     """
-    handlers = {signal.SIGTERM: _terminate}
-    if signal.getsignal(signal.SIGINT) is _end_at_once:
-        handlers[signal.SIGINT] = signal.default_int_handler
     try:
-        with _signals(handlers):
+        with _signals(_raising()):
             yield
     except (ValueError, HydraException) as error:
         if folder is not None:
@@ -162,6 +159,14 @@ def speaks() -> bool:
 
 def _terminate(*_: Any) -> NoReturn:
     raise Terminated
+
+
+def _raising() -> dict[signal.Signals, Any]:
+    """Handlers that raise an exception; SIGINT keeps its own, unless `end_at_once` has replaced it."""
+    handlers: dict[signal.Signals, Any] = {signal.SIGTERM: _terminate}
+    if signal.getsignal(signal.SIGINT) is _end_at_once:
+        handlers[signal.SIGINT] = signal.default_int_handler
+    return handlers
 
 
 def _silence(stream: Any) -> None:
