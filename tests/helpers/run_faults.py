@@ -78,6 +78,10 @@ class Bench:
             ended = self.train(folder, prepare=no_pictures)
             if ended.status != 0:
                 return ended.problem or f"does not go on: {ended.told}"
+        elif (folder / "checkpoints").exists():  # an empty folder that could not be removed is removed by the next
+            problem = refused(self.train(folder), 1)
+            if problem:
+                return problem
         difference = self.difference(folder)
         shutil.rmtree(folder)
         return difference
