@@ -75,7 +75,7 @@ class Agent:
         logits = self.logits(now)
         self.action = choose(logits, generator, greedy=greedy)
         if self.guide is not None:
-            led = self.guide.advise(now.visit[0, :: now.visit.shape[1] // VIEWS])
+            led = self.guide.advise(four_of(now.visit)[0])
             self.guide.action = int(self.action) if led is None else led
             self.action = torch.full_like(self.action, self.guide.action)
         return self.action, logits
@@ -224,6 +224,11 @@ def make_agent(
     if isinstance(memory, PlanningMemory):
         return Planning(memory, turns, guide=guide)
     return Agent(guide) if memory is None else Counting(memory, guide=guide)
+
+
+def four_of(views: Tensor) -> Tensor:
+    """Of K views ``[B, K, ...]`` those ahead, right, back and left, ``[B, 4, ...]``."""
+    return views[:, :: views.shape[1] // VIEWS]
 
 
 def choose(logits: Tensor, generator: torch.Generator | None, *, greedy: bool) -> Tensor:

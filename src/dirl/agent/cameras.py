@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 
-from dirl.agent.agent import NEVER
+from dirl.agent.agent import NEVER, four_of
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state, recurrent_keys
 from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
@@ -271,8 +271,3 @@ def compare(recogniser: Recogniser, seen: Tensor, visit: Tensor) -> Tensor:
 def each_heading(views: Tensor) -> Tensor:
     """Views ``[B, K, D]`` as agents see them that face each of the K, ``[K B, 4, D]``."""
     return torch.stack([four_of(views.roll(-turns, 1)) for turns in range(views.shape[1])], 1).flatten(0, 1)
-
-
-def four_of(views: Tensor) -> Tensor:
-    """Of K views ``[B, K, D]`` those ahead, right, back and left, ``[B, 4, D]``."""
-    return views[:, :: views.shape[1] // VIEWS]
