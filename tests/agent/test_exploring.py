@@ -138,6 +138,20 @@ def test_turns_of_the_maps_angle_are_believed(headings, tmp_path):
     assert len(walk.graph) == len(place)
 
 
+def test_a_map_leads_who_sees_a_panorama_as_well(tmp_path):
+    place = make_world([grid_scene(goals=(0,), feature_width=48, headings=8)])
+    trained(tmp_path / "run", place, "episodic_memory=planning")
+    navigator = Navigator.load(tmp_path / "run", look_up(place), extractor="random", turns=8)
+    walk = navigator.explore(turns=8)
+    walk_through(walk, place)
+    around, goal, state = place.panoramas(), 13, 40
+    navigator.reset(images_of(place.surrounding[goal]), graph=walk.graph, last_steps=0)
+    for left in range(int(place.scenes[0].distances[state, goal]), 0, -1):
+        assert place.scenes[0].distances[state, goal] == left
+        state = int(place.graph[state, navigator.act(images_of(around[state])).action])
+    assert navigator.act(images_of(around[state])).stop
+
+
 def test_turns_are_given_by_the_caller_or_the_map(navigator):
     with pytest.raises(NavigatorError, match="say how many right turns make a full circle"):
         navigator.explore()
