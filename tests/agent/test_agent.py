@@ -31,6 +31,6 @@ def test_what_looks_like_a_later_look_of_a_place_but_not_like_the_first_is_anoth
     for angle, node in ((0, 0), (12, 0), (24, 8)):
         look = math.cos(math.radians(angle)) * first + math.sin(math.radians(angle)) * other
         action, planned = agent.act(Seen(look.view(1, 4, 64)))
-        assert agent.walked.here.tolist() == [node]
+        assert agent.past.here.tolist() == [node]
         assert planned.isfinite().all()
         agent.action = torch.zeros_like(action)

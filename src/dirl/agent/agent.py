@@ -12,8 +12,7 @@ from torch import Tensor
 from dirl.agent.mapping.places import PlaceMap
 from dirl.agent.mapping.policy import Guide
 from dirl.envs.transforms import VIEWS
-from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, Walked
-from dirl.models.localising import Places
+from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory
 
 Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
 
@@ -56,8 +55,7 @@ class Observed(Protocol):
 class Agent:
     """B agents in their episodes, without a memory; subclasses have one. A step is `arrive`, then `act`.
 
-    Args:
-        guide: leads a single agent where it knows the way.
+    A guide leads a single agent where it knows the way.
     """
 
     def __init__(self, guide: Guide | None = None) -> None:
@@ -91,16 +89,15 @@ class Agent:
 class Remembering(Agent):
     """Agents that compare what they see with all that they have seen in their episodes.
 
-    A *node* is a visit and the heading of one of its K views: ``K * visit + heading``.
-
-    Args:
-        seen: in an earlier walk through the place, ``[1, T, K, ...]``.
-        guide: see `Agent`.
+    A *node* is a visit and the heading of one of its K views: ``K * visit + heading``. What was ``seen`` in an earlier
+    walk through the place, ``[1, T, K, ...]``, are visits as well.
     """
 
-    def __init__(self, seen: Tensor | None = None, guide: Guide | None = None) -> None:
+    def __init__(self, memory: Any, seen: Tensor | None = None, guide: Guide | None = None) -> None:
         super().__init__(guide)
-        self.seen = seen
+        self.memory, self.seen = memory, seen
+        self.past: Any = None
+        """What the memory says of all visits: a `Trace`, `Walked` or `Places`; None before the first."""
 
     def remember(self, now: Observed) -> Tensor:
         """How much the visit looks like each node so far, float32 ``[B, T, K]``; it becomes the next."""
@@ -112,117 +109,79 @@ class Remembering(Agent):
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents."""
         assert self.seen is not None
-        self.action, self.seen = self.action[chosen], self.seen[chosen]
+        self.action, self.seen, self.past = self.action[chosen], self.seen[chosen], self.past.select(chosen)
 
 
 class Counting(Remembering):
     """Agents with an `EpisodicMemory`, which lowers the logits of actions that were taken before."""
-
-    def __init__(self, memory: EpisodicMemory, **options: Any) -> None:
-        super().__init__(**options)
-        self.memory, self.trace = memory, memory.begin(0)
 
     def logits(self, now: Observed) -> Tensor:
         """Those of the policy, lowered for what was done where everything looked as it does now."""
         alike = self.remember(now)[..., 0] > self.memory.threshold
         agents, visits = alike.shape
         if not visits:
-            self.trace = self.memory.begin(agents, alike.device)
+            self.past = self.memory.begin(agents, alike.device)
         else:
             place = torch.full((agents,), visits, device=alike.device)
-            self.trace = self.memory.record(self.trace, place - 1, self.action, place, ~alike[:, -1])
+            self.past = self.memory.record(self.past, place - 1, self.action, place, ~alike[:, -1])
         here = torch.cat([alike, alike.new_ones(agents, 1)], 1)
-        return self.memory.adjust(now.logits(), self.trace, here.gather(1, self.trace.place))
-
-    def select(self, chosen: Tensor) -> None:
-        """Keep some of the agents."""
-        super().select(chosen)
-        self.trace = self.trace.select(chosen)
+        return self.memory.adjust(now.logits(), self.past, here.gather(1, self.past.place))
 
 
 class Planning(Remembering):
     """Agents with a `PlanningMemory`; ``turns`` in a full circle, int64 ``[B]``, or ``[1]`` if all have as many."""
 
-    def __init__(self, memory: PlanningMemory, turns: Tensor, **options: Any) -> None:
-        super().__init__(**options)
-        self.memory, self.turns = memory, turns
-        self.walked: Walked | None = None
+    def __init__(self, memory: PlanningMemory, turns: Tensor, guide: Guide | None = None) -> None:
+        super().__init__(memory, guide=guide)
+        self.turns = turns
 
     def logits(self, now: Observed) -> Tensor:
         """Those of the plan; the policy is asked at places that are new, facing every view."""
         alike = self.remember(now).flatten(1) > self.memory.threshold
-        walked = self.walked
-        if walked is None:
-            walked = self.memory.begin(self.turns.expand(len(alike)), now.visit.shape[1])
+        if self.past is None:
+            self.past = self.memory.begin(self.turns.expand(len(alike)), now.visit.shape[1])
         else:
-            walked.action = self.action
-        same = alike & walked.used
+            self.past.action = self.action
+        same = alike & self.past.used
         new = ~same.any(1)
-        self.walked = self.memory.arrive(walked, same, now.facing(new), now.goal_around(new))
-        return self.memory.plan(self.walked)
-
-    def select(self, chosen: Tensor) -> None:
-        """Keep some of the agents."""
-        assert self.walked is not None
-        super().select(chosen)
-        self.walked = self.walked.select(chosen)
+        self.past = self.memory.arrive(self.past, same, now.facing(new), now.goal_around(new))
+        return self.memory.plan(self.past)
 
 
 class Localising(Remembering):
-    """Agents with a `LocalisingMemory`, which decides where they stop too.
+    """Agents with a `LocalisingMemory`, which decides where they stop too; they may begin with a map of the place."""
 
-    Args:
-        memory: localises and plans.
-        known: a map of the place, with which they begin.
-        guide: see `Agent`.
-    """
-
-    def __init__(self, memory: LocalisingMemory, known: PlaceMap | None = None, **options: Any) -> None:
-        super().__init__(None if known is None else known.seen, **options)
-        self.memory, self.known = memory, known
-        self.places: Places | None = None
+    def __init__(self, memory: LocalisingMemory, known: PlaceMap | None = None, guide: Guide | None = None) -> None:
+        super().__init__(memory, None if known is None else known.seen, guide)
+        self.known = known
 
     def arrive(self, now: Observed) -> Tensor:
         """Take in what the agents see; whether they stop there."""
         agents, device = len(now.visit), now.visit.device
-        if self.places is not None:
-            self.places.action = self.action
+        if self.past is not None:
+            self.past.action = self.action
         elif self.known is None:
-            self.places = self.memory.begin(agents, device)
+            self.past = self.memory.begin(agents, device)
         else:
             seen = self.known.seen.to(device)
-            self.places = self.known.begin(now.goal_odds(seen.expand(agents, *seen.shape[1:])))
+            self.past = self.known.begin(now.goal_odds(seen.expand(agents, *seen.shape[1:])))
         odds = now.goal_odds(now.visit[:, None])[:, 0]
-        self.places = self.memory.arrive(self.places, self.remember(now), odds, now.facing)
-        return self.memory.stops(self.places)
+        self.past = self.memory.arrive(self.past, self.remember(now), odds, now.facing)
+        return self.memory.stops(self.past)
 
     def logits(self, now: Observed) -> Tensor:
         """Those of the plan."""
-        assert self.places is not None
-        return self.memory.plan(self.places)
-
-    def select(self, chosen: Tensor) -> None:
-        """Keep some of the agents."""
-        assert self.places is not None
-        super().select(chosen)
-        self.places = self.places.select(chosen)
+        return self.memory.plan(self.past)
 
 
 def make_agent(
     memory: Memory | None, turns: Tensor, known: PlaceMap | None = None, guide: Guide | None = None
 ) -> Agent:
-    """Agents at the start of their episodes.
-
-    Args:
-        memory: of the episode.
-        turns: of the agents in a full circle, int64 ``[B]`` or ``[1]``.
-        known: a map that a `LocalisingMemory` begins with.
-        guide: a map that leads a single agent.
-    """
+    """Agents at the start of their episodes; for the arguments see the classes with each memory."""
     if isinstance(memory, LocalisingMemory):
-        return Localising(memory, known, guide=guide)
+        return Localising(memory, known, guide)
     if isinstance(memory, PlanningMemory):
-        return Planning(memory, turns, guide=guide)
+        return Planning(memory, turns, guide)
     return Agent(guide) if memory is None else Counting(memory, guide=guide)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated
 
 import torch
@@ -10,35 +10,32 @@ from torch import Tensor, nn
 
 from dirl.config.bounds import Bounds
 from dirl.envs.transforms import VIEWS
-from dirl.models.planning import SURE, cheapest, connect
+from dirl.models.planning import SURE, Nodes, cheapest, connect
 from dirl.scenes import ACTIONS
-from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
+from dirl.scenes.graph import AHEAD, LEFT, RIGHT
 
-TURNED = {RIGHT: 1, LEFT: -1}
-MOVED = {AHEAD: 1, BACK: -1}
+TURNED = (0, 1, -1, 0)
+MOVED = (1, 0, 0, -1)
+"""By ahead, right, left and back: quarters to the right, and moves along the heading."""
+
 DIRECTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """Displacement by a move ahead, facing as at the start, to the right of it, and so on."""
 
 FAR = 10_000
 """Moves between the start of an episode and where an earlier walk ended, as nothing is known of the way from there."""
 
-
 UNLIKE = -7.0
 """The least log odds that the goal is seen: below, a calibration says nothing."""
 
 
 @dataclass
-class Places:
+class Places(Nodes):
     """What B agents have seen and done in T visits, of P places; made by `LocalisingMemory.begin`.
 
-    A node is a place and one of the four headings there, as in `dirl.models.planning.Walked`. Each visit makes a place,
-    which stays unused where the agent is at an earlier one.
+    A node is a place and one of the four headings there, ``4 * place + heading``. Each visit makes a place, which stays
+    unused where the agent is at an earlier one.
     """
 
-    cost: Tensor
-    """Of each action at each node, float32 ``[B, 4 P, 4]``; infinite at unused places."""
-    after: Tensor
-    """The node that an action leads to, int64 ``[B, 4 P, 4]``; -1 where that is not known."""
     node: Tensor
     """Where each visit was, int64 ``[B, T]``."""
     goal: Tensor
@@ -56,15 +53,6 @@ class Places:
     def here(self) -> Tensor:
         """The present node, int64 ``[B]``."""
         return self.node[:, -1]
-
-    def select(self, chosen: Tensor) -> "Places":
-        """Some of the agents, by mask or index."""
-        return Places(*(getattr(self, field.name)[chosen] for field in fields(self)))
-
-    @property
-    def used(self) -> Tensor:
-        """Nodes where an agent was, or which it faced from there, bool ``[B, 4 P]``."""
-        return self.cost.isfinite().any(-1)
 
     def compact(self) -> "Places":
         """Of one agent, without its unused places."""
@@ -138,19 +126,16 @@ class LocalisingMemory(nn.Module):
 
     def begin(self, agents: int, device: torch.device | str = "cpu") -> Places:
         """What agents know at the start of their episodes: nothing."""
-
-        def none(*shape: int, dtype: torch.dtype = torch.int64) -> Tensor:
-            return torch.empty((agents, *shape), dtype=dtype, device=device)
-
+        none = torch.empty((agents, 0), dtype=torch.int64, device=device)
         return Places(
-            cost=none(0, len(ACTIONS), dtype=torch.float32),
-            after=none(0, len(ACTIONS)),
-            node=none(0),
-            goal=none(0, VIEWS, dtype=torch.float32),
-            position=none(0, 2),
-            heading=none(0),
+            cost=torch.empty((agents, 0, len(ACTIONS)), device=device),
+            after=none.new_empty(agents, 0, len(ACTIONS)),
+            node=none,
+            goal=torch.empty((agents, 0, VIEWS), device=device),
+            position=none.new_empty(agents, 0, 2),
+            heading=none,
             action=torch.full((agents,), -1, device=device),
-            mapped=none(dtype=torch.bool).fill_(False),
+            mapped=torch.zeros(agents, dtype=torch.bool, device=device),
         )
 
     def arrive(self, places: Places, alike: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
@@ -231,8 +216,7 @@ class LocalisingMemory(nn.Module):
         goal = torch.zeros_like(wanted[..., 0])
         goal[at, best] = ((odds > self.seek) | certain) & ~around & (best != places.here)
         known = places.after >= 0
-        more = torch.full((len(ACTIONS),), self.repeated, device=best.device)
-        more[[RIGHT, LEFT]] = self.turn
+        more = torch.tensor([self.repeated, self.turn, self.turn, self.repeated], device=best.device)
         # On the way to a goal that was seen, or around a place that is like it, an action more costs more than doubts.
         nearest = torch.where(known | wanted, SURE + torch.where(wanted, places.cost / SURE, 0.0), math.inf)
         seeking = (around | goal.any(1))[:, None, None]
@@ -258,10 +242,7 @@ class LocalisingMemory(nn.Module):
         if _carried(places):
             return action.new_full((len(action), 2), FAR * places.node.shape[1]), torch.zeros_like(action)
         at, place = torch.arange(len(action), device=action.device), places.here // VIEWS
-        turned, moved = (
-            torch.tensor([table.get(a, 0) for a in range(len(ACTIONS))], device=action.device)[action]
-            for table in (TURNED, MOVED)
-        )
+        turned, moved = (torch.tensor(by, device=action.device)[action] for by in (TURNED, MOVED))
         heading = (places.heading[at, place] + places.here) % VIEWS
         step = torch.tensor(DIRECTIONS, device=action.device)[heading] * moved[:, None]
         # Of the first view of a place: the agent faces it when it arrives.

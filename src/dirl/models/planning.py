@@ -1,8 +1,8 @@
 """An episodic memory that plans: the agent returns to the best exit that it has not tried yet."""
 
 import math
-from dataclasses import dataclass, fields
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, Self
 
 import torch
 import torch.nn.functional as F
@@ -19,7 +19,26 @@ SURE = 10.0
 
 
 @dataclass
-class Walked:
+class Nodes:
+    """What B agents know of N nodes, each a place and a heading there."""
+
+    cost: Tensor
+    """Of each action at each node, float32 ``[B, N, 4]``; infinite at unused places."""
+    after: Tensor
+    """The node that an action leads to, int64 ``[B, N, 4]``; -1 where that is not known."""
+
+    @property
+    def used(self) -> Tensor:
+        """Nodes where an agent was, or which it faced from there, bool ``[B, N]``."""
+        return self.cost.isfinite().any(-1)
+
+    def select(self, chosen: Tensor) -> Self:
+        """Some of the agents, by mask or index."""
+        return type(self)(*(value[chosen] for value in vars(self).values()))
+
+
+@dataclass
+class Walked(Nodes):
     """What B agents have seen and done in their present episodes; made by `PlanningMemory.begin`.
 
     A node is a place and a heading, that of one of the K views there, clockwise from the first:
@@ -27,10 +46,6 @@ class Walked:
     which stays unused where the agent recognises an earlier one.
     """
 
-    cost: Tensor
-    """Of each action at each node, float32 ``[B, N, 4]``; infinite at unused places."""
-    after: Tensor
-    """The node that an action leads to, int64 ``[B, N, 4]``; -1 where that is not known."""
     ring: Tensor
     """The next node that was seen to the right and to the left of each at its place, in the form of ``after``."""
     goal: Tensor
@@ -41,15 +56,6 @@ class Walked:
     """The last action, int64 ``[B]``; -1 at the start."""
     next_view: Tensor
     """Whether a turn leads to the next of the K views, bool ``[B]``: with four of them, a turn of 90 degrees."""
-
-    @property
-    def used(self) -> Tensor:
-        """Nodes where an agent was, or which it faced from there, bool ``[B, N]``."""
-        return self.cost.isfinite().any(-1)
-
-    def select(self, chosen: Tensor) -> "Walked":
-        """Some of the agents, by mask or index."""
-        return Walked(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 class PlanningMemory(nn.Module):
@@ -147,8 +153,7 @@ class PlanningMemory(nn.Module):
         # To a goal that was seen there is a path: at its place the agent turns until it faces it.
         after = torch.where(seen & (walked.after < 0), walked.ring, walked.after)
         known = after >= 0
-        more = torch.full((len(ACTIONS),), self.repeated, device=walked.cost.device)
-        more[[RIGHT, LEFT]] = self.turn
+        more = torch.tensor([self.repeated, self.turn, self.turn, self.repeated], device=walked.cost.device)
         step = torch.where(seen, torch.where(known, SURE, math.inf), walked.cost + more * known)
         found = cheapest(step, after, walked.goal, walked.here)
         at = torch.arange(len(walked.here), device=walked.here.device)
