@@ -37,13 +37,6 @@ def recording(steps):
     return np.stack([view(step) for step in steps])
 
 
-def test_the_bearing_of_a_frame_is_how_far_one_has_turned_away():
-    graph = FrameMap(recording(range(20)))
-    found = graph.bearing(view(7, heading=-15.0), np.arange(20))
-    assert int(found.score.argmax()) == 7
-    assert float(found.degrees[7]) == pytest.approx(15, abs=3)
-
-
 def test_where_a_recording_comes_by_again_there_is_a_shortcut():
     twice = FrameMap(recording([*range(40), *range(10, 40)]))
     assert len(twice.shortcuts)
@@ -59,6 +52,7 @@ def test_a_photo_fits_best_where_it_was_taken():
     found = fits(graph, view(30, heading=10))
     assert abs(int(found.argmax()) - 30) <= 1
     assert found.max() > KNOWN
+    assert int(fits(graph, view(7, heading=-15)).argmax()) == 7
 
 
 def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path):

@@ -5,8 +5,6 @@ that are each other's best match are points of one wall; the rigid motion that l
 the other frame was taken. Nothing of it knows a place: it is trained in mazes with other walls.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +12,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
+from tensordict import TensorDict
 from torch import Tensor, nn
 
 COLUMNS = 40
@@ -34,19 +33,6 @@ ROUNDS, TOLERANCE = 4, 0.2
 """Of weighing matches by how well they agree, and the distance that halves a weight in the last."""
 
 BATCH = 400
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Described frames."""
-
-    looks: Tensor
-    """Of unit length, ``[N, C, COLUMNS]``."""
-    points: Tensor
-    """Of the walls, ahead and to the right of the camera, ``[N, COLUMNS, 2]``."""
-
-    def __getitem__(self, which: slice | NDArray[np.int64]) -> "Columns":
-        return Columns(self.looks[which], self.points[which])
 
 
 class Fit(NamedTuple):
@@ -99,29 +85,31 @@ class ColumnNet(nn.Module):
         return alike / (alike.sum(2, keepdim=True) + none) * alike / (alike.sum(1, keepdim=True) + none)
 
     @torch.no_grad()
-    def describe(self, frames: NDArray[np.uint8]) -> Columns:
-        """Columns of frames, RGB, uint8 ``[N, H, W, 3]``, of 90 degrees from left to right."""
+    def describe(self, frames: NDArray[np.uint8]) -> TensorDict:
+        """Columns of frames, RGB, uint8 ``[N, H, W, 3]``, of 90 degrees from left to right.
+
+        They have ``looks`` of unit length, ``[N, C, COLUMNS]``, and ``points`` of the walls, ahead and to the right of
+        the camera, ``[N, COLUMNS, 2]``.
+        """
         found = [self(images_of(frames[first : first + BATCH])) for first in range(0, len(frames), BATCH)]
-        depth = torch.cat([depths for _, depths in found])
-        return Columns(torch.cat([looks for looks, _ in found]), wall_points(depth))
+        looks, depth = (torch.cat(parts) for parts in zip(*found, strict=True))
+        return TensorDict({"looks": looks, "points": wall_points(depth)}, [len(frames)])
 
     @torch.no_grad()
-    def likeness(self, seen: Columns, others: Columns) -> NDArray[np.float32]:
+    def likeness(self, seen: TensorDict, others: TensorDict) -> NDArray[np.float32]:
         """Matched columns of one frame with others, ``[N]``: what `fit` tells, without whether they agree."""
         alike = [
-            self.matches(seen.looks.expand(len(part), -1, -1), part).amax(2).sum(1)
-            for part in others.looks.split(BATCH)
+            self.matches(seen["looks"].expand(len(part), -1, -1), part).amax(2).sum(1)
+            for part in others["looks"].split(BATCH)
         ]
         return torch.cat(alike).numpy()
 
     @torch.no_grad()
-    def fit(self, seen: Columns, others: Columns) -> Fit:
+    def fit(self, seen: TensorDict, others: TensorDict) -> Fit:
         """How frames fit one that is seen, or as many that are."""
-        count = len(others.looks)
-        both = Columns(seen.looks.expand(count, -1, -1), seen.points.expand(count, -1, -1))
         parts = [
-            relative_pose(self.matches(here.looks, there.looks), here.points, there.points)
-            for here, there in zip(_parts(both), _parts(others), strict=True)
+            relative_pose(self.matches(here["looks"], there["looks"]), here["points"], there["points"])
+            for here, there in zip(seen.expand(len(others)).split(BATCH), others.split(BATCH), strict=True)
         ]
         return Fit(*(torch.cat(values).numpy() for values in zip(*parts, strict=True)))
 
@@ -151,12 +139,9 @@ def wall_points(depth: Tensor) -> Tensor:
 def relative_pose(matches: Tensor, seen: Tensor, other: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The rigid motion that lays matched points on each other, as `Fit` has it.
 
-    Weighted least squares in closed form; then matches that do not agree weigh less, and so on for `ROUNDS`.
-
-    Args:
-        matches: probabilities, ``[N, COLUMNS, COLUMNS]``.
-        seen: points of the frame that is seen, ``[N, COLUMNS, 2]``.
-        other: points of the other frame, likewise.
+    Weighted least squares in closed form; then matches that do not agree weigh less, and so on for `ROUNDS`. Matches
+    are probabilities, ``[N, COLUMNS, COLUMNS]``; the points are those of the frame that is seen and of the other,
+    ``[N, COLUMNS, 2]`` each.
     """
     matched, best = matches.max(2)
     other = other.gather(1, best[..., None].expand(-1, -1, 2))
@@ -183,7 +168,3 @@ def _rotated(points: Tensor, angle: Tensor) -> Tensor:
 def _convolution(layer: nn.Conv1d | nn.Conv2d) -> nn.Sequential:
     norm = nn.BatchNorm2d if isinstance(layer, nn.Conv2d) else nn.BatchNorm1d
     return nn.Sequential(layer, norm(layer.out_channels), nn.ReLU(inplace=True))
-
-
-def _parts(columns: Columns) -> Iterator[Columns]:
-    return (columns[first : first + BATCH] for first in range(0, len(columns.looks), BATCH))

@@ -13,8 +13,9 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
+from tensordict import TensorDict
 
-from dirl.agent.mapping.columns import ColumnNet, Columns
+from dirl.agent.mapping.columns import ColumnNet
 
 AHEAD, BACK, LEFT, RIGHT, IDLE, TURN_LEFT, TURN_RIGHT = range(7)
 BUTTONS = ("MOVE_FORWARD", "MOVE_BACKWARD", "MOVE_LEFT", "MOVE_RIGHT", None, "TURN_LEFT", "TURN_RIGHT")
@@ -101,7 +102,7 @@ class Memory:
         kept = (distance < NEAR) & (turn < TURNED)
         return np.stack([one, two], 1)[kept], 1 + distance[kept] / 40 + turn[kept] / 28
 
-    def fits(self, photo: Columns) -> NDArray[np.float64]:
+    def fits(self, photo: TensorDict) -> NDArray[np.float64]:
         """How well each frame and its neighbours fit a photo, ``[N]``; less from far away."""
         fit = self.net.fit(photo, self.columns)
         near = fit.score * np.exp(-np.hypot(fit.ahead, fit.right) / 300)
@@ -150,7 +151,7 @@ class Follower:
         self._last = action
         return action
 
-    def _believe(self, seen: Columns) -> None:
+    def _believe(self, seen: TensorDict) -> None:
         """Where one is: moves spread the belief, and what is seen weighs it."""
         count = len(self.belief)
         belief = np.convolve(self.belief, MOVES)[2 : 2 + count]
@@ -188,14 +189,14 @@ class Follower:
             self._stopped = 0
             self._moves = [int(self._random.choice([LEFT, RIGHT, BACK]))] * int(self._random.integers(1, 4))
 
-    def _follow(self, seen: Columns, node: int, sure: float) -> int:
+    def _follow(self, seen: TensorDict, node: int, sure: float) -> int:
         """Towards the farthest frame of the way that is recognised; a turn where there is none."""
         way = [node]
         while len(way) < ON_THE_WAY and self.far[way[-1]] > 0:
             way.append(int(self._following[way[-1]]))
         columns = self.memory.columns[np.array(way)]
         if at_end := self.far[way[-1]] == 0:
-            columns = Columns(*(torch.cat(both) for both in zip(_pair(columns), _pair(self.photo), strict=True)))
+            columns = torch.cat([columns, self.photo])
         fit = self.net.fit(seen, columns)
         best = fit.score.max()
         if sure < SURE or best < SEEN:
@@ -245,7 +246,3 @@ class Follower:
         side = int(self._random.choice([TURN_LEFT, TURN_RIGHT]))
         self._moves = [AHEAD] * int(self._random.integers(2, 8)) + [side] * int(self._random.integers(1, 6))
         return BACK
-
-
-def _pair(columns: Columns) -> tuple[torch.Tensor, torch.Tensor]:
-    return columns.looks, columns.points

@@ -1,13 +1,12 @@
 """A map of a first-person recording: its frames, what followed what, and shortcuts where it came by again.
 
 Unlike an `ImageGraph` it needs no grid of moves: turns are continuous, and only what lies ahead is seen. Two frames are
-compared as cylinders, small and without slow changes of light, shifted against each other: the best shift says by which
-angle one heading is off the other, and how well it fits, whether both are of one place. Shortcuts are found as in SPTM
-(Savinov et al., ICLR 2018): a window of successive frames must fit.
+compared as cylinders, small and without slow changes of light, shifted against each other: how well the best shift fits
+says whether both are of one place. Shortcuts are found as in SPTM (Savinov et al., ICLR 2018): a window of successive
+frames must fit.
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -27,7 +26,7 @@ TALL = 0.45
 """Tangent of the elevation of its upper edge."""
 
 ZOOMS = (1.0, 1.3, 1.7)
-"""What is seen is compared as if it were nearer, too: the frame that leads lies ahead."""
+"""A photo is compared as if it had been taken nearer, too."""
 
 SHIFTS = 20
 """Columns that frames are shifted at most."""
@@ -51,17 +50,6 @@ KNOWN = 0.28
 """Least correlation of a frame with what is seen there."""
 
 BATCH = 100
-
-
-class Bearing(NamedTuple):
-    """How frames fit what is seen, ``[B]`` each."""
-
-    score: Tensor
-    """Correlation, less where little of both overlaps; 1 for the same frame."""
-    degrees: Tensor
-    """The frame's heading, to the right of the present one."""
-    zoom: Tensor
-    """1 where the frame was taken, more from behind."""
 
 
 class FrameMap:
@@ -94,19 +82,6 @@ class FrameMap:
         grid = _cylinder(self.field_of_view, zoom, frames.shape[1] / frames.shape[2])
         images = torch.from_numpy(np.require(frames, requirements="W"))
         return torch.cat([_local_contrast(part, grid) for part in images.split(BATCH)])
-
-    def bearing(self, frame: NDArray[np.uint8], nodes: NDArray[np.int64], zooms: tuple[float, ...] = ZOOMS) -> Bearing:
-        """How frames of the map fit what is seen, uint8 ``[H, W, 3]``."""
-        return self.compared(torch.cat([self.describe(frame[None], zoom) for zoom in zooms]), self.views[nodes], zooms)
-
-    def compared(self, seen: Tensor, views: Tensor, zooms: tuple[float, ...] = ZOOMS) -> Bearing:
-        """How described frames, ``[B, ...]``, fit one that is described at several zooms."""
-        each = torch.stack([_correlations(one, views) for one in seen])
-        best, shift = each.max(2)
-        score, number = best.max(0)
-        zoom = torch.tensor(zooms)[number]
-        columns = shift.gather(0, number[None])[0] - SHIFTS
-        return Bearing(score, columns * (self.field_of_view / COLUMNS) / zoom, zoom)
 
     def distances_to(self, goals: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Links on the shortest way to any of these frames, infinite if there is none, and the frame that follows."""
@@ -147,11 +122,8 @@ def load_frames_map(file: str | Path) -> FrameMap:
 def find_shortcuts(views: Tensor) -> NDArray[np.int64]:
     """Pairs of frames of one place, of different times, in which `WINDOW` frames before and after fit too.
 
-    Args:
-        views: described frames, ``[N, COLUMNS, 3 ROWS]``.
-
-    Returns:
-        int64 ``[S, 2]``, the earlier first; for each frame the best one among neighbours.
+    They are int64 ``[S, 2]``, the earlier first: of described frames, ``[N, COLUMNS, 3 ROWS]``, the best one among
+    neighbours for each.
     """
     turned = _turned(views)
     alike_by = torch.stack([turned[TURNED] @ one.T for one in turned]).amax(0)
@@ -211,5 +183,9 @@ def _correlations(seen: Tensor, views: Tensor) -> Tensor:
 
 
 def fits(graph: FrameMap, photo: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """How well each frame of a map fits a photo, ``[N]``."""
-    return graph.bearing(photo, np.arange(len(graph.frames))).score.double().numpy()
+    """How well each frame of a map fits a photo, uint8 ``[H, W, 3]``; ``[N]``.
+
+    It is the correlation at the best shift and zoom, less where little of both overlaps; 1 for the same frame.
+    """
+    seen = torch.cat([graph.describe(photo[None], zoom) for zoom in ZOOMS])
+    return torch.stack([_correlations(one, graph.views) for one in seen]).amax((0, 2)).double().numpy()
