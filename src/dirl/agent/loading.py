@@ -17,7 +17,7 @@ from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy, reads_patches, saved_statistics
-from dirl.models.weights import check_extractor, load_weights
+from dirl.models.weights import check_extractor, load_weights, renamed
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.registry import BATCH
@@ -148,15 +148,13 @@ def matched_view(config: TrainConfig, order: list[str]) -> int | None:
 
 def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
     """The trained policy with the layers of one scene, and an empty table of features."""
-    weights = saved["network"]
-    mean = weights.get("features.mean", weights.get("encoder.table.mean"))
-    if mean is None:
+    weights, names = renamed(saved["network"]), [scene or saved["scenes"][0]]
+    if "features.mean" not in weights:
         raise NavigatorError(f"{origin}: the weights do not fit a policy on features; they lack features.mean")
-    names = [scene or saved["scenes"][0]]
     try:
         patches = torch.empty(0, *PATCH_SHAPE) if reads_patches(config) else None
-        table = FeatureTable(torch.empty(0, len(mean)), *saved_statistics(weights, origin), patches)
-        policy = build_policy(config, table, names)
+        features = torch.empty(0, len(weights["features.mean"]))
+        policy = build_policy(config, FeatureTable(features, *saved_statistics(weights, origin), patches), names)
         load_weights(policy, weights, origin, names)
     except ConfigError as error:
         raise NavigatorError(str(error)) from None

@@ -13,6 +13,7 @@ from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
+from dirl.models.weights import renamed
 from dirl.perception.backbones.patches import PATCH_SHAPE, coarse
 from dirl.scenes import ACTIONS, World
 
@@ -120,7 +121,7 @@ def saved_statistics(weights: Mapping[str, Tensor], origin: str) -> tuple[Tensor
     Raises:
         ConfigError: they are not of one feature width.
     """
-    found = dict(weights) | {name.replace("encoder.table.", "features."): weights[name] for name in weights}
+    found = renamed(weights)
     keys = [f"features.{name}" for name in ("mean", "std", "axes")]
     mean, std, axes = (found[key].float() if key in found else None for key in keys)
     width = 0 if mean is None else mean.numel()

@@ -39,7 +39,7 @@ def tell_of_turns(trained: Collection[int], found: Collection[int], origin: str)
 
 
 def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, scenes: Sequence[str] = ()) -> None:
-    """Load a checkpoint's weights, also those of schema 1; if ``scenes`` are given, only those of their heads.
+    """Load a checkpoint's weights; if ``scenes`` are given, only those of their heads.
 
     Raises:
         ConfigError: they do not fit.
@@ -48,7 +48,7 @@ def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, 
     try:
         found = {
             name: value
-            for name, value in _renamed(weights).items()
+            for name, value in renamed(weights).items()
             if not scenes or ".scenes." not in name or name.split(".scenes.")[1].split(".")[0] in own
         }
         policy.load_state_dict(found)
@@ -57,8 +57,8 @@ def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, 
         raise ConfigError(f"{origin}: the weights do not fit the network of its configuration ({reason})") from None
 
 
-def _renamed(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights by the names they have today."""
+def renamed(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights by the names they have today, also those of schema 1."""
     if "encoder.table.mean" not in weights:
         return dict(weights)
     heads = {"hidden.": "heads.trunk.", "policy.": "heads.policy.", "value.": "heads.value."}
