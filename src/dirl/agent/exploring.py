@@ -71,7 +71,7 @@ class Explorer:
         if not self._turns.seen:
             return None
         action = self.graph.frontier_action()
-        return RIGHT if action is None and self._turns.compared < QUARTERS else action
+        return RIGHT if action is None and len(self._turns.fits) < QUARTERS else action
 
     def save(self, folder: str | Path) -> Path:
         """Write the map into a folder, see `dirl.agent.mapping.save_graph`."""
@@ -84,9 +84,6 @@ class TurnCheck:
 
     After a quarter turn the view ahead is the one that was aside before, and so on around. With another number of turns
     in a full circle it is not, and the map would go wrong without a sign.
-
-    Args:
-        graph: the map: how many turns make a full circle, and how much two observations must be alike.
     """
 
     def __init__(self, graph: ImageGraph | ParticleMapper) -> None:
@@ -94,15 +91,11 @@ class TurnCheck:
         self.keep, self.margin = ANY, NEARLY
         if isinstance(graph, ImageGraph) and isinstance(graph.recogniser, NCC):
             self.keep, self.margin = graph.keep, graph.margin
-        self.fitting = self.contrary = 0
+        self.fits: list[bool] = []
+        """Of each quarter turn, whether the views are those that were aside before."""
         self.seen: list[Tensor] = []
         """Since the last move."""
         self._side: int | None = None
-
-    @property
-    def compared(self) -> int:
-        """The number of quarter turns that were compared."""
-        return self.fitting + self.contrary
 
     def see(self, views: Tensor, action: int | None) -> None:
         """Compare an observation, float32 ``[4, F]``, with the one a quarter turn ago, if the action ends such a turn.
@@ -118,12 +111,12 @@ class TurnCheck:
             self.seen = self.seen[-1:]
         self._side = action
         if turned and len(self.seen) >= quarter:
-            fits = self._fits(self.seen[-quarter], views, 1 if action == RIGHT else -1)
-            self.fitting, self.contrary = self.fitting + fits, self.contrary + (not fits)
+            self.fits.append(self._fits(self.seen[-quarter], views, 1 if action == RIGHT else -1))
         self.seen = [*self.seen[-quarter:], views]
-        if self.compared >= QUARTERS and self.contrary > self.fitting:
+        contrary = self.fits.count(False)
+        if len(self.fits) >= QUARTERS and contrary > len(self.fits) / 2:
             raise NavigatorError(
-                f"turns={self.turns}: after {self.contrary} of {self.compared} quarter turns the "
+                f"turns={self.turns}: after {contrary} of {len(self.fits)} quarter turns the "
                 "views are not those that were aside before; give the number of turns that make a full circle"
             )
 

@@ -9,6 +9,7 @@ A place that is reached by a new edge and looks like a known one may be another 
 
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from torch import Tensor
 
@@ -93,7 +94,7 @@ class ImageGraph(Panoramas):
         elif node is None or twins is not None:
             before = None if self._coasting else before
             node = self.add_panorama(views)
-            self.doubt = Doubt(node, twins) if twins else None
+            self.doubt = Doubt(twins, [_pairs(node, twin) for twin in twins]) if twins else None
         self.record(before, action, node)
         self.at = node
         return node
@@ -126,10 +127,9 @@ class ImageGraph(Panoramas):
         return [node for node in scores.argsort(descending=True).tolist() if possible[node]]
 
     def follow(self, views: Tensor, action: int | None = None) -> int | None:
-        """Keep track of a walker without adding panoramas; a move that led elsewhere twice is corrected.
+        """The node where the walker is; None where nothing looks like what is seen, and then it may be anywhere.
 
-        Returns:
-            The node where it is; None where nothing looks like what is seen, and then it may be anywhere.
+        No panoramas are added; a move that led elsewhere twice is corrected.
         """
         self._end_doubt()
         before, node = self.at, self.locate(views, action, self.keep)
@@ -149,8 +149,7 @@ class ImageGraph(Panoramas):
     def frontier_action(self) -> int | None:
         """What to do next to learn more: the first action on a shortest path to one whose outcome is not known.
 
-        Returns:
-            None if everything that can be reached is known, or nothing was seen yet.
+        None if everything that can be reached is known, or nothing was seen yet.
         """
         node = self.at
         if node is None:
@@ -240,7 +239,7 @@ class ImageGraph(Panoramas):
                 best = max(told, key=lambda i: float(scores[after[i]])) if told else unknown[0]
                 self.merge_panoramas(doubt.same[best])
             return False
-        doubt.keep(fitting)
+        doubt.same = [doubt.same[i] for i in fitting]
         after = [after[i] for i in fitting]
         back = [new for new, old in doubt.same[0].items() if old == after[0]]
         here = back[0] if back else self.add_panorama(views)
@@ -251,28 +250,19 @@ class ImageGraph(Panoramas):
         return True
 
 
+@dataclass
 class Doubt:
     """A match that is not believed yet: the walker is in one of some known nodes, or in their twin.
 
     A panorama is made for it, and for each of these candidates it is tracked where the walker would be. If a move leads
     to where the candidate's neighbour is seen, that candidate and the new panorama are merged; if it leads to something
     else, they are not. Where the map knows too little to decide, the match is believed.
-
-    Args:
-        node: the first of the new panorama.
-        candidates: the nodes that looked like it, the most alike first.
     """
 
-    def __init__(self, node: int, candidates: list[int]) -> None:
-        self.candidates = candidates
-        """Where the walker is now, for each."""
-        self.same = [_pairs(node, candidate) for candidate in candidates]
-        """For each, which nodes those of the panoramas made since would be."""
-
-    def keep(self, chosen: list[int]) -> None:
-        """Leave these candidates, by their places in the list."""
-        self.candidates = [self.candidates[i] for i in chosen]
-        self.same = [self.same[i] for i in chosen]
+    candidates: list[int]
+    """The nodes where the walker may be now, the most alike first."""
+    same: list[dict[int, int]]
+    """For each, which nodes those of the panoramas made since would be."""
 
 
 def _pairs(new: int, old: int) -> dict[int, int]:

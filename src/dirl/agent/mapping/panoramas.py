@@ -96,14 +96,9 @@ class Panoramas:
         return torch.from_numpy(shortest_distances(torch.tensor(self.moves).numpy(), torch.tensor(goals).numpy()))
 
     def next_action(self, node: int, distances: Tensor) -> int | None:
-        """The first action of a shortest path.
+        """The first action of a shortest path from a node; None at the goal, and where no path is known.
 
-        Args:
-            node: where the walker is.
-            distances: to one goal, of every node, int32 ``[N]``; a column of `plan`.
-
-        Returns:
-            None at the goal, and where no path is known.
+        The distances are a column of `plan`, int32 ``[N]``.
         """
         for action, there in enumerate(self.moves[node]):
             if there >= 0 and 0 <= distances[there] < distances[node]:

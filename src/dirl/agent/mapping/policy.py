@@ -113,7 +113,9 @@ class GraphMemory(TensorDictModuleBase):
         least = None if recogniser.calibrated else threshold
         self.graphs: list[ImageGraph] = []
         generator = torch.Generator().manual_seed(seed)
-        actions, distances, row, photo, size = [], [], [], [], 0
+        # The place of the pair of a goal and a state is row[goal] + state, as in `World.pair`; photos come behind.
+        row, photo = torch.full((len(world),), NO_GOAL), torch.zeros(len(world), dtype=torch.int64)
+        actions, distances, size = [], [], 0
         for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
             count, goals = len(scene), world.local_goals(index).cpu()
             graph = ImageGraph(least, turns=turns_per_circle(scene.graph), merge=merge, recogniser=recogniser)
@@ -124,16 +126,13 @@ class GraphMemory(TensorDictModuleBase):
             first, far = plan_table(graph, visits, goals)
             actions.append(first.flatten())
             distances.append(far.flatten())
-            # The place of the pair of a goal and a state is row[goal] + state, as in `World.pair`.
-            of_goal = torch.full((count,), NO_GOAL)
-            of_goal[goals] = size - offset + count * torch.arange(len(goals))
-            row.append(of_goal)
-            photo.append(torch.full((count,), count * len(goals)))
+            row[offset + goals] = size - offset + count * torch.arange(len(goals))
+            photo[offset : offset + count] = count * len(goals)
             size += first.numel()
             self.graphs.append(graph)
-        tables = {"actions": actions, "distances": distances, "row": row, "photo": photo}
-        for name, parts in tables.items():
-            self.register_buffer(name, torch.cat(parts).to(world.device))
+        tables = {"actions": torch.cat(actions), "distances": torch.cat(distances), "row": row, "photo": photo}
+        for name, table in tables.items():
+            self.register_buffer(name, table.to(world.device))
 
     def planned(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """The planned action, -1 without one, and the known distance to the goal, -1 without a path; int64 ``[B]``."""

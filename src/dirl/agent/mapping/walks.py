@@ -23,20 +23,11 @@ class Mapper(Protocol):
 def explore(
     scene: Scene, graph: Mapper, start: int, steps: int, look: Callable[[int], Tensor] | None = None
 ) -> list[int]:
-    """Walk through a scene and map it; the walk ends early where nothing is left to be learned.
+    """The states that are passed on a walk that fills an empty map; it ends early where nothing is left to be learned.
 
-    The walker knows what it sees and does, never the scene's graph or the numbers of states.
-
-    Args:
-        scene: where.
-        graph: empty; filled by the walk.
-        start: the first state.
-        steps: of the walk, at most.
-        look: what is seen ahead, right, back and left of a state, in the form that the map takes, ``[4, ...]``; the
-            scene's features, float32 ``[4, D]``, if left out.
-
-    Returns:
-        The states that were passed.
+    The walker knows what it sees and does, never the scene's graph or the numbers of states. ``look`` tells what is
+    seen ahead, right, back and left of a state, in the form that the map takes, ``[4, ...]``; the scene's features,
+    float32 ``[4, D]``, if left out.
     """
     look = look or torch.tensor(scene.features)[torch.tensor(scene.surrounding)].__getitem__
     passed = [start]
