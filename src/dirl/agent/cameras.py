@@ -138,12 +138,9 @@ def _in_plain_operations(memory: nn.Module | None) -> nn.Module | None:
 
 
 class Goal:
-    """The goals of B agents, or one for all of them, by the features of their views.
+    """The goals of B agents, or one for all of them.
 
-    Args:
-        policy: that goes there.
-        recogniser: of the goals.
-        features: float32 ``[B, 4, D]`` or ``[1, 4, D]``; of a single photo the last three views are zeros.
+    Their views have features, float32 ``[B, 4, D]`` or ``[1, 4, D]``; of a single photo the last three views are zeros.
     """
 
     def __init__(self, policy: FeaturePolicy, recogniser: Recogniser, features: Tensor) -> None:
@@ -165,11 +162,9 @@ class Goal:
         return self.scores(self.policy.describe(features, self.recogniser), chosen)
 
     def scores(self, visits: Tensor, chosen: Tensor | None = None) -> Tensor:
-        """The scores of described visits ``[n, 4, F]``, equally many of each agent, with its goal; ``[n]``.
+        """The scores of described visits ``[n, 4, F]`` with the agents' goals, ``[n]``.
 
-        Args:
-            visits: of the chosen agents, bool ``[B]``; of all if left out.
-            chosen: see ``visits``.
+        There are equally many of each agent: of the chosen ones, bool ``[B]``, or of all.
         """
         wanted = self.wanted(self.described, len(visits), chosen)
         return self.recogniser.scores(visits.unsqueeze(1), wanted.unsqueeze(1)).flatten()

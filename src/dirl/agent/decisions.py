@@ -1,6 +1,6 @@
 """The decisions of a policy in the states of a world, with as few forward passes as possible."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -100,19 +100,12 @@ def answers(
 ) -> tuple[Tensor, Tensor]:
     """The outputs of a policy for every pair of a goal and a state of its scene.
 
-    Sequential views and memories are those at the start of an episode; states and goals have
-    their default look. For all goals the batches are those of
-    `run_episodes`, so that even the rounding is the same.
-
-    Args:
-        policy: see `run_episodes`.
-        world: where.
-        observation: what the policy observes.
-        goal_index: one goal by its place in ``world.goals``; all of them if left out.
+    Sequential views and memories are those at the start of an episode; states and goals have their default look.
+    `deciding` looks up those of all goals.
 
     Returns:
-        Logits, float32 ``[P, 4]``, and state values, ``[P]``, zero if the policy has none; of one goal, of the states
-        of its scene only.
+        Logits, float32 ``[P, 4]``, and state values, ``[P]``, zero if the policy has none. With a ``goal_index``, the
+        place of one goal in ``world.goals``, only those of the states of its scene.
     """
     goals, states = world.pairs()
     if goal_index is not None:
@@ -120,8 +113,10 @@ def answers(
     logits = torch.zeros((len(goals), len(ACTIONS)), device=world.device)
     values = torch.zeros(len(goals), device=world.device)
     with frozen(policy):
-        for place, wanted, state in _batches(goals, states):
-            asked: Any = observe(world, observation, state, observation.begin(state), wanted)
+        for first in range(0, len(goals), PAIRS_AT_ONCE):
+            place = slice(first, first + PAIRS_AT_ONCE)
+            state = states[place]
+            asked: Any = observe(world, observation, state, observation.begin(state), goals[place])
             asked["is_init"] = torch.ones((len(state), 1), dtype=torch.bool, device=world.device)
             asked.update(initial_state(policy, len(state), world.device))
             answered = policy(asked)
@@ -129,13 +124,6 @@ def answers(
             if "state_value" in answered:
                 values[place] = answered["state_value"].squeeze(-1)
     return logits, values
-
-
-def _batches(goals: Tensor, states: Tensor) -> Iterator[tuple[slice, Tensor, Tensor]]:
-    """`PAIRS_AT_ONCE` pairs at a time, and their places."""
-    for first in range(0, len(goals), PAIRS_AT_ONCE):
-        place = slice(first, first + PAIRS_AT_ONCE)
-        yield place, goals[place], states[place]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,12 +20,8 @@ class NavigatorError(ValueError):
 def checked_images(images: Images, name: str, *, sequential: bool, views: int = VIEWS) -> tuple[Tensor, int, bool]:
     """The images as one batch, uint8 ``[N, H, W, 3]``; the number of images per agent; whether a batch was given.
 
-    Args:
-        images: for a policy of surrounding views ``[4, H, W, 3]`` or ``[B, 4, H, W, 3]``; its goal may also be one
-            photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``. For sequential views ``[H, W, 3]`` or ``[B, H, W, 3]``.
-        name: ``images`` or ``goal_images``.
-        sequential: whether the policy reads sequential views.
-        views: around an agent in a panorama, which are taken in place of four.
+    For what is accepted see `dirl.Navigator.reset`: one photo in place of four views only as ``goal_images``; and so
+    many ``views`` of a panorama.
 
     Raises:
         NavigatorError: the images have another shape or type.

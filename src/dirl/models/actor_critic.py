@@ -89,15 +89,10 @@ class ActorCritic(TensorDictModuleBase):
         noisy: bool = False,
         principal: bool = False,
     ) -> None:
-        """Embed each distinct observation once, if the encoder can be cached; see `dirl.models.fast`.
+        """Embed each distinct observation once, if the encoder can be cached; for the arguments see `CachedEncoder`.
 
-        Args:
-            surrounding: as for `CachedEncoder`.
-            views: as for `CachedEncoder`.
-            front: as for `CachedEncoder`.
-            noisy: views will be read with noise, which the specialised form of a Siamese encoder draws twice.
-            principal: learn a Siamese encoder's embedding in principal axes, see `CachedSiamese`; to be called before
-                an optimiser is made.
+        With ``noisy`` views are read with noise, which the specialised form of a Siamese encoder would draw twice. With
+        ``principal`` the embedding is learned in principal axes, see `CachedSiamese`; an optimiser is made afterwards.
         """
         read: dict[str, Any] = {"views": views, "front": front}
         # A subclass may embed or fuse otherwise, which the specialised form would not know.

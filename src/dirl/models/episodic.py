@@ -61,12 +61,9 @@ class EpisodicMemory(nn.Module):
         return Trace(empty, empty, torch.empty((agents, 0), device=device))
 
     def adjust(self, logits: Tensor, trace: Trace, same: Tensor) -> Tensor:
-        """The logits, lowered for actions that were taken here before.
+        """The policy's logits, float32 ``[B, 4]``, lowered for actions that were taken here before.
 
-        Args:
-            logits: of the policy, float32 ``[B, 4]``.
-            trace: of the agents.
-            same: whether each place of the trace looks like where the agent is, bool ``[B, H]``.
+        ``same`` is whether each place of the trace looks like where the agent is, bool ``[B, H]``.
         """
         return logits.scatter_add(1, trace.action, -self.penalty * (trace.weight * same).to(logits.dtype))
 

@@ -56,7 +56,8 @@ class FeatureTable(nn.Module):
         self.register_buffer("axes", axes)
         self.register_buffer("features", features, persistent=False)
         self.register_buffer("patches", patches, persistent=False)
-        self.register_buffer("table", self._computed(), persistent=False)
+        self.register_buffer("table", None, persistent=False)
+        self.refresh()
         self.register_load_state_dict_post_hook(lambda table, _: table.refresh())
 
     mean: Tensor
@@ -68,11 +69,10 @@ class FeatureTable(nn.Module):
     """float32 ``[N + 1 + room, width]``."""
 
     def refresh(self) -> None:
-        """Compute the table anew, with the mean, deviation and axes as they are now."""
-        self.table = self._computed()
+        """Compute the table anew, with the mean, deviation and axes as they are now.
 
-    def _computed(self) -> Tensor:
-        """Written block by block: the table of hundreds of rooms takes gigabytes, and is held only once."""
+        Block by block: the table of hundreds of rooms takes gigabytes, and is held only once.
+        """
         states, pooled = len(self.features), len(self.mean) if self.axes is None else self.axes.shape[1]
         patches = None if self.patches is None else self.patches.flatten(1)
         width = pooled + (0 if patches is None else patches.shape[1])
@@ -82,7 +82,7 @@ class FeatureTable(nn.Module):
             table[rows, :pooled] = self.standardise(self.features[rows])
             if patches is not None:
                 table[rows, pooled:] = patches[rows]
-        return table
+        self.table = table
 
     def __len__(self) -> int:
         """The number of states, N."""

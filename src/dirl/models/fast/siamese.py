@@ -124,13 +124,7 @@ class CachedSiamese(CachedEncoder):
 
 
 class AxesLinear(nn.Module):
-    """A linear layer on features whose weight is learned in principal axes.
-
-    Args:
-        axes: into which the weight is converted.
-        weight: on features, float32 ``[F, 4 * D]``.
-        bias: float32 ``[F]``.
-    """
+    """A linear layer on features whose weight, float32 ``[F, 4 * D]``, is learned in principal axes; bias ``[F]``."""
 
     def __init__(self, axes: PrincipalAxes, weight: Tensor, bias: Tensor) -> None:
         super().__init__()
