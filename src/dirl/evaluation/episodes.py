@@ -39,6 +39,12 @@ class Episodes:
     missed_stop: Tensor
     """It stood at the goal at least once without stopping, bool."""
 
+    @classmethod
+    def failed(cls, goal_index: Tensor, start: Tensor, shortest: Tensor, max_steps: int) -> "Episodes":
+        """Episodes that have not arrived anywhere, to be filled in."""
+        never = (torch.zeros_like(start, dtype=torch.bool) for _ in range(3))
+        return cls(goal_index, start, shortest, torch.full_like(start, max_steps), *never)
+
     def select(self, chosen: Tensor) -> "Episodes":
         """Some of the episodes, by mask or index."""
         return Episodes(*(value[chosen] for value in vars(self).values()))
@@ -160,10 +166,7 @@ def run_episodes(
     world, observation, memory, scores = protocol.world, protocol.observation, protocol.memory, protocol.scores
     looks, photos, maps = protocol.looks, protocol.photos, protocol.maps
     goal_index, start = protocol.starts
-    never = [torch.zeros_like(start, dtype=torch.bool) for _ in range(3)]
-    episodes = Episodes(
-        goal_index, start, world.distance(goal_index, start), torch.full_like(start, protocol.max_steps), *never
-    )
+    episodes = Episodes.failed(goal_index, start, world.distance(goal_index, start), protocol.max_steps)
     generator = torch.Generator(world.device).manual_seed(protocol.seed)
     wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=photos or looks)
     few = len(start) <= MANY
@@ -238,13 +241,8 @@ def drawn_looks(
 ) -> Tensor:
     """States or goals, int64 ``[B]`` below ``count``, each in a look sampled for it: ``look * count + index``.
 
-    Args:
-        index: the states or goals.
-        count: how many the world has.
-        world: with L looks.
-        generator: draws; torch's own if left out.
-        besides: looks that are not sampled, int64 ``[B]``: those of the goals, which shall not return to the bit.
-        looks: that are sampled from; all L if left out.
+    It is one of ``looks``, or of all that the world has, but not that of ``besides``, int64 ``[B]``: those of the
+    goals, which shall not return to the bit.
     """
     looks = range(world.looks) if looks is None else looks
     if len(looks) == 1:

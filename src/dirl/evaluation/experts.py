@@ -96,22 +96,17 @@ class SeesArrows(TensorDictModuleBase):
 
 
 def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
-    """Which actions are the first of a shortest path.
+    """Which actions are the first of a shortest path, bool ``[B, 4]``.
 
-    Args:
-        world: where to walk.
-        goal_index: int64 ``[B]``, the goals by their place in ``world.goals``.
-        state: int64 ``[B]``, states of the goals' scenes.
-
-    Returns:
-        bool ``[B, 4]``; not meaningful at a goal, and where it cannot be reached.
+    Goals are given by their place in ``world.goals``, and states of their scenes, int64 ``[B]`` each. The result is not
+    meaningful at a goal, and where it cannot be reached.
     """
     after = world.distance(goal_index.unsqueeze(-1), world.graph[state])
     return after == world.distance(goal_index, state).unsqueeze(-1) - 1
 
 
 def demonstration_states(place: Tensor, fraction: float, rule: str, generator: torch.Generator) -> Tensor:
-    """The states of a scene that the expert demonstrates.
+    """The states of a scene that the expert demonstrates, bool ``[N]``.
 
     Args:
         place: the place of each state, int64 ``[N]``, numbered from 0.
@@ -120,9 +115,6 @@ def demonstration_states(place: Tensor, fraction: float, rule: str, generator: t
             even k that is only ever one or two headings); ``interval_pos``, every k-th place with all its headings;
             ``random``, sampled without replacement. k is 1/fraction, rounded.
         generator: for ``random``.
-
-    Returns:
-        bool ``[N]``.
 
     Raises:
         ValueError: the fraction is not in [0, 1], or there is no such rule.
@@ -152,13 +144,8 @@ def demonstrations(
 ) -> TensorDict:
     """The expert's actions in a fraction of each scene's states, for every goal of the scene.
 
-    Args:
-        world: where to walk.
-        expert: see `ShortestPathExpert`; a state without advice for a goal is left out for that goal.
-        observation: what is observed. A demonstrated state has no history: it is observed as the start of an episode.
-        fraction: of the states, 0 to 1.
-        rule: how they are chosen, see `demonstration_states`.
-        seed: of the choice.
+    For fraction and rule see `demonstration_states`. A state without advice for a goal is left out for that goal. A
+    demonstrated state has no history: it is observed as the start of an episode.
 
     Returns:
         ``[M]`` rows of `DEMONSTRATED`, all int64.
@@ -188,11 +175,7 @@ def shown_states(world: World, fraction: float, rule: str, seed: int) -> Tensor:
 
 
 def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBase:
-    """The expert's actions in given states.
-
-    Args:
-        expert: see `ShortestPathExpert`.
-        visited: ``[B]`` rows of ``state``, ``goal``, ``scene`` and the view ids of both.
+    """The expert's actions in states that were visited, ``[B]`` rows of `DEMONSTRATED` but for the action.
 
     Returns:
         ``[M]`` rows of `DEMONSTRATED`. Left out are those for which the expert has no advice.

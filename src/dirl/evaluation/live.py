@@ -56,14 +56,13 @@ def evaluate_live(
     starts: tuple[Tensor, Tensor],
     *,
     max_steps: int = 100,
-    within: float | None = None,
     one_photo: bool = False,
     told: bool = False,
 ) -> Episodes:
     """Walk a navigator in a world by its own `reset` and `act`, as a robot does, one episode from each start.
 
-    The agent has arrived where it stops within a distance of the goal, with a heading nearer to the goal's than to that
-    of a neighbouring state.
+    The agent has arrived where it stops nearer to the goal than half of the scene's shortest move, with a heading
+    nearer to the goal's than to that of a neighbouring state.
 
     Args:
         navigator: sees four views around it.
@@ -71,21 +70,14 @@ def evaluate_live(
         scene: says where goals and starts are, and how long shortest paths.
         starts: goal states and start states, int64 ``[E]`` each; the ``goal_index`` of the result is the goal state.
         max_steps: after so many an episode has failed.
-        within: metres; half of the shortest move of the scene if left out.
         one_photo: show the navigator the view ahead at the goal alone.
         told: the agent is told where it has arrived, instead of stopping where it thinks so.
     """
     goal_state, start = (states.cpu() for states in starts)
     turn = 360 / turns_per_circle(scene.graph)
-    within = shortest_move(scene) / 2 if within is None else within
+    within = shortest_move(scene) / 2
     shortest = torch.from_numpy(scene.distances[start.numpy(), goal_state.numpy()].astype(np.int64))
-    found = Episodes(
-        goal_state,
-        start,
-        shortest,
-        torch.full_like(start, max_steps),
-        *(torch.zeros(len(start), dtype=torch.bool) for _ in range(3)),
-    )
+    found = Episodes.failed(goal_state, start, shortest, max_steps)
     pairs = list(zip(goal_state.tolist(), start.tolist(), strict=True))
     for episode, (goal, first) in enumerate(tqdm(pairs, desc="live", unit=" episodes", disable=None)):
         wanted = state_pose(scene, goal)

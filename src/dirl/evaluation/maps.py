@@ -36,19 +36,10 @@ def map_scene(
     seed: int = 0,
     looks: range | None = None,
 ) -> tuple[PlaceMap, list[int]]:
-    """Walk once through a scene from a random state, in which every visit has a look sampled for it.
+    """A map by one walk through a scene from a random state, and the states passed, by their places in the scene.
 
-    Args:
-        world: where.
-        index: of the scene.
-        memory: see `ParticleMapper`.
-        scores: log odds that two visits are of the same place.
-        steps_per_state: length of the walk at most, in steps for each state of the scene.
-        seed: of all draws.
-        looks: of the visits; all if left out.
-
-    Returns:
-        The map, and the states that were passed, by their places in the scene.
+    It has at most ``steps_per_state`` steps for each state. Every visit has a look sampled for it, one of ``looks`` or
+    of all; the scores are log odds that two visits are of the same place.
     """
     mapper = ParticleMapper(memory, scores.of_visits, seed=seed)
     passed = walk_through(world, index, mapper, lambda visit: visit, steps_per_state, seed, looks)
