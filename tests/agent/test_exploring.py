@@ -7,7 +7,7 @@ import pytest
 import torch
 from odds import Odds
 from rooms import grid_scene
-from shown_goals import images_of, look_up, rooms, trained
+from shown_goals import images_of, look_up, rooms, trained, walk_through
 
 from dirl import Navigator
 from dirl.agent.mapping import ImageGraph
@@ -26,18 +26,6 @@ def navigator(world, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     trained(folder, world)
     return Navigator.load(folder, look_up(world), extractor="random")
-
-
-def walk_through(walk, world):
-    """Go where the explorer wants to, as long as it wants to."""
-    state, action = 3, None
-    for _ in range(2 * len(world)):
-        walk.see(images_of(world.surrounding[state]), action)
-        action = walk.next_action()
-        if action is None:
-            break
-        after = int(world.graph[state, action])
-        state = state if after < 0 else after
 
 
 @pytest.fixture

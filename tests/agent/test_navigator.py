@@ -75,6 +75,17 @@ def own_run(run, tmp_path):
     return Path(shutil.copytree(run, tmp_path / "own"))
 
 
+def walk_until_stop(navigator, world, see, state, most):
+    """The states that a navigator passes until it stops, later than at the first; and whether it stopped."""
+    action, stopped, _ = navigator.act(see(state))
+    walked = [int(state)]
+    while len(walked) <= most and (len(walked) == 1 or not stopped):
+        state = world.graph[state, action]
+        walked.append(int(state))
+        action, stopped, _ = navigator.act(see(state))
+    return walked, stopped
+
+
 @pytest.mark.parametrize("heads", ["scene", "shared"])
 @pytest.mark.parametrize("match", ["views", "front"])
 @pytest.mark.parametrize("observation", ["surrounding", "sequential"])
@@ -97,14 +108,9 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observatio
         for episode in torch.nonzero(world.scene_of[starts[1]] == index).flatten().tolist():
             goal, state = world.goals[starts[0][episode]], starts[1][episode]
             navigator.reset(see(goal))
-            action, stopped, _ = navigator.act(see(state))
-            walked = [int(state)]
-            while len(walked) <= 12 and (len(walked) == 1 or not stopped):
-                state = world.graph[state, action]
-                walked.append(int(state))
-                action, stopped, _ = navigator.act(see(state))
+            walked, stopped = walk_until_stop(navigator, world, see, state, 12)
             assert walked == paths[episode]
-            assert stopped == bool(stop[world.pair(starts[0][episode], state)])
+            assert stopped == bool(stop[world.pair(starts[0][episode], walked[-1])])
 
 
 @pytest.mark.parametrize("goal_view", ["surrounding", "front"])
@@ -156,12 +162,7 @@ def test_a_navigator_localises_as_the_evaluation_does(tmp_path, goal_view, monke
     for episode in range(len(paths)):
         goal, state = int(world.goals[starts[0][episode]]), starts[1][episode]
         navigator.reset(images_of(goal if goal_view == "front" else world.surrounding[goal]))
-        action, stopped, _ = navigator.act(images_of(world.surrounding[state]))
-        walked = [int(state)]
-        while len(walked) <= 25 and (len(walked) == 1 or not stopped):
-            state = world.graph[state, action]
-            walked.append(int(state))
-            action, stopped, _ = navigator.act(images_of(world.surrounding[state]))
+        walked, stopped = walk_until_stop(navigator, world, lambda at: images_of(world.surrounding[at]), state, 25)
         assert walked == paths[episode]
         assert stopped == bool(episodes.success[episode] | episodes.false_stop[episode])
 

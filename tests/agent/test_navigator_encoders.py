@@ -6,16 +6,13 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from commands import train_config
 from rooms import grid_scene
+from shown_goals import trained
 
 from dirl import Navigator
 from dirl.agent.navigator import NavigatorError
-from dirl.models.build import build_policy, feature_table
 from dirl.perception.backbones import ResNet50, load_encoder
-from dirl.runs.folder import Run
 from dirl.scenes import make_world
-from dirl.training.build import build_observation
 
 IMAGES = np.random.default_rng(0).integers(0, 256, (4, 40, 50, 3), np.uint8)
 
@@ -33,14 +30,7 @@ def run(tmp_path_factory, resnet50):
 
 def finished_run(folder, extractor, width):
     """The folder of a run on features of that width which claim to be of that extractor."""
-    folder.mkdir(exist_ok=True)
-    world = make_world([grid_scene(feature_width=width, extractor=extractor)])
-    config = train_config("encoder.width=8", "heads.width=8")
-    run = Run(folder, config)
-    run.begin(world, build_observation(config, world).order)
-    policy = build_policy(config, feature_table(config, world), world.names, world=world)
-    run.finish({"frames": 0, "network": policy.state_dict()}, {})
-    run.close()
+    trained(folder, make_world([grid_scene(feature_width=width, extractor=extractor)]))
     return folder
 
 

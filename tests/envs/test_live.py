@@ -1,6 +1,7 @@
 """Training in a simulator: agents in turns, views that are encoded when they are seen, moves that go wrong."""
 
 from ctypes.util import find_library
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -17,7 +18,7 @@ from dirl.evaluation.live import Remembered
 from dirl.models import FeatureTable
 from dirl.scenes import make_world, write_dump
 from dirl.scenes.live import Pose
-from dirl.scenes.scene import SceneError
+from dirl.scenes.scene import Scene, SceneError
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.simulators import take_scene
 from dirl.training import live
@@ -55,15 +56,20 @@ def encode(images):
     return images.flatten(1).float()
 
 
-def field_scene(size=3):
-    scene, _ = take_scene(Field(size), source="field", step=1.0, turn=90)
-    simulator, images = Field(size), []
+def encoded(scene, simulator, **facts):
+    """The scene with the features of what the simulator shows at each state."""
+    images = []
     for (x, z), heading in zip(scene.positions.tolist(), scene.headings.tolist(), strict=True):
         simulator.place(Pose(x, z, heading))
         images.append(simulator.look(heading))
     features = encode(torch.from_numpy(np.stack(images))).numpy()
-    facts = {name: getattr(scene, name) for name in ("name", "graph", "positions", "headings", "source")}
-    return type(scene)(**facts, features=features, goals=(0, 17), extractor="colours")
+    facts |= {name: getattr(scene, name) for name in ("name", "graph", "positions", "headings", "source")}
+    return Scene(**facts, features=features)
+
+
+def field_scene(size=3):
+    scene, _ = take_scene(Field(size), source="field", step=1.0, turn=90)
+    return encoded(scene, Field(size), goals=(0, 17), extractor="colours")
 
 
 def make_env(agents=6, views=200, simulator=None, **options):
@@ -192,18 +198,7 @@ def test_impossible_errors_of_moves():
 
 def test_another_simulator_than_the_scenes_is_one_line():
     with pytest.raises(ConfigError, match=r"simulator=f\.yaml: is of field; .* is of "):
-        live.check_simulator(
-            Field(),
-            make_world([field_scene()])
-            .scenes[0]
-            .__class__(
-                name="other",
-                graph=field_scene().graph,
-                positions=field_scene().positions,
-                headings=field_scene().headings,
-            ),
-            "f.yaml",
-        )
+        live.check_simulator(Field(), replace(field_scene(), name="other"), "f.yaml")
 
 
 def test_agents_in_miniworld_see_what_its_dump_shows():
@@ -211,13 +206,7 @@ def test_agents_in_miniworld_see_what_its_dump_shows():
         pytest.skip("the extra miniworld, or EGL, is not installed")
     simulator = MiniWorld("MazeS3", seed=1, height=12, width=16)
     scene, _ = take_scene(simulator, source="miniworld", step=1.0, turn=90, most=4)
-    images = []
-    for (x, z), heading in zip(scene.positions.tolist(), scene.headings.tolist(), strict=True):
-        simulator.place(Pose(x, z, heading))
-        images.append(simulator.look(heading))
-    features = encode(torch.from_numpy(np.stack(images)))
-    facts = {name: getattr(scene, name) for name in ("name", "graph", "positions", "headings", "source")}
-    world = make_world([type(scene)(**facts, features=features.numpy(), goals=(0,))])
+    world = make_world([encoded(scene, simulator, goals=(0,))])
     table = FeatureTable(world.features, room=200)
     env = LiveEnv(world, 3, simulator=simulator, encode=encode, table=table, views=200)
     steps = walk(env, 20)

@@ -2,7 +2,6 @@ import pytest
 import torch
 from networks import make_policy
 from policies import BACK, COUNTED, RIGHT, Asked, always, expert, from_states, only_goals, outcome, pair, run_episodes
-from rooms import grid_scene
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
@@ -14,19 +13,9 @@ from dirl.evaluation.episodes import every_start, sampled_starts, shortest_episo
 from dirl.evaluation.experts import RandomPolicy
 from dirl.evaluation.protocol import action_values, metrics
 from dirl.models import EpisodicMemory, PlanningMemory, initial_state, recurrent_keys
-from dirl.scenes import make_world
 
 KINDS = (SurroundingViews, SequentialViews)
 BOTH = pytest.mark.parametrize("kind", KINDS)
-
-
-@pytest.fixture
-def world():
-    """24 states with goals 0 and 13, 12 around a corner with goal 30, 8 in two unconnected places with goal 37."""
-    room = grid_scene(3, 2, name="room", goals=(0, 13))
-    corner = grid_scene(2, 2, name="corner", goals=(6,), blocked=[(1, 1)], seed=1)
-    split = grid_scene(3, 1, name="split", goals=(1,), blocked=[(1, 0)], seed=2)
-    return make_world([room, corner, split])
 
 
 def test_every_start_is_each_state_that_reaches_the_goal_and_is_not_it(world):

@@ -3,7 +3,6 @@ from itertools import pairwise
 
 import pytest
 import torch
-from rooms import grid_scene
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
@@ -22,18 +21,8 @@ from dirl.evaluation.experts import (
     optimal_actions,
 )
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.scenes import make_world
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
-
-
-@pytest.fixture
-def world():
-    """24 states with goals 0 and 13, 12 around a corner with goal 30, 8 in two unconnected places with goal 37."""
-    room = grid_scene(3, 2, name="room", goals=(0, 13))
-    corner = grid_scene(2, 2, name="corner", goals=(6,), blocked=[(1, 1)])
-    split = grid_scene(3, 1, name="split", goals=(1,), blocked=[(1, 0)])
-    return make_world([room, corner, split])
 
 
 def expert_action(world, goal_index, state):

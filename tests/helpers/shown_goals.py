@@ -32,6 +32,17 @@ def rooms(names=("grid",), width=16):
     )
 
 
+def walk_through(walk, world):
+    """Go where the explorer wants to, as long as it wants to."""
+    state, action = 3, None
+    for _ in range(3 * len(world)):
+        walk.see(images_of(world.surrounding[state]), action)
+        action = walk.next_action()
+        if action is None:
+            break
+        state = int(world.graph[state, action])
+
+
 def trained(folder, world, *options):
     """The folder of a finished run with a policy that walks some way; that policy, and what it observes."""
     config = train_config("seed=1", "encoder.width=24", "heads.width=24", *options)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from odds import Odds
 from rooms import grid_scene
-from shown_goals import images_of, look_up, trained
+from shown_goals import images_of, look_up, trained, walk_through
 from shown_goals import rooms as shown_rooms
 
 from dirl import Navigator
@@ -192,13 +192,8 @@ def navigator(tmp_path, place, monkeypatch):
 
 
 def explored(navigator, place, known=None):
-    explorer, state, action = navigator.explore(known, turns=4), 3, None
-    for _ in range(3 * len(place)):
-        explorer.see(images_of(place.surrounding[state]), action)
-        action = explorer.next_action()
-        if action is None:
-            break
-        state = int(place.graph[state, action])
+    explorer = navigator.explore(known, turns=4)
+    walk_through(explorer, place)
     return explorer
 
 
