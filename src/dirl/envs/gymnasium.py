@@ -93,14 +93,13 @@ class Task:
 
     def space(self) -> spaces.Space[Any]:
         """The observation space of one agent."""
+        low, high = self.features.min(), self.features.max()
         made: dict[str, spaces.Space[Any]] = {}
-        for prefix, count in (("", VIEWS), ("goal_", self.goal_views)):
-            for key in self.observed:
-                if key == "features":
-                    low, high = self.features.min(), self.features.max()
-                    made[prefix + key] = spaces.Box(low, high, (count, self.features.shape[1]), np.float32)
-                else:
-                    made[prefix + key] = spaces.Box(0, 255, (count, *self.view(0).shape), np.uint8)
+        for key, seen in self.observe(np.array(0), np.array(0)).items():
+            if key.endswith("features"):
+                made[key] = spaces.Box(low, high, seen.shape, np.float32)
+            else:
+                made[key] = spaces.Box(0, 255, seen.shape, np.uint8)
         return spaces.Dict(made)
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Ints, Ints]:
@@ -178,7 +177,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         self.observation_space = self.task.space()
         self.action_space = spaces.Discrete(len(ACTIONS))
         self._goal = self._state = -1
-        self._painter: Painter | None = None
+        self._painter = Painter(self.task.scene, self.task.view)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -209,7 +208,6 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         """The view, the goal's view and the map (agent blue, goal a yellow star), uint8 ``[300, W, 3]``."""
         if self.render_mode is None:
             return None
-        self._painter = self._painter or Painter(self.task.scene, self.task.view)
         return self._painter.paint(int(self.task.goals[self._goal]), self._state)
 
 
@@ -246,7 +244,7 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._goal, self._state, self._steps = np.zeros((3, num_envs), np.int64)
         self._ended = np.zeros(num_envs, bool)
-        self._painter: Painter | None = None
+        self._painter = Painter(self.task.scene, self.task.view)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -299,6 +297,5 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
         """The picture of each agent, see `NavigationGym.render`."""
         if self.render_mode is None:
             return None
-        self._painter = self._painter or Painter(self.task.scene, self.task.view)
         goals = self.task.goals[self._goal]
         return tuple(self._painter.paint(int(goal), int(state)) for goal, state in zip(goals, self._state, strict=True))

@@ -8,7 +8,7 @@ rendered nor encoded again.
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,19 +33,6 @@ Key = tuple[float, float, float]
 """A view: x and z in millimetres, heading in tenths of a degree."""
 
 
-class Table(Protocol):
-    """Where the features of views are kept, see `dirl.models.FeatureTable`."""
-
-    table: Tensor
-    room: int
-
-    def __len__(self) -> int:
-        """The number of views of the dump, N."""
-
-    def write(self, rows: Tensor, features: Tensor) -> None:
-        """Put features of views into rows from N + 1 on."""
-
-
 class LiveEnv(NavigationEnv):
     """Agents that walk in a simulator.
 
@@ -62,7 +49,7 @@ class LiveEnv(NavigationEnv):
     Args:
         simulator: in which the agents take turns.
         encode: images, uint8 ``[R, H, W, 3]``, to backbone outputs ``[R, D + patches]``.
-        table: gets what is encoded, and has room for it.
+        table: a `dirl.models.FeatureTable`, which gets what is encoded and has room for it.
         turn_error: standard deviation of each turn, degrees; with it hardly any view returns.
         views: how many are remembered.
         front: show the goals' front view alone.
@@ -75,7 +62,7 @@ class LiveEnv(NavigationEnv):
         *,
         simulator: Any,
         encode: Callable[[Tensor], Tensor],
-        table: Table,
+        table: Any,
         turn_error: float = 0.0,
         views: int = 20_000,
         front: bool = False,

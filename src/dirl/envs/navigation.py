@@ -66,6 +66,7 @@ class NavigationEnv(EnvBase):
         if not 0 <= slip < 1:
             raise ValueError(f"slip={slip}: is a probability below 1")
         states, agents = len(world), self.batch_size
+        self._look_keys = ("look", "goal_look") if world.looks > 1 else ()  # in one look nothing is sampled
         self.stop = (world.distances == 0 if stop is None else stop).to(self.device)
         self.goal_index = world.goal_index
         # The starts of a goal are consecutive, from `first_start` on.
@@ -79,7 +80,7 @@ class NavigationEnv(EnvBase):
             state=Categorical(states, shape=agents),
             goal=Categorical(states, shape=agents),
             scene=Categorical(len(world.scenes), shape=agents),
-            **{key: Categorical(world.looks, shape=agents) for key in self._look_keys()},
+            **{key: Categorical(world.looks, shape=agents) for key in self._look_keys},
             shape=agents,
             device=self.device,
         )
@@ -92,10 +93,6 @@ class NavigationEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
             self.generator.manual_seed(seed)
-
-    def _look_keys(self) -> tuple[str, ...]:
-        """What an observation of a world that changes has besides; nothing is sampled in one that does not."""
-        return ("look", "goal_look") if self.world.looks > 1 else ()
 
     def _any_look(self) -> Tensor:
         return torch.randint(self.world.looks, self.batch_size, generator=self.generator, device=self.device)
@@ -111,7 +108,7 @@ class NavigationEnv(EnvBase):
                 "state": state,
                 "goal": self.world.goals[goal],
                 "scene": self.world.scene_of[state],
-                **{key: self._any_look() for key in self._look_keys()},
+                **{key: self._any_look() for key in self._look_keys},
                 "done": done,
                 "terminated": done.clone(),
             },

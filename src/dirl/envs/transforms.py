@@ -46,8 +46,7 @@ class SurroundingViews(Transform):
     def begin(self, picture: Tensor) -> Tensor:
         """The view ids at the start of an episode, int64 ``[...]`` to ``[..., 4]``.
 
-        Args:
-            picture: what is seen ahead, ``look * N + state``: the state itself in a world that never changes.
+        A picture is what is seen ahead, ``look * N + state``: the state itself in a world that never changes.
         """
         return self.surrounding[picture]
 
