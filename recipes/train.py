@@ -27,6 +27,7 @@ from dirl.config.schemas import TrainConfig
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import caching, noisy
 from dirl.runs.folder import Run
+from dirl.runs.ranks import average_gradients
 from dirl.training import hogwild
 from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, run_job
@@ -66,19 +67,18 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
     draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()
     loss = build_imitation_loss(run.config, policy)
     with imitation_steps(run, policy, done) as steps:
-        state = steps.state
         while steps.goes_on:
-            set_learning_rate(state.optimiser, steps.lr)
+            set_learning_rate(steps.optimiser, steps.lr)
             rows = draw()
             with noisy(policy, options.noise):
                 result = loss(trunk(rows.copy()))
-            state.optimiser.zero_grad()
+            steps.optimiser.zero_grad()
             result["loss_imitation"].backward()
-            steps.average_gradients(policy.parameters(), len(rows))
-            state.optimiser.step()
+            average_gradients(policy.parameters(), len(rows))
+            steps.optimiser.step()
             steps.record(result["loss_imitation"].item(), result["accuracy"].item(), len(rows))
-    print(f"{len(demos)} demonstrations, {state.step} steps of imitation: {state.accuracy:.1%} of the actions learned")
-    return state.step
+    print(f"{len(demos)} demonstrations, {steps.step} steps of imitation: {steps.accuracy:.1%} of the actions learned")
+    return steps.step
 
 
 def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict[str, Any]:
@@ -104,7 +104,7 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
                 losses = state.losses(part, loop.left)
                 optimiser.zero_grad()
                 total_loss(losses).backward()
-                loop.average_gradients(parameters, len(part))
+                average_gradients(parameters, len(part))
                 norm = clip_gradients(parameters, options.max_grad_norm, per_variable=options.clip_per_variable)
                 optimiser.step()
         loop.record(summarise(state.env, batch, losses.set("gradient_norm", norm)))

@@ -71,9 +71,6 @@ class Loop:
     def left(self):
         return 1 - self.state.frames / self.total
 
-    def average_gradients(self, parameters, rows):
-        """There is one rank."""
-
     def record(self, update, paused=None):
         with paused or nullcontext():
             self.state.count(update)

@@ -3,10 +3,11 @@
 import json
 import signal
 import time
+from types import SimpleNamespace
 
 import pytest
 import torch
-from commands import TINY, room_file, run_recipe, start_recipe, wait_until
+from commands import TINY, done, room_file, run_recipe, start_recipe, wait_until
 from parts import make_parts
 
 from dirl.config.schemas import ConfigError
@@ -21,8 +22,7 @@ def summary_of(folder):
 @pytest.mark.parametrize("system", ["random", "shortest_path"])
 def test_a_system_that_learns_nothing_is_measured_like_the_others(tmp_path, system):
     options = [f"scene={room_file(tmp_path)}", *TINY, f"system={system}", "hydra.run.dir=run"]
-    status, printed, errors = run_recipe(tmp_path, "train", *options)
-    assert status == 0, errors
+    printed = done(tmp_path, "train", *options)
     summary = summary_of(tmp_path / "run")
     assert summary["greedy"] == summary["sampled"] == summary[system]
     assert summary["system"] == system
@@ -32,8 +32,7 @@ def test_a_system_that_learns_nothing_is_measured_like_the_others(tmp_path, syst
 
 def test_an_image_graph_is_measured_like_the_others(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=graph_memory", "hydra.run.dir=run"]
-    status, _, errors = run_recipe(tmp_path, "train", *options)
-    assert status == 0, errors
+    done(tmp_path, "train", *options)
     summary = summary_of(tmp_path / "run")
     assert summary["greedy"] == summary["sampled"]
     assert summary["greedy"]["sr"] == 1
@@ -44,15 +43,13 @@ def test_a_memory_that_localises_goes_on_with_the_map_of_a_walk(tmp_path):
     """Of a policy that has hardly learnt, in a room that changes."""
     room = room_file(tmp_path, looks=2, patches=True)
     options = [f"scene={room}", *TINY, "system=il", "imitation.fraction=0.1", "hydra.run.dir=run"]
-    status, _, errors = run_recipe(tmp_path, "train", *options)
-    assert status == 0, errors
+    done(tmp_path, "train", *options)
     (tmp_path / "odds.yaml").write_text("_target_: odds.Odds\n")
     asked = ["checkpoint=run", "recogniser=odds.yaml", "trust=[odds]", "episodic_memory=localising", "stop=match"]
     found = {}
     for mapped in ([], ["map=3"]):
         out = f"{len(mapped)}.json"
-        status, printed, errors = run_recipe(tmp_path, "evaluate", *asked, f"out={out}", *mapped)
-        assert status == 0, errors
+        printed = done(tmp_path, "evaluate", *asked, f"out={out}", *mapped)
         found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
         assert ("1.00 nodes a state, 100 % of the states, 0.0 % of the moves wrong" in printed) == bool(mapped)
     assert found["1.json"] > 0.95 > found["0.json"]
@@ -70,16 +67,14 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
     for last_steps in ([], ["last_steps=0"]):
         out = f"{len(last_steps)}.json"
         led = ["checkpoint=run", "map=2", f"out={out}", "viewer=true", "video=true", *last_steps]
-        status, _, errors = run_recipe(tmp_path, "evaluate", *led)
-        assert status == 0, errors
+        done(tmp_path, "evaluate", *led)
         found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
         (page,) = (tmp_path / "run").glob("viewer_*.html")
         assert [file.stat().st_size > 1000 for file in (tmp_path / "run").glob("episodes_*.mp4")] == [True]
         told = "map of one walk to the goal" if last_steps else "the greedy policy decides the last 3 steps"
         assert told in page.read_text()
     assert found["1.json"] > 0.95 > found["0.json"]
-    status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", "arrows=true", "out=arrows.json")
-    assert status == 0, errors
+    done(tmp_path, "evaluate", "checkpoint=run", "arrows=true", "out=arrows.json")
     assert json.loads((tmp_path / "arrows.json").read_text())["greedy"]["sr"] > 0
     status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", "last_steps=1")
     assert status != 0
@@ -113,8 +108,7 @@ def test_a_clone_is_not_reinforced_whatever_frames_a_grid_is_given(tmp_path):
 def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp_path):
     sizes = ["reinforcement.agents_per_scene=20", "imitation.fraction=0.1", "imitation.rounds=3", "imitation.lr=3e-3"]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=dagger", *sizes, "hydra.run.dir=run"]
-    status, _, errors = run_recipe(tmp_path, "train", *options)
-    assert status == 0, errors
+    done(tmp_path, "train", *options)
     lines = [line.split(",") for line in (tmp_path / "run" / "dagger.csv").read_text().splitlines()]
     rows = [dict(zip(lines[0], map(float, line), strict=True)) for line in lines[1:]]
     assert [row["frames"] for row in rows] == [400, 800, 1200]
@@ -163,8 +157,9 @@ def test_workers_that_cannot_be_are_refused(tmp_path, wrong, monkeypatch):
 def test_workers_wait_while_their_policy_is_tested(tmp_path):
     sizes = ["encoder.width=8", "heads.width=8", "reinforcement.workers=2", "reinforcement.agents_per_scene=4"]
     parts = make_parts(f"scene={room_file(tmp_path)}", "system=a3c", *sizes)
-    shared, interrupted = share(parts.policy, build_optimiser(parts.config, parts.policy), 0), []
-    updates = asynchronous_updates(parts.config, shared, 10**9, interrupted)
+    shared = share(parts.policy, build_optimiser(parts.config, parts.policy), 0)
+    loop = SimpleNamespace(total=10**9, goes_on=True)
+    updates = asynchronous_updates(parts.config, shared, loop)
     walked = sum(next(updates).frames for _ in range(3))
     with waiting(shared, parts.policy):
         while walked < shared.claimed.value:  # those that they are at
@@ -173,7 +168,7 @@ def test_workers_wait_while_their_policy_is_tested(tmp_path):
         assert shared.claimed.value == walked
     assert next(updates).frames == 10
     assert shared.claimed.value > walked
-    interrupted.append(2)
+    loop.goes_on = False
     assert all(update.frames == 10 for update in updates)
 
 
@@ -197,8 +192,7 @@ def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
     assert "Traceback" not in ended.errors
     (checkpoint,) = (tmp_path / "run" / "checkpoints").glob("*.pt")
     assert 0 < int(checkpoint.stem) < 24_000
-    status, _, errors = run_recipe(tmp_path, "train", "resume=run")
-    assert status == 0, errors
+    done(tmp_path, "train", "resume=run")
     summary = summary_of(tmp_path / "run")
     assert summary["frames"] == 24_000
     # How far they come depends on how the machine shares its time between them.

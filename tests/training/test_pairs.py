@@ -7,7 +7,7 @@ from rooms import grid_scene
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import ShortestPathExpert, label, shown_states
 from dirl.scenes import make_world
-from dirl.training.pairs import DrawnPairs
+from dirl.training.pairs import DrawnPairs, with_labels
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_only_shown_states_are_drawn_and_counted(world):
 def test_half_of_a_draw_are_states_that_the_learner_came_to(world):
     table = pairs(world)
     visited = label(table.expert, table.draw(3))
-    merged = table.with_visited(visited[:1]).with_visited(visited[1:])
+    merged = with_labels(with_labels(table, visited[:1]), visited[1:])
     drawn = merged.draw(4000)
     keys = set(zip(visited["state"].tolist(), visited["goal"].tolist(), strict=True))
     found = [pair in keys for pair in zip(drawn["state"].tolist(), drawn["goal"].tolist(), strict=True)]

@@ -98,19 +98,6 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
         leave("error: memory ran out; make the run smaller, or free some", MEMORY, advice)
 
 
-@contextlib.contextmanager
-def job_errors(folder: Path) -> Iterator[None]:
-    """Within this context an error of one job of a sweep is reported at once, with its folder; Hydra keeps it.
-
-    Hydra runs the other jobs, and reports only at the end why the first of the failed jobs failed.
-    """
-    try:
-        yield
-    except Exception as error:
-        print(f"failed: {folder}: {error}", file=sys.stderr, flush=True)
-        raise
-
-
 def one_line(text: str, most: int = 300) -> str:
     """A text without line breaks and other control characters, cut in the middle if it is longer than ``most``."""
     plain = "".join(sign if sign.isprintable() else " " for sign in " ".join(text.split()))
@@ -118,13 +105,7 @@ def one_line(text: str, most: int = 300) -> str:
 
 
 def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> NoReturn:
-    """End the program with one line on the standard error, and an exit status.
-
-    Args:
-        message: what happened.
-        status: of the table above; ``128 + number`` for a signal.
-        advice: what is safe, and how to go on.
-    """
+    """End the program with an exit status and one line on the standard error: what happened, and how to go on."""
     try:
         if speaks():
             print("; ".join(filter(None, [message, advice()])), file=sys.stderr, flush=True)

@@ -9,7 +9,7 @@ The order of the updates depends on the operating system, so that no two runs ar
 
 import copy
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -56,12 +56,9 @@ class Shared:
 
 
 def share(policy: nn.Module, optimiser: Optimizer, frames: int) -> Shared:
-    """Copy the weights to shared memory, and move the optimiser's statistics to it.
+    """Copy the weights to shared memory, and move the optimiser's statistics to it, which the workers then write.
 
-    Args:
-        policy: it stays on its own; see `fetch`.
-        optimiser: of its parameters; its statistics are from now on those that the workers write.
-        frames: that the training has taken so far.
+    The policy stays on its own, see `fetch`. ``frames`` is how many the training has taken so far.
     """
     context = _context()
     going = context.Event()
@@ -121,21 +118,13 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
     shared = share(state.policy, state.optimiser, state.frames)
     if config.init is not None:
         shared.initial = {name: value.detach().clone() for name, value in plain_weights(state.policy).items()}
-    for update in asynchronous_updates(config, shared, loop.total, loop.stop):
+    for update in asynchronous_updates(config, shared, loop):
         loop.record(update, waiting(shared, state.policy))
     fetch(shared, state.policy)
 
 
-def asynchronous_updates(
-    config: TrainConfig, shared: Shared, total: int, interrupted: Sequence[int]
-) -> Iterator[Update]:
-    """Start the workers, and yield their updates until ``total`` frames are done.
-
-    Args:
-        config: of the run; each worker makes the parts from it anew.
-        shared: see `share`.
-        total: frames of the whole training.
-        interrupted: the workers end once there is anything in it.
+def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> Iterator[Update]:
+    """Start the workers, and yield their updates as long as the loop goes on, or until all its frames are claimed.
 
     Raises:
         RuntimeError: a worker failed; it has printed why.
@@ -147,7 +136,7 @@ def asynchronous_updates(
     try:
         for number in range(config.reinforcement.workers):
             receiver, sender = context.Pipe(duplex=False)
-            worker = context.Process(target=work, args=(config, shared, total, number, sender), daemon=True)
+            worker = context.Process(target=work, args=(config, shared, loop.total, number, sender), daemon=True)
             worker.start()
             sender.close()  # so that the worker's end is the only one, and its closing is noticed here
             listening[receiver] = worker
@@ -157,7 +146,7 @@ def asynchronous_updates(
     ready: Any
     while listening:
         for ready in wait(list(listening)):
-            if interrupted or failed:
+            if failed or not loop.goes_on:
                 shared.stopped.set()
             try:
                 yield ready.recv()
@@ -170,10 +159,7 @@ def asynchronous_updates(
 
 
 def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: Connection) -> None:
-    """The loop of a worker, numbered from 0: collect a rollout, update and send an `Update`.
-
-    It ends when the workers together have claimed the ``total`` frames of the training. For ``shared`` see `share`.
-    """
+    """The loop of a worker, numbered from 0: collect a rollout, update and send an `Update`, until `claim` has none."""
     torch.set_num_threads(1)
     world = build_world(config)
     observation = build_observation(config, world)

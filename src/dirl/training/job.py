@@ -1,7 +1,8 @@
 """A run from its configuration to its summary: components, folder, resumption, errors, ranks; its stages are given."""
 
 import json
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from dirl.models import count_parameters, plain_weights
 from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs import ranks
-from dirl.runs.exits import job_errors, one_line_exits
+from dirl.runs.exits import one_line_exits
 from dirl.runs.finding import RunError
 from dirl.runs.folder import Run, open_run
 from dirl.runs.memory import peak_memory_mb
@@ -43,7 +44,7 @@ from dirl.training.load import initial_weights, learning_policy, with_architectu
 from dirl.training.loops import noticing_divergence
 from dirl.training.losses import Losses
 from dirl.training.pairs import Demonstrations
-from dirl.training.state import TrainState, in_imitation
+from dirl.training.state import TrainState
 
 
 @dataclass
@@ -79,10 +80,13 @@ def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
     hydra: Any = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
-    if hydra.mode.name == "MULTIRUN":
-        with job_errors(folder):
-            return _run(composed, folder, hydra.overrides.task, stages, alone=False)
-    return _run(composed, folder, hydra.overrides.task, stages, alone=True)
+    alone = hydra.mode.name != "MULTIRUN"
+    try:
+        return _run(composed, folder, hydra.overrides.task, stages, alone=alone)
+    except Exception as error:
+        if not alone:  # Hydra runs the other jobs, and says only at the end why the first of the failed ones failed
+            print(f"failed: {folder}: {error}", file=sys.stderr, flush=True)
+        raise
 
 
 def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool) -> dict[str, Any]:
@@ -96,7 +100,7 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
         if ranks.from_first(lambda: run.finished):
             print(f"finished before: {run.folder}")
             return ranks.from_first(lambda: json.loads((run.folder / "summary.json").read_text()))
-        components = _components(run, initial)
+        components = build_components(run, initial)
         run.begin(components.protocol.world, components.protocol.observation.order)
     with one_line_exits(run.how_to_go_on) if alone else nullcontext():
         try:
@@ -105,8 +109,11 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
             raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
 
 
-def _components(run: Run, initial: Any) -> Components:
-    """Everything that the configuration asks for, with the weights that the run begins or goes on with."""
+def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Components:
+    """Everything that the configuration asks for, with the weights that the run begins or goes on with.
+
+    ``initial`` is the checkpoint that ``init`` names, if it has been read.
+    """
     world = build_world(run.config)
     observation = build_observation(run.config, world)
     weights = initial_weights(run.config, world, run.saved or initial)
@@ -123,7 +130,7 @@ def _components(run: Run, initial: Any) -> Components:
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
-    return Components(policy, demos, protocol, state, begins=run.saved is None or in_imitation(run))
+    return Components(policy, demos, protocol, state, begins=run.saved is None or "imitation" in run.saved)
 
 
 def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
@@ -134,7 +141,7 @@ def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -
     env = build_env(run.config, protocol.world, protocol.observation, policy, agents=agents, seed=seed)
     meter = EpisodeMeter(mean_shortest(protocol.world))
     state = TrainState(policy, losses, optimiser, env, env.reset(), meter)
-    if run.saved is not None and not in_imitation(run):
+    if run.saved is not None and "imitation" not in run.saved:
         check_state(run.saved, state.state_dict(), optimiser, str(run.folder), run.saved["frames"], env)
         state.load_state_dict(run.saved)
     return state

@@ -9,26 +9,30 @@ A loop is used within its context, whose end stops the program if a signal came 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
+import torch
 from torch import nn
+from torch.optim import Optimizer
 from tqdm import tqdm
 
 from dirl.config.schemas import Until
 from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
+from dirl.models import plain_weights
 from dirl.runs import ranks
 from dirl.runs.exits import interruptible, leave
 from dirl.runs.finding import RunError
 from dirl.runs.folder import Run
+from dirl.runs.states import check_state
 from dirl.training.build import build_env, build_expert
 from dirl.training.pairs import Demonstrations, with_labels
 from dirl.training.rollout import Update, collect, together
-from dirl.training.state import ImitationState, TrainState, begin_imitation
+from dirl.training.state import TrainState, random_state, restore_random_state
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -36,30 +40,34 @@ ROWS = 200
 
 @dataclass
 class ImitationSteps:
-    """The steps of an imitation; made by `imitation_steps`."""
+    """The steps of an imitation, and what changes from one to the next; made by `imitation_steps`."""
 
     run: Run
-    state: ImitationState
-    last: int
-    bar: Any
-    asked: list[int]
-    saves: bool
+    policy: Any
+    """Its encoder and policy head are trained; the value head gets no gradient."""
+    optimiser: Optimizer
+    first: int
+    """Steps before this imitation."""
+    step: int
+    loss: float = math.inf
+    """Of the latest step, as is the accuracy: the fraction of its rows in which the most probable action is right."""
+    accuracy: float = 0.0
+    bar: Any = None
+    asked: list[int] = field(default_factory=list)
     stop: list[int] = field(default_factory=list)
     """Signals that ask the loop to end."""
-    average_gradients = staticmethod(ranks.average_gradients)
 
     @property
     def goes_on(self) -> bool:
         """Whether there are steps left to do."""
-        learnt = self.state.loss < self.run.config.imitation.loss_threshold
-        return self.state.step < self.last and not learnt and not self.stop
+        options = self.run.config.imitation
+        return self.step - self.first < options.max_steps and self.loss >= options.loss_threshold and not self.stop
 
     @property
     def lr(self) -> float:
         """The learning rate of the next step: constant, or with ``imitation.lr_decay`` linearly to zero."""
         options = self.run.config.imitation
-        done = self.state.step - (self.last - options.max_steps)
-        return options.lr * (1 - done / options.max_steps) if options.lr_decay else options.lr
+        return options.lr * (1 - (self.step - self.first) / options.max_steps) if options.lr_decay else options.lr
 
     def record(self, loss: float, accuracy: float, rows: int) -> None:
         """Count a step of so many rows; write its metrics, save when it is time to.
@@ -68,26 +76,48 @@ class ImitationSteps:
             RunError: the loss is not finite. The checkpoints before are not touched.
         """
         if not math.isfinite(loss):
-            raise RunError(
-                f"the imitation has diverged: a loss of {loss} at step {self.state.step}; lower imitation.lr"
-            )
+            raise RunError(f"the imitation has diverged: a loss of {loss} at step {self.step}; lower imitation.lr")
         parts, self.stop, save = ranks.tell((loss, accuracy, rows), self.asked, self.run.save_due())
-        self.state.count(parts)
-        step, loss, accuracy = self.state.step, self.state.loss, self.state.accuracy
-        self.run.write("imitation", step, {"step": step, "loss": loss, "accuracy": accuracy})
+        everywhere = sum(count for *_, count in parts)
+        self.loss, self.accuracy = (sum(part[i] * (part[2] / everywhere) for part in parts) for i in (0, 1))
+        self.step += 1
+        self.run.write("imitation", self.step, {"step": self.step, "loss": self.loss, "accuracy": self.accuracy})
         self.bar.update()
-        if (save or self.stop) and self.saves:
-            self.run.save(self.state.state_dict())
+        if (save or self.stop) and not self.first:
+            self.run.save(self.state_dict())
+
+    def state_dict(self) -> dict[str, Any]:
+        """What `load_state_dict` takes, and under ``network`` the weights for everyone else; called by all ranks."""
+        state = {
+            "frames": 0,
+            "imitation": {"step": self.step, "loss": self.loss, "accuracy": self.accuracy},
+            "network": plain_weights(self.policy),
+            "learning": self.policy.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "trained": len(self.optimiser.state),
+            "random": random_state(next(self.policy.parameters()).device),
+        }
+        return ranks.with_others(state, ("random",))
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from a saved state."""
+        self.step, self.loss, self.accuracy = (state["imitation"][name] for name in ("step", "loss", "accuracy"))
+        self.policy.load_state_dict(state["learning"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        restore_random_state(state["random"])
 
 
 @contextmanager
 def imitation_steps(run: Run, policy: Any, first: int) -> Iterator[ImitationSteps]:
     """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved."""
-    state = begin_imitation(run, policy, first)
-    count, hidden = run.config.imitation.max_steps, not run.config.imitation.sampled or ranks.rank() > 0
-    options: dict[str, Any] = {"unit": " steps", "mininterval": bar_interval(), "disable": hidden}
-    with interruptible() as asked, tqdm(total=count, initial=state.step - first, **options) as bar:
-        steps = ImitationSteps(run, state, first + count, bar, asked, saves=not first)
+    options = run.config.imitation
+    steps = ImitationSteps(run, policy, torch.optim.Adam(policy.parameters(), lr=options.lr), first, first)
+    if run.saved is not None and "imitation" in run.saved and not first:
+        check_state(run.saved, steps.state_dict(), steps.optimiser, str(run.folder), options.max_steps)
+        steps.load_state_dict(run.saved)
+    shown: dict[str, Any] = {"total": options.max_steps, "initial": steps.step - first, "unit": " steps"}
+    hidden = not options.sampled or ranks.rank() > 0
+    with interruptible() as steps.asked, tqdm(**shown, mininterval=bar_interval(), disable=hidden) as steps.bar:
         yield steps
     if steps.stop:
         leave("interrupted", 128 + steps.stop[0], run.how_to_go_on)
@@ -105,13 +135,12 @@ class Updates:
     bar: Any
     asked: list[int]
     stop: list[int] = field(default_factory=list)
-    """Signals that ask the loop to end, or 0 where the training is done before all frames are."""
-    average_gradients = staticmethod(ranks.average_gradients)
+    """Signals that ask the loop to end."""
 
     @property
     def goes_on(self) -> bool:
         """Whether there are updates left to do."""
-        return self.state.frames < self.total and not self.stop
+        return not self.done and not self.stop
 
     @property
     def left(self) -> float:
@@ -149,20 +178,16 @@ class Updates:
         self.state.start_clock()
         self.bar.update(min(update.frames, self.total - self.bar.n))  # tqdm drops a bar that is more than full
         self.bar.set_postfix_str(f"ATL {meter.atl:.1f}", refresh=False)
-        if self.done:
-            self.stop.append(0)
 
 
 @contextmanager
 def updates(run: Run, state: TrainState, protocol: EvaluationProtocol) -> Iterator[Updates]:
     """The updates of a reinforcement, from its present state on."""
     total = run.config.reinforcement.frames_per_scene * len(protocol.world.scenes)
-    options: dict[str, Any] = {"unit": " frames", "unit_scale": True, "mininterval": bar_interval()}
+    shown: dict[str, Any] = {"total": total, "initial": state.frames, "unit": " frames", "unit_scale": True}
     hidden = ranks.rank() > 0
-    with interruptible() as asked, tqdm(total=total, initial=state.frames, disable=hidden, **options) as bar:
+    with interruptible() as asked, tqdm(**shown, mininterval=bar_interval(), disable=hidden) as bar:
         loop = Updates(run, state, protocol, total, bar, asked)
-        if loop.done:
-            loop.stop.append(0)
         state.start_clock()
         yield loop
         if loop.stop and not loop.done:

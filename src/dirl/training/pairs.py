@@ -82,12 +82,6 @@ class DrawnPairs:
         scene = scenes[torch.randint(len(scenes), (size,), device=scenes.device)]
         return self.first_goal[scene] + (torch.rand(size, device=scene.device) * self.goals[scene]).long()
 
-    def with_visited(self, rows: TensorDictBase) -> "DrawnPairs":
-        """The same with more labelled states that the learner came to, ``[M]``."""
-        merged = copy.copy(self)
-        merged.visited = rows if self.visited is None else torch.cat([self.visited, rows])
-        return merged
-
 
 Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
 """Rows ``[M]``, see `dirl.evaluation.experts.demonstrations`, or pairs that are sampled."""
@@ -95,6 +89,8 @@ Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
 
 def with_labels(demonstrations: Demonstrations, rows: TensorDictBase) -> Demonstrations:
     """Demonstrations and labelled states that the learner came to, ``[M]``, together (DAgger)."""
-    if isinstance(demonstrations, DrawnPairs):
-        return demonstrations.with_visited(rows)
-    return merge_demonstrations(demonstrations, rows)
+    if not isinstance(demonstrations, DrawnPairs):
+        return merge_demonstrations(demonstrations, rows)
+    merged = copy.copy(demonstrations)
+    merged.visited = rows if merged.visited is None else torch.cat([merged.visited, rows])
+    return merged

@@ -1,8 +1,7 @@
 """The state of a training: what a checkpoint holds, so that a killed run resumes to the same result."""
 
-import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,8 +14,6 @@ from torchrl.envs import EnvBase
 from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import plain_weights
 from dirl.runs import ranks
-from dirl.runs.folder import Run
-from dirl.runs.states import check_state
 from dirl.training.losses import Losses, trained_parameters
 from dirl.training.rollout import Update
 
@@ -92,67 +89,6 @@ class TrainState:
         self.meter.load_state_dict(state["meter"])
         self.env.base_env.generator.set_state(state["random"]["env"])
         restore_random_state(state["random"])
-
-
-@dataclass
-class ImitationState:
-    """Everything that changes from step to step of the imitation before reinforcement."""
-
-    policy: Any
-    """See `dirl.models.ActorCritic`."""
-    optimiser: Optimizer
-    step: int = 0
-    loss: float = math.inf
-    """Of the latest step, as is the accuracy: the fraction of its rows in which the most probable action is right."""
-    accuracy: float = 0.0
-
-    def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes, and under ``network`` the weights for everyone else; called by all ranks."""
-        state = {
-            "frames": 0,
-            "imitation": {"step": self.step, "loss": self.loss, "accuracy": self.accuracy},
-            "network": plain_weights(self.policy),
-            "learning": self.policy.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "trained": len(self.optimiser.state),
-            "random": random_state(next(self.policy.parameters()).device),
-        }
-        return ranks.with_others(state, ("random",))
-
-    def count(self, parts: Sequence[tuple[float, float, int]]) -> None:
-        """Count a finished step; of each rank its loss, its accuracy, and of how many rows these are means."""
-        rows = sum(count for *_, count in parts)
-        self.loss, self.accuracy = (sum(part[i] * (part[2] / rows) for part in parts) for i in (0, 1))
-        self.step += 1
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from a saved state."""
-        self.step, self.loss, self.accuracy = (state["imitation"][name] for name in ("step", "loss", "accuracy"))
-        self.policy.load_state_dict(state["learning"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        restore_random_state(state["random"])
-
-
-def in_imitation(run: Run) -> bool:
-    """Whether a run goes on from a checkpoint of its imitation."""
-    return run.saved is not None and "imitation" in run.saved
-
-
-def begin_imitation(run: Run, policy: Any, done: int) -> ImitationState:
-    """The state of an imitation before its first step, or from the checkpoint that the run continues.
-
-    Args:
-        run: of whose configuration it is.
-        policy: whose encoder and policy head are trained; the value head gets no gradient.
-        done: steps before it; those after some are rounds of DAgger, which have no checkpoint.
-    """
-    optimiser = torch.optim.Adam(policy.parameters(), lr=run.config.imitation.lr)
-    state = ImitationState(policy, optimiser, done)
-    if run.saved is not None and in_imitation(run) and not done:
-        most = run.config.imitation.max_steps
-        check_state(run.saved, state.state_dict(), optimiser, str(run.folder), most)
-        state.load_state_dict(run.saved)
-    return state
 
 
 def _place(value: Any) -> Any:
