@@ -8,7 +8,7 @@ stock TorchRL and Stable-Baselines3. All run alternately, so that other load on 
 shown. The limit is the machine's throughput of float32 matrix products. All options: conf/benchmark.yaml.
 """
 
-from dirl.cli.start import start
+from dirl.cli.start import run_recipe, start
 
 if __name__ == "__main__":
     start("benchmark")  # answers help and refuses options, before the imports below take their time
@@ -22,37 +22,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import hydra
 import torch
 from hydra import compose
-from omegaconf import DictConfig
 from torch.utils.flop_counter import FlopCounterMode
 from tqdm import tqdm
-from train import imitate, reinforce
+from train import reinforce, train
 
 from dirl.cli.command_line import prepare
 from dirl.config.components import check_components
 from dirl.config.places import CONF
-from dirl.config.schemas import BenchmarkConfig, ConfigError, TrainConfig
+from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.values import typed
 from dirl.experiments.other_loops import stable_baselines3, stock_torchrl
 from dirl.experiments.results import Table
 from dirl.models import caching
-from dirl.runs.exits import one_line_exits
 from dirl.runs.folder import Run
 from dirl.runs.memory import peak_memory_mb
 from dirl.scenes.io.atomic import write_json
-from dirl.training.build import (
-    build_demonstrations,
-    build_env,
-    build_losses,
-    build_observation,
-    build_protocol,
-    build_world,
-)
-from dirl.training.job import begin
-from dirl.training.load import learning_policy
+from dirl.training.build import build_world
+from dirl.training.job import Components, build_components
 from dirl.training.rollout import collect
+from dirl.training.state import TrainState
 
 SLOW = 20
 """The loops of other libraries make so many times fewer updates than ours."""
@@ -61,18 +51,13 @@ SMALL = 256
 """Rows and columns of a small matrix."""
 
 
-@hydra.main(version_base="1.3", config_path=str(CONF), config_name="benchmark")
-def main(composed: DictConfig) -> None:
+def main(options: Any) -> None:
     """Measure, print the tables, write the file."""
-    with one_line_exits():
-        options: BenchmarkConfig = typed(composed)
-        if options.out is not None and Path(options.out).exists():
-            raise ConfigError(f"out={options.out}: this file exists already; it is not overwritten")
-        fixed = [f"reinforcement.frames_per_scene={options.frames_per_scene}", *options.train]
-        asked = [train_config([f"scene={_text(scene)}", *fixed]) for scene in options.worlds]
-        for config in asked:
-            check_components(config)
-            build_world(config)
+    fixed = [f"reinforcement.frames_per_scene={options.frames_per_scene}", *options.train]
+    asked = [train_config([f"scene={_text(scene)}", *fixed]) for scene in options.worlds]
+    for config in asked:
+        check_components(config)
+        build_world(config)
     result: dict[str, Any] = {"threads": torch.get_num_threads()}
     result["limits"] = {name: matrix_product_rate(getattr(torch, name)) for name in ("float32", "bfloat16")}
     result["rows"] = [
@@ -85,7 +70,7 @@ def main(composed: DictConfig) -> None:
         write_json(Path(options.out), result)
 
 
-def compare(name: str, config: TrainConfig, options: BenchmarkConfig, limit: float) -> dict[str, Any]:
+def compare(name: str, config: TrainConfig, options: Any, limit: float) -> dict[str, Any]:
     """One row: our loop and the others in one world, and how long it takes to learn it."""
     scenes = len(build_world(config).scenes)
     updates = config.reinforcement.frames_per_scene // (
@@ -138,22 +123,23 @@ def train_config(overrides: Sequence[str]) -> TrainConfig:
     return config
 
 
+def made(config: TrainConfig, folder: str = "") -> tuple[Run, Components, TrainState]:
+    """What training makes of a configuration; nothing is written yet."""
+    run = Run(Path(folder), config)
+    components = build_components(run)
+    if components.state is None:
+        raise ConfigError("train: these options train by no reinforcement, of which the speed is measured")
+    return run, components, components.state
+
+
 def trained(config: TrainConfig, *, imitation: bool = False) -> dict[str, Any]:
     """Train in a folder that is thrown away."""
-    world = build_world(config)
-    observation = build_observation(config, world)
-    policy = learning_policy(config, world, observation)
-    demos = build_demonstrations(config, world, observation)
-    losses = build_losses(config, policy, world, demos)
-    protocol = build_protocol(config, world, observation)
     with tempfile.TemporaryDirectory() as folder:
-        run = Run(Path(folder), config)
-        state = begin(run, policy, losses, protocol)
-        run.begin(world, observation.order)
+        run, components, state = made(config, folder)
+        protocol = components.protocol
+        run.begin(protocol.world, protocol.observation.order)
         torch.manual_seed(config.seed)
-        if imitation:
-            imitate(run, policy, demos)
-        result: dict[str, Any] = reinforce(run, state, protocol)
+        result = train(run, components) if imitation else reinforce(run, state, protocol)
         run.close()
         return result
 
@@ -165,15 +151,12 @@ def training(config: TrainConfig) -> float:
 
 def rollout(config: TrainConfig, updates: int) -> float:
     """Frames per second of walking alone."""
-    world = build_world(config)
-    observation = build_observation(config, world)
-    policy: Any = learning_policy(config, world, observation)
-    env, operator = build_env(config, world, observation, policy), policy.operator()
-    agents, frames = env.reset(), 0
+    _, components, state = made(config)
+    operator, agents, frames = components.policy.operator(), state.agents, 0
     began = time.perf_counter()
     for _ in range(updates):
-        with caching(policy):
-            batch, agents = collect(env, operator, agents, config.reinforcement.n_steps)
+        with caching(components.policy):
+            batch, agents = collect(state.env, operator, agents, config.reinforcement.n_steps)
         frames += batch.numel()
     return frames / (time.perf_counter() - began)
 
@@ -198,10 +181,8 @@ def operations_per_frame(config: TrainConfig) -> float:
 
 def evaluation_seconds(config: TrainConfig) -> dict[str, Any]:
     """How long episodes take, with the network as it begins, which walks longest: every start, and 100,000 sampled."""
-    world = build_world(config)
-    observation = build_observation(config, world)
-    policy = learning_policy(config, world, observation)
-    every = build_protocol(config, world, observation)
+    _, components, _ = made(config)
+    policy, every = components.policy, components.protocol
     goal_index, start = every.starts
     draws = torch.randint(len(start), (100_000,))
     many = replace(every, starts=(goal_index[draws], start[draws]))
@@ -236,4 +217,4 @@ def _text(scene: Any) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    run_recipe("benchmark", main)
