@@ -7,8 +7,8 @@ from typing import Annotated, Any, get_args, get_origin
 
 import yaml
 
-from dirl.cli.command_line import SCHEMAS
 from dirl.config.components import GROUPS, TARGET, class_parameters, find_class
+from dirl.config.conf_schemas import SCHEMAS
 from dirl.config.meanings import entries
 from dirl.config.schemas import Schedule, TrainConfig, Weight
 from dirl.config.values import option_types

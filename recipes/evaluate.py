@@ -25,7 +25,7 @@ from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.config.choices import goal_view_options, group_options, load_simulator
-from dirl.config.schemas import EvaluateConfig, GoalView
+from dirl.config.schemas import GoalView
 from dirl.evaluation.episodes import Episodes, sampled_starts, shortest_episodes
 from dirl.evaluation.experts import SeesArrows
 from dirl.evaluation.live import Remembered, evaluate_live
@@ -57,7 +57,7 @@ CHANGING = (
 )
 
 
-def main(options: EvaluateConfig) -> None:
+def main(options: Any) -> None:
     """Read the checkpoint, run the episodes, print the tables."""
     saved = load_checkpoint(options.checkpoint)
     changes = {
@@ -138,7 +138,7 @@ def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
     return replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
 
 
-def walk_live(trained: Trained, options: EvaluateConfig) -> dict[str, Any]:
+def walk_live(trained: Trained, options: Any) -> dict[str, Any]:
     """Measures of a navigator in a live world, by policy; each image is encoded when it is first seen."""
     config, policy, protocol = trained
     if len(protocol.world.scenes) > 1:
@@ -214,7 +214,7 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
     return trained._replace(protocol=replace(protocol, maps=maps))
 
 
-def beside(options: EvaluateConfig, trained: Trained, changes: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+def beside(options: Any, trained: Trained, changes: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     """The agent of a second checkpoint in the scenes and for the goals of the first, by its name."""
     if options.beside is None:
         return {}

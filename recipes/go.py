@@ -12,11 +12,12 @@ if __name__ == "__main__":
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dirl.agent.mapping.frames import KNOWN, fits, load_frames_map
-from dirl.config.schemas import ConfigError, GoConfig
+from dirl.config.schemas import ConfigError
 from dirl.reporting.strips import draw_strip
 from dirl.sources.video import read_photo
 
@@ -24,7 +25,7 @@ SHOWN = 16
 """Frames of the way in the picture, at most."""
 
 
-def main(options: GoConfig) -> None:
+def main(options: Any) -> None:
     """Locate the photos, and draw the way between them."""
     graph = load_frames_map(options.map)
     height = graph.frames.shape[1]

@@ -11,15 +11,15 @@ if __name__ == "__main__":
     start("map")  # answers help and refuses options, before the imports below take their time
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dirl.agent.mapping.frames import FrameMap
-from dirl.config.schemas import MapConfig
 from dirl.sources.video import read_frames
 
 
-def main(options: MapConfig) -> None:
+def main(options: Any) -> None:
     """Read the frames, look for shortcuts, write the map."""
     graph = FrameMap(read_frames(options.video, options.every), options.field_of_view)
     graph.save(options.out)

@@ -15,12 +15,13 @@ if __name__ == "__main__":
     start("report")  # answers help and refuses options, before the imports below take their time
 
 from pathlib import Path
+from typing import Any
 
 from omegaconf import OmegaConf
 
 from dirl.cli.refusals import OF_AGENTS, reported_runs
 from dirl.config.places import CONF
-from dirl.config.schemas import ExperimentName, ReportConfig, Split, TrainConfig
+from dirl.config.schemas import ExperimentName, Split, TrainConfig
 from dirl.experiments.any_goal import report_any_goal
 from dirl.experiments.changes import report_changes
 from dirl.experiments.efficiency import report_efficiency
@@ -39,7 +40,7 @@ from dirl.reporting.tables import scene_names
 from dirl.runs.finding import RunError
 
 
-def main(options: ReportConfig) -> None:
+def main(options: Any) -> None:
     """Read the runs, measure what they did not, write the report."""
     out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
     of_agents = options.experiment in OF_AGENTS
@@ -47,7 +48,7 @@ def main(options: ReportConfig) -> None:
     print(f"report: {out}")
 
 
-def chosen(options: ReportConfig) -> list[Result]:
+def chosen(options: Any) -> list[Result]:
     """The finished runs that an experiment is about, of all experiments' runs.
 
     Raises:
@@ -86,7 +87,7 @@ def belongs(config: TrainConfig, experiment: ExperimentName, usual: tuple[float,
     return as_usual
 
 
-def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
+def write(options: Any, runs: list[Result], out: Path) -> str:
     """Write the report of an experiment into a folder; returns its text."""
     name, note = options.experiment, describe_runs(runs)
     out.mkdir(parents=True, exist_ok=True)
@@ -106,7 +107,7 @@ def write(options: ReportConfig, runs: list[Result], out: Path) -> str:
     return report_stopping(runs, out, note, options.scene, load_encoder(options.encoder))
 
 
-def write_of_agents(options: ReportConfig, out: Path) -> str:
+def write_of_agents(options: Any, out: Path) -> str:
     """Write the report of an experiment on agents into a folder; returns its text."""
     agents, collections = options.agents, options.collections
     match options.experiment:

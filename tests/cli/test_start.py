@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from options import command_line, draw_arguments, program
 
-from dirl.cli.command_line import SCHEMAS
 from dirl.cli.start import run_main, start
+from dirl.config.conf_schemas import SCHEMAS
 from dirl.config.schemas import ConfigError
 
 RECIPES = sorted(set(SCHEMAS) - {"benchmark"})

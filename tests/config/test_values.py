@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dirl.config.bounds import Bounds
-from dirl.config.scene_schemas import COMMANDS, TYPES
+from dirl.config.conf_schemas import SCHEMAS, TYPES
 from dirl.config.schemas import ConfigError, Device, TrainConfig
 from dirl.config.values import check_choice, check_value, fits, option_types
 
@@ -69,8 +69,9 @@ def test_annotations_hold_the_bounds():
 
 
 def test_options_of_scenes_are_those_of_conf():
-    options = option_types(COMMANDS["sample"])
+    options = option_types(SCHEMAS["sample"])
     assert list(options)[:3] == ["kind", "seed", "count"]
     assert (options["workers"], options["encoder"], options["out"]) == (int | None, str | None, str)
     assert options["changes.position"] is float
-    assert set(TYPES) <= {name.split(".")[-1] for command in COMMANDS.values() for name in option_types(command)}
+    named = {(recipe, name) for recipe, schema in SCHEMAS.items() for name in option_types(schema) if recipe != "train"}
+    assert set(TYPES) <= {name.split(".")[-1] for _, name in named} | {f"{recipe}.{name}" for recipe, name in named}

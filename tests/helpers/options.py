@@ -6,7 +6,7 @@ from typing import get_args
 
 from forks import ROOT
 
-from dirl.cli.command_line import SCHEMAS
+from dirl.config.conf_schemas import SCHEMAS
 from dirl.config.values import option_types
 
 CONF = ROOT / "conf"

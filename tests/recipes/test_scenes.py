@@ -18,7 +18,7 @@ from tours import Camera360, grid_truth, turned, write_table
 
 from dirl.cli.command_line import SCHEMAS, choose_command, prepare, register
 from dirl.cli.start import checked
-from dirl.config.scene_schemas import command_meanings
+from dirl.config.conf_schemas import command_meanings
 from dirl.config.schemas import ConfigError, Match
 from dirl.perception.backbones import ResNet50
 from dirl.perception.recognition.diagnostics import inspect_scene

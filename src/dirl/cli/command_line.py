@@ -16,32 +16,11 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config.components import GROUPS
+from dirl.config.conf_schemas import SCHEMAS
 from dirl.config.saved import RENAMED, SINCE
-from dirl.config.scene_schemas import COMMANDS
-from dirl.config.schemas import (
-    BenchmarkConfig,
-    ConfigError,
-    EvaluateConfig,
-    GoConfig,
-    MapConfig,
-    ReportConfig,
-    Schedule,
-    TrainConfig,
-    Weight,
-)
+from dirl.config.schemas import ConfigError, Schedule, Weight
 from dirl.config.values import check_choice, fits, in_words, option_types
 from dirl.runs.exits import one_line
-
-SCHEMAS = {
-    "train": TrainConfig,
-    "evaluate": EvaluateConfig,
-    "report": ReportConfig,
-    "map": MapConfig,
-    "go": GoConfig,
-    "benchmark": BenchmarkConfig,
-    **COMMANDS,
-}
-"""What each recipe, or command of ``recipes/scenes.py``, takes; its file in ``conf/`` names it ``<key>_schema``."""
 
 
 def register() -> None:

@@ -50,21 +50,16 @@ def main() -> None:
     elif name == "copy":
         copy(arguments)
     elif name in RECIPES:
-        run(name, arguments)
+        script = HOME / RECIPES[name][0]
+        sys.argv = [str(script), *arguments]
+        sys.path.insert(0, str(script.parent))  # as Python does for a script
+        runpy.run_path(str(script), run_name="__main__")
     else:
         from dirl.config.values import check_choice
         from dirl.runs.exits import one_line_exits
 
         with one_line_exits():
             check_choice(f"command '{name}'", name, [*RECIPES, *OTHERS])
-
-
-def run(name: str, arguments: Sequence[str]) -> None:
-    """Run a recipe as a script, with the command line after its name."""
-    script = HOME / RECIPES[name][0]
-    sys.argv = [str(script), *arguments]
-    sys.path.insert(0, str(script.parent))  # as Python does for a script
-    runpy.run_path(str(script), run_name="__main__")
 
 
 def show(name: str, arguments: Sequence[str]) -> None:

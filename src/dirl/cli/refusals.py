@@ -9,17 +9,14 @@ from typing import Any
 
 from dirl.config.components import TARGET, components, make
 from dirl.config.places import command
-from dirl.config.schemas import ConfigError, EvaluateConfig, ExperimentName, ReportConfig, TrainConfig
+from dirl.config.schemas import ConfigError, ExperimentName, TrainConfig
 from dirl.runs.finding import find_checkpoint, find_unfinished, finished_folders, initial_weights_file
 
 
 def check_values(recipe: str, options: Any, overrides: Sequence[str] = ()) -> None:
-    """Refuse the options of a recipe that cannot be used.
+    """Refuse the options, composed and typed, of a recipe or of a command of ``recipes/scenes.py``.
 
-    Args:
-        recipe: or a command of ``recipes/scenes.py``.
-        options: composed and typed.
-        overrides: of the command line, as ``name=value``; used of a training.
+    Of a training the ``overrides`` of the command line, ``name=value``, are used too.
 
     Raises:
         ValueError: one cannot be used; the message says why in one line.
@@ -34,10 +31,14 @@ def check_values(recipe: str, options: Any, overrides: Sequence[str] = ()) -> No
         case "map" | "go":
             _recorded(recipe, options)
         case "sample":
-            _room_kind(options.kind)
+            from dirl.sources.rooms.options import check_keys
+            from dirl.sources.rooms.sampling import KINDS
+
+            check_keys({} if options.kind == "all" else {options.kind: 0}, KINDS, "kind")
             check_writable(options.out)
         case "benchmark":
-            pass
+            if options.out is not None:
+                new_file(options.out, ending="")
         case _:
             _scene_command(recipe, options)
 
@@ -58,7 +59,12 @@ def _scene_command(name: str, options: Any) -> None:
         new_file(options.out, ending="" if name in ("recording", "inspect") else ".h5")
     match name:
         case "encode" | "export" | "import" | "inspect":
-            _one_scene(options.scene)
+            from dirl.scenes.catalogue import find_rooms, find_scenes
+
+            if options.scene == "all":
+                raise ConfigError("scene=all: one scene at a time")
+            if find_rooms(options.scene, None, None) is None:
+                find_scenes(options.scene)
             if name == "encode" and options.encoder is None:
                 raise ConfigError("encoder=null: encode needs one")
         case "build":
@@ -106,7 +112,7 @@ def _scenes(options: TrainConfig) -> None:
             check_goals_differ(name, states)
 
 
-def _evaluation(options: EvaluateConfig) -> None:
+def _evaluation(options: Any) -> None:
     """Refuse a checkpoint that does not exist, and options that need others, or exclude them."""
     if options.last_steps is not None and options.map is None:
         raise ConfigError(f"last_steps={options.last_steps}: only where a map leads; give map=2 too")
@@ -133,7 +139,7 @@ OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "changes", "walked
 """The experiments on agents instead of runs."""
 
 
-def _report(options: ReportConfig) -> None:
+def _report(options: Any) -> None:
     """Refuse a report without finished runs, or, of agents, without these or without somewhere to test them."""
     if options.experiment not in OF_AGENTS:
         finished_folders(*reported_runs(options))
@@ -152,7 +158,7 @@ def _report(options: ReportConfig) -> None:
         find_checkpoint(agent)
 
 
-def reported_runs(options: ReportConfig) -> tuple[Path, str]:
+def reported_runs(options: Any) -> tuple[Path, str]:
     """The folder of the runs that a report is about, and the command that makes them."""
     hint = f"{command('train')} -m experiment={options.experiment} preset={options.preset}"
     return Path(options.runs) / options.preset, hint
@@ -178,19 +184,3 @@ def check_writable(name: str) -> None:
             pass
     except OSError as error:
         raise ConfigError(f"out={name}: cannot be written ({error.strerror})") from None
-
-
-def _room_kind(kind: str) -> None:
-    from dirl.sources.rooms.options import check_keys
-    from dirl.sources.rooms.sampling import KINDS
-
-    check_keys({} if kind == "all" else {kind: 0}, KINDS, "kind")
-
-
-def _one_scene(name: str) -> None:
-    from dirl.scenes.catalogue import find_rooms, find_scenes
-
-    if name == "all":
-        raise ConfigError("scene=all: one scene at a time")
-    if find_rooms(name, None, None) is None:
-        find_scenes(name)

@@ -15,11 +15,11 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
-from dirl.cli.command_line import SCHEMAS, choose_command, config_dirs, parsed, prepare, register
+from dirl.cli.command_line import choose_command, config_dirs, parsed, prepare, register
 from dirl.cli.refusals import check_values
+from dirl.config.conf_schemas import SCHEMAS, command_meanings
 from dirl.config.meanings import entries, explained
 from dirl.config.places import CONF, RECIPES, command
-from dirl.config.scene_schemas import command_meanings
 from dirl.config.schemas import ConfigError
 from dirl.config.values import typed
 from dirl.runs.exits import end_at_once, one_line_exits
