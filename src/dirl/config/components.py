@@ -155,28 +155,18 @@ def class_parameters(cls: type) -> Parameters:
     What a base needs is not required: the class itself may give it.
     """
     found: Parameters = {}
-    for owner in cls.__mro__:
-        if "__init__" not in vars(owner):
-            continue
-        above = _signature(owner)
-        found = {**{name: (kind, needed and not found) for name, (kind, needed) in above.items()}, **found}
-        if not any(p.kind is p.VAR_KEYWORD for p in inspect.signature(vars(owner)["__init__"]).parameters.values()):
+    # TorchRL's metaclasses hide a class's own signature.
+    for constructor in (vars(owner)["__init__"] for owner in cls.__mro__ if "__init__" in vars(owner)):
+        try:
+            hints = typing.get_type_hints(constructor, include_extras=True)
+        except (NameError, TypeError):  # a name that is only imported for type checkers
+            hints = {}
+        own = list(inspect.signature(constructor).parameters.values())[1:]
+        named = [one for one in own if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
+        found = {one.name: (hints.get(one.name, Any), one.default is one.empty and not found) for one in named} | found
+        if all(one.kind is not one.VAR_KEYWORD for one in own):
             break
     return found
-
-
-def _signature(owner: type) -> Parameters:
-    """The named parameters of the constructor that a class defines: annotation, and whether one must be given."""
-    constructor = vars(owner)["__init__"]  # TorchRL's metaclasses hide the class's own signature
-    try:
-        hints = typing.get_type_hints(constructor, include_extras=True)
-    except (NameError, TypeError):  # a name that is only imported for type checkers
-        hints = {}
-    return {
-        name: (hints.get(name, Any), parameter.default is parameter.empty)
-        for name, parameter in list(inspect.signature(constructor).parameters.items())[1:]
-        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
-    }
 
 
 def check_options(name: str, parameters: Parameters, options: Mapping[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """What options mean: the comments beside their values in conf/."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 
 from dirl.config.places import CONF, RECIPES
@@ -30,14 +30,12 @@ def explained(values: str, files: Iterable[Path]) -> str:
     Where several files say what an option means, the last one counts.
     """
     meanings = {name: comment for file in files for name, (_, comment) in entries(file).items() if comment}
-    return "\n".join(_beside(values.splitlines(), meanings)) + "\n"
-
-
-def _beside(lines: list[str], meanings: Mapping[str, str]) -> Iterable[str]:
-    names = iter([name for _, name, _, _ in _named("\n".join(lines), "")])
-    for line in lines:
+    names = (name for _, name, _, _ in _named(values, ""))
+    lines = []
+    for line in values.splitlines():
         meaning = meanings.get(next(names)) if LINE.match(line) else None
-        yield f"{line:<36}  # {meaning}" if meaning else line
+        lines.append(f"{line:<36}  # {meaning}\n" if meaning else f"{line}\n")
+    return "".join(lines)
 
 
 def _named(text: str, prefix: str) -> Iterable[tuple[int, str, str, str]]:

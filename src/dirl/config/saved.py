@@ -61,7 +61,10 @@ def read_config(
     try:
         values = plain_mapping(text)
         if isinstance(values.get("objective"), dict):
-            values = _of_schema_1(values)
+            try:
+                values = _of_schema_1(values)
+            except (AttributeError, TypeError) as error:  # a group or name of another type
+                raise ConfigError(f"a value of schema 1 is not of its type ({error})") from None
         values = _with_source(_moved(_since(values))) | {"resume": None, "trust": list(trust)}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
@@ -145,14 +148,7 @@ def _replace(values: dict[str, Any], name: str, value: Any) -> None:
     values[last] = value
 
 
-def _of_schema_1(values: dict[str, Any]) -> dict[str, Any]:
-    try:
-        return _upgraded(values)
-    except (AttributeError, TypeError) as error:  # a group or name of another type
-        raise ConfigError(f"a value of schema 1 is not of its type ({error})") from None
-
-
-def _upgraded(old: dict[str, Any]) -> dict[str, Any]:
+def _of_schema_1(old: dict[str, Any]) -> dict[str, Any]:
     """A configuration of schema 1 converted to the current one, as far as evaluation, Navigator and reports need it."""
     before, network = leaves(old), old["network"]
     gone = ("objective", "network", "optimiser", "policy", "observation")

@@ -63,10 +63,10 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 def latest_checkpoint(
     folder: Path, check: Callable[[Path, Mapping[str, Any]], None] = lambda *_: None
 ) -> tuple[dict[str, Any], list[Path]]:
-    """The latest training checkpoint that can be used, and those after it; each that cannot is named on the terminal.
+    """The latest training checkpoint of a run that can be used, and those after it, each named on the terminal.
 
     Args:
-        folder: of a run, with at least one training checkpoint.
+        folder: of the run.
         check: raises `RunError` for a file and its content that the run cannot have written.
 
     Raises:
@@ -79,10 +79,9 @@ def latest_checkpoint(
             check(files[number], state)
             return state, files[number + 1 :]
         except RunError as error:
-            before = files[number - 1] if number else None
-            if before is None:
+            if number == 0:
                 raise RunError(f"{error}; to begin this run again from its start, delete {files[0].parent}") from None
-            print(f"{error}; going back to the one before, {before.name}", file=sys.stderr, flush=True)
+            print(f"{error}; going back to the one before, {files[number - 1].name}", file=sys.stderr, flush=True)
     raise RunError(f"{folder}: holds no checkpoint of a training")
 
 

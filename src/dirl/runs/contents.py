@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dirl.config.bounds import Bounds
 from dirl.config.values import fits
-from dirl.runs.finding import SCHEMA, RunError, is_count
+from dirl.runs.finding import SCHEMA, RunError
 
 Count = Annotated[int, Bounds(0, 2**63 - 1)]
 Duration = Annotated[float, Bounds(0, 10**10)]
@@ -23,12 +23,8 @@ TABLES: tuple[str, ...] = get_args(Table)
 def check_plain(state: Any, file: Path, limit: int) -> None:
     """Raise `RunError` unless everything is made of dictionaries, lists, texts, numbers and ordinary, finite tensors.
 
-    An object with several references is checked once, so that the time is linear in the size of the file.
-
-    Args:
-        state: as read from the file.
-        file: for the error.
-        limit: the most bytes that all tensors may have; more than in the file, because some share their memory.
+    An object with several references is checked once, so that the time is linear in the size of the file. All tensors
+    may have ``limit`` bytes: more than the file, because some share their memory.
     """
     waiting: list[tuple[str, Any]] = [("", state)]
     seen: set[int] = set()
@@ -95,7 +91,7 @@ def check_header(state: Any, file: Path) -> dict[str, Any]:
     missing = sorted(REQUIRED.keys() - state.keys())
     if missing:
         raise RunError(f"{file}: is no checkpoint of dirl; it lacks {', '.join(missing)}")
-    if is_count(state.get("schema")) and state["schema"] > SCHEMA:
+    if fits(state.get("schema"), Count) and state["schema"] > SCHEMA:
         raise RunError(
             f"{file}: was written by a newer version of dirl (schema {state['schema']}); update dirl to use it"
         )

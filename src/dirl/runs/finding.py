@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from dirl.config.schemas import ConfigError
 
@@ -21,11 +20,6 @@ ARCHITECTURE = ("observation", "encoder", "memory", "heads", "policy", "network"
 
 class RunError(ValueError):
     """A run folder or checkpoint that cannot be used."""
-
-
-def is_count(value: Any) -> bool:
-    """Whether it is a number of things, as frames or bytes."""
-    return type(value) is int and 0 <= value < 2**63
 
 
 def config_file(folder: Path) -> Path:

@@ -61,8 +61,8 @@ class Run:
         self._began = time.perf_counter() - (saved["seconds"] if saved else 0.0)
         self._last_save = time.perf_counter()
         self._facts: dict[str, Any] = {}
-        self._tables: set[Path] = set()
-        self._columns: dict[Path, list[str]] = {}
+        self._tables: dict[Path, list[str]] = {}
+        """Columns of each that has been begun; none before its first row."""
 
     def begin(self, world: World, view_order: Sequence[str]) -> None:
         """Lock the folder, write the configuration, and remove what is newer than the checkpoint.
@@ -85,12 +85,10 @@ class Run:
             self._lock = FolderLock(self.folder)
         try:
             self.logger = make_logger(self.config, self.folder, self.saved["frames"] if self.saved else 0)
-            text = config_text(self.config)
-            self._facts = {"config": text, "scenes": list(world.names), "extractor": world.scenes[0].extractor}
-            self._facts |= {"views": list(view_order), "turns": turns_of(world.scenes), "schema": SCHEMA}
+            self._facts = facts(self.config, world, view_order)
             self._tidy_up()
             if not _config_text(self.folder):
-                write_text(config_file(self.folder), text)
+                write_text(config_file(self.folder), self._facts["config"])
         except BaseException:
             self.close()
             if self.folder != asked:
@@ -106,9 +104,11 @@ class Run:
         remove_unfinished(self.folder)
         remove_unfinished(self.folder / "checkpoints")
         sizes = self.saved["tables"] if self.saved else {}
-        self._tables = {file for name in TABLES if (file := self.folder / name).exists()}
-        for file in self._tables:
-            os.truncate(file, sizes.get(file.name, 0))
+        for file in (self.folder / name for name in TABLES):
+            if file.exists():
+                os.truncate(file, sizes.get(file.name, 0))
+                with file.open(encoding="utf-8", errors="replace") as stream:
+                    self._tables[file] = next(csv.reader([stream.readline(2**16)]))
 
     def close(self) -> None:
         """Release the folder; the end of the process does so at the latest."""
@@ -147,14 +147,13 @@ class Run:
             name: "" if math.isnan(value) else f"{value:.6g}" if isinstance(value, float) else value
             for name, value in row.items()
         }
-        begins = file not in self._tables or file.stat().st_size == 0
+        if file in self._tables:
+            file.stat()  # if somebody has deleted it, a file without its first rows must not take its place
+        begins = not self._tables.get(file)
         if begins:
-            self._columns[file] = list(row)
-        elif file not in self._columns:  # of a run that is resumed
-            self._columns[file] = next(csv.reader(read_text(file).splitlines()))
-        self._tables.add(file)
+            self._tables[file] = list(row)
         with file.open("a", newline="") as stream:
-            writer = csv.DictWriter(stream, self._columns[file], restval="", extrasaction="ignore")
+            writer = csv.DictWriter(stream, self._tables[file], restval="", extrasaction="ignore")
             if begins:
                 writer.writeheader()
             writer.writerow(cells)
@@ -207,6 +206,13 @@ class Run:
         self.close()
         if self.logger is not None:
             self.logger.finish(summary, self.folder)
+
+
+def facts(config: TrainConfig, world: World, view_order: Sequence[str]) -> dict[str, Any]:
+    """What a checkpoint says beside its weights, for everyone who uses them."""
+    scenes = {"scenes": list(world.names), "extractor": world.scenes[0].extractor}
+    seen = {"views": list(view_order), "turns": turns_of(world.scenes)}
+    return {"config": config_text(config), **scenes, **seen, "schema": SCHEMA}
 
 
 def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:

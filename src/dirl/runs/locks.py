@@ -6,9 +6,8 @@ import platform
 import re
 import sys
 import weakref
-from collections.abc import Iterator
 from contextlib import suppress
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -98,14 +97,15 @@ def is_numbered(folder: Path) -> bool:
 
 
 def claim(folder: Path) -> tuple[Path, FolderLock]:
-    """Lock a folder for a new run, or, where a run gets a number, the first of its name that is free.
+    """Lock a folder for a new run, or, where a run gets a number (``<folder>-2``), the first of its name that is free.
 
     Raises:
         RunError: it holds a run, or another process writes to it.
         OSError: it cannot be made, or written to.
     """
     problem = RunError(f"{folder}: holds a run already; choose another folder")
-    for candidate in _names(folder):
+    numbers = count(2) if is_numbered(folder) else ()
+    for candidate in chain([folder], (folder.with_name(f"{folder.name}-{number}") for number in numbers)):
         candidate.mkdir(parents=True, exist_ok=True)
         try:
             lock = FolderLock(candidate)
@@ -116,10 +116,3 @@ def claim(folder: Path) -> tuple[Path, FolderLock]:
             return candidate, lock
         lock.release()
     raise problem
-
-
-def _names(folder: Path) -> Iterator[Path]:
-    """The folder, and where a run gets a number ``<folder>-2``, ``<folder>-3`` and so on."""
-    yield folder
-    if is_numbered(folder):
-        yield from (folder.with_name(f"{folder.name}-{number}") for number in count(2))

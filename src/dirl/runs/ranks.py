@@ -109,11 +109,9 @@ def own_seed(seed: int) -> int:
 
 
 def average_gradients(parameters: Iterable[nn.Parameter], rows: int) -> None:
-    """Replace gradients by their mean over the ranks, weighted by the rows that each of them learned from.
+    """Replace gradients by their mean over the ranks, weighted by the rows over which the loss of each is a mean.
 
-    Args:
-        parameters: those with gradients must be the same in every rank.
-        rows: of a loss that is a mean over them.
+    The parameters with gradients must be the same in every rank.
 
     Raises:
         LostRankError: another rank has ended.
@@ -146,13 +144,8 @@ def gather(value: T) -> list[T]:
 def tell(value: T, signals: Sequence[int], save: bool) -> tuple[list[T], list[int], bool]:
     """What ranks tell each other after an update, so that all of them stop and save after the same one.
 
-    Args:
-        value: of this rank.
-        signals: that this rank has got.
-        save: whether its clock says that a checkpoint is due.
-
-    Returns:
-        The values of all ranks, the signals that any has got, and whether rank 0's clock says so.
+    A value, the signals that a rank has got, and whether its clock says that a checkpoint is due become the values of
+    all ranks, the signals that any has got, and what rank 0's clock says.
     """
     values, found, saves = zip(*gather((value, list(signals), save)), strict=True)
     return list(values), [number for those in found for number in those], saves[0]

@@ -11,8 +11,9 @@ from torch.optim import Optimizer
 from torchrl.envs import EnvBase
 
 from dirl.config.schemas import TrainConfig
-from dirl.runs.contents import TABLES
-from dirl.runs.finding import RunError, is_count
+from dirl.config.values import fits
+from dirl.runs.contents import TABLES, Count
+from dirl.runs.finding import RunError
 
 
 def check_progress(file: Path, state: Mapping[str, Any], config: TrainConfig) -> None:
@@ -88,12 +89,8 @@ def check_fits(saved: Any, fresh: Any, where: str, most: int = 2**63 - 1) -> Non
     Tensors must agree in shape and dtype, dictionaries in their keys, lists in their length; an empty fresh dictionary
     is one that fills up, and tells nothing of what may be in it; an empty fresh list fills with counts.
 
-    Args:
-        saved: of a checkpoint, as `load_checkpoint` returns it.
-        fresh: of the same kind, as ``state_dict()`` gives it before any training; None is a count that
-            is not known yet.
-        where: the file and what it is of, for the error.
-        most: the largest count there can be, as of frames so far.
+    ``fresh`` is as ``state_dict()`` gives it before any training; None in it is a count that is not known yet. No count
+    may be above ``most``.
     """
     if not _same_kind(saved, fresh, most):
         raise RunError(f"{where}: expected {_told(fresh)}, found {_told(saved)}")
@@ -113,7 +110,7 @@ def _same_kind(saved: Any, fresh: Any, most: int) -> bool:
     if isinstance(fresh, list | tuple):
         return isinstance(saved, list | tuple) and (not fresh or len(saved) == len(fresh))
     if fresh is None or type(fresh) is int:
-        return (fresh is None and saved is None) or (is_count(saved) and saved <= most)
+        return (fresh is None and saved is None) or (fits(saved, Count) and saved <= most)
     return type(saved) in (int, float) if isinstance(fresh, float) else type(saved) is type(fresh)
 
 
@@ -128,13 +125,9 @@ def _told(value: Any) -> str:
 
 
 def check_optimiser(saved: Any, optimiser: Optimizer, where: str, trained: Any) -> None:
-    """Raise `RunError` unless a saved state is one that an optimiser can take: `check_fits`, and of each parameter.
+    """Raise `RunError` unless a fresh optimiser can take a saved ``state_dict()``: `check_fits`, and of each parameter.
 
-    Args:
-        saved: its ``state_dict()`` in a checkpoint.
-        optimiser: a fresh one of the same parameters.
-        where: the file and what it is of, for the error.
-        trained: how many parameters have a state; those without gradients so far have none.
+    ``trained`` is how many parameters have a state; those without gradients so far have none.
     """
     fresh = optimiser.state_dict()
     check_fits(saved, {**fresh, "state": {}}, where)

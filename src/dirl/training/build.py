@@ -34,9 +34,7 @@ from dirl.training.pairs import Demonstrations, DrawnPairs
 def build_world(config: TrainConfig, extractor: str | None = None) -> World:
     """Read the scenes and join them into a world, on the configured device.
 
-    Args:
-        config: of the run.
-        extractor: what a checkpoint was trained on; scenes with views get features of it, see `encoded_as`.
+    Scenes with views get the features of ``extractor``, on which a checkpoint was trained, see `encoded_as`.
 
     Raises:
         SceneError: a scene or goal that does not exist or cannot be used.
@@ -90,13 +88,7 @@ def build_env(
 ) -> EnvBase:
     """The environment of training, with step limit, reward scale, view ids, and the policy's recurrent state if any.
 
-    Args:
-        config: of the run.
-        world: where agents walk.
-        observation: what they observe.
-        policy: whose recurrent state begins anew with every episode.
-        agents: how many walk; all of the configuration if left out.
-        seed: of goals and starts; the configuration's if left out.
+    ``agents``, how many walk, and the ``seed`` of goals and starts are the configuration's if left out.
     """
     reward, scale = config.reward, config.reward.scale
     stop = stop_table(config, config.stop.training, world)
@@ -188,28 +180,24 @@ def build_losses(config: TrainConfig, policy: Any, world: World, demos: Demonstr
     actor, critic = operator.get_policy_head(), operator.get_value_head()
     offered = {"policy": policy, "actor": actor, "actor_network": actor, "critic_network": critic, "world": world}
     found = {}
-    for name, options in components(config).items():
-        if name.startswith("losses."):
-            changing = schedules(name, options)
-            with torch.random.fork_rng(devices=[]):  # the seed alone decides the weights of a loss's own
-                torch.manual_seed(config.seed)
-                module = make(name, options, config.trust, **offered)
-            _check_loss(name, module, policy, config.reinforcement.workers)
-            loss = ScheduledLoss(module.to(world.device), changing)
-            weight = changing["weight"]
-            if loss.compares and not len(demos):
-                raise ConfigError(
-                    f"{name}: {type(module).__name__} reads demonstrations; use imitation.fraction above 0"
-                )
-            if not loss.on_demonstrations or (len(demos) and (weight.start or weight.end)):
-                found[name.removeprefix("losses.")] = loss
+    for full, options in components(config).items():
+        group, _, name = full.partition(".")
+        if group != "losses":
+            continue
+        changing = schedules(full, options)
+        with torch.random.fork_rng(devices=[]):  # the seed alone decides the weights of a loss's own
+            torch.manual_seed(config.seed)
+            module = make(full, options, config.trust, **offered)
+        _check_loss(full, module, policy, config.reinforcement.workers)
+        loss = ScheduledLoss(module.to(world.device), changing)
+        weight = changing["weight"]
+        if loss.compares and not len(demos):
+            raise ConfigError(f"{full}: {type(module).__name__} reads demonstrations; use imitation.fraction above 0")
+        if not loss.on_demonstrations or (len(demos) and (weight.start or weight.end)):
+            found[name] = loss
     # Of equal losses those on demonstrations come last, whatever the order of the configuration.
-    return Losses(
-        policy,
-        dict(sorted(found.items(), key=lambda item: item[1].on_demonstrations)),
-        demos,
-        config.imitation.batch_size,
-    )
+    ordered = dict(sorted(found.items(), key=lambda item: item[1].on_demonstrations))
+    return Losses(policy, ordered, demos, config.imitation.batch_size)
 
 
 def _check_loss(name: str, module: Any, policy: nn.Module, workers: int) -> None:
@@ -236,13 +224,7 @@ def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | Arrive
 def build_protocol(
     config: TrainConfig, world: World, observation: SurroundingViews, held_out: Goals = None
 ) -> EvaluationProtocol:
-    """The conditions of an evaluation.
-
-    Args:
-        config: of the run.
-        world: with the goals to be evaluated.
-        observation: what is observed.
-        held_out: goals to be evaluated apart, see `ChosenGoals`; none if empty or left out.
+    """The conditions of an evaluation of the world's goals, and apart from them of those ``held_out``, if any.
 
     Raises:
         ConfigError: the episodic memory cannot serve such a policy.
@@ -284,14 +266,13 @@ def build_protocol(
     )
 
 
-def _some_goals(world: World, count: int, seed: int) -> dict[str, tuple[int, ...]]:
+def _some_goals(world: World, count: int, seed: int) -> dict[str, list[int]]:
     """Up to so many goals of each scene, sampled with the seed."""
     generator = torch.Generator().manual_seed(seed)
     chosen = {}
     for index, name in enumerate(world.names):
         own = world.local_goals(index).cpu()
-        drawn = torch.randperm(len(own), generator=generator)[:count]
-        chosen[name] = tuple(sorted(own[drawn].tolist()))
+        chosen[name] = sorted(own[torch.randperm(len(own), generator=generator)[:count]].tolist())
     return chosen
 
 

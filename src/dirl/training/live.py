@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from torch import nn
 
 from dirl.config.choices import load_simulator
 from dirl.config.components import packages_to_trust
-from dirl.config.saved import config_text
 from dirl.config.schemas import ConfigError, GoalView, Stop, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, sampled_starts
@@ -16,10 +15,10 @@ from dirl.evaluation.live import Remembered, evaluate_live, remembering, trained
 from dirl.models import plain_weights
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import packaged_encoder
+from dirl.runs.folder import facts
 from dirl.scenes import Scene, World
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.live import Noisy, Simulated, Simulator, shortest_move
-from dirl.scenes.scene import turns_of
 
 
 class Live(NamedTuple):
@@ -85,20 +84,14 @@ def live_protocol(
     """
     scene = world.scenes[0]
     turns = turns_per_circle(scene.graph)
-    facts: dict[str, Any] = {
-        "config": config_text(config),
-        "extractor": scene.extractor,
-        "scenes": list(world.names),
-        "views": list(observation.order),
-        "turns": turns_of(world.scenes),
-    }
+    beside = facts(config, world, observation.order)
     trust, device = packages_to_trust(config), str(config.device)
     each = max(1, config.evaluation.live_episodes // len(world.goals))
     goal, start = sampled_starts(world, each, config.seed)
     errors = {name: config.env[name] for name in ("slip", "turn_error")}
 
     def walk(policy: nn.Module, told: bool = False) -> Episodes:
-        saved = {**facts, "network": plain_weights(policy)}
+        saved = {**beside, "network": plain_weights(policy)}
         simulated = Simulated(live.simulator, step=shortest_move(scene), turns=turns)
         return evaluate_live(
             trained_navigator(saved, live.encode, turns, device, trust),

@@ -78,11 +78,7 @@ def learning_policy(
 ) -> nn.Module:
     """The policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
 
-    Args:
-        config: of the run.
-        world: where it walks.
-        observation: what it observes.
-        initial: weights that the training begins with, see `initial_weights`; sampled with the seed if left out.
+    It begins with the weights ``initial``, see `initial_weights`, or with some sampled with the seed.
     """
     everywhere = world
     if held_out := build_goals(config, world.scenes).held_out:  # a policy that knows the world walks to all goals
@@ -142,36 +138,25 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
 def trained_policy(
     saved: Mapping[str, Any], origin: str, config: TrainConfig, world: World, observation: SurroundingViews
 ) -> nn.Module:
-    """The policy of a checkpoint.
-
-    Args:
-        saved: see `dirl.runs.checkpoints.load_checkpoint`.
-        origin: where it stood, for errors.
-        config: its configuration, or one with other goals or conditions of evaluation.
-        world: of that configuration.
-        observation: what it observes there.
+    """The policy of a checkpoint, see `load_trained`, in a world of its configuration or with other goals.
 
     Raises:
         ConfigError: the scenes' features are of another extractor, or the weights do not fit the configuration.
     """
     check_extractor(saved, world.scenes[0].extractor, origin)
-    names = _scenes(saved["scenes"], world.names)
+    names = world.names
+    if not set(names) <= set(saved["scenes"]) and len(names) == len(saved["scenes"]):
+        names = saved["scenes"]  # its heads serve as many others, in order
     table, views = feature_table(config, world, saved["network"], origin), len(observation.order)
     policy = build_policy(config, table, names, world=world, views=views)
     load_weights(policy, saved["network"], origin, names)
     return cached(policy, config, world, observation)
 
 
-def _scenes(trained: Sequence[str], names: Sequence[str]) -> Sequence[str]:
-    """The names by which a policy's heads serve the scenes of a world: their own, or of as many others in order."""
-    return names if set(names) <= set(trained) or len(names) != len(trained) else trained
-
-
 def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:
-    """The configuration with the architecture of the checkpoint that ``init`` names; unchanged without it.
+    """The configuration with the architecture of the checkpoint that ``init`` names, and that checkpoint.
 
-    Returns:
-        The configuration, and the checkpoint, for `initial_weights`; None without ``init``.
+    Without ``init`` the configuration is unchanged, and there is no checkpoint.
 
     Raises:
         ConfigError: an option of the architecture is given beside ``init``.
@@ -189,10 +174,7 @@ def initial_weights(
 ) -> Mapping[str, Tensor] | None:
     """The weights that a training begins with, by name; None without ``init``.
 
-    Args:
-        config: of the run, see `with_architecture`.
-        world: where it walks.
-        saved: the checkpoint that ``init`` names, if it has been read; or the one that the run itself resumes from.
+    ``saved`` is the checkpoint that ``init`` names, if it has been read, or the one that the run itself resumes from.
 
     Raises:
         ConfigError: they were trained on the features of another extractor, or have heads for other scenes.

@@ -186,13 +186,9 @@ def total_loss(losses: TensorDictBase) -> Tensor:
 
 
 def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: bool = False) -> Iterator[TensorDictBase]:
-    """The batches of the updates that follow one rollout: all of it, or shuffled parts of it, several times.
+    """The batches of the updates that follow one rollout ``[B, T]``: all of it, or shuffled parts, in several passes.
 
-    Args:
-        batch: ``[B, T]``.
-        epochs: passes over it.
-        count: parts of each pass.
-        by_agent: keep the steps of an agent together and in order, ``[b, T]``, as a memory needs; else ``[b]``.
+    With ``by_agent`` the steps of an agent stay together and in order, ``[b, T]``, as a memory needs; else ``[b]``.
     """
     rows = batch if by_agent else batch.reshape(-1)
     for _ in range(epochs):
