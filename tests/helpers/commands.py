@@ -41,6 +41,13 @@ def run_recipe(folder, name, *arguments):
     return ended.status, ended.printed, ended.errors
 
 
+def done(folder, name, *arguments, by=run_recipe):
+    """Run a recipe, which must succeed; what it printed."""
+    status, printed, errors = by(folder, name, *arguments)
+    assert status == 0, errors
+    return printed
+
+
 def wait_until(happens, patience=1800):
     """Wait until a function says so; on a busy machine what takes a second may take minutes."""
     began = time.monotonic()

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 import torch
-from commands import SAVED, TINY, room_file, run_recipe, start_recipe, train_config, wait_until
+from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, train_config, wait_until
 from rooms import grid_scene
 
 from dirl.runs.checkpoints import load_checkpoint
@@ -24,22 +24,19 @@ def pretrained(tmp_path_factory):
     room_file(folder)
     write_dump(folder / "other.h5", grid_scene(goals=(2, 9), feature_width=32, seed=1, name="other"))
     options = [*TINY, "scene=room.h5", "heads=shared", "network.components=12", "hydra.run.dir=run"]
-    status, _, errors = run_recipe(folder, "train", *options)
-    assert status == 0, errors
+    done(folder, "train", *options)
     return folder
 
 
 def test_a_training_begins_with_the_weights_and_the_architecture_of_another(pretrained):
     still = ["reinforcement.frames_per_scene=6", "imitation.fraction=0", "optimiser.lr=0", "evaluation.times=1"]
-    status, _, errors = run_recipe(pretrained, "train", *OTHER, "init=run", *still, "hydra.run.dir=still")
-    assert status == 0, errors
+    done(pretrained, "train", *OTHER, "init=run", *still, "hydra.run.dir=still")
     before, after = (load_checkpoint(pretrained / name) for name in ("run", "still"))
     assert after["scenes"] == ["other"]
     assert before["network"].keys() == after["network"].keys()
     for name, value in before["network"].items():
         assert torch.equal(value, after["network"][name]), name
-    status, _, errors = run_recipe(pretrained, "train", *OTHER, "init=run", "hydra.run.dir=tuned")
-    assert status == 0, errors
+    done(pretrained, "train", *OTHER, "init=run", "hydra.run.dir=tuned")
     tuned = load_checkpoint(pretrained / "tuned")["network"]
     assert any(not torch.equal(value, tuned[name]) for name, value in before["network"].items())
     assert torch.equal(tuned["features.axes"], before["network"]["features.axes"])  # those of its features
@@ -47,8 +44,7 @@ def test_a_training_begins_with_the_weights_and_the_architecture_of_another(pret
 
 def test_workers_begin_with_the_weights_of_another_run_too(pretrained):
     workers = ["reinforcement.workers=2", "reinforcement.agents_per_scene=4", "hydra.run.dir=workers"]
-    status, _, errors = run_recipe(pretrained, "train", *OTHER, "init=run", *workers)
-    assert status == 0, errors
+    done(pretrained, "train", *OTHER, "init=run", *workers)
     before, after = (load_checkpoint(pretrained / name)["network"] for name in ("run", "workers"))
     assert torch.equal(after["features.axes"], before["features.axes"])
     assert any(not torch.equal(value, after[name]) for name, value in before.items())
@@ -59,16 +55,14 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
     shutil.copy(pretrained / "run" / "network.pt", pretrained / "lent")
     options = [*OTHER, "init=lent/network.pt", "reinforcement.frames_per_scene=1500"]
     whole, killed = pretrained / "whole", pretrained / "killed"
-    status, _, errors = run_recipe(pretrained, "train", *options, "hydra.run.dir=whole")
-    assert status == 0, errors
+    done(pretrained, "train", *options, "hydra.run.dir=whole")
     process = start_recipe(pretrained, "train", *options, "hydra.run.dir=killed", SAVED)
     wait_until(lambda: list(killed.glob("checkpoints/0*[1-9]??.pt")))
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (killed / "summary.json").exists(), "it was not killed in time"
     shutil.rmtree(pretrained / "lent")
-    status, _, errors = run_recipe(pretrained, "train", "resume=killed")
-    assert status == 0, errors
+    done(pretrained, "train", "resume=killed")
     first, second = (load_checkpoint(run)["network"] for run in (whole, killed))
     assert all(torch.equal(first[key], second[key]) for key in first)
 

@@ -4,7 +4,7 @@ import csv
 import json
 
 import pytest
-from commands import run_recipe
+from commands import done, run_recipe
 from rooms import grid_scene
 
 from dirl.scenes import write_dump
@@ -27,8 +27,7 @@ OPTIONS = [
 def test_goals_held_out_are_evaluated_apart(tmp_path, policy):
     write_dump(tmp_path / "room.h5", grid_scene(goals=(0, 13), feature_width=32))
     asked = [f"scene={tmp_path / 'room.h5'}", "goals=all", "hold_out=0.34", f"policy={policy}", "hydra.run.dir=run"]
-    status, printed, errors = run_recipe(tmp_path, "train", *OPTIONS, *asked)
-    assert status == 0, errors
+    printed = done(tmp_path, "train", *OPTIONS, *asked)
     assert "Goals held out of the training:" in printed
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     goals = [set(part["greedy"]["scenes"]["grid"]["goals"]) for part in (summary, summary["held_out"])]
@@ -41,8 +40,7 @@ def test_goals_held_out_are_evaluated_apart(tmp_path, policy):
     header = (tmp_path / "run" / "evaluation.csv").read_text().splitlines()[0]
     assert header.endswith("held_out_sr,held_out_spl")
     again = ["checkpoint=run", "seed=7", "out=e.json"]  # another seed draws other actions, but no other goals
-    status, _, errors = run_recipe(tmp_path, "evaluate", *again)
-    assert status == 0, errors
+    done(tmp_path, "evaluate", *again)
     evaluated = json.loads((tmp_path / "e.json").read_text())
     assert evaluated["greedy"] == summary["greedy"]
     assert evaluated["held_out"]["greedy"] == summary["held_out"]["greedy"]
@@ -68,8 +66,7 @@ def any_goal(tmp_path_factory):
     """A folder with a room with patches and a run that was trained for any goal of it."""
     folder = tmp_path_factory.mktemp("any_goal")
     write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
-    status, printed, errors = run_recipe(folder, "train", *ANY_GOAL, "scene=room.h5", "hydra.run.dir=run")
-    assert status == 0, errors
+    printed = done(folder, "train", *ANY_GOAL, "scene=room.h5", "hydra.run.dir=run")
     assert "Goals held out of the training:" in printed
     return folder
 
@@ -91,8 +88,7 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
         "planned": ["episodic_memory=planning"],
     }.items():
         asked = [f"checkpoint={any_goal / 'run'}", f"out={any_goal / name}.json", *options]
-        status, _, errors = run_recipe(any_goal, "evaluate", *asked)
-        assert status == 0, errors
+        done(any_goal, "evaluate", *asked)
         found[name] = json.loads((any_goal / f"{name}.json").read_text())["greedy"]["atl"]
     summary = json.loads((any_goal / "run" / "summary.json").read_text())
     assert found["four"] == summary["greedy"]["atl"]
@@ -103,8 +99,7 @@ def test_goals_that_are_named_are_all_evaluated(any_goal):
     """Though the run evaluated three that it drew."""
     counted = {}
     for name, options in {"drawn": [], "named": ["goals=[0,1,5,7,13]"], "all": ["goals=all"]}.items():
-        status, _, errors = run_recipe(any_goal, "evaluate", "checkpoint=run", f"out={name}.json", *options)
-        assert status == 0, errors
+        done(any_goal, "evaluate", "checkpoint=run", f"out={name}.json", *options)
         (scene,) = json.loads((any_goal / f"{name}.json").read_text())["greedy"]["scenes"].values()
         counted[name] = sorted(map(int, scene["goals"]))
     assert len(counted["drawn"]) == 3

@@ -8,7 +8,7 @@ import time
 import pytest
 import torch
 import yaml
-from commands import SAVED, TINY, room_file, run_program, run_recipe, start_recipe, wait_until
+from commands import SAVED, TINY, done, room_file, run_program, run_recipe, start_recipe, wait_until
 from PIL import Image
 
 STAGES = ("imitation", "reinforcement", "evaluation")
@@ -31,8 +31,7 @@ def read_summary(run, without=("seconds", "frames_per_second", "peak_memory_mb")
 
 def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     file = room_file(tmp_path)
-    status, printed, errors = run_program(tmp_path, "train", f"scene={file}", *TINY)
-    assert status == 0, errors
+    printed = done(tmp_path, "train", f"scene={file}", *TINY, by=run_program)
     assert "| greedy " in printed
     run = only_run(tmp_path)
     names = {"config.yaml", "summary.json", "network.pt", "learning_curve.png", "trajectories_grid.png"}
@@ -51,10 +50,7 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
         assert set(summary[mode]["scenes"]["grid"]["goals"]) == {"0", "13"}
     assert [row["frames"] for row in read_table(run / "evaluation.csv")] == ["0", "300", "600"]
 
-    status, printed, errors = run_program(
-        tmp_path, "evaluate", f"checkpoint={run}", "seed=3", "max_steps=50", "out=e.json"
-    )
-    assert status == 0, errors
+    printed = done(tmp_path, "evaluate", f"checkpoint={run}", "seed=3", "max_steps=50", "out=e.json", by=run_program)
     again = json.loads((tmp_path / "e.json").read_text())
     assert all(again[mode] == summary[mode] for mode in ("greedy", "sampled", "random", "shortest_path"))
 
@@ -64,8 +60,7 @@ def test_products_can_be_rounded_to_bfloat16_but_not_the_weights(tmp_path):
     for precision in ("float32", "bfloat16"):
         options = [f"scene={room_file(tmp_path)}", *TINY, f"precision={precision}", f"hydra.run.dir={precision}"]
         options += ["imitation.max_steps=5", "reinforcement.frames_per_scene=60", "evaluation.times=0"]
-        status, _, errors = run_recipe(tmp_path, "train", *options)
-        assert status == 0, errors
+        done(tmp_path, "train", *options)
         weights.append(torch.load(tmp_path / precision / "network.pt", weights_only=True)["network"])
         (tmp_path / "room.h5").unlink()
     assert {weight.dtype for weight in weights[1].values()} == {torch.float32}
@@ -88,8 +83,7 @@ def test_train_with_other_systems_and_presets(tmp_path, options, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("WANDB_MODE", "WANDB_API_KEY"):
         monkeypatch.delenv(name, raising=False)
-    status, _, errors = run_recipe(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *options)
-    assert status == 0, errors
+    done(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *options)
     summary = read_summary(only_run(tmp_path))
     assert summary["frames"] == (0 if "system=il" in options else 600)
     if "logger=wandb" in options:
@@ -98,8 +92,7 @@ def test_train_with_other_systems_and_presets(tmp_path, options, monkeypatch):
 
 def test_multirun_trains_every_combination(tmp_path):
     options = [*TINY, "reinforcement.frames_per_scene=60", "imitation.fraction=0,0.5"]
-    status, printed, errors = run_recipe(tmp_path, "train", "-m", f"scene={room_file(tmp_path)}", *options)
-    assert status == 0, errors
+    printed = done(tmp_path, "train", "-m", f"scene={room_file(tmp_path)}", *options)
     table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in printed.splitlines()[-2:]]
     assert [row[0] for row in table] == ["0: fraction=0.0", "1: fraction=0.5"]
     found = [read_summary(file.parent)["greedy"] for file in sorted(tmp_path.glob("multirun/*/*/summary.json"))]
@@ -111,8 +104,7 @@ def test_multirun_trains_every_combination(tmp_path):
 def test_a_run_until_stable_ends_at_the_first_evaluation_that_finds_every_goal_stable(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "imitation.fraction=1", "reinforcement.until=stable"]
     options += ["reinforcement.frames_per_scene=20_000", "evaluation.times=20", "hydra.run.dir=run"]
-    status, _, errors = run_recipe(tmp_path, "train", *options)
-    assert status == 0, errors
+    done(tmp_path, "train", *options)
     summary = read_summary(tmp_path / "run")
     evaluated = [int(row["frames"]) for row in read_table(tmp_path / "run" / "evaluation.csv")]
     assert summary["stable_at_frame"] is not None
@@ -127,8 +119,7 @@ def test_optuna_tells_the_job_with_the_highest_greedy_spl(tmp_path):
         option for option in TINY if not option.startswith(("imitation.fraction", "reinforcement.frames_per_scene"))
     ]
     options = [f"scene={room_file(tmp_path)}", *tiny, *search]
-    status, _, errors = run_recipe(tmp_path, "train", "-m", *options)
-    assert status == 0, errors
+    done(tmp_path, "train", "-m", *options)
     spl = [read_summary(tmp_path / "sweep" / job)["greedy"]["spl"] for job in ("0", "1")]
     found = yaml.safe_load((tmp_path / "sweep" / "optimization_results.yaml").read_text())
     assert found["best_value"] == max(spl)
@@ -141,15 +132,13 @@ def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path):
     memory = ["memory=gru", "memory.hidden_size=16", "reinforcement.frames_per_scene=1500"]
     options = [f"scene={room_file(tmp_path)}", *TINY, *memory]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    status, _, errors = run_recipe(tmp_path, "train", *options, f"hydra.run.dir={whole}")
-    assert status == 0, errors
+    done(tmp_path, "train", *options, f"hydra.run.dir={whole}")
     process = start_recipe(tmp_path, "train", *options, f"hydra.run.dir={killed}", SAVED)
     wait_until(lambda: list(killed.glob("checkpoints/0*[1-9]???.pt")))
     process.send_signal(signal.SIGKILL)
     assert process.wait().status == -signal.SIGKILL
     assert not (killed / "summary.json").exists(), "it was not killed in time"
-    status, _, errors = run_recipe(tmp_path, "train", f"resume={killed}")
-    assert status == 0, errors
+    done(tmp_path, "train", f"resume={killed}")
     first, second = (torch.load(run / "network.pt", weights_only=True)["network"] for run in (whole, killed))
     assert all(torch.equal(first[key], second[key]) for key in first)
     assert read_summary(whole) == read_summary(killed)
@@ -191,8 +180,7 @@ def test_an_encoder_of_ones_own_comes_from_outside_and_is_trusted_by_name(tmp_pa
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
     options = [option for option in TINY if not option.startswith("encoder.")]
     options += [f"scene={room_file(tmp_path)}", "encoder=mean", "hydra.run.dir=run"]
-    status, _, errors = run_recipe(tmp_path, "train", f"--config-dir={tmp_path / 'conf'}", *options)
-    assert status == 0, errors
+    done(tmp_path, "train", f"--config-dir={tmp_path / 'conf'}", *options)
     asked = ["checkpoint=run", "seed=3", "max_steps=50"]
     status, _, errors = run_recipe(tmp_path, "evaluate", *asked)
     assert status == 1
@@ -210,8 +198,7 @@ def test_benchmark_measures_every_loop(tmp_path):
     small = "encoder.width=32,heads.width=32,reinforcement.agents_per_scene=6"
     small += ",imitation.max_steps=2,reinforcement.frames_per_scene=240"
     train = "train=[" + ",".join(f"'{option}'" for option in small.split(",")) + "]"
-    status, printed, errors = run_recipe(tmp_path, "benchmark", *options, train)
-    assert status == 0, errors
+    printed = done(tmp_path, "benchmark", *options, train)
     (row,) = json.loads((tmp_path / "benchmark.json").read_text())["rows"]
     assert set(row["frames_per_second"]) == {"training", "rollout", "stock_torchrl"}
     assert all(rate > 0 for rate in row["frames_per_second"].values())

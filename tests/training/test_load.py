@@ -4,7 +4,7 @@ import json
 
 import pytest
 import torch
-from commands import TINY, run_recipe, train_config
+from commands import TINY, done, run_recipe, train_config
 from rooms import grid_scene
 
 from dirl.agent.decisions import observe
@@ -26,8 +26,7 @@ def trained(tmp_path_factory):
     for seed, (name, shape) in enumerate(SHAPES.items()):
         write_dump(folder / f"{name}.h5", grid_scene(*shape, name=name, goals=(0, 5), feature_width=64, seed=seed))
     scenes = ",".join(str(folder / f"{name}.h5") for name in SHAPES)
-    status, _, errors = run_recipe(folder, "train", f"scene=[{scenes}]", *TINY, "hydra.run.dir=run")
-    assert status == 0, errors
+    done(folder, "train", f"scene=[{scenes}]", *TINY, "hydra.run.dir=run")
     return folder
 
 
