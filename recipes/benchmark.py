@@ -78,7 +78,7 @@ def compare(name: str, config: TrainConfig, options: Any, limit: float) -> dict[
     )
     few = max(2, updates // SLOW)
     loops: dict[str, Callable[[], float]] = {
-        "training": lambda: training(config),
+        "training": lambda: float(trained(config)["frames_per_second"]),
         "rollout": lambda: rollout(config, updates),
         "stock_torchrl": lambda: stock_torchrl(config, few),
     }
@@ -142,11 +142,6 @@ def trained(config: TrainConfig, *, imitation: bool = False) -> dict[str, Any]:
         result = train(run, components) if imitation else reinforce(run, state, protocol)
         run.close()
         return result
-
-
-def training(config: TrainConfig) -> float:
-    """Frames per second of our training loop."""
-    return float(trained(config)["frames_per_second"])
 
 
 def rollout(config: TrainConfig, updates: int) -> float:

@@ -161,11 +161,6 @@ def test_an_error_in_the_input_ends_the_program_and_its_empty_folder(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["other"]
 
 
-def test_an_error_of_the_program_keeps_its_traceback():
-    with pytest.raises(KeyError), one_line_exits():
-        raise KeyError("a bug")
-
-
 @pytest.mark.parametrize("recipe", ["train", "evaluate", "benchmark"])
 def test_help_says_what_a_recipe_does_with_examples(tmp_path, recipe):
     status, printed, _ = run_recipe(tmp_path, recipe, "--help")

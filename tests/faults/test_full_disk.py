@@ -3,7 +3,7 @@ import subprocess
 
 import pytest
 import torch
-from commands import SHORT, room_file, run_recipe
+from commands import SHORT, done, room_file, run_recipe
 
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.finding import training_checkpoints
@@ -37,8 +37,7 @@ def test_a_full_disk_is_one_line_and_the_run_resumes_when_there_is_room(tmp_path
     assert training_checkpoints(disk / "run")
 
     assert resize("20m")
-    status, _, errors = run_recipe(tmp_path, "train", f"resume={disk / 'run'}")
-    assert status == 0, errors
+    done(tmp_path, "train", f"resume={disk / 'run'}")
     assert run_recipe(tmp_path, "train", *options, "hydra.run.dir=whole")[0] == 0
     resumed, whole = (load_checkpoint(folder)["network"] for folder in (disk / "run", tmp_path / "whole"))
     assert all(torch.equal(resumed[name], whole[name]) for name in whole)

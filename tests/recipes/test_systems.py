@@ -61,8 +61,7 @@ def test_a_memory_that_localises_goes_on_with_the_map_of_a_walk(tmp_path):
 def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
     """Of a policy that has hardly learnt: the nearer to the goal the map leads it, the more often it arrives."""
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "imitation.fraction=0.1", "hydra.run.dir=run"]
-    status, _, errors = run_recipe(tmp_path, "train", *options)
-    assert status == 0, errors
+    done(tmp_path, "train", *options)
     found = {}
     for last_steps in ([], ["last_steps=0"]):
         out = f"{len(last_steps)}.json"
@@ -98,8 +97,7 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
 
 def test_a_clone_is_not_reinforced_whatever_frames_a_grid_is_given(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "reinforcement.frames_per_scene=600"]
-    status, _, errors = run_recipe(tmp_path, "train", *options, "hydra.run.dir=run")
-    assert status == 0, errors
+    done(tmp_path, "train", *options, "hydra.run.dir=run")
     assert summary_of(tmp_path / "run")["frames"] == 0
     assert (tmp_path / "run" / "imitation.csv").exists()
     assert not (tmp_path / "run" / "reinforcement.csv").exists()

@@ -20,8 +20,6 @@ OTHERS = {
 PACKAGES = ("dirl", "torch", "torchrl", "tensordict", "gymnasium", "hydra-core", "numpy", "h5py", "wandb")
 """Whose versions ``dirl version`` tells."""
 
-COMPLETION = ("-sc", "--shell-completion")
-
 HELP = """Target-driven visual navigation by deep imitation reinforcement learning.
 
     dirl train scene=bathroom_02
@@ -38,7 +36,7 @@ def main() -> None:
     """Run the command that the command line names."""
     os.environ[VARIABLE] = "dirl"
     name, *arguments = sys.argv[1:] or ["--help"]
-    if name in COMPLETION:
+    if name in ("-sc", "--shell-completion"):
         complete([name, *arguments])
     elif name in ("-h", "--help", "help"):
         meanings = {name: meaning for name, (_, meaning) in RECIPES.items()} | OTHERS

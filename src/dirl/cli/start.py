@@ -44,13 +44,12 @@ def start(recipe: str, text: str | None = None) -> str:
     """Check the command line of a recipe and write it in Hydra's form, or answer a request for help.
 
     A recipe calls it before its other imports. Options are checked against their types and bounds, and paths and names
-    are looked up (`dirl.cli.refusals`); options of components and what is in the files are checked later.
+    are looked up (`dirl.cli.refusals`); options of components and what is in the files are checked later. Until
+    `run_main` no garbage is collected: the imports make several hundred thousand objects that stay.
 
     Args:
         recipe: a key of `RECIPES`.
         text: of ``--help`` for a recipe with several commands.
-
-    Until `run_main` no garbage is collected: the imports make several hundred thousand objects that stay.
 
     Returns:
         The name of its configuration: ``train``, or the command of ``recipes/scenes.py``.

@@ -17,9 +17,7 @@ from dirl.config.values import leaves
 def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
     """The options of a choice; None if nothing is chosen.
 
-    Args:
-        group: a folder of ``conf/``.
-        choice: the name of a file there, without ``.yaml``; or the path of a file of one's own, with ``.yaml``.
+    It is the name of a file in the folder ``group`` of ``conf/``, or the path of a file of one's own, with ``.yaml``.
 
     Raises:
         ConfigError: the group has no such choice, or the file is none.

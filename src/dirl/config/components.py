@@ -226,9 +226,6 @@ def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = 
         trust: see `find_class`.
         offered: arguments for those parameters of the constructor that have these names.
 
-    Returns:
-        The object, or None.
-
     Raises:
         ConfigError: see `find_class` and `check_options`; or the constructor refuses its arguments.
     """

@@ -28,14 +28,9 @@ RECIPES = {
 
 
 def command(name: str, *, running: bool = False) -> str:
-    """How the user calls a recipe, for messages that say what to run next.
+    """How the user calls a recipe, as ``dirl train`` or ``python recipes/train.py``, to say what to run next.
 
-    Args:
-        name: of the recipe, as ``train``.
-        running: whether it is the program that runs now, which may be a copy under another name.
-
-    Returns:
-        ``dirl train``, ``python recipes/train.py`` or ``python my_train.py``; behind ``torchrun`` if that runs it.
+    The program that is ``running`` now may be a copy under another name, or run behind ``torchrun``.
     """
     ranks = os.environ.get("LOCAL_WORLD_SIZE", "1") if running else "1"
     torchrun = f"torchrun --nproc-per-node={ranks} "

@@ -26,9 +26,6 @@ SEAL = b"dirl sha256 "
 DIGITS = 64
 """Of the digest, which ends the file."""
 
-SUFFIX = ".damaged"
-"""Put behind the name of a training checkpoint that cannot be read."""
-
 
 def save_checkpoint(file: Path, state: Mapping[str, Any]) -> None:
     """Write a checkpoint so that the file is either complete or absent, whenever the process is killed."""

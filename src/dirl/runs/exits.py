@@ -114,28 +114,24 @@ def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> 
     raise SystemExit(status) from None
 
 
-def _rank_0_first() -> bool:
-    """Before ranks have met, whatever one has to say all have: the others let rank 0 speak, whose exit ends them."""
+is_first: Callable[[], bool] | None = None
+"""Whether a rank is the first to say why it ends; once the ranks have met, see `dirl.runs.ranks.join`."""
+
+
+def speaks() -> bool:
+    """Whether this process is to say why the run ends: ranks end together, for one reason.
+
+    Before they have met, whatever one has to say all have: the others let rank 0 speak, whose exit ends them.
+    """
+    if is_first is not None:
+        try:
+            return is_first()
+        except Exception:  # nobody is left to ask
+            return True
     if os.environ.get("RANK", "0") != "0":
         with _signals({signal.SIGTERM: signal.SIG_DFL}):
             time.sleep(PATIENCE)
     return True
-
-
-_asked: list[Callable[[], bool]] = [_rank_0_first]
-
-
-def speak_once(is_first: Callable[[], bool]) -> None:
-    """From now on ask this function whether a process may say why it ends: ranks end together, for one reason."""
-    _asked.append(is_first)
-
-
-def speaks() -> bool:
-    """Whether this process is to say why the run ends."""
-    try:
-        return _asked[-1]()
-    except Exception:  # nobody is left to ask
-        return True
 
 
 def _terminate(*_: Any) -> NoReturn:

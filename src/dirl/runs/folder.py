@@ -17,7 +17,7 @@ from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig
 from dirl.config.values import leaves, plain
 from dirl.runs import ranks
-from dirl.runs.checkpoints import SUFFIX, latest_checkpoint, save_checkpoint
+from dirl.runs.checkpoints import latest_checkpoint, save_checkpoint
 from dirl.runs.contents import TABLES
 from dirl.runs.finding import SCHEMA, RunError, config_file, find_unfinished, is_finished, training_checkpoints
 from dirl.runs.locks import FolderLock, claim, finish_cleaning, is_numbered
@@ -100,7 +100,7 @@ class Run:
     def _tidy_up(self) -> None:
         """Remove the files of a killed process that this run does not continue from."""
         for file in self._unusable:
-            file.replace(file.with_name(file.name + SUFFIX))
+            file.replace(file.with_name(f"{file.name}.damaged"))
         remove_unfinished(self.folder)
         remove_unfinished(self.folder / "checkpoints")
         sizes = self.saved["tables"] if self.saved else {}

@@ -90,13 +90,7 @@ class WandbLogger:
 
 
 class TensorBoardLogger:
-    """Event files in ``<folder>/tensorboard``.
-
-    Args:
-        config: of the run.
-        folder: of the run.
-        frames: at which the run continues; what was logged after them is hidden.
-    """
+    """Event files in ``<folder>/tensorboard``; what was logged after the ``frames`` where a run continues is hidden."""
 
     def __init__(self, config: TrainConfig, folder: Path, frames: int) -> None:
         from torch.utils.tensorboard import SummaryWriter

@@ -50,7 +50,7 @@ def join(config: TrainConfig, *, alone: bool) -> None:
     backend = "cpu:gloo,cuda:nccl" if on_gpu else "gloo"
     dist.init_process_group(backend, store=store, rank=number, world_size=count, timeout=PATIENCE)
     atexit.register(dist.destroy_process_group)
-    exits.speak_once(lambda: store.add("has spoken", 1) == 1)
+    exits.is_first = lambda: store.add("has spoken", 1) == 1
     if number:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115, for the rest of the process
     check(config, alone)

@@ -47,12 +47,6 @@ class ScheduledLoss:
         """Whether it is computed on rollouts and demonstrations together: ``forward(batch, demonstrations)``."""
         return "demonstrations" in inspect.signature(self.module.forward).parameters
 
-    def set_schedules(self, left: float) -> None:
-        """Set the module's attributes for a fraction ``left`` of the training, 1 to 0, that is still to come."""
-        for name, schedule in self.schedules.items():
-            if name != "weight":
-                setattr(self.module, name, schedule(left))
-
 
 class Losses(nn.Module):
     """All losses of an update, by name.
@@ -100,7 +94,10 @@ class Losses(nn.Module):
         batch, rows = self._with_hidden(batch, self.draw() if demonstrated else None)
         result = TensorDict()
         for name, loss in self.losses.items():
-            loss.set_schedules(left)
+            coefficients = {option: schedule(left) for option, schedule in loss.schedules.items()}
+            weight = coefficients.pop("weight")
+            for option, value in coefficients.items():
+                setattr(loss.module, option, value)
             inputs = (batch, rows) if loss.compares else (rows,) if loss.on_demonstrations else (batch,)
             values = loss.module(*inputs)
             if twice := set(values.keys()) & set(result.keys()):
@@ -108,7 +105,6 @@ class Losses(nn.Module):
             terms = {key for key in values.keys() if key.startswith("loss_")}  # noqa: SIM118, of a TensorDict
             if not terms:
                 raise ConfigError(f"losses.{name}: {type(loss.module).__name__} writes no loss_* entry")
-            weight = loss.schedules["weight"](left)
             result.update({key: weight * value if key in terms else value for key, value in values.items()})
         return result
 
