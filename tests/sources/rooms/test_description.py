@@ -33,21 +33,13 @@ BAD = [
     ("rows = 4", "rws = 4", "[materials] boards: there is no 'rws'; did you mean 'rows'?"),
     ("rows = 4", "rows = 4, rough = -1", "[materials] boards rough: must not be negative"),
     ("resolution = 64", "resolution = 100", "[materials] boards resolution: expected a power of two up to 2048"),
-    (
-        'kind = "stool"',
-        'kind = "stol"',
-        "[[furniture]] number 1 (stol) kind: there is no 'stol'; did you mean",
-    ),
+    ('kind = "stool"', 'kind = "stol"', "[[furniture]] number 1 (stol) kind: there is no 'stol'; did you mean"),
     ('kind = "stool"', "", "[[furniture]] number 1: 'kind' is missing"),
     ('kind = "stool"', 'kind = "stool"\nlegs = 3', "[[furniture]] number 1 (stool): there is no 'legs'"),
     ("size = [0.3, 0.3, 0.45]", "", "[[furniture]] number 1 (stool): 'size' is missing"),
     ("at = [1.5, 1.2]", "", "[[furniture]] number 1 (stool): say where it stands, by 'wall' and 'along', or by 'at'"),
     ("along = 0.7", "", "[[furniture]] number 2 (door): say where it stands"),
-    (
-        'wall = "south"',
-        'wall = "sout"',
-        "[[furniture]] number 2 (door) wall: there is no 'sout'; did you mean",
-    ),
+    ('wall = "south"', 'wall = "sout"', "[[furniture]] number 2 (door) wall: there is no 'sout'; did you mean"),
     ("[grid]", "[grid", "not TOML:"),
 ]
 

@@ -19,9 +19,8 @@ from dirl.sources.rooms.view import Renderer
 SIZE = (24, 32)
 
 
-@pytest.fixture(scope="module")
-def look():
-    room = closet()
+def views_of(room):
+    """What gives the views of a room's looks: without errors, but for those that are asked for."""
     way, renderer = walk(room), Renderer.of(room, fine=False)
     none = {"position": 0, "heading": 0, "exposure": 0}
 
@@ -30,6 +29,11 @@ def look():
         return np.stack(list(look_views(renderer, room, way, SIZE, made, seed, fine=False, photo=photo))).astype(float)
 
     return views
+
+
+@pytest.fixture(scope="module")
+def look():
+    return views_of(closet())
 
 
 def difference(one, other):
@@ -178,14 +182,7 @@ def test_small_things_are_gone():
 
 @pytest.mark.parametrize("change", [{"lamps": 1}, {"daylight": 1.5}, {"furniture": 0.3}, {"objects": 1}])
 def test_each_change_of_the_room_is_seen_and_drawn_once_for_a_look(change):
-    room = closet("[grid]", WINDOW)
-    way, renderer = walk(room), Renderer.of(room, fine=False)
-    none = {"position": 0, "heading": 0, "exposure": 0}
-
-    def views(seed, **changes):
-        made = Changes(**{**none, **changes})
-        return np.stack(list(look_views(renderer, room, way, SIZE, made, seed, fine=False))).astype(float)
-
+    views = views_of(closet("[grid]", WINDOW))
     assert difference(views(0, **change), views(0)) > 0.1
     assert np.array_equal(views(0, **change), views(0, **change))
 

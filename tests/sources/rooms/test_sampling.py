@@ -77,7 +77,7 @@ def test_nothing_is_put_where_something_stands_or_before_the_door(draft):
 
 
 def test_no_wall_stays_bare(draft):
-    draft.dress_walls(towels=False)
+    draft.dress_walls()
     for wall in ("north", "east", "south", "west"):
         assert all(end - start < 1.0 for start, end in draft._bare(wall))
 

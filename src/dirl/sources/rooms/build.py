@@ -4,7 +4,9 @@ import importlib.util
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +25,7 @@ from dirl.sources.rooms.navigation import Walk, walk
 from dirl.sources.rooms.view import Pose, Renderer
 
 if TYPE_CHECKING:  # the models are built on the scenes
-    from dirl.perception.backbones import Encoded, ViewEncoder
+    from dirl.perception.backbones import ViewEncoder
 
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
 """The built-in rooms, one TOML file each."""
@@ -90,79 +92,73 @@ def build_room(
         SceneError: the room cannot be made, ``out`` exists, or an argument is out of range. All this is detected
             before the long work begins.
     """
-    check_packages()
+    check_arguments(size, workers)
     room, out = describe_room(description), Path(out)
     if out.exists():
         raise SceneError(f"{out}: this file exists already; it is not overwritten")
-    check_size(size)
-    if workers is not None and workers < 1:
-        raise SceneError(f"workers={workers}: at least one process is needed")
     way = walk(room, turn)
     source = "rooms" if str(description) in built_in_rooms() else "synthetic"
     views = list(take_views(Renderer.of(room, fine=fine), room.camera, poses(way), size, quality, workers, progress))
-    scene = scene_of(room, way, source=source)
-    about = {"room": description_text(room), "step": room.grid.step, "turn": float(turn)}
-    write_room(out, scene, views, encoder, attributes=about, provenance=provenance, progress=progress)
-    return check_room(room) + view_problems(views, way)
+    about = {"turn": float(turn)}
+    return write_room(out, room, way, views, encoder, about, source=source, provenance=provenance, progress=progress)
 
 
-def check_packages() -> None:
-    """Raise `SceneError` unless what renders rooms is installed; there are no wheels of it for Linux on ARM."""
-    if importlib.util.find_spec("embreex") is None:
+def check_arguments(size: tuple[int, int], workers: int | None) -> None:
+    """Raise `SceneError` unless views of this height and width can be rendered by so many processes."""
+    if importlib.util.find_spec("embreex") is None:  # there are no wheels of it for Linux on ARM
         raise SceneError("to build rooms, embreex is missing: pip install embreex")
-
-
-def check_size(size: tuple[int, int]) -> None:
-    """Raise `SceneError` unless views can have this height and width."""
     if not (min(size) >= 8 and max(size) <= 4096):
         raise SceneError(f"size={list(size)}: views are 8 to 4096 pixels high and wide")
+    if workers is not None and workers < 1:
+        raise SceneError(f"workers={workers}: at least one process is needed")
 
 
 def write_room(
     out: Path,
-    scene: Scene,
+    room: RoomDescription,
+    way: Walk,
     views: Sequence["View"],
     encoder: "ViewEncoder | None",
-    *,
     attributes: dict[str, Any],
+    *,
+    source: str = "synthetic",
     provenance: str = "",
     progress: bool = False,
     looks: Sequence[Sequence[Array]] = (),
     virtual: VirtualCameras | None = None,
-) -> None:
-    """Encode the stored views of a room, and write its dump, completely or not at all.
+) -> list[str]:
+    """Encode the stored views of a room, write its dump, completely or not at all, and tell the problems found.
 
     Of ``looks``, the views of each further look, uint8 ``[height, width, 3]`` each, only features are stored.
     ``provenance`` is where the encoder's weights come from, if it does not say so itself. The patches of ``virtual``
     cameras follow those of each view.
     """
+    scene = scene_of(room, way, source=source)
     about, about_patches = {"extractor": "none"}, {}
     if encoder is not None:
         from dirl.perception.backbones.virtual import encode_with_virtual, with_virtual
 
         surrounding = np.array(scene.surrounding)
-
-        def encoded(view: Callable[[int], Array]) -> "Encoded":
-            return encode_with_virtual(encoder, view, surrounding, virtual, str(out), progress=progress)
-
-        found = encoded(lambda state: decode(views[state].encoded))
-        features = found.features.astype(np.float16)
-        scene = replace(scene, features=features, extractor=encoder.extractor, patches=found.patches)
-        if looks:
-            again = [encoded(images.__getitem__) for images in looks]
-            look_features = np.stack([one.features.astype(np.float16) for one in again])
+        found, *again = (
+            encode_with_virtual(encoder, view, surrounding, virtual, str(out), progress=progress)
+            for view in (lambda state: decode(views[state].encoded), *(images.__getitem__ for images in looks))
+        )
+        features = [one.features.astype(np.float16) for one in (found, *again)]
+        scene = replace(scene, features=features[0], extractor=encoder.extractor, patches=found.patches)
+        if again:
             parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
-            scene = replace(scene, look_features=look_features, look_patches=parts)
+            scene = replace(scene, look_features=np.stack(features[1:]), look_patches=parts)
         about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
         about_patches = dict(with_virtual(encoder, virtual).patch_attributes) if found.patches is not None else {}
     write_dump(
         out,
         scene,
         (view.encoded for view in views),
-        attributes=attributes,
+        attributes={"room": description_text(room), "step": room.grid.step, **attributes},
         feature_attributes=about,
         patch_attributes=about_patches,
     )
+    return check_room(room) + view_problems(views, way)
 
 
 def scene_of(room: RoomDescription, way: Walk, *, source: str = "synthetic") -> Scene:
@@ -216,21 +212,17 @@ def take_views(
 
     If ``workers`` is None there is one for each `PIXELS` of all views together, at most one for each core.
     """
-    job = (renderer, camera, size, quality)
+    take = partial(_take, renderer, camera, size, quality)
     if workers is None:
         workers = min(1 + size[0] * size[1] * len(poses) // PIXELS, os.cpu_count() or 1)
     workers = min(workers, len(poses))
-    with tqdm(total=len(poses), desc="views", unit=" views", disable=None if progress else True) as bar:
-        if workers == 1:
-            for pose in poses:
-                yield _take(*job, pose)
-                bar.update()
-            return
-        # Started anew rather than forked: the same on every system, and safe beside the threads of torch.
-        with ProcessPoolExecutor(workers, get_context("spawn"), _start, job) as pool:
-            for view in pool.map(_take_here, poses, chunksize=4):
-                yield view
-                bar.update()
+    with ExitStack() as stack:
+        views: Iterator[View] = map(take, poses)
+        if workers > 1:
+            # Started anew rather than forked: the same on every system, and safe beside the threads of torch.
+            pool = stack.enter_context(ProcessPoolExecutor(workers, get_context("spawn"), _start, (take,)))
+            views = pool.map(_take_here, poses, chunksize=4)
+        yield from tqdm(views, "views", len(poses), unit=" views", disable=None if progress else True)
 
 
 def _take(renderer: Renderer, camera: Camera, size: tuple[int, int], quality: int, pose: Pose) -> View:
@@ -238,14 +230,13 @@ def _take(renderer: Renderer, camera: Camera, size: tuple[int, int], quality: in
     return View(encode(view, quality), thumbnail(view), contrast(view))
 
 
-_JOB: list[Any] = []
-"""In a process that takes views: the first arguments of `_take`, which are too large to be sent with every pose."""
+_TAKE: list[Callable[[Pose], View]] = []
+"""In a process that takes views: `_take` with its first arguments, which are too large to be sent with every pose."""
 
 
-def _start(*job: object) -> None:
-    _JOB[:] = job
+def _start(take: Callable[[Pose], View]) -> None:
+    _TAKE.append(take)
 
 
 def _take_here(pose: Pose) -> View:
-    renderer, camera, size, quality = _JOB
-    return _take(renderer, camera, size, quality, pose)
+    return _TAKE[0](pose)

@@ -67,7 +67,13 @@ class Building:
     @property
     def corners(self) -> Array:
         """The south-west corners of the rooms, metres, float64 ``[R, 2]``."""
-        return _corners(self.rooms, self.south)
+        first, second = self.rooms[: len(self.rooms) - self.south], self.rooms[len(self.rooms) - self.south :]
+        line = max((room.size[1] for room in second), default=0.0)
+        lows = [line + WALL if second else 0.0] * len(first) + [line - room.size[1] for room in second]
+        starts = [
+            sum(room.size[0] + WALL for room in row[:index]) for row in (first, second) for index in range(len(row))
+        ]
+        return np.array([starts, lows]).T
 
     @property
     def starts(self) -> list[float]:
@@ -83,13 +89,18 @@ class Building:
     @property
     def passages(self) -> list[Door]:
         """All doorways, those between the rows last."""
-        pairs = _neighbours(len(self.rooms), self.south)
-        found = [Door(*pair, 0, y) for pair, y in zip(pairs, self.doors, strict=True)]
+        found = [Door(*pair, 0, y) for pair, y in zip(self._neighbours, self.doors, strict=True)]
         for x in self.across:
             spans = zip(self.starts, self.rooms, strict=True)
             north, south = (i for i, (start, room) in enumerate(spans) if start < x < start + room.size[0])
             found.append(Door(south, north, 1, x))
         return found
+
+    @property
+    def _neighbours(self) -> list[tuple[int, int]]:
+        """The pairs of rooms that lie side by side in a row."""
+        last = len(self.rooms) - self.south - 1  # of the first row
+        return [(room, room + 1) for room in range(len(self.rooms) - 1) if room != last]
 
     @property
     def doorways(self) -> Array:
@@ -99,20 +110,6 @@ class Building:
             through = corners[door.second, door.axis] - WALL / 2
             middles.append((door.at, through) if door.axis else (through, door.at))
         return np.array(middles).reshape(-1, 2)
-
-
-def _neighbours(count: int, south: int) -> list[tuple[int, int]]:
-    """The pairs of rooms that lie side by side in a row."""
-    return [(room, room + 1) for room in range(count - 1) if not south or room + 1 != count - south]
-
-
-def _corners(rooms: Sequence[RoomDescription], south: int) -> Array:
-    """See `Building.corners`."""
-    first, second = rooms[: len(rooms) - south], rooms[len(rooms) - south :]
-    line = max((room.size[1] for room in second), default=0.0)
-    lows = [line + WALL if second else 0.0] * len(first) + [line - room.size[1] for room in second]
-    starts = [sum(room.size[0] + WALL for room in row[:index]) for row in (first, second) for index in range(len(row))]
-    return np.array([starts, lows]).T
 
 
 def sample_building(kinds: Sequence[str], seed: int) -> Building:
@@ -132,14 +129,13 @@ def sample_building(kinds: Sequence[str], seed: int) -> Building:
         raise SceneError(f"kinds={list(kinds)}: expected two to eight of {', '.join(KINDS)}")
     rooms = [sample_room(kind, seed + index, look=False) for index, kind in enumerate(kinds)]
     south = len(rooms) // 2 if len(rooms) > 4 else 0
-    corners = _corners(rooms, south)
-    doors = [_join(rooms, corners, pair, 0) for pair in _neighbours(len(rooms), south)]
-    north = range(len(rooms) - south)
-    facing = [(b, a) for b in range(len(north), len(rooms)) for a in north if _spots(rooms, corners, (b, a), 1)]
+    building = Building(f"building_{seed}", tuple(rooms), (), south)
+    corners, first = building.corners, len(rooms) - south
+    doors = [_join(rooms, corners, pair, 0) for pair in building._neighbours]
+    facing = [(b, a) for b in range(first, len(rooms)) for a in range(first) if _spots(rooms, corners, (b, a), 1)]
     facing.sort(key=lambda pair: float(corners[list(pair), 0].max()))
-    outermost = dict.fromkeys([*facing[:1], *facing[-1:]])
-    across = [_join(rooms, corners, pair, 1) for pair in outermost]
-    return Building(f"building_{seed}", tuple(rooms), tuple(doors), south, tuple(across))
+    across = [_join(rooms, corners, pair, 1) for pair in dict.fromkeys([*facing[:1], *facing[-1:]])]
+    return replace(building, rooms=tuple(rooms), doors=tuple(doors), across=tuple(across))
 
 
 def _spots(rooms: Sequence[RoomDescription], corners: Array, pair: tuple[int, int], axis: int) -> list[float]:
@@ -152,19 +148,17 @@ def _spots(rooms: Sequence[RoomDescription], corners: Array, pair: tuple[int, in
 
 def _join(rooms: list[RoomDescription], corners: Array, pair: tuple[int, int], axis: int) -> float:
     """Where the doorway between two rooms is, before which least furniture stands; the rooms lose that furniture."""
-    both = [rooms[index] for index in pair]
+    first, second = pair
     spots = _spots(rooms, corners, pair, axis)
     cleared = [
-        [
-            _cleared(room, end, at - corners[index, 1 - axis], axis)
-            for index, room, end in zip(pair, both, (both[0].size[axis], 0), strict=True)
-        ]
+        (
+            _cleared(rooms[first], rooms[first].size[axis], at - corners[first, 1 - axis], axis),
+            _cleared(rooms[second], 0, at - corners[second, 1 - axis], axis),
+        )
         for at in spots
     ]
-    removed = [sum(len(room.furniture) for room in both) - sum(len(r.furniture) for r in left) for left in cleared]
-    best = int(np.argmin(removed))
-    for index, room in zip(pair, cleared[best], strict=True):
-        rooms[index] = room
+    best = int(np.argmax([sum(len(room.furniture) for room in both) for both in cleared]))
+    rooms[first], rooms[second] = cleared[best]
     return spots[best]
 
 
@@ -173,16 +167,14 @@ def _cleared(room: RoomDescription, end: float, at: float, axis: int = 0) -> Roo
 
     The doorway is in the wall at ``end`` of the room, x with axis 0 or y with axis 1, and its middle at ``at``.
     """
-    reach = np.array([[end - APPROACH, at, end + APPROACH, at]])
-    if axis:
-        reach = reach[:, [1, 0, 3, 2]]
-    pieces = [piece for piece in room.furniture if piece.kind not in OVERHEAD]
-    boxes = np.array([footprint(piece, room) for piece in pieces]).reshape(-1, 5)
-    near = [clearance(reach[:, :2], reach[:, 2:], box[None])[0] < DOORWAY[0] / 2 for box in boxes]
-    middles, in_the_way = boxes[:, :2], boxes[np.array(near, bool)]
-    on_top = clearance(middles, middles, in_the_way) == 0
-    gone = {id(piece) for piece, near_it, above in zip(pieces, near, on_top, strict=True) if near_it or above}
-    return replace(room, furniture=tuple(piece for piece in room.furniture if id(piece) not in gone))
+    ways = np.array([[[end - APPROACH, at]], [[end + APPROACH, at]]])
+    near_side, far_side = ways[..., ::-1] if axis else ways
+    boxes = np.array([footprint(piece, room) for piece in room.furniture]).reshape(-1, 5)
+    low = np.array([piece.kind not in OVERHEAD for piece in room.furniture], bool)
+    near = np.array([clearance(near_side, far_side, box[None])[0] < DOORWAY[0] / 2 for box in boxes], bool)
+    on_top = clearance(boxes[:, :2], boxes[:, :2], boxes[low & near]) == 0
+    gone = low & (near | on_top)
+    return replace(room, furniture=tuple(piece for piece, out in zip(room.furniture, gone, strict=True) if not out))
 
 
 def walls(building: Building) -> Array:
@@ -213,8 +205,8 @@ def walls(building: Building) -> Array:
 
 def furniture(building: Building) -> Array:
     """What stands in a building, as `footprints` gives them, ``[n, 5]``."""
-    moves = [np.array([*corner, 0, 0, 0]) for corner in building.corners]
-    return np.concatenate([footprints(room) + move for room, move in zip(building.rooms, moves, strict=True)])
+    rooms = zip(building.rooms, building.corners, strict=True)
+    return np.concatenate([footprints(room) + np.array([*corner, 0, 0, 0]) for room, corner in rooms])
 
 
 WALLS = (("east", "west"), ("north", "south"))

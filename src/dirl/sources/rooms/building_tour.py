@@ -59,7 +59,8 @@ def choose_panoramas(building: Building, apart: float = 2.0) -> Panoramas:
         chosen.append(points[distance.argmax()])
     places = np.array(chosen)
     links = _links(places, walls(building))
-    reached = _reached(links, len(places))
+    graph = coo_array((np.ones(len(links)), links.T), (len(places), len(places))).tocsr()
+    reached = np.isin(np.arange(len(places)), breadth_first_order(graph, 0, return_predecessors=False))
     if not reached[: len(building.doorways)].all():
         raise SceneError(f"{building.name}: not all doorways can be reached by links")
     number = np.cumsum(reached) - 1
@@ -68,18 +69,12 @@ def choose_panoramas(building: Building, apart: float = 2.0) -> Panoramas:
 
 def _links(places: Array, solid: Array) -> Array:
     between = np.linalg.norm(places[:, None] - places, axis=-1)
-    pairs = np.argwhere(~np.eye(len(places), dtype=bool))
-    free = clearance(places[pairs[:, 0]], places[pairs[:, 1]], solid) > TOUCH
-    seen = np.full(between.shape, np.inf)
-    seen[tuple(pairs[free].T)] = between[tuple(pairs[free].T)]
-    nearer = np.maximum(seen[pairs[:, 0]], seen[pairs[:, 1]]).min(1) < between[tuple(pairs.T)] - TOUCH
-    return pairs[free & ~nearer]
-
-
-def _reached(links: Array, count: int) -> Array:
-    """Which panoramas can be reached from the first, bool ``[P]``."""
-    graph = coo_array((np.ones(len(links)), links.T), (count, count))
-    return np.isin(np.arange(count), breadth_first_order(graph.tocsr(), 0, return_predecessors=False))
+    count = len(places)
+    free = clearance(np.repeat(places, count, 0), np.tile(places, (count, 1)), solid).reshape(count, count) > TOUCH
+    np.fill_diagonal(free, False)
+    seen = np.where(free, between, np.inf)
+    nearer = np.maximum(seen[:, None], seen).min(-1) < between - TOUCH
+    return np.argwhere(free & ~nearer)
 
 
 def write_building_tour(
@@ -108,13 +103,10 @@ def write_building_tour(
         Image.fromarray(renderer.panorama(1.4, (x, y, middle), size)).save(folder / name)
     along = found.places[found.links[:, 1]] - found.places[found.links[:, 0]]
     yaws = (np.degrees(np.arctan2(*along.T)) - middles[found.links[:, 0]] + 180) % 360 - 180
-    rows = [(names[a], names[b], f"{yaw:.2f}") for (a, b), yaw in zip(found.links, yaws, strict=True)]
-    _write(folder / "links.csv", [("image", "to", "yaw"), *rows])
+    links = [(names[a], names[b], f"{yaw:.2f}") for (a, b), yaw in zip(found.links, yaws, strict=True)]
     places = [(name, f"{x:.3f}", f"{y:.3f}", "") for name, (x, y) in zip(names, found.places, strict=True)]
-    _write(folder / "panoramas.csv", [("image", "x", "z", "heading"), *places])
+    tables = {"links": [("image", "to", "yaw"), *links], "panoramas": [("image", "x", "z", "heading"), *places]}
+    for name, rows in tables.items():
+        with (folder / f"{name}.csv").open("w", newline="") as stream:
+            csv.writer(stream).writerows(rows)
     return found
-
-
-def _write(file: Path, rows: list[tuple[str, ...]]) -> None:
-    with file.open("w", newline="") as stream:
-        csv.writer(stream).writerows(rows)

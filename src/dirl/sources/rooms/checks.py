@@ -1,10 +1,12 @@
 """Problems of a room: overlapping furniture, blocked doors, views without contrast."""
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dirl.sources.rooms.description import Piece, RoomDescription
+from dirl.sources.rooms.description import Piece, RoomDescription, Size
 from dirl.sources.rooms.layout import assemble_pieces, place_of
 from dirl.sources.rooms.mesh import Array, Part
 from dirl.sources.rooms.navigation import Walk, clearance, footprints, walk
@@ -37,62 +39,57 @@ def check_room(room: RoomDescription) -> list[str]:
 
 
 def _intersections(room: RoomDescription) -> list[str]:
-    (_, _), *pieces = assemble_pieces(room)
-    boxes = [_boxes(parts, place_of(piece, room)[2]) for (_, parts), piece in zip(pieces, room.furniture, strict=True)]
-    found = []
-    for (where, parts), piece in zip(pieces, room.furniture, strict=True):
+    found, boxes = [], []
+    for (where, parts), piece in zip(assemble_pieces(room)[1:], room.furniture, strict=True):
+        boxes.append((where, _boxes(parts, place_of(piece, room.size)[2])))
         corners = np.concatenate([part.corners.reshape(-1, 3) for part in parts])
         outside = np.maximum(-corners.min(0), corners.max(0) - room.size).max()
         if outside > MARGIN and piece.kind != "ceiling_lamp":
             found.append(f"{where} reaches {100 * outside:.0f} cm out of the room")
-    for i, (name, _) in enumerate(pieces):
-        for j in range(i + 1, len(pieces)):
-            depth = _overlap(boxes[i], boxes[j])
-            if depth > MARGIN:
-                found.append(f"{name} and {pieces[j][0]} reach {100 * depth:.0f} cm into each other")
+    for (one, its_boxes), (other, others_boxes) in combinations(boxes, 2):
+        depth = _overlap(its_boxes, others_boxes)
+        if depth > MARGIN:
+            found.append(f"{one} and {other} reach {100 * depth:.0f} cm into each other")
     return found
 
 
-def _boxes(parts: list[Part], yaw: float) -> Array:
-    """A turned box around each part: its frame's x and y axes, lower and upper corner in that frame, ``[n, 10]``."""
+Boxes = tuple[Array, Array, Array]
+"""Around the n parts of a piece, turned like it: axes seen from above ``[2, 2]``, corners ``[n, 4, 2]``, heights."""
+
+
+def _boxes(parts: list[Part], yaw: float) -> Boxes:
     c, s = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    turn, axes = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([[c, s], [-s, c]])
     inside = [part.corners.reshape(-1, 3) @ turn for part in parts]
-    return np.array([[c, s, -s, c, *corners.min(0), *corners.max(0)] for corners in inside])
+    bounds = np.array([(corners.min(0), corners.max(0)) for corners in inside])
+    corners = [bounds[:, i, 0, None] * axes[0] + bounds[:, j, 1, None] * axes[1] for i in (0, 1) for j in (0, 1)]
+    return axes, np.stack(corners, 1), bounds[:, :, 2]
 
 
-def _overlap(a: Array, b: Array) -> float:
+def _overlap(a: Boxes, b: Boxes) -> float:
     """How far the deepest pair of boxes reach into each other, metres along the best way out; 0 if none meet."""
-    a, b = a[:, None], b[None]
-    depths = [np.minimum(a[..., 9], b[..., 9]) - np.maximum(a[..., 6], b[..., 6])]
-    corners_a, corners_b = _plan_corners(a), _plan_corners(b)
-    for frame in (a, b):
-        for axis in (frame[..., 0:2], frame[..., 2:4]):
-            along_a, along_b = ((corners * axis[..., None, :]).sum(-1) for corners in (corners_a, corners_b))
-            depths.append(np.minimum(along_a.max(-1), along_b.max(-1)) - np.maximum(along_a.min(-1), along_b.min(-1)))
+    (axes_a, corners_a, heights_a), (axes_b, corners_b, heights_b) = a, b
+    spans = [((corners_a * axis).sum(-1), (corners_b * axis).sum(-1)) for axis in (*axes_a, *axes_b)]
+    depths = [
+        np.minimum.outer(one.max(1), other.max(1)) - np.maximum.outer(one.min(1), other.min(1))
+        for one, other in [(heights_a, heights_b), *spans]
+    ]
     return float(max(0.0, np.minimum.reduce(depths).max()))
-
-
-def _plan_corners(box: Array) -> Array:
-    """The four corners of boxes seen from above, ``[..., 4, 2]``."""
-    x_axis, y_axis = box[..., 0:2], box[..., 2:4]
-    picks = [(4, 5), (7, 5), (7, 8), (4, 8)]
-    return np.stack([box[..., x, None] * x_axis + box[..., y, None] * y_axis for x, y in picks], -2)
 
 
 def _blocked_doors(room: RoomDescription) -> list[str]:
     found, solid = [], footprints(room)
     for number, piece in enumerate(room.furniture, 1):
         if piece.kind == "door":
-            start, end = door_strip(piece, room)
+            start, end = door_strip(piece, room.size)
             if clearance(start[None], end[None], solid)[0] < DOOR_SPACE / 2 - MARGIN:
                 found.append(f"[[furniture]] number {number} (door): less than {DOOR_SPACE} m in front of it are free")
     return found
 
 
-def door_strip(door: Piece, room: RoomDescription) -> tuple[Array, Array]:
-    """The line in the middle of the space in front of a door that must be free, from side to side."""
-    x, y, yaw = place_of(door, room)
+def door_strip(door: Piece, size: Size) -> tuple[Array, Array]:
+    """The line in the middle of the space in front of a door that must be free, in a room of this size."""
+    x, y, yaw = place_of(door, size)
     turn = np.radians(yaw)
     across, inwards = np.array([np.cos(turn), np.sin(turn)]), np.array([np.sin(turn), -np.cos(turn)])
     middle = np.array([x, y]) + inwards * (DOOR_SPACE / 2 - door.size[1] / 2)

@@ -1,7 +1,7 @@
 """Many random rooms in a collection, made in parallel; an interrupted command can be continued."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -12,8 +12,8 @@ from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.processes import in_processes
-from dirl.sources.rooms.build import check_packages, check_size, poses, scene_of, take_views, view_problems, write_room
-from dirl.sources.rooms.checks import check_room, far_apart
+from dirl.sources.rooms.build import check_arguments, poses, take_views, write_room
+from dirl.sources.rooms.checks import far_apart
 from dirl.sources.rooms.description import RoomDescription, description_text
 from dirl.sources.rooms.looks import Changes, PhotoCamera, look_views
 from dirl.sources.rooms.navigation import walk
@@ -75,8 +75,7 @@ class RoomSettings:
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
         """The settings as the index stores them: the encoder by its description, not by its name."""
-        apart = ("encoder", "device", "patches", "fine_patches", "looks", "changes", "photo", "virtual")
-        kept = {key: value for key, value in asdict(self).items() if key not in apart}
+        kept = {key: getattr(self, key) for key in ("height", "width", "turn", "fine", "precision")}
         if self.looks:
             kept["looks"] = self.looks
             kept |= {f"{of}.{key}": value for of in ("changes", "photo") for key, value in asdict(self)[of].items()}
@@ -86,6 +85,10 @@ class RoomSettings:
 
             kept |= {"patches": "; ".join(with_virtual(encoder, self.virtual).patch_attributes.values())}
         return kept
+
+
+encoder_of = cache(RoomSettings.load_encoder)
+"""What encodes the views, loaded once in each process."""
 
 
 def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]) -> list[Wanted]:
@@ -138,57 +141,52 @@ def make_rooms(
     Raises:
         SceneError: the rooms cannot be made, or a process was killed, perhaps because memory ran out.
     """
-    check_packages()
-    check_size((settings.height, settings.width))
+    check_arguments((settings.height, settings.width), workers)
     if not 0 <= settings.looks <= LOOK_SEEDS:
         raise SceneError(f"looks={settings.looks}: must be 0 to {LOOK_SEEDS}")
     if settings.looks and settings.encoder is None:
         raise SceneError(f"looks={settings.looks}: their views are encoded and not stored; give an encoder")
-    workers = os.cpu_count() or 1 if workers is None else workers
-    if workers < 1:
-        raise SceneError(f"workers={workers}: at least one process is needed")
+    workers = workers or os.cpu_count() or 1
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    made: Iterable[Entry | SceneError]
     if workers == 1 or len(wanted) == 1:
-        for one in wanted:
-            yield _index(folder, make_room(folder, one, settings, workers))
-        return
-    tasks = [partial(make_room, folder, one, settings) for one in wanted]
-    for made in in_processes(tasks, min(workers, len(wanted)), f"{folder}: a process that made a room"):
-        yield _index(folder, made)
+        made = (make_room(folder, one, settings, workers) for one in wanted)
+    else:
+        tasks = [partial(make_room, folder, one, settings) for one in wanted]
+        made = in_processes(tasks, min(workers, len(wanted)), f"{folder}: a process that made a room")
+    for one in made:
+        if isinstance(one, Entry):
+            add_entry(folder, one)
+        yield one
 
 
 def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 1) -> Entry | SceneError:
     """Draw a room, take and encode its views, and write its dump and its description; see `make_rooms`."""
     kind, seed = one
-    encoder = _encoder(settings)
+    encoder = encoder_of(settings)
     try:
         room, views = sample_views(kind, seed)
     except SceneError as error:
         return error
-    way, size = walk(room, settings.turn), (settings.height, settings.width)
-    wanted = size != LOOK or settings.fine or settings.turn != 90  # else the views of the check serve
-    renderer = Renderer.of(room, fine=settings.fine) if wanted or settings.looks else None
-    if wanted and renderer is not None:
-        views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
-    about = {"room": description_text(room), "step": room.grid.step, "turn": settings.turn, "seed": seed}
+    way, size, looks = walk(room, settings.turn), (settings.height, settings.width), []
+    checked = size == LOOK and not settings.fine and settings.turn == 90  # then the views of the check serve
+    if settings.looks or not checked:
+        renderer = Renderer.of(room, fine=settings.fine)
+        if not checked:
+            views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
+        of_seed = partial(
+            look_views, renderer, room, way, size, settings.changes, fine=settings.fine, photo=settings.photo
+        )
+        looks = [list(of_seed(LOOK_SEEDS * seed + look)) for look in range(settings.looks)]
     dump = folder / f"{room.name}.h5"
     unfinished = folder / f"{room.name}.toml.tmp"
     unfinished.write_text(description_text(room), encoding="utf-8")
     os.replace(unfinished, folder / f"{room.name}.toml")  # also over what a killed job left
-    looks = []
-    if renderer is not None:
-        seeds = range(LOOK_SEEDS * seed, LOOK_SEEDS * seed + settings.looks)
-        looks = [
-            list(
-                look_views(renderer, room, way, size, settings.changes, look, fine=settings.fine, photo=settings.photo)
-            )
-            for look in seeds
-        ]
     camera, virtual = room.camera, settings.virtual
     virtual = None if virtual is None else replace(virtual, own=camera.fov, pitch=camera.pitch)
-    write_room(dump, scene_of(room, way), views, encoder, attributes=about, looks=looks, virtual=virtual)
-    problems = check_room(room) + view_problems(views, way)
+    about = {"turn": settings.turn, "seed": seed}
+    problems = write_room(dump, room, way, views, encoder, about, looks=looks, virtual=virtual)
     scene = read_dump(dump, isolated=False)  # just written here
     return Entry(
         name=room.name,
@@ -223,15 +221,3 @@ def checks(room: RoomDescription, scene: Scene, problems: list[str]) -> dict[str
         return measures | {"problems": problems}
     far = {f"alike_{match}": sum(bool(apart[a, b]) for a, b, *_ in one.ambiguous) for match, one in found.items()}
     return measures | far | {"problems": problems + found["views"].problems}
-
-
-def _index(folder: Path, made: Entry | SceneError) -> Entry | SceneError:
-    if isinstance(made, Entry):
-        add_entry(folder, made)
-    return made
-
-
-@cache
-def _encoder(settings: RoomSettings) -> "ViewEncoder | None":
-    """What encodes the views, loaded once in each process."""
-    return settings.load_encoder()

@@ -3,6 +3,7 @@
 Lengths are metres, angles degrees; x points right on the plan, y up the plan, z up. See ``descriptions/`` for examples.
 """
 
+import inspect
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
@@ -16,7 +17,7 @@ import tomli_w
 from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.furniture import FURNITURE
-from dirl.sources.rooms.options import check_keys, check_options, check_value
+from dirl.sources.rooms.options import check_keys, check_value
 from dirl.sources.rooms.textures import TEXTURES
 
 T = TypeVar("T")
@@ -159,15 +160,13 @@ def read_description(path: str | Path) -> RoomDescription:
     """
     path = Path(path)
     try:
-        text = read_text(path)
+        return parse_description(read_text(path))
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error})") from None
-    except ValueError as error:
-        raise SceneError(str(error)) from None
-    try:
-        return parse_description(text)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
+    except ValueError as error:
+        raise SceneError(str(error)) from None
 
 
 def parse_description(text: str) -> RoomDescription:
@@ -183,7 +182,7 @@ def parse_description(text: str) -> RoomDescription:
     check_keys(room, (*SHELL, "walls"), "[room]", required=("size", "floor", "walls"))
     hints = get_type_hints(RoomDescription)
     made = {key: check_value(value, hints[key], f"[room] {key}") for key, value in shell.items()}
-    made["size"] = _lengths(made["size"], "[room] size")
+    _check_lengths(made["size"], "[room] size")
     return RoomDescription(
         **made,
         name=check_value(tables["name"], str, "name"),
@@ -205,24 +204,26 @@ def parse_description(text: str) -> RoomDescription:
 def _filled(kind: Callable[..., T], table: Any, where: str, kinds: Mapping[str, Callable[..., Any]] | None = None) -> T:
     """A dataclass made of a table, its values checked; what it lacks are options of the one of ``kinds`` it names."""
     hints = get_type_hints(kind)
+    hints.pop("options", None)
     parameters = fields(kind)  # type: ignore[arg-type]
-    own = [option.name for option in parameters if option.name != "options"]
     required = [option.name for option in parameters if option.default is MISSING and option.default_factory is MISSING]
-    given = {key: value for key, value in check_value(table, dict, where).items() if key in own}
-    rest = {key: value for key, value in table.items() if key not in own}
-    check_keys(table if kinds is None else given, own, where, required=required)
+    table = check_value(table, dict, where)
+    given = {key: value for key, value in table.items() if kinds is None or key in hints}
+    check_keys(given, hints, where, required=required)
     made = {key: check_value(value, hints[key], f"{where} {key}") for key, value in given.items()}
     if kinds is not None:
         chosen = made.get("kind", "plain")
         check_keys({chosen: 0}, kinds, f"{where} kind")
-        made["options"] = check_options(kinds[chosen], rest, where, own=tuple(own))
+        options = {key: value for key, value in table.items() if key not in hints}
+        check_keys(options, (*inspect.getfullargspec(kinds[chosen]).kwonlyargs, *hints), where)
+        types = get_type_hints(kinds[chosen])
+        made["options"] = {key: check_value(value, types[key], f"{where} {key}") for key, value in options.items()}
     return kind(**made)
 
 
-def _lengths(size: Size, where: str) -> Size:
+def _check_lengths(size: Size, where: str) -> None:
     if min(size) <= 0 or max(size) > LONGEST:
         raise SceneError(f"{where}: expected lengths above 0 and up to {LONGEST} metres, found {list(size)}")
-    return size
 
 
 def _walls(table: Any, height: float) -> dict[str, tuple[Band, ...]]:
@@ -253,7 +254,7 @@ def _piece(table: Any, where: str) -> Piece:
     if isinstance(table, dict) and isinstance(table.get("kind"), str):
         where += f" ({table['kind']})"
     piece = _filled(Piece, table, where, FURNITURE)
-    _lengths(piece.size, f"{where} size")
+    _check_lengths(piece.size, f"{where} size")
     if (piece.at is None) == (piece.wall is None) or (piece.wall is None) != (piece.along is None):
         raise SceneError(f"{where}: say where it stands, by 'wall' and 'along', or by 'at'")
     if piece.wall is not None:
@@ -263,12 +264,12 @@ def _piece(table: Any, where: str) -> Piece:
 
 def description_text(room: RoomDescription) -> str:
     """The TOML text of a room; `parse_description` makes an equal room of it."""
-    shell = {key: getattr(room, key) for key in SHELL}
+    shell = {key: getattr(room, key) for key in SHELL if getattr(room, key) is not None}
     tables = {
         "name": room.name,
         "goals": room.goals,
-        "room": {**_given(shell), "walls": {side: room.walls[side] for side in SIDES}},
-        "grid": _given(vars(room.grid)),
+        "room": {**shell, "walls": {side: room.walls[side] for side in SIDES}},
+        "grid": {key: value for key, value in vars(room.grid).items() if value is not None},
         "camera": vars(room.camera),
         "materials": {name: _changed(material) for name, material in room.materials.items()},
         "furniture": [_changed(piece) for piece in room.furniture],
@@ -288,10 +289,6 @@ def write_description(description: RoomDescription, path: str | Path) -> None:
             file.write(description_text(description))
     except FileExistsError:
         raise SceneError(f"{path}: this file exists already; it is not overwritten") from None
-
-
-def _given(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if value is not None}
 
 
 def _changed(item: Material | Piece) -> dict[str, Any]:

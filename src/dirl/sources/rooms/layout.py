@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dirl.scenes.scene import SceneError
-from dirl.sources.rooms.description import Material, Piece, RoomDescription
+from dirl.sources.rooms.description import Material, Piece, RoomDescription, Size
 from dirl.sources.rooms.furniture import FURNITURE
 from dirl.sources.rooms.materials import STOCK
 from dirl.sources.rooms.mesh import Array, Mesh, Part
@@ -27,9 +27,9 @@ class Opening:
     top: float
 
 
-def place_of(piece: Piece, room: RoomDescription) -> tuple[float, float, float]:
-    """Where the middle of a piece is, x and y in metres, and how far it is turned, in degrees."""
-    width, depth, _ = room.size
+def place_of(piece: Piece, size: Size) -> tuple[float, float, float]:
+    """Where the middle of a piece is in a room of this size, x and y in metres, and how far it is turned, degrees."""
+    width, depth, _ = size
     if piece.wall is None:
         x, y = piece.at or (0.0, 0.0)
         return x + width * (x < 0), y + depth * (y < 0), piece.yaw
@@ -59,7 +59,7 @@ def assemble_pieces(room: RoomDescription, openings: Sequence[Opening] = ()) -> 
     made = [("[room]", _placed(_shell(room, openings), (0, 0, 0), 0, materials, "[room]"))]
     for number, piece in enumerate(room.furniture, 1):
         where = f"[[furniture]] number {number} ({piece.kind})"
-        x, y, yaw = place_of(piece, room)
+        x, y, yaw = place_of(piece, room.size)
         z = room.size[2] if piece.kind == "ceiling_lamp" else piece.lift
         try:
             mesh = FURNITURE[piece.kind](*piece.size, **piece.options)

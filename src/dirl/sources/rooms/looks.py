@@ -144,13 +144,13 @@ def look_views(
     the agent's.
     """
     rng, photo = np.random.default_rng(seed), photo or PhotoCamera()
-    sides = np.random.default_rng((seed, 2)).choice([-1, 1], (len(way.places) * len(way.headings), 2))
+    turns, places = len(way.headings), len(way.places)
+    sides = np.random.default_rng((seed, 2)).choice([-1, 1], (places * turns, 2))
     shape = size[::-1] if photo.portrait else size
     if changes.vary:
         changes = changes.times(float(rng.uniform(1 - changes.vary, 1 + changes.vary)))
     if changes.lamps or changes.daylight or changes.furniture or changes.objects:
         renderer = Renderer.of(changed_room(room, np.random.default_rng((seed, 1)), changes), fine=fine)
-    turns, places = len(way.headings), len(way.places)
     moved = rng.normal(0, 1, (places, 2)) * changes.position
     turned, raised = rng.normal(0, 1, (2, places)) * [[changes.heading], [changes.camera_height]]
     brightness = np.exp(rng.normal(0, 1, places) * changes.exposure)
@@ -158,14 +158,13 @@ def look_views(
     for state, (x, y, heading) in enumerate(poses(way)):
         place = state // turns
         seen = Renderer(renderer.scenery, renderer.light, renderer.exposure * float(brightness[place]))
-        lifted = replace(
-            room.camera, height=room.camera.height + float(raised[place]), fov=photo.fov or room.camera.fov
-        )
+        height = room.camera.height + float(raised[place])
+        camera = replace(room.camera, height=height, fov=photo.fov or room.camera.fov)
         aside, tilt = sides[state] * [photo.aside, photo.tilt]
         pose = (x + moved[place, 0], y + moved[place, 1], heading + turned[place] + aside)
-        view = photo.developed(seen.view(lifted, pose, shape, roll=float(tilt)))
+        view = photo.developed(seen.view(camera, pose, shape, roll=float(tilt)))
         if photo.corrected:
-            view = as_seen_by(view, size, fov=lifted.fov, own=room.camera.fov, tilt=float(tilt))
+            view = as_seen_by(view, size, fov=camera.fov, own=room.camera.fov, tilt=float(tilt))
         if changes.white_balance:
             gains = np.array([tint[place, 0], 1.0, tint[place, 1]])
             view = np.clip(view * gains, 0, 255).astype(np.uint8)
@@ -205,7 +204,7 @@ def _moved(room: RoomDescription, number: int, errors: np.ndarray, places: set[t
     problems = set(check_room(room))
     for attempt in range(ATTEMPTS):
         pieces = list(room.furniture)
-        pieces[number] = _shifted(pieces[number], errors / 2**attempt)
+        pieces[number] = _shifted(pieces[number], *(float(error) for error in errors / 2**attempt))
         moved = replace(room, furniture=tuple(pieces))
         if places <= _places(moved) and set(check_room(moved)) <= problems:
             return moved
@@ -216,14 +215,12 @@ def _places(room: RoomDescription) -> set[tuple[float, ...]]:
     return {tuple(place) for place in walk(room).places.tolist()}
 
 
-def _shifted(piece: Piece, errors: np.ndarray) -> Piece:
-    along, across, turn = (float(error) for error in errors)
+def _shifted(piece: Piece, along: float, across: float, turn: float) -> Piece:
     yaw = piece.yaw + 45 * turn
     if piece.at is not None:
         # A negative coordinate is measured from the far wall.
-        x, y = (
-            max(0.0, v + e) if v >= 0 else min(-1e-3, v + e) for v, e in zip(piece.at, (along, across), strict=True)
-        )
+        moved = zip(piece.at, (along, across), strict=True)
+        x, y = (max(0.0, v + e) if v >= 0 else min(-1e-3, v + e) for v, e in moved)
         return replace(piece, at=(x, y), yaw=yaw)
     assert piece.along is not None
     return replace(piece, along=piece.along + along, off=max(0.0, piece.off + across), yaw=yaw)

@@ -21,8 +21,8 @@ class Part:
         uv: where in the texture each corner is, float64 ``[n, 3, 2]``; None until it is known how large a repeat is.
         material: its name.
         smooth: degrees up to which triangles that share a corner look rounded.
-        unturned: ``corners`` before the part was turned, if it was. Normals are computed from these and turned with
-            the part, so that the same piece is shaded alike, to the last bit, however it stands.
+        unturned: ``corners`` before the part was moved. Normals are computed from these and turned with the part, so
+            that the same piece is shaded alike, to the last bit, however it stands.
         turn: how it was turned, a rotation matrix ``[3, 3]``.
     """
 
@@ -30,14 +30,12 @@ class Part:
     uv: Array | None
     material: str
     smooth: float
-    unturned: Array | None = None
-    turn: Array | None = None
+    unturned: Array
+    turn: Array
 
     @property
     def normals(self) -> Array:
         """At the corners, of length 1, float64 ``[n, 3, 3]``; computed here, as most parts are only measured."""
-        if self.unturned is None or self.turn is None:
-            return corner_normals(self.corners, self.smooth)
         return corner_normals(self.unturned, self.smooth) @ self.turn
 
     def moved(self, at: ArrayLike, yaw: float, texture_size: float, *, grained: bool = False) -> "Part":
@@ -107,7 +105,7 @@ class Mesh:
         points = np.asarray(corners, float)
         area = np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1)
         points, wanted = points[area > 1e-10], None if uv is None else np.asarray(uv, float)[area > 1e-10]
-        self.parts.append(Part(points, wanted, material, smooth))
+        self.parts.append(Part(points, wanted, material, smooth, points, np.eye(3)))
         return self
 
     def box(

@@ -46,7 +46,7 @@ def footprints(room: RoomDescription) -> Array:
 
 def footprint(piece: Piece, room: RoomDescription) -> tuple[float, ...]:
     """The rectangle of a piece on the floor plan, see `footprints`."""
-    x, y, yaw = place_of(piece, room)
+    x, y, yaw = place_of(piece, room.size)
     return x, y, piece.size[0] / 2, piece.size[1] / 2, float(np.radians(yaw))
 
 
@@ -77,12 +77,10 @@ def clearance(a: Array, b: Array, rectangles: Array) -> Array:
     # Otherwise the nearest point is an end of the segment or a corner of the rectangle.
     ends = np.minimum(*(np.hypot(*np.moveaxis(np.maximum(np.abs(p) - half, 0), -1, 0)) for p in (start, end)))
     length = np.maximum((along**2).sum(-1), 1e-300)
-    corners = []
-    for sign in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-        corner = half * sign
-        share = np.clip(((corner - start) * along).sum(-1) / length, 0, 1)
-        corners.append(np.hypot(*np.moveaxis(start + share[..., None] * along - corner, -1, 0)))
-    return np.where(meets, 0, np.minimum(ends, np.minimum.reduce(corners))).min(1)
+    corner = half * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])[:, None, None]
+    share = np.clip(((corner - start) * along).sum(-1) / length, 0, 1)
+    corners = np.hypot(*np.moveaxis(start + share[..., None] * along - corner, -1, 0)).min(0)
+    return np.where(meets, 0, np.minimum(ends, corners)).min(1)
 
 
 def walk(room: RoomDescription, turn: float = 90) -> Walk:

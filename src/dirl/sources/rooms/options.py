@@ -5,7 +5,7 @@ import inspect
 import math
 import types
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, get_args, get_origin
 
 from dirl.scenes.scene import SceneError
 
@@ -32,16 +32,6 @@ def check_keys(table: Mapping[str, Any], known: Collection[str], where: str, *, 
     for key in required:
         if key not in table:
             raise SceneError(f"{where}: '{key}' is missing")
-
-
-def check_options(
-    function: Callable[..., Any], given: Mapping[str, Any], where: str, *, own: tuple[str, ...] = ()
-) -> dict[str, Any]:
-    """The keyword arguments for a function, checked against its signature; ``own`` are further names for the hint."""
-    hints = get_type_hints(function)
-    keywords = [p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
-    check_keys({key: 0 for key in given if key not in keywords}, (*keywords, *own), where)
-    return {key: check_value(value, hints[key], f"{where} {key}") for key, value in given.items()}
 
 
 def check_value(value: Any, kind: Any, where: str) -> Any:

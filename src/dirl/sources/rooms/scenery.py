@@ -33,7 +33,8 @@ class Scenery:
         names = sorted({part.material for part in parts})
         used = [materials[name] for name in names]
         index = {name: number for number, name in enumerate(names)}
-        soup = np.concatenate([np.concatenate([part.corners, part.normals, _uv(part)], -1) for part in parts])
+        each = [(part.corners, part.normals, np.asarray(part.uv)) for part in parts]
+        soup = np.concatenate([np.concatenate(arrays, -1) for arrays in each])
         material = np.concatenate([np.full(len(part.corners), index[part.material]) for part in parts])
         soup, self.material = divide(soup, material, edge)
         soup = soup.astype(np.float32)
@@ -85,28 +86,19 @@ class Scenery:
 
     def _store_textures(self, textures: list[Array]) -> None:
         """All textures in one long array of texels, each at every size down to one pixel."""
-        sizes: list[int] = []
-        texels: list[Array] = []
-        self._first = np.zeros(len(textures), np.int64)
-        self._last = np.zeros(len(textures), np.int64)
-        for number, texture in enumerate(textures):
-            self._first[number] = len(sizes)
-            level: Array = linear(texture).astype(np.float32)
-            while True:
-                sizes.append(len(level))
-                texels.append(level.reshape(-1, 3))
-                if len(level) == 1:
-                    break
-                level = (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2]) / 4
-            self._last[number] = len(sizes) - 1
-        self._side = np.array(sizes)
+        levels: list[Array] = []
+        first, last = [], []
+        for texture in textures:
+            first.append(len(levels))
+            levels.append(linear(texture).astype(np.float32))
+            while len(level := levels[-1]) > 1:
+                levels.append((level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2]) / 4)
+            last.append(len(levels) - 1)
+        self._first, self._last = np.array(first), np.array(last)
+        self._side = np.array([len(level) for level in levels])
         self._start = np.concatenate([[0], np.cumsum(self._side**2)[:-1]])
-        self._texels = np.concatenate(texels)
+        self._texels = np.concatenate([level.reshape(-1, 3) for level in levels])
         self.mean_color = self._texels[self._start[self._last]]
-
-
-def _uv(part: Part) -> Array:
-    return np.zeros((*part.corners.shape[:2], 2)) if part.uv is None else part.uv
 
 
 def divide(soup: Array, material: Array, edge: float) -> tuple[Array, Array]:

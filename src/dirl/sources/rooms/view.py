@@ -74,7 +74,11 @@ class Renderer:
         """
         (x, y, heading), (height, width) = pose, size
         half = np.tan(np.radians(camera.fov / 2))
-        ahead, right, up = _axes(heading, camera.pitch)
+        turn, pitch = np.radians(heading), np.radians(camera.pitch)
+        flat = np.array([np.sin(turn), np.cos(turn), 0])
+        ahead = flat * np.cos(pitch) + [0, 0, np.sin(pitch)]
+        right = np.array([flat[1], -flat[0], 0])
+        up = np.cross(right, ahead)
         if roll:
             sine, cosine = np.sin(np.radians(roll)), np.cos(np.radians(roll))
             right, up = cosine * right + sine * up, cosine * up - sine * right
@@ -162,15 +166,6 @@ class Renderer:
             tint = np.where(bare[:, None], base[shiny], 1)
             out[shiny] = out[shiny] * below[:, None] + seen * tint * share[:, None]
         return out
-
-
-def _axes(heading: float, pitch: float) -> tuple[Array, Array, Array]:
-    """Unit vectors ahead, to the right and up of a camera; degrees clockwise from the y axis, degrees up."""
-    turn, pitch = np.radians(heading), np.radians(pitch)
-    flat = np.array([np.sin(turn), np.cos(turn), 0])
-    ahead = flat * np.cos(pitch) + [0, 0, np.sin(pitch)]
-    right = np.array([flat[1], -flat[0], 0])
-    return ahead, right, np.cross(right, ahead)
 
 
 def exposure(renderer: Renderer, size: Size, height: float) -> float:

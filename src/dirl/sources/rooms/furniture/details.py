@@ -1,5 +1,7 @@
 """Doors, windows, mirrors, pictures; rugs, lamps, plants, and what stands on tables."""
 
+from functools import partial
+
 import numpy as np
 
 from dirl.sources.rooms.mesh import Array, Mesh, fan
@@ -48,19 +50,16 @@ def window(
         rod = z + h / 2 + 0.1
         mesh.tube([(-w / 2 - 0.2, d / 2 - 0.1, rod), (w / 2 + 0.2, d / 2 - 0.1, rod)], 0.012, "brass")
         for side in (-1, 1):
-            mesh.sheet(_drape(side * (w / 2 + 0.15), -side * 0.28, d / 2 - 0.1, z0 - 0.25, h + 0.33), 60, 10, curtain)
+            drape = partial(_drape, side * (w / 2 + 0.15), -side * 0.28, d / 2 - 0.1, z0 - 0.25, h + 0.33)
+            mesh.sheet(drape, 60, 10, curtain)
     return mesh
 
 
-def _drape(x0: float, width: float, y: float, z0: float, height: float):  # type: ignore[no-untyped-def]
+def _drape(x0: float, width: float, y: float, z0: float, height: float, u: Array, v: Array) -> Array:
     """Cloth that hangs in folds from x0 to x0 + width."""
-
-    def surface(u: Array, v: Array) -> Array:
-        across = u if width > 0 else 1 - u  # the same side of the cloth faces the room on either end
-        folds = 0.025 * np.sin(across * 26) * (1 - 0.5 * v)
-        return np.stack([x0 + width * across, y - folds, z0 + height * v], -1)
-
-    return surface
+    across = u if width > 0 else 1 - u  # the same side of the cloth faces the room on either end
+    folds = 0.025 * np.sin(across * 26) * (1 - 0.5 * v)
+    return np.stack([x0 + width * across, y - folds, z0 + height * v], -1)
 
 
 def door(w: float, d: float, h: float, *, leaf: str = "door", frame: str = "white_paint", trim: str = "brass") -> Mesh:
@@ -96,20 +95,16 @@ def plant(
     for _ in range(leaves):
         angle, rise = rng.uniform(0, 2 * np.pi), rng.uniform(0.55, 1.0)
         length, width = rng.uniform(0.75, 1.05) * w * 0.66, rng.uniform(0.05, 0.09) * h
-        mesh.sheet(_blade(angle, rise * h * 0.745, length, width, h * 0.22), 5, 12, leaf)
+        mesh.sheet(partial(_blade, angle, rise * h * 0.745, length, width, h * 0.22), 5, 12, leaf)
     return mesh
 
 
-def _blade(angle: float, rise: float, length: float, width: float, z0: float):  # type: ignore[no-untyped-def]
+def _blade(angle: float, rise: float, length: float, width: float, z0: float, u: Array, v: Array) -> Array:
     """A leaf that grows from z0 on the axis up by ``rise`` and out by ``length``."""
-
-    def surface(u: Array, v: Array) -> Array:
-        out, up = v**1.5 * length, z0 + rise * np.sin(v * 1.9)
-        side = (u - 0.5) * (2 * width * np.sin(np.pi * np.clip(v, 0.03, 1) ** 0.8) + 1e-4)
-        x, y = out * np.cos(angle) - side * np.sin(angle), out * np.sin(angle) + side * np.cos(angle)
-        return np.stack([x, y, up + 0.25 * np.abs(u - 0.5) * width], -1)
-
-    return surface
+    out, up = v**1.5 * length, z0 + rise * np.sin(v * 1.9)
+    side = (u - 0.5) * (2 * width * np.sin(np.pi * np.clip(v, 0.03, 1) ** 0.8) + 1e-4)
+    x, y = out * np.cos(angle) - side * np.sin(angle), out * np.sin(angle) + side * np.cos(angle)
+    return np.stack([x, y, up + 0.25 * np.abs(u - 0.5) * width], -1)
 
 
 def bottles(w: float, d: float, h: float, *, z: float = 0.0, seed: int = 0) -> Mesh:

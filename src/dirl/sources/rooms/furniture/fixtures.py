@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dirl.sources.rooms.mesh import Array, Mesh
+from dirl.sources.rooms.mesh import Array, Mesh, fan
 
 
 def bathtub(w: float, d: float, h: float, *, body: str = "ceramic", trim: str = "chrome") -> Mesh:
@@ -106,8 +106,7 @@ def washer(w: float, d: float, h: float, *, body: str = "appliance") -> Mesh:
     angle = np.linspace(0, 2 * np.pi, 41)
     ring = np.stack([radius * np.cos(angle), np.full_like(angle, y), z + radius * np.sin(angle)], -1)
     mesh.tube(ring, 0.022, "chrome", 10)
-    centre, rim = np.array([0, y - 0.004, z]), ring - [0, 0.004, 0]
-    mesh.add(np.stack([np.broadcast_to(centre, rim[:-1].shape), rim[:-1], rim[1:]], 1), "glass_dark")
+    mesh.add(fan(np.array([0, y - 0.004, z]), ring - [0, 0.004, 0])[:, [0, 2, 1]], "glass_dark")
     return mesh.box(-w / 2 + 0.02, y - 0.012, h - 0.13, w / 2 - 0.02, y + 0.01, h - 0.03, "dark", 0.006)
 
 

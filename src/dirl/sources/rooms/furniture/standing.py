@@ -1,5 +1,7 @@
 """Beds, sofas, tables, chairs, cabinets and shelves, a fireplace, a television."""
 
+from itertools import product
+
 import numpy as np
 
 from dirl.sources.rooms.mesh import Array, Mesh
@@ -144,9 +146,8 @@ def cabinet(
                 ends = [(x - 0.06, -d / 2 - 0.02, z), (x + 0.06, -d / 2 - 0.02, z)]
             mesh.tube(ends, 0.007, trim)
     if legs > 0:
-        for x in (-w / 2 + 0.04, w / 2 - 0.04):
-            for y in (-d / 2 + 0.05, d / 2 - 0.05):
-                mesh.cylinder(x, y, 0, legs, 0.02, trim)
+        for x, y in product((-w / 2 + 0.04, w / 2 - 0.04), (-d / 2 + 0.05, d / 2 - 0.05)):
+            mesh.cylinder(x, y, 0, legs, 0.02, trim)
     return mesh
 
 
@@ -200,9 +201,8 @@ def table(w: float, d: float, h: float, *, body: str = "wood", top: str = "") ->
     """A table on four legs; its top of another material if one is named."""
     mesh = Mesh().box(-w / 2, -d / 2, h - 0.04, w / 2, d / 2, h, top or body, 0.01)
     mesh.box(-w / 2 + 0.06, -d / 2 + 0.06, h - 0.12, w / 2 - 0.06, d / 2 - 0.06, h - 0.04, body, 0.004)
-    for x in (-w / 2 + 0.09, w / 2 - 0.09):
-        for y in (-d / 2 + 0.09, d / 2 - 0.09):
-            mesh.loft([(0, 0.018, 0.018), (h - 0.04, 0.03, 0.03)], body, at=(x, y), exponent=4, sides=16)
+    for x, y in product((-w / 2 + 0.09, w / 2 - 0.09), (-d / 2 + 0.09, d / 2 - 0.09)):
+        mesh.loft([(0, 0.018, 0.018), (h - 0.04, 0.03, 0.03)], body, at=(x, y), exponent=4, sides=16)
     return mesh
 
 
@@ -239,7 +239,6 @@ def stool(w: float, d: float, h: float, *, body: str = "wood") -> Mesh:
     """A stool on four splayed legs."""
     seat = [(h - 0.04, w * 0.46, d * 0.46), (h - 0.01, w / 2, d / 2), (h, w * 0.48, d * 0.48)]
     mesh = Mesh().loft(seat, body, exponent=4, sides=40)
-    for x in (-w, w):
-        for y in (-d, d):
-            mesh.tube([(x * 0.34, y * 0.34, h - 0.03), (x * 0.45, y * 0.45, 0)], 0.016, body)
+    for x, y in product((-w, w), (-d, d)):
+        mesh.tube([(x * 0.34, y * 0.34, h - 0.03), (x * 0.45, y * 0.45, 0)], 0.016, body)
     return mesh

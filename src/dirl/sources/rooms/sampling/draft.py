@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dirl.sources.rooms.checks import door_strip
-from dirl.sources.rooms.description import SIDES, Piece, RoomDescription, Size
+from dirl.sources.rooms.description import SIDES, Piece, Size
 from dirl.sources.rooms.furniture import FURNITURE, NOT_SOLID
 from dirl.sources.rooms.layout import place_of
 from dirl.sources.rooms.mesh import Array
@@ -15,6 +15,9 @@ from dirl.sources.rooms.sampling.styles import Style
 
 GAP = 0.02
 """Metres between pieces."""
+
+TRIES = 40
+"""Random places that are tried for a piece."""
 
 PASSAGE = 0.6
 """Metres around what stands in the middle of the room, for the agent."""
@@ -39,14 +42,15 @@ class Draft:
         self.size, self.style, self.rng = size, style, rng
         self.placed: list[Placed] = []
         self.kept_free: list[Array] = []
-        self._shell = RoomDescription("draft", size, "wood", dict.fromkeys(SIDES, ((size[2], "wood"),)))
 
     def put(self, piece: Piece, *, around: float = GAP) -> bool:
         """Add a piece if it is inside the room, overlaps no other, and blocks nothing; returns whether it was added.
 
         ``around`` are the metres that must stay free between it and solid pieces.
         """
-        box = self.box_of(piece)
+        x, y, yaw = place_of(piece, self.size)
+        z = self.size[2] if piece.kind == "ceiling_lamp" else piece.lift
+        box = _bounds(piece.kind, piece.size, yaw, tuple(sorted(piece.options.items()))) + np.tile([x, y, z], 2)
         inside = (box[:3] >= -1e-3).all() and (box[3:] <= np.array(self.size) + 1e-3).all()
         if not inside and piece.kind != "ceiling_lamp":
             return False
@@ -54,21 +58,11 @@ class Draft:
         if solid and any(_meets(box, zone, GAP) for zone in self.kept_free):
             return False
         for other in self.placed:
-            if piece.kind == "rug" and other.piece.kind != "rug":
-                continue
-            if other.piece.kind == "rug" and piece.kind != "rug":
-                continue
-            if _meets(box, other.box, around if solid and other.solid else GAP):
+            alike = (piece.kind == "rug") == (other.piece.kind == "rug")  # anything may stand on a rug
+            if alike and _meets(box, other.box, around if solid and other.solid else GAP):
                 return False
         self.placed.append(Placed(piece, box, solid))
         return True
-
-    def box_of(self, piece: Piece) -> Array:
-        """The upright box around a piece, from its actual shape."""
-        x, y, yaw = place_of(piece, self._shell)
-        z = self.size[2] if piece.kind == "ceiling_lamp" else piece.lift
-        bounds = _bounds(piece.kind, piece.size, yaw, tuple(sorted(piece.options.items())))
-        return bounds + np.array([x, y, z, x, y, z])
 
     def between(self, low: float, high: float) -> float:
         """A random length, to centimetres."""
@@ -78,90 +72,76 @@ class Draft:
         """For a piece that is sampled at random itself."""
         return int(self.rng.integers(*self.style.repertoire.seeds))
 
-    def has(self, kind: str) -> bool:
-        """Whether there is such a piece."""
-        return any(placed.piece.kind == kind for placed in self.placed)
-
     def from_wall(self, wall: str, along: float, away: float) -> tuple[float, float]:
         """The point so far along a wall and away from it."""
-        return rounded(place_of(Piece("", (0.0, 0.0, 0.0), wall=wall, along=along, off=away), self._shell))
+        return rounded(place_of(Piece("", (0.0, 0.0, 0.0), wall=wall, along=along, off=away), self.size))
 
     def length(self, wall: str) -> float:
         """Of a wall, metres."""
         return self.size[0] if wall in ("north", "south") else self.size[1]
 
     def against_wall(
-        self,
-        kind: str,
-        size: Size,
-        *,
-        walls: tuple[str, ...] = SIDES,
-        tries: int = 40,
-        free: bool = False,
-        **options: Any,
+        self, kind: str, size: Size, *, walls: tuple[str, ...] = SIDES, free: bool = False, **options: Any
     ) -> Piece | None:
         """Put a piece with its back to one of the walls, wherever there is room; ``free`` keeps its front clear."""
-        for _ in range(tries):
+        for _ in range(TRIES):
             wall = str(self.rng.choice(walls))
             low, high = size[0] / 2 + 0.05, self.length(wall) - size[0] / 2 - 0.05
             if low < high:
-                along = round(float(self.rng.uniform(low, high)), 2)
-                piece = Piece(kind, size, wall=wall, along=along, options=options)
+                piece = Piece(kind, size, wall=wall, along=self.between(low, high), options=options)
                 if self.put(piece):
                     if free:
                         self.keep_front_free(piece)
                     return piece
         return None
 
-    def in_corner(self, kind: str, size: Size, *, yawed: bool = False, tries: int = 12, **options: Any) -> Piece | None:
+    def in_corner(self, kind: str, size: Size, *, yawed: bool = False, **options: Any) -> None:
         """Put a piece into a corner; ``yawed`` ones face the middle of the room."""
         reach = np.hypot(size[0], size[1]) / 2 if yawed else max(size[0], size[1]) / 2
         reach = round(float(reach) + 0.06, 2)
-        for _ in range(tries):
-            east, north = bool(self.rng.random() < 0.5), bool(self.rng.random() < 0.5)
+        for _ in range(12):
+            east, north = self.rng.random() < 0.5, self.rng.random() < 0.5
             at = (self.size[0] - reach if east else reach, self.size[1] - reach if north else reach)
             yaw = (-45.0 if east else 45.0) if north else (-135.0 if east else 135.0)
             if self.put(Piece(kind, size, at=rounded(at), yaw=yaw if yawed else 0.0, options=options)):
-                return self.placed[-1].piece
-        return None
+                return
 
-    def freely(
-        self, kind: str, size: Size, *, yaws: tuple[float, ...] = (0.0,), tries: int = 40, **options: Any
-    ) -> Piece | None:
+    def freely(self, kind: str, size: Size, *, yaws: tuple[float, ...], **options: Any) -> Piece | None:
         """Put a piece into the middle of the room, with space to walk around it."""
-        margin = PASSAGE + max(size[0], size[1]) / 2 if kind not in NOT_SOLID else max(size[0], size[1]) / 2
-        for _ in range(tries):
+        margin = max(size[0], size[1]) / 2 + (0.0 if kind in NOT_SOLID else PASSAGE)
+        for _ in range(TRIES):
             at = tuple(float(self.rng.uniform(margin, max(margin, length - margin))) for length in self.size[:2])
             piece = Piece(kind, size, at=rounded(at), yaw=float(self.rng.choice(yaws)), options=options)
             if self.put(piece, around=PASSAGE):
                 return piece
         return None
 
-    def above(self, below: Piece, kind: str, size: Size, **options: Any) -> bool:
+    def above(self, below: Piece, kind: str, size: Size, **options: Any) -> None:
         """Hang something on the wall over the middle of a piece."""
-        return self.put(Piece(kind, size, wall=below.wall, along=below.along, options=options))
+        self.put(Piece(kind, size, wall=below.wall, along=below.along, options=options))
 
-    def on_top(self, below: Piece, kind: str, size: Size, *, shift: float = 0.0, **options: Any) -> bool:
+    def on_top(self, below: Piece, kind: str, size: Size, *, shift: float = 0.0, **options: Any) -> None:
         """Put a small piece on another one, ``shift`` metres to the right of its middle."""
-        x, y, yaw = place_of(below, self._shell)
+        x, y, yaw = place_of(below, self.size)
         turn = np.radians(yaw)
         at = (x + shift * np.cos(turn), y + shift * np.sin(turn))
-        key = {"z": below.size[2]}
-        return self.put(Piece(kind, size, at=rounded(at), yaw=yaw, solid=False, options={**key, **options}))
+        options = {"z": below.size[2], **options}
+        self.put(Piece(kind, size, at=rounded(at), yaw=yaw, solid=False, options=options))
 
-    def door(self) -> str | None:
+    def door(self) -> str:
         """Put a door, and keep the space before it free; tells in which wall."""
         size = (float(self.rng.choice([0.85, 0.9])), 0.08, 2.05)
         made = self.against_wall("door", size)
         assert made is not None  # nothing else is in the room yet
-        start, end = door_strip(made, self._shell)
+        assert made.wall is not None
+        start, end = door_strip(made, self.size)
         low, high = np.minimum(start, end) - 0.3, np.maximum(start, end) + 0.3
         self.kept_free.append(np.array([*low, 0.0, *high, 2.0]))
         return made.wall
 
     def keep_front_free(self, piece: Piece, depth: float = PASSAGE) -> None:
         """Keep the floor in front of a piece clear of what is put later."""
-        x, y, yaw = place_of(piece, self._shell)
+        x, y, yaw = place_of(piece, self.size)
         turn = np.radians(yaw)
         across, ahead = np.array([np.cos(turn), np.sin(turn)]), np.array([np.sin(turn), -np.cos(turn)])
         near = np.array([x, y]) + ahead * piece.size[1] / 2
@@ -180,15 +160,15 @@ class Draft:
                 at = ((i + 0.5) / across * self.size[0], (j + 0.5) / deep * self.size[1])
                 self.put(Piece("ceiling_lamp", (width, width, round(drop, 2)), at=rounded(at)))
 
-    def dress_walls(self, *, towels: bool) -> None:
-        """Hang pictures, and a few mirrors and towels, until no long stretch of wall is bare at eye height."""
+    def dress_walls(self) -> None:
+        """Hang pictures, a few mirrors, in wet rooms towels, until no long stretch of wall is bare at eye height."""
         for wall in SIDES:
             for _ in range(12):
                 gaps = [(start, end) for start, end in self._bare(wall) if end - start > 0.5]
                 if not gaps:
                     break
                 start, end = max(gaps, key=lambda gap: gap[1] - gap[0])
-                if not self._hang(wall, start, end, towels):
+                if not self._hang(wall, start, end):
                     break
 
     def _bare(self, wall: str) -> list[tuple[float, float]]:
@@ -206,7 +186,7 @@ class Draft:
             at = max(at, float(end))
         return [*gaps, (at, self.length(wall))]
 
-    def _hang(self, wall: str, start: float, end: float, towels: bool) -> bool:
+    def _hang(self, wall: str, start: float, end: float) -> bool:
         for shrink in (1.0, 0.7, 0.5):
             room = end - start - 0.2
             width = round(float(min(room, self.rng.uniform(0.4, 1.2)) * shrink), 2)
@@ -219,7 +199,7 @@ class Draft:
             z = round(float(self.rng.uniform(1.35, 1.55)), 2)
             what = self.rng.random()
             at: dict[str, Any] = {"wall": wall, "along": round(along, 2)}
-            if towels and what < 0.2 and width < 0.7:
+            if self.style.wet and what < 0.2 and width < 0.7:
                 options: dict[str, Any] = {"towel": self.style.cloth()}
                 piece = Piece("towel_rail", (width, 0.12, 1.45), **at, options=options)
             elif what < 0.3 and width < 0.9:

@@ -1,6 +1,7 @@
 """The furniture of a bathroom, a bedroom, a kitchen and a living room, and how it is placed.
 
-Each function furnishes an empty `Draft`; pieces that do not fit are left out, so that no two rooms are alike.
+Each function furnishes a `Draft` that has nothing but a door, in the wall that it is told; pieces that do not fit are
+left out, so that no two rooms are alike.
 """
 
 from typing import Any
@@ -20,14 +21,14 @@ from dirl.sources.rooms.sampling.groups import (
 )
 
 
-def bathroom(draft: Draft) -> None:
+def bathroom(draft: Draft, door: str) -> None:
     """Tub or shower, toilet, vanity with a mirror; often a washing machine, shelves, towels."""
     rng, style = draft.rng, draft.style
-    door = draft.door()
     windows(draft, door, int(rng.integers(1, 3)), curtains=0.2)
+    tub = None
     if rng.random() < 0.8:
-        draft.against_wall("bathtub", (draft.between(1.6, 1.8), draft.between(0.75, 0.85), 0.58))
-    if rng.random() < 0.7 or not draft.has("bathtub"):
+        tub = draft.against_wall("bathtub", (draft.between(1.6, 1.8), draft.between(0.75, 0.85), 0.58))
+    if rng.random() < 0.7 or tub is None:
         shower(draft)
     basins = int(rng.integers(1, 3))
     width = 0.7 * basins + draft.between(0.1, 0.4)
@@ -44,17 +45,14 @@ def bathroom(draft: Draft) -> None:
         draft.against_wall("shelf", size, body=style.wood(), shelves=int(rng.integers(4, 6)), contents=contents)
     if rng.random() < 0.7:
         chest(draft, draft.between(0.7, 1.1))
-    corner_things(draft, int(rng.integers(1, 4)))
+    corner_things(draft)
     for _ in range(int(rng.integers(1, 3))):
         draft.freely("rug", (draft.between(0.9, 1.4), draft.between(0.6, 0.8), 0.01), yaws=(0, 90), image=style.rug())
-    draft.lamps(7)
-    draft.dress_walls(towels=True)
 
 
-def bedroom(draft: Draft) -> None:
+def bedroom(draft: Draft, door: str) -> None:
     """A bed with nightstands, a wardrobe; often a desk, a chest of drawers, an armchair, shelves."""
     rng, style = draft.rng, draft.style
-    door = draft.door()
     windows(draft, door, int(rng.integers(1, 4)), curtains=0.85)
     width, wood = float(rng.choice([1.0, 1.4, 1.6, 1.8])), style.wood()
     bedding: dict[str, Any] = {"frame": wood, "duvet": style.cloth(), "pillow": style.cloth(0.9)}
@@ -77,12 +75,10 @@ def bedroom(draft: Draft) -> None:
     if rng.random() < 0.6:
         draft.in_corner("sofa", (0.95, 0.85, 0.85), yawed=True, seats=1, fabric=style.cloth())
     shelves(draft, int(rng.integers(0, 3)))
-    corner_things(draft, int(rng.integers(1, 4)))
+    corner_things(draft)
     for _ in range(int(rng.integers(1, 4))):
         size = (draft.between(1.4, 2.4), draft.between(0.8, 1.5), 0.01)
         draft.freely("rug", size, yaws=(0, 90), image=style.rug())
-    draft.lamps(11)
-    draft.dress_walls(towels=False)
 
 
 def nightstand(draft: Draft, wall: str, along: float, wood: str) -> None:
@@ -98,17 +94,16 @@ def nightstand(draft: Draft, wall: str, along: float, wood: str) -> None:
         draft.on_top(stand, "vase", (0.22, 0.22, 0.4), seed=draft.any_seed(), body=draft.style.worktop())
 
 
-def kitchen(draft: Draft) -> None:
+def kitchen(draft: Draft, door: str) -> None:
     """One or two runs of counters, a dining table; in a large room an island."""
     rng, style = draft.rng, draft.style
-    door = draft.door()
     units = {"body": style.wood(), "top": style.worktop()}
     walls = [str(side) for side in rng.permutation([side for side in SIDES if side != door])]
     counters(draft, walls[0], units, full=True)
     if rng.random() < 0.6:
         counters(draft, walls[1], units, full=False)
     windows(draft, door, int(rng.integers(1, 3)), curtains=0.6)
-    dining(draft, chairs=int(rng.integers(2, 5)))
+    dining(draft)
     if draft.size[0] * draft.size[1] > 40 and rng.random() < 0.7:
         top, body = style.worktop(), style.wood()
         size = (draft.between(1.6, 2.2), 0.95, 0.92)
@@ -122,16 +117,13 @@ def kitchen(draft: Draft) -> None:
     if board is not None:
         draft.on_top(board, "bowl", (0.36, 0.36, 0.14), body="accent")
     shelves(draft, int(rng.integers(1, 3)), contents=("basket", "vases", "books", "towels"))
-    corner_things(draft, int(rng.integers(1, 4)))
+    corner_things(draft)
     draft.freely("rug", (draft.between(1.4, 2.0), 0.8, 0.01), yaws=(0, 90), image=style.rug())
-    draft.lamps(14)
-    draft.dress_walls(towels=True)
 
 
-def living_room(draft: Draft) -> None:
+def living_room(draft: Draft, door: str) -> None:
     """A sofa before a television, armchairs around a low table; often a fireplace, a dining table, shelves."""
     rng, style = draft.rng, draft.style
-    door = draft.door()
     sitting(draft)
     if rng.random() < 0.55:
         body = "brick" if rng.random() < 0.5 else style.worktop()
@@ -144,7 +136,7 @@ def living_room(draft: Draft) -> None:
                 draft.above(fire, "picture", (1.0, 0.05, 0.7), z=1.85, image=style.painting())
     windows(draft, door, int(rng.integers(1, 4)), curtains=0.8)
     if rng.random() < 0.6:
-        dining(draft, chairs=int(rng.integers(2, 5)))
+        dining(draft)
     shelves(draft, int(rng.integers(1, 4)))
     if rng.random() < 0.7:
         chest(draft, draft.between(1.0, 1.5))
@@ -152,7 +144,5 @@ def living_room(draft: Draft) -> None:
         desk(draft)
     if rng.random() < 0.7:
         draft.in_corner("lamp", (0.4, 0.4, draft.between(1.45, 1.75)))
-    corner_things(draft, int(rng.integers(1, 4)))
+    corner_things(draft)
     draft.freely("rug", (draft.between(1.4, 2.2), draft.between(0.9, 1.4), 0.01), yaws=(0, 90), image=style.rug())
-    draft.lamps(13)
-    draft.dress_walls(towels=False)

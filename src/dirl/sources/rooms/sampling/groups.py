@@ -9,7 +9,7 @@ from dirl.sources.rooms.layout import YAW
 from dirl.sources.rooms.sampling.draft import Draft, rounded
 
 
-def windows(draft: Draft, door: str | None, count: int, *, curtains: float) -> None:
+def windows(draft: Draft, door: str, count: int, *, curtains: float) -> None:
     """Windows with different outlooks, rather not beside the door."""
     rng = draft.rng
     for _ in range(count):
@@ -68,9 +68,10 @@ def tucked(draft: Draft, chair: Piece) -> None:
     draft.placed += tables
 
 
-def dining(draft: Draft, chairs: int) -> None:
+def dining(draft: Draft) -> None:
     """A table in the room with chairs around it, a rug below, something on it."""
     rng, style = draft.rng, draft.style
+    chairs = int(rng.integers(2, 5))
     body, top, seat, wood = style.wood(), style.wood(), style.cloth(), style.wood()
     slats, yaw = int(rng.integers(0, 6)), float(rng.choice([0.0, 90.0]))
     is_round = bool(rng.random() < 0.35)
@@ -115,20 +116,17 @@ def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> N
     at = 0.7 + draft.between(0.0, 0.5)  # the corner may be another run's
     for kind, extra in kinds:
         special = bool(extra) or kind == "fridge"
-        width = {"fridge": draft.between(0.75, 0.9)}.get(
-            kind, draft.between(1.0, 1.4) if special else draft.between(0.6, 1.2)
-        )
+        fridge, other = draft.between(0.75, 0.9), draft.between(1.0, 1.4) if special else draft.between(0.6, 1.2)
+        width = fridge if kind == "fridge" else other
         if at + width > length - 0.1:
             return
-        along = round(at + width / 2, 2)
         if kind == "fridge":
-            body = "steel" if rng.random() < 0.6 else draft.style.wood()
-            piece = Piece(
-                "fridge", (width, 0.7, draft.between(1.7, 1.95)), wall=wall, along=along, options={"body": body}
-            )
+            options: dict[str, Any] = {"body": "steel" if rng.random() < 0.6 else draft.style.wood()}
+            size = (width, 0.7, draft.between(1.7, 1.95))
         else:
             options = {**units, **extra, "doors": max(1, round(width / 0.5)), "drawers": bool(rng.random() < 0.7)}
-            piece = Piece("counter", (width, 0.62, 0.92), wall=wall, along=along, options=options)
+            size = (width, 0.62, 0.92)
+        piece = Piece(kind, size, wall=wall, along=round(at + width / 2, 2), options=options)
         if draft.put(piece):
             draft.keep_front_free(piece, 0.7)
             if extra.get("hob"):
@@ -205,10 +203,10 @@ def shelves(draft: Draft, count: int, *, contents: tuple[str, ...] = ("books", "
         draft.against_wall("shelf", size, body=draft.style.wood(), shelves=int(rng.integers(4, 7)), contents=filled)
 
 
-def corner_things(draft: Draft, count: int) -> None:
+def corner_things(draft: Draft) -> None:
     """Plants, baskets and stools in corners and along walls."""
     rng = draft.rng
-    for kind in rng.choice(["plant", "plant", "basket", "stool"], count, replace=False):
+    for kind in rng.choice(["plant", "plant", "basket", "stool"], int(rng.integers(1, 4)), replace=False):
         if kind == "plant":
             side = draft.between(0.42, 0.55)
             size = (side, side, draft.between(0.9, 1.7))

@@ -14,7 +14,7 @@ from dirl.sources.rooms.layout import assemble
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.options import check_keys
 from dirl.sources.rooms.sampling import furnishing
-from dirl.sources.rooms.sampling.draft import Draft
+from dirl.sources.rooms.sampling.draft import Draft, rounded
 from dirl.sources.rooms.sampling.splits import repertoire_of
 from dirl.sources.rooms.sampling.styles import Style
 from dirl.sources.rooms.view import Renderer
@@ -30,20 +30,24 @@ GOALS = 5
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of room: how it is furnished, how wide and deep it may be in metres, the fewest places, what it needs."""
+    """A kind of room: how it is furnished, how wide and deep it may be in metres, the fewest places, what it needs.
 
-    furnish: Callable[[Draft], None]
+    ``per_lamp`` is square metres; ``wet`` rooms have tiles and towels.
+    """
+
+    furnish: Callable[[Draft, str], None]
     extent: tuple[float, float]
     places: int
     needs: tuple[str, ...]
+    per_lamp: float
     wet: bool = False
 
 
 KINDS = {
-    "bathroom": Kind(furnishing.bathroom, (3.6, 5.0), 20, ("toilet", "vanity"), wet=True),
-    "bedroom": Kind(furnishing.bedroom, (4.4, 6.8), 30, ("bed",)),
-    "kitchen": Kind(furnishing.kitchen, (4.6, 7.4), 35, ("counter", "table"), wet=True),
-    "living_room": Kind(furnishing.living_room, (5.0, 7.4), 40, ("sofa", "tv")),
+    "bathroom": Kind(furnishing.bathroom, (3.6, 5.0), 20, ("toilet", "vanity"), 7, wet=True),
+    "bedroom": Kind(furnishing.bedroom, (4.4, 6.8), 30, ("bed",), 11),
+    "kitchen": Kind(furnishing.kitchen, (4.6, 7.4), 35, ("counter", "table"), 14, wet=True),
+    "living_room": Kind(furnishing.living_room, (5.0, 7.4), 40, ("sofa", "tv"), 13),
 }
 
 
@@ -95,20 +99,20 @@ def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
     walls, floor = style.walls(size[2]), style.floor()
     skirting = "white_paint" if rng.random() < 0.6 else style.wood()
     draft = Draft(size, style, rng)
-    made.furnish(draft)
-    pieces = tuple(placed.piece for placed in draft.placed)
-    origin = tuple(round(0.25 + (length - 0.5) % 0.5 / 2, 2) for length in size[:2])
+    made.furnish(draft, draft.door())
+    draft.lamps(made.per_lamp)
+    draft.dress_walls()
     room = RoomDescription(
         name=f"{kind}_{seed}",
         size=size,
         floor=floor,
         walls=walls,
-        furniture=pieces,
+        furniture=tuple(placed.piece for placed in draft.placed),
+        materials=style.materials,
         skirting=skirting,
         rail=skirting,
-        grid=Grid(origin=(origin[0], origin[1])),
+        grid=Grid(rounded(tuple(0.25 + (length - 0.5) % 0.5 / 2 for length in size[:2]))),
     )
-    room = replace(room, materials=style.materials)
     used = {part.material for part in assemble(room)}
     room = replace(room, materials={name: one for name, one in style.materials.items() if name in used})
     try:
@@ -117,7 +121,7 @@ def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
         return room
     chosen = rng.choice(places, min(GOALS, places), replace=False)
     goals = tuple(sorted(int(4 * place + rng.integers(4)) for place in chosen))
-    return replace(room, goals=goals, grid=Grid(origin=room.grid.origin, places=places))
+    return replace(room, goals=goals, grid=replace(room.grid, places=places))
 
 
 def problems_of(room: RoomDescription, kind: Kind) -> list[str]:

@@ -162,7 +162,7 @@ class Style:
         for name in ("books", "leaf", "screen", "marble"):
             self.materials[name] = replace(STOCK[name], seed=int(self.rng.integers(1 << 30)))
         if self.rng.random() < 0.4:
-            self.materials["chrome"] = replace(STOCK["brass"])
+            self.materials["chrome"] = STOCK["brass"]
         if self.rng.random() < 0.5:
             warm = self.color(hue=0.1, saturation=self.rng.uniform(0.02, 0.12), value=0.93)
             self.materials["ceiling"] = replace(STOCK["ceiling"], options={"color": warm, "var": 0.03})
