@@ -167,13 +167,13 @@ def _cleared(room: RoomDescription, end: float, at: float, axis: int = 0) -> Roo
 
     The doorway is in the wall at ``end`` of the room, x with axis 0 or y with axis 1, and its middle at ``at``.
     """
-    ways = np.array([[[end - APPROACH, at]], [[end + APPROACH, at]]])
-    near_side, far_side = ways[..., ::-1] if axis else ways
+    ends = ((end - APPROACH, at), (end + APPROACH, at))
+    start, stop = (np.array([point[::-1] if axis else point]) for point in ends)
     boxes = np.array([footprint(piece, room) for piece in room.furniture]).reshape(-1, 5)
-    low = np.array([piece.kind not in OVERHEAD for piece in room.furniture], bool)
-    near = np.array([clearance(near_side, far_side, box[None])[0] < DOORWAY[0] / 2 for box in boxes], bool)
-    on_top = clearance(boxes[:, :2], boxes[:, :2], boxes[low & near]) == 0
-    gone = low & (near | on_top)
+    standing = np.array([piece.kind not in OVERHEAD for piece in room.furniture], bool)
+    near = np.array([clearance(start, stop, box[None])[0] < DOORWAY[0] / 2 for box in boxes], bool)
+    on_top = clearance(boxes[:, :2], boxes[:, :2], boxes[standing & near]) == 0
+    gone = standing & (near | on_top)
     return replace(room, furniture=tuple(piece for piece, out in zip(room.furniture, gone, strict=True) if not out))
 
 

@@ -105,7 +105,10 @@ def write_building_tour(
     yaws = (np.degrees(np.arctan2(*along.T)) - middles[found.links[:, 0]] + 180) % 360 - 180
     links = [(names[a], names[b], f"{yaw:.2f}") for (a, b), yaw in zip(found.links, yaws, strict=True)]
     places = [(name, f"{x:.3f}", f"{y:.3f}", "") for name, (x, y) in zip(names, found.places, strict=True)]
-    tables = {"links": [("image", "to", "yaw"), *links], "panoramas": [("image", "x", "z", "heading"), *places]}
+    tables: dict[str, list[tuple[str, ...]]] = {
+        "links": [("image", "to", "yaw"), *links],
+        "panoramas": [("image", "x", "z", "heading"), *places],
+    }
     for name, rows in tables.items():
         with (folder / f"{name}.csv").open("w", newline="") as stream:
             csv.writer(stream).writerows(rows)

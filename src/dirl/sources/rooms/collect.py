@@ -175,10 +175,8 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
         renderer = Renderer.of(room, fine=settings.fine)
         if not checked:
             views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
-        of_seed = partial(
-            look_views, renderer, room, way, size, settings.changes, fine=settings.fine, photo=settings.photo
-        )
-        looks = [list(of_seed(LOOK_SEEDS * seed + look)) for look in range(settings.looks)]
+        first, taken = LOOK_SEEDS * seed, partial(look_views, renderer, room, way, size, settings.changes)
+        looks = [list(taken(first + k, fine=settings.fine, photo=settings.photo)) for k in range(settings.looks)]
     dump = folder / f"{room.name}.h5"
     unfinished = folder / f"{room.name}.toml.tmp"
     unfinished.write_text(description_text(room), encoding="utf-8")

@@ -10,9 +10,7 @@ from dirl.sources.rooms.mesh import Array
 from dirl.sources.rooms.scenery import Scenery, interpolate, unit
 
 
-def bake(
-    scenery: Scenery, *, direct: int = 36, indirect: int = 100, bounces: int = 4, rng: np.random.Generator
-) -> Array:
+def bake(scenery: Scenery, *, direct: int = 36, indirect: int = 100, bounces: int = 4) -> Array:
     """The irradiance at each of the P points of a scenery, float32 ``[P, 3]``.
 
     Args:
@@ -20,8 +18,8 @@ def bake(
         direct: rays from each point to each material that emits light.
         indirect: rays from each point into the room, a square number; they serve all bounces.
         bounces: of the light.
-        rng: draws the rays.
     """
+    rng = np.random.default_rng(0)
     origins, normals = standpoints(scenery)
     light = direct_light(scenery, origins, normals, direct, rng)
     gathered = bounced_light(scenery, light, gather(scenery, origins, normals, indirect, rng), bounces)

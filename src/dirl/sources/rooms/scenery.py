@@ -30,12 +30,11 @@ class Scenery:
     def __init__(
         self, parts: list[Part], materials: dict[str, Material], *, edge: float = 0.10, texture_limit: int = 2048
     ) -> None:
-        names = sorted({part.material for part in parts})
+        names, number = np.unique([part.material for part in parts], return_inverse=True)
         used = [materials[name] for name in names]
-        index = {name: number for number, name in enumerate(names)}
         each = [(part.corners, part.normals, np.asarray(part.uv)) for part in parts]
         soup = np.concatenate([np.concatenate(arrays, -1) for arrays in each])
-        material = np.concatenate([np.full(len(part.corners), index[part.material]) for part in parts])
+        material = np.repeat(number, [len(part.corners) for part in parts])
         soup, self.material = divide(soup, material, edge)
         soup = soup.astype(np.float32)
         self.corners, self.uv = np.ascontiguousarray(soup[..., :3]), np.ascontiguousarray(soup[..., 6:])

@@ -56,13 +56,8 @@ class Renderer:
         cls, parts: list[Part], materials: dict[str, Material], size: Size, height: float, *, fine: bool = True
     ) -> Self:
         """Light and expose what is assembled already; ``size`` and ``height``, of the camera, see `exposure`."""
-        rng = np.random.default_rng(0)
-        if fine:
-            scenery = Scenery(parts, materials)
-            light = bake(scenery, rng=rng)
-        else:
-            scenery = Scenery(parts, materials, edge=0.25, texture_limit=128)
-            light = bake(scenery, direct=9, indirect=36, bounces=3, rng=rng)
+        scenery = Scenery(parts, materials) if fine else Scenery(parts, materials, edge=0.25, texture_limit=128)
+        light = bake(scenery) if fine else bake(scenery, direct=9, indirect=36, bounces=3)
         renderer = cls(scenery, light)
         renderer.exposure = exposure(renderer, size, height)
         return renderer

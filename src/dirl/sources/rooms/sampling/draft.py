@@ -196,18 +196,16 @@ class Draft:
             # Near one end of a long stretch, so that the rest has space for the next.
             along = start + width / 2 + 0.08 + float(self.rng.uniform(0, min(slack, 0.35)))
             height = round(float(np.clip(width * self.rng.uniform(0.6, 1.4), 0.35, 0.9)), 2)
-            z = round(float(self.rng.uniform(1.35, 1.55)), 2)
-            what = self.rng.random()
-            at: dict[str, Any] = {"wall": wall, "along": round(along, 2)}
+            z, what = self.between(1.35, 1.55), self.rng.random()
+            options: dict[str, Any]
             if self.style.wet and what < 0.2 and width < 0.7:
-                options: dict[str, Any] = {"towel": self.style.cloth()}
-                piece = Piece("towel_rail", (width, 0.12, 1.45), **at, options=options)
+                kind, size, options = "towel_rail", (width, 0.12, 1.45), {"towel": self.style.cloth()}
             elif what < 0.3 and width < 0.9:
-                piece = Piece("mirror", (width, 0.05, height), **at, options={"frame": self.style.wood(), "z": z})
+                kind, size, options = "mirror", (width, 0.05, height), {"frame": self.style.wood(), "z": z}
             else:
                 options = {"image": self.style.painting(), "frame": self.style.wood(), "z": z}
-                piece = Piece("picture", (width, 0.05, height), **at, options=options)
-            if self.put(piece):
+                kind, size = "picture", (width, 0.05, height)
+            if self.put(Piece(kind, size, wall=wall, along=round(along, 2), options=options)):
                 return True
         return False
 
