@@ -1,6 +1,6 @@
 """Bad dumps that an attack found: once they crashed, hung, took memory, or failed long after they were read.
 
-As in malformed.py: what is done to a good file of 24 states, and what the one error says after the file's name.
+As in malformed.py: what is done to a good file of 24 states.
 """
 
 import io
@@ -75,60 +75,30 @@ def digest_lost(file):
     del file["graph"].attrs["digest"]
 
 
-CANNOT_BE_CALLED = "a scene cannot be called "
-UNREADABLE = "observation_webp: state 23: not a readable image ("
-
 FOUND = {
-    "a chunk of one byte with a checksum of four": (
-        chunk("graph", b"x", fletcher32=True),
-        "graph: a chunk takes 1 bytes in the file; expected at least 5",
-    ),
-    "a chunk that is too short": (
-        chunk("graph", b"x" * 767),
-        "graph: a chunk takes 767 bytes in the file; expected at least 768",
-    ),
-    "features in 240,000 chunks": (crumbs, "resnet_feature: is stored in 240000 chunks; at most 200000"),
-    "float64 features that unpack to 600 times their size": (
-        squeezed_doubles,
-        "resnet_feature: 108888 bytes would unpack to 75497472; no such data compresses as well",
-    ),
-    "8,000 goals": (attribute("goals", np.arange(8000)), "attribute 'goals': names 8000 goals of 24 states"),
-    "a view that is no image": (views(b"RIFF----WEBP"), UNREADABLE),
-    "a view of no bytes": (views(b""), UNREADABLE + "it is not WebP, PNG or JPEG)"),
-    "a view that is cut off": (views(VIEW[: len(VIEW) // 2]), UNREADABLE),
-    "a view in PostScript": (views(POSTSCRIPT), UNREADABLE + "it is not WebP, PNG or JPEG)"),
-    "a view as a bitmap": (views(picture("BMP")), UNREADABLE + "it is not WebP, PNG or JPEG)"),
-    "a view of 17 million pixels": (
-        views(picture("PNG", (4096, 4097), "1")),
-        UNREADABLE + "4096x4097 pixels are more than 16777216)",
-    ),
-    "features that are all the same": (
-        instead("resnet_feature", np.ones((24, 8), "f4")),
-        "resnet_feature: all states have the same features",
-    ),
-    "headings that are all the same": (
-        instead("rotation", np.full(24, 90)),
-        "rotation: all states have the heading 90",
-    ),
-    "a name with a formula": (attribute("name", "a $x^2$ b"), f"{CANNOT_BE_CALLED}'a $x^2$ b'"),
-    "a name of a dictionary's method": (attribute("name", "keys"), f"{CANNOT_BE_CALLED}'keys'"),
-    "a name of another one": (attribute("name", "items"), f"{CANNOT_BE_CALLED}'items'"),
-    "a name of a network's method": (attribute("name", "forward"), f"{CANNOT_BE_CALLED}'forward'"),
-    "a name of 240 letters": (attribute("name", "x" * 240), f"{CANNOT_BE_CALLED}'xxxxxxxxxxxx"),
-    "a name of 40 letters of three bytes": (attribute("name", "室" * 40), f"{CANNOT_BE_CALLED}'室"),
-    "a name that is a folder": (attribute("name", ".."), f"{CANNOT_BE_CALLED}'..'"),
-    "a name of spaces": (attribute("name", "  "), f"{CANNOT_BE_CALLED}'  '"),
-    "a graph that was changed after it was written": (
-        changed_later("graph", (0, 3), 8),
-        "does not hold what was written to it: it is damaged, or was changed without dirl",
-    ),
-    "a feature that was changed after it was written": (
-        changed_later("resnet_feature", (7, 0, 1), 0.125),
-        "does not hold what was written to it",
-    ),
-    "a pixel that was changed after it was written": (
-        changed_later("observation", (7, 0, 1, 2), 99),
-        "does not hold what was written to it",
-    ),
-    "a digest that is lost in one of two places": (digest_lost, "does not hold what was written to it"),
+    "a chunk of one byte with a checksum of four": chunk("graph", b"x", fletcher32=True),
+    "a chunk that is too short": chunk("graph", b"x" * 767),
+    "features in 240,000 chunks": crumbs,
+    "float64 features that unpack to 600 times their size": squeezed_doubles,
+    "8,000 goals": attribute("goals", np.arange(8000)),
+    "a view that is no image": views(b"RIFF----WEBP"),
+    "a view of no bytes": views(b""),
+    "a view that is cut off": views(VIEW[: len(VIEW) // 2]),
+    "a view in PostScript": views(POSTSCRIPT),
+    "a view as a bitmap": views(picture("BMP")),
+    "a view of 17 million pixels": views(picture("PNG", (4096, 4097), "1")),
+    "features that are all the same": instead("resnet_feature", np.ones((24, 8), "f4")),
+    "headings that are all the same": instead("rotation", np.full(24, 90)),
+    "a name with a formula": attribute("name", "a $x^2$ b"),
+    "a name of a dictionary's method": attribute("name", "keys"),
+    "a name of another one": attribute("name", "items"),
+    "a name of a network's method": attribute("name", "forward"),
+    "a name of 240 letters": attribute("name", "x" * 240),
+    "a name of 40 letters of three bytes": attribute("name", "室" * 40),
+    "a name that is a folder": attribute("name", ".."),
+    "a name of spaces": attribute("name", "  "),
+    "a graph that was changed after it was written": changed_later("graph", (0, 3), 8),
+    "a feature that was changed after it was written": changed_later("resnet_feature", (7, 0, 1), 0.125),
+    "a pixel that was changed after it was written": changed_later("observation", (7, 0, 1, 2), 99),
+    "a digest that is lost in one of two places": digest_lost,
 }
