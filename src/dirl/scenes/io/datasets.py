@@ -127,17 +127,17 @@ def short(value: Any, show: Any = repr) -> str:
 
 
 def locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[int, list[int]]]:
-    """Offset and shape of patches, and of features and patches of further looks, by name; none of them is read.
+    """Offset and shape of patches, and of features and patches of further looks, as `Scene` names them; not read.
 
     They are float16 and in one piece, so that those of many scenes can be memory-mapped.
     """
-    shapes: dict[str, tuple[int | None, ...]] = {
-        "patches": (states, None, None),
-        "look_feature": (None, states, None),
-        "look_patches": (None, states, None, None),
+    stored: dict[str, tuple[str, tuple[int | None, ...]]] = {
+        "patches": ("patches", (states, None, None)),
+        "look_features": ("look_feature", (None, states, None)),
+        "look_patches": ("look_patches", (None, states, None, None)),
     }
-    found = {name: _locate(file, path, name, shape) for name, shape in shapes.items() if name in file}
-    if "look_patches" in found and "look_feature" not in found:
+    found = {array: _locate(file, path, name, shape) for array, (name, shape) in stored.items() if name in file}
+    if "look_patches" in found and "look_features" not in found:
         raise SceneError("look_patches: there is no look_feature; looks have features, and patches if the file has any")
     return found
 
@@ -182,7 +182,10 @@ def open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
 
 
 def locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> dict[str, Any]:
-    """What `dirl.scenes.views.Views` is made of; each view is decoded once, unless it is known that it can be."""
+    """The arguments of `dirl.scenes.views.Views`, with ``view_`` before their names; each view is decoded once.
+
+    ``decoded`` says that it is known that they can be.
+    """
     name = dataset.name.removeprefix("/")
     if dataset.dtype.kind == "O":
         return {"view_dataset": name, "view_spans": _find_values(dataset, path, decoded=decoded)}
@@ -191,7 +194,7 @@ def locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> dict[st
     if start is None:  # in chunks
         start, unpacked = 0, dataset[:]
     spans = np.stack([start + size * np.arange(len(dataset)), np.full(len(dataset), size)], 1)
-    return {"view_dataset": name, "view_spans": spans, "view_shape": dataset.shape[1:3], "views_unpacked": unpacked}
+    return {"view_dataset": name, "view_spans": spans, "view_shape": dataset.shape[1:3], "view_unpacked": unpacked}
 
 
 def _find_values(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> IntArray:

@@ -53,7 +53,7 @@ def read_contents(path: str | Path, *, intact: bool = False) -> dict[str, Any]:
 
     Returns:
         Arguments of `dirl.scenes.Scene`, not yet checked, texts empty where the file does not say; where large arrays
-        lie (``mapped``) and, if there are views, what `dirl.scenes.Views` is made of; and a ``warning``, maybe empty.
+        lie (``mapped``); arguments of `dirl.scenes.Views`, if there are views; and a ``warning``, maybe empty.
     """
     try:
         with h5py.File(path) as file, np.errstate(all="ignore"):
@@ -98,7 +98,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
         "positions": location[:],
         "headings": rotation[:],
         "features": None if features is None else _read_features(features, path, mapped=intact),
-        "extractor": _extractor(features),
+        "extractor": "none" if features is None else _extractor(features),
         "name": _text_attribute(file, "name"),
         "source": _text_attribute(file, "source"),
         "goals": _goals(read_attribute(file, "goals"), states),
@@ -143,9 +143,7 @@ def _read_features(dataset: h5py.Dataset, path: Path, *, mapped: bool) -> NDArra
     return values
 
 
-def _extractor(features: h5py.Dataset | None) -> str:
-    if features is None:
-        return "none"
+def _extractor(features: h5py.Dataset) -> str:
     return extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown"
 
 

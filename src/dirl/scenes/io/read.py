@@ -20,7 +20,7 @@ the file and of ``graph``, which all files that dirl writes have: a SHA-256 over
 it is refused.
 """
 
-import re
+import hashlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,8 +38,8 @@ from dirl.scenes.views import Views
 ROOMS = Path(__file__).parents[1] / "data"
 """The built-in rooms: synthetic, with the names, state counts and goals of the published scenes."""
 
-SUMS = re.compile(rb"([0-9a-f]{64}  [\w.]+\n)+")
-"""What is in the file of their hashes, as ``sha256sum`` writes it."""
+SUMS = "9a70f98597b4e964880ff6ac12210c4a228949e0dbc630e089535eba6dd04a46"
+"""The SHA-256 of ``SHA256SUMS``, the list of their hashes."""
 
 
 class SceneWarning(UserWarning):
@@ -97,8 +97,8 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True, stacklevel: int 
             contents = read_contents(dump.path, intact=True) if known else next(apart)
         except SceneError as error:
             raise SceneError(f"{dump.path}: {error}") from None
-        if contents["warning"]:
-            warnings.warn(f"{dump.path}: {contents['warning']}", SceneWarning, stacklevel=stacklevel)
+        if warning := contents.pop("warning"):
+            warnings.warn(f"{dump.path}: {warning}", SceneWarning, stacklevel=stacklevel)
         scenes.append(_scene(dump, contents, intact=known))
     return scenes
 
@@ -106,32 +106,21 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True, stacklevel: int 
 def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
     name = dump.name or contents["name"] or dump.path.stem
     check_name(name, str(dump.path))
-    views = None
-    if "view_dataset" in contents:
-        shape, unpacked = contents.get("view_shape"), contents.get("views_unpacked")
-        views = Views(dump.path.resolve(), contents["view_dataset"], contents["view_spans"], shape, unpacked)
-    found = {
-        name: np.memmap(dump.path, np.float16, "r", offset, tuple(shape))
-        for name, (offset, shape) in contents["mapped"].items()
+    views = {key.removeprefix("view_"): contents.pop(key) for key in [*contents] if key.startswith("view_")}
+    mapped = {
+        array: np.memmap(dump.path, np.float16, "r", offset, tuple(shape))
+        for array, (offset, shape) in contents.pop("mapped").items()
     }
     beside = dump.path.with_suffix(".patches.npy")
-    if intact and "patches" not in found and beside.is_file() and _is_intact_room(beside):
-        found["patches"] = np.load(beside, mmap_mode="r", allow_pickle=False)
-    return Scene(
-        name=name,
-        graph=contents["graph"],
-        positions=contents["positions"],
-        headings=contents["headings"],
-        features=contents["features"],
-        views=views,
-        goals=tuple(contents["goals"]),
-        source=dump.source or contents["source"] or "unlabelled",
-        extractor=contents["extractor"],
-        origin=str(dump.path),
-        patches=found.get("patches"),
-        look_features=found.get("look_feature"),
-        look_patches=found.get("look_patches"),
-    )
+    if intact and "patches" not in mapped and beside.is_file() and _is_intact_room(beside):
+        mapped["patches"] = np.load(beside, mmap_mode="r", allow_pickle=False)
+    about = {
+        "name": name,
+        "source": dump.source or contents["source"] or "unlabelled",
+        "goals": tuple(contents["goals"]),
+        "origin": str(dump.path),
+    }
+    return Scene(views=Views(dump.path.resolve(), **views) if views else None, **{**contents, **mapped, **about})
 
 
 def _is_intact(dump: Dump) -> bool:
@@ -142,33 +131,14 @@ def _is_intact(dump: Dump) -> bool:
 
 
 def _is_intact_room(path: Path) -> bool:
-    """Whether a file is one of the built-in rooms, byte for byte.
-
-    Raises:
-        SceneError: it is one of them, but not as it was installed.
-    """
+    """Whether a file is one of the built-in rooms; `SceneError` if it is, but not as it was installed."""
     sums = ROOMS / "SHA256SUMS"
     if path.resolve().parent != ROOMS.resolve() or not sums.is_file():
         return False
-    expected = _room_digests(sums)
-    if path.name not in expected:
-        return False
-    if file_digest(path) != expected[path.name]:
-        raise SceneError(f"{path}: is not the built-in room that was installed (SHA-256 differs); install dirl again")
-    return True
-
-
-def _room_digests(sums: Path) -> dict[str, str]:
-    """The SHA-256 of each file of the built-in rooms, each of which has a dump and patches.
-
-    Raises:
-        SceneError: the file is damaged.
-    """
     content = sums.read_bytes()
-    found = {}
-    if SUMS.fullmatch(content):
-        found = {name: digest for digest, name in map(str.split, content.decode().splitlines())}
-    rooms = {name.partition(".")[0] for name in found}
-    if not found or found.keys() != {f"{room}{ending}" for room in rooms for ending in (".h5", ".patches.npy")}:
+    if hashlib.sha256(content).hexdigest() != SUMS:
         raise SceneError(f"{sums}: is not the list of hashes that was installed; install dirl again")
-    return found
+    digests = {name: digest for digest, name in map(str.split, content.decode().splitlines())}
+    if path.name in digests and file_digest(path) != digests[path.name]:
+        raise SceneError(f"{path}: is not the built-in room that was installed (SHA-256 differs); install dirl again")
+    return path.name in digests

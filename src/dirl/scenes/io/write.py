@@ -101,35 +101,34 @@ def replace_features(
         files = {name: os.path.abspath(Path(folder) / f"{name}.npy") for name in arrays}
         for name, array in arrays.items():
             np.save(files[name], array)
-        call = {"path": os.path.abspath(dump), "to": os.path.abspath(path), "files": files, "attributes": attributes}
+        call = {"path": os.path.abspath(dump), "to": os.path.abspath(path), "arrays": files, "attributes": attributes}
         try:
-            list(call_apart("dirl.scenes.io.write:copy_with_files", [call]))
+            list(call_apart("dirl.scenes.io.write:copy_with", [call]))
         except SceneError as error:
             raise SceneError(f"{dump}: {error}") from None
 
 
-def copy_with_files(
-    path: str, to: str, files: Mapping[str, str], attributes: Mapping[str, Mapping[str, str]]
-) -> dict[str, Any]:
-    """`copy_with`, with each array in a ``.npy`` file; for `call_apart`."""
-    copy_with(Path(path), Path(to), {name: np.load(file, mmap_mode="r") for name, file in files.items()}, attributes)
-    return {}
-
-
 def copy_with(
-    dump: Path, path: Path, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Mapping[str, str]]
-) -> None:
-    """Write a copy of a dump, in this process, with other values and attributes of the named datasets."""
-    with h5py.File(dump) as old, whole_file(path) as new:
+    path: str | Path,
+    to: str | Path,
+    arrays: Mapping[str, NDArray[Any] | str],
+    attributes: Mapping[str, Mapping[str, str]],
+) -> dict[str, Any]:
+    """Write a copy of a dump, in this process, with other values and attributes of the named datasets.
+
+    Values are arrays or the names of ``.npy`` files. Returns nothing by any name, as `call_apart` wants it.
+    """
+    with h5py.File(path) as old, whole_file(Path(to)) as new:
         new.attrs.update(old.attrs)
         # Of further looks the file has no views to encode anew.
         stale = {"look_feature", "look_patches"} if "resnet_feature" in arrays else set()
         for name in DATASETS:
             if name in old and name not in arrays and name not in stale:
                 old.copy(name, new)
-        for name, array in arrays.items():
-            new[name] = array
+        for name, values in arrays.items():
+            new[name] = np.load(values, mmap_mode="r") if isinstance(values, str) else values
             new[name].attrs.update(attributes[name])
+    return {}
 
 
 @contextmanager
