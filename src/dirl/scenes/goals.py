@@ -106,8 +106,11 @@ def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.nd
     states = np.arange(len(scene))
     if rule == "all":
         return states >= 0
-    number = _number(given)
-    if kind == "every" and number >= 1 and number == int(number):
+    try:
+        number = float(given)
+    except ValueError:
+        number = np.nan
+    if kind == "every" and number >= 1 and number.is_integer():
         return states % int(number) == 0
     if kind == "share":
         raise SceneError(f"{scene.name}: goals={rule}: the rule has a new name, fraction:{given}")
@@ -116,15 +119,6 @@ def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.nd
     if number + hold_out > 1 + 1e-9:
         raise SceneError(f"{scene.name}: goals={rule} and hold_out={hold_out:g} are more than all places")
     return np.isin(places(scene.graph), order[-_count(number, scene) :])
-
-
-def _number(text: str) -> float:
-    """A number, or -1 if the text is none that is finite."""
-    try:
-        value = float(text)
-    except ValueError:
-        return -1.0
-    return value if np.isfinite(value) else -1.0
 
 
 def _states(scene: Scene, chosen: np.ndarray, rule: str) -> tuple[int, ...]:

@@ -154,10 +154,10 @@ class Dumped:
     def reset(self, pose: Pose) -> None:
         """Put the agent into the state of a pose."""
         near = np.abs(self.scene.positions - (pose.x, pose.z)).max(1) < 1e-3
-        turned = np.abs((self.scene.headings - pose.heading + 180) % 360 - 180) < 1
-        if not (near & turned).any():
+        here = near & (np.abs((self.scene.headings - pose.heading + 180) % 360 - 180) < 1)
+        if not here.any():
             raise SceneError(f"{self.scene.origin}: holds no state at {pose}")
-        self.state, self._off = int(np.argmax(near & turned)), 0.0
+        self.state, self._off = int(np.argmax(here)), 0.0
 
     def step(self, action: int, error: float = 0.0) -> bool:
         """Take an action; whether the agent moved."""

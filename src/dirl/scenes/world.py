@@ -184,9 +184,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
     parts = list(zip(scenes, offsets, strict=True))
     graphs = [np.where(s.graph < 0, np.arange(len(s))[:, None], s.graph) + offset for s, offset in parts]
     looks = _looks(scenes)
-    features = np.concatenate(
-        [rows for look in range(looks) for rows in _of_look(scenes, "features", look)], dtype=np.float32
-    )
+    features = np.concatenate(_look_by_look(scenes, "features", looks), dtype=np.float32)
     return World(
         scenes=tuple(_sharing(scene, features[offset : offset + len(scene)]) for scene, offset in parts),
         offsets=offsets,
@@ -216,9 +214,13 @@ def _looks(scenes: Sequence[Scene]) -> int:
     return counts[-1]
 
 
-def _of_look(scenes: Sequence[Scene], name: str, look: int) -> list[NDArray[np.floating]]:
-    """The features or patches of one look of each scene."""
-    return [getattr(s, name) if look == 0 or s.looks == 1 else getattr(s, f"look_{name}")[look - 1] for s in scenes]
+def _look_by_look(scenes: Sequence[Scene], name: str, looks: int) -> list[NDArray[np.floating]]:
+    """The features or patches of all scenes in their first look, then in the next one, and so on."""
+    return [
+        getattr(scene, name) if look == 0 or scene.looks == 1 else getattr(scene, f"look_{name}")[look - 1]
+        for look in range(looks)
+        for scene in scenes
+    ]
 
 
 def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
@@ -229,7 +231,7 @@ def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
     shapes = sorted({patches.shape[1:] for patches in found})
     if len(shapes) > 1:
         raise SceneError(f"the scenes' patches have different shapes, {shapes}; encode them alike")
-    return torch.from_numpy(np.concatenate([p for look in range(looks) for p in _of_look(scenes, "patches", look)]))
+    return torch.from_numpy(np.concatenate(_look_by_look(scenes, "patches", looks)))
 
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:
