@@ -6,17 +6,13 @@ import re
 
 import pytest
 from PIL import Image
-from tours import WRITERS, Camera360, grid_truth
+from tours import WRITERS, written
 
 from dirl.scenes import SceneError
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.images import Equirectangular, read_panorama
 
 NAMES = [f"place_{index}" for index in range(4)]
-
-
-def written(kind, folder):
-    return WRITERS[kind](folder, grid_truth(2, 2), Camera360(), 8)
 
 
 def edit(file, *changes):

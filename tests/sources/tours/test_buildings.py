@@ -9,7 +9,7 @@ from closet import closet
 from PIL import Image
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from tours import WRITERS, Camera360, Truth, grid_truth, tour_of, turned
+from tours import WRITERS, Truth, grid_truth, tour_of, turned, written
 
 from dirl.sources.rooms.building import Building, sample_building
 from dirl.sources.rooms.building_tour import choose_panoramas, write_building_tour
@@ -51,7 +51,7 @@ def together(count, pairs):
 @pytest.mark.parametrize("kind", WRITERS)
 def test_every_room_that_a_tour_connects_is_in_the_scene(kind, seed, tmp_path):
     truth = building_truth(seed)
-    tour = read_tour(WRITERS[kind](tmp_path, truth, Camera360(), 8))
+    tour = read_tour(written(kind, tmp_path, truth))
     number = {panorama.id: index for index, panorama in enumerate(tour.panoramas)}
     links = {(number[one.id], number[link.target]) for one in tour.panoramas for link in one.links}
     if kind != "zind":  # whose links are the distances

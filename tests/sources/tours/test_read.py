@@ -9,16 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from tours import (
-    WRITERS,
-    Camera360,
-    grid_truth,
-    write_krpano,
-    write_marzipano,
-    write_pannellum,
-    write_table,
-    write_zind,
-)
+from tours import Camera360, grid_truth, write_pannellum, write_zind, written
 
 from dirl.scenes import SceneError
 from dirl.sources.tours import read_tour
@@ -27,10 +18,6 @@ from dirl.sources.tours.moves import tour_scene
 
 GREY = Camera360()
 SIDE = 8
-
-
-def written(kind, folder, truth=None):
-    return WRITERS[kind](folder, truth or grid_truth(2, 2), GREY, SIDE)
 
 
 def change(file, old, new, count=1):
@@ -179,18 +166,18 @@ def test_links_that_lead_nowhere_are_left_out_and_noted(tmp_path):
 
 
 def test_krpano_links_in_scripts_are_noted(tmp_path):
-    write_krpano(tmp_path, grid_truth(2, 2), GREY, SIDE)
+    written("krpano", tmp_path)
     change(tmp_path / "tour.xml", 'linkedscene="place_1"', 'onclick="loadscene(place_1, null, MERGE);"')
     (note,) = read_tour(tmp_path).notes
     assert note.startswith("1 hotspots call loadscene() in a script")
 
 
 def test_headings_that_a_tour_states_are_read(tmp_path):
-    write_krpano(tmp_path, grid_truth(2, 2), GREY, SIDE)
+    written("krpano", tmp_path)
     change(tmp_path / "tour.xml", 'heading=""', 'heading="33.5"')
     assert [panorama.heading for panorama in read_tour(tmp_path).panoramas] == [33.5, None, None, None]
     (tmp_path / "tour.xml").unlink()
-    write_pannellum(tmp_path, grid_truth(2, 2), GREY, SIDE)
+    written("pannellum", tmp_path)
     change(tmp_path / "tour.json", '"type": "equirect', '"northOffset": 12, "type": "equirect')
     assert [panorama.heading for panorama in read_tour(tmp_path).panoramas] == [12, None, None, None]
 
@@ -251,7 +238,7 @@ def cut_all(tour):
 
 
 def test_a_broken_image_is_named(tmp_path):
-    tour = read_tour(write_marzipano(tmp_path, grid_truth(2, 2), GREY, SIDE))
+    tour = read_tour(written("marzipano", tmp_path))
     assert len(cut_all(tour)) == 4
     tile = tmp_path / "tiles/place_2/2/l/1/0.jpg"
     whole = tile.read_bytes()
@@ -267,7 +254,7 @@ def test_a_broken_image_is_named(tmp_path):
 
 
 def test_a_panorama_of_another_shape_is_refused(tmp_path):
-    tour = read_tour(write_table(tmp_path, grid_truth(2, 2), GREY, SIDE))
+    tour = read_tour(written("table", tmp_path))
     Image.new("RGB", (40, 30)).save(tmp_path / "place_1.jpg")
     with pytest.raises(SceneError, match=r"place_1\.jpg: 40x30 pixels; an equirectangular image is twice as wide"):
         cut_all(tour)
@@ -283,7 +270,7 @@ def test_pannellum_rounds_the_sizes_of_its_tiles_down(tmp_path):
 
 
 def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path):
-    tour = read_tour(write_marzipano(tmp_path, grid_truth(2, 2), GREY, SIDE))
+    tour = read_tour(written("marzipano", tmp_path))
     header = struct.pack(">II5B", 12_000, 12_000, 8, 2, 0, 0, 0)  # of a PNG of 144 million pixels that are not there
     chunk = struct.pack(">I", len(header)) + b"IHDR" + header + struct.pack(">I", zlib.crc32(b"IHDR" + header))
     for tile in (tmp_path / "tiles" / "place_1").rglob("*.jpg"):

@@ -9,7 +9,6 @@ The beginning are headings along a spanning tree of the equations whose short lo
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import networkx as nx
 import numpy as np
@@ -87,7 +86,7 @@ def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Ali
     headings = _solved(ends, turns, trust, count)
     off = np.abs(_off(ends, turns, headings))
     kept = off <= REJECTED
-    part = _forest(ends[kept], turns[kept], count).part
+    part = _forest(ends[kept], turns[kept], count)[1]
     headings = _relaxed(ends[kept], turns[kept], headings, trust[kept], part)
     told = ~by_link | np.array([pair not in shown for pair in [*both, *shown]], bool)
     worst = sorted(np.flatnonzero(~kept & by_link).tolist(), key=lambda one: -off[one])
@@ -144,7 +143,7 @@ def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
     """
     errors = _loop_errors(ends, turns, count) / np.sqrt(trust)
     rank = np.argsort(np.argsort(errors, kind="stable"))
-    headings, part = _forest(ends, turns, count, rank)[:2]
+    headings, part, _ = _forest(ends, turns, count, rank)
     for width in WIDTHS:
         for _ in range(2):
             weight = 1 / (1 + (_off(ends, turns, headings) / width) ** 2) ** 2
@@ -199,19 +198,14 @@ def _short_path(
     return path
 
 
-class _Forest(NamedTuple):
-    """A spanning forest of equations."""
+def _forest(
+    ends: Integers, turns: Array, count: int, rank: Integers | None = None
+) -> tuple[Array, Integers, NDArray[np.bool_]]:
+    """A spanning forest with the equations of lowest rank; without ranks the nearest panoramas come first.
 
-    headings: Array
-    """Along it, from 0 at the first panorama of each part."""
-    part: Integers
-    """Of each panorama, the largest part first."""
-    used: NDArray[np.bool_]
-    """Which equations it takes."""
-
-
-def _forest(ends: Integers, turns: Array, count: int, rank: Integers | None = None) -> _Forest:
-    """A forest with the equations of lowest rank; without ranks the nearest panoramas come first."""
+    Returns the headings along it, from 0 at the first panorama of each part; the part of each panorama, the largest
+    first; and which equations it takes.
+    """
     graph = nx.Graph()
     graph.add_nodes_from(range(count))
     for equation in np.argsort(rank).tolist() if rank is not None else range(len(ends)):
@@ -227,16 +221,16 @@ def _forest(ends: Integers, turns: Array, count: int, rank: Integers | None = No
             headings[far] = headings[near] + (turns[equation] if ends[equation, 0] == near else -turns[equation])
             used[equation] = True
     order = np.argsort(np.argsort(-np.bincount(part), kind="stable"))
-    return _Forest(headings, order[part], used)
+    return headings, order[part], used
 
 
 def _loops(ends: Integers, turns: Array, kept: NDArray[np.bool_], count: int) -> tuple[Array, set[int]]:
     """How far off loops close, degrees, float64 ``[L]``, one for each equation not in a forest; panoramas on any."""
-    forest = _forest(ends[kept], turns[kept], count)
+    headings, part, used = _forest(ends[kept], turns[kept], count)
     in_forest = np.zeros(len(ends), bool)
-    in_forest[np.flatnonzero(kept)[forest.used]] = True
-    closing = ~in_forest & (forest.part[ends[:, 0]] == forest.part[ends[:, 1]])
+    in_forest[kept] = used
+    closing = ~in_forest & (part[ends[:, 0]] == part[ends[:, 1]])
     graph = nx.MultiGraph(ends[in_forest | closing].tolist())
     bridges = {frozenset(bridge) for bridge in nx.bridges(graph)}
     on_loop = {end for pair in graph.edges() if frozenset(pair) not in bridges for end in pair}
-    return np.abs(_off(ends, turns, forest.headings))[closing], on_loop
+    return np.abs(_off(ends, turns, headings))[closing], on_loop

@@ -99,7 +99,7 @@ def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]
         raise SceneError(
             f"{level.tiles['f'][0][0]}: the faces of this cube have {len(sides)} sizes, {sides[:2]} pixels"
         )
-    return [_reduced(_face(level.tiles[face], sizes[face]), sides[0] / 2, density) for face in FACES]
+    return [_reduced(_face(level.tiles[face]), sides[0] / 2, density) for face in FACES]
 
 
 def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
@@ -119,18 +119,10 @@ def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
     return sizes
 
 
-def _face(tiles: Sequence[Sequence[Path]], sizes: Sequence[Sequence[tuple[int, int]]]) -> Image.Image:
+def _face(tiles: Sequence[Sequence[Path]]) -> Image.Image:
     """A face put together from its tiles, whose sizes fit, see `_tile_sizes`."""
-    side = sum(width for width, _ in sizes[0])
-    whole = Image.new("RGB", (side, side))
-    top = 0
-    for files, row in zip(tiles, sizes, strict=True):
-        left = 0
-        for file, (width, _) in zip(files, row, strict=True):
-            whole.paste(_open(file).convert("RGB"), (left, top))
-            left += width
-        top += row[0][1]
-    return whole
+    rows = [np.concatenate([np.asarray(_open(file).convert("RGB")) for file in row], 1) for row in tiles]
+    return Image.fromarray(np.concatenate(rows))
 
 
 def _open(file: Path, *, load: bool = True) -> Image.Image:

@@ -113,9 +113,6 @@ def _name(url: str, values: dict[str, str | int]) -> str:
 
     def put(match: re.Match[str]) -> str:
         zeros, letter = match.groups()
-        value = values.get(letter)
-        return match.group() if value is None else str(value).rjust(len(zeros) + 1, "0") if zeros else str(value)
+        return str(values[letter]).rjust(len(zeros) + 1, "0") if letter in values else match.group()
 
-    return re.sub(
-        r"%(0*)([a-z])", put, url.replace("%FIRSTXML%/", "").replace("%CURRENTXML%/", "").replace("%SWFPATH%/", "")
-    )
+    return re.sub(r"%(0*)([a-z])", put, re.sub("%(FIRSTXML|CURRENTXML|SWFPATH)%/", "", url))

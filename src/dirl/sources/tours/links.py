@@ -1,6 +1,6 @@
 """The links of a tour as moves: which heading of a panorama shows which link, and which panoramas stay connected."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,6 @@ FAR = 45.0
 
 FORBIDDEN = 1e6
 """What a heading too far aside costs: more than all others of a panorama together."""
-
-NAMED = 5
-"""Panoramas that a line names at most, where it does not name all."""
 
 
 def link_ends(tour: Tour) -> tuple[IntArray, Array]:
@@ -110,9 +107,3 @@ def _together(count: int, ends: IntArray) -> NDArray[np.bool_]:
     links = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
     group = connected_components(links, directed=True, connection="strong")[1]
     return np.asarray(group == np.bincount(group).argmax())
-
-
-def named(ids: Sequence[str]) -> str:
-    """The first `NAMED` of some panoramas."""
-    shown = ", ".join(f"'{one}'" for one in ids[:NAMED])
-    return shown + (" and others" if len(ids) > NAMED else "")

@@ -11,14 +11,13 @@ from dirl.scenes.graph import IntArray
 from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.sources.tours.alignment import LEAD, Alignment, align, least_squares, wrap
 from dirl.sources.tours.columns import Seen, columns, compare
-from dirl.sources.tours.links import about_links, follow_links, link_ends, named
+from dirl.sources.tours.links import about_links, follow_links, link_ends
 from dirl.sources.tours.tour import Tour
 
 Array = NDArray[np.float64]
 
 AGREE = 1.0
 """Degrees that stated headings may differ from those of the links without a note."""
-
 
 CLOSED = 5.0
 """Degrees of error up to which the median loop closes; else all linked panoramas are compared."""
@@ -216,7 +215,8 @@ def _about(tour: Tour, aligned: Alignment) -> Iterator[str]:
     yield from _about_parts(tour, aligned.part)
     lonely = [ids[index] for index in aligned.unchecked if aligned.part[index] == 0]
     if lonely and len(aligned.loops):
-        yield f"{len(lonely)} panoramas are on no loop, nothing checks their headings: {named(lonely)}"
+        names = ", ".join(f"'{one}'" for one in lonely[:5]) + (" and others" if len(lonely) > 5 else "")
+        yield f"{len(lonely)} panoramas are on no loop, nothing checks their headings: {names}"
     if aligned.one_way:
         i, j = aligned.one_way[0]
         yield f"{len(aligned.one_way)} links lead one way only, the first: '{ids[i]}' to '{ids[j]}'"

@@ -5,6 +5,7 @@ The functions that look into its files raise `SceneError` where these are not as
 
 import difflib
 import math
+import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -105,7 +106,7 @@ def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
         if panorama.id in ids:
             raise SceneError(f"{tour.origin}: two panoramas have the id '{panorama.id}'")
         ids.add(panorama.id)
-    missing = [(panorama.id, file) for panorama in found for file in panorama.image.files() if not _is_file(file)]
+    missing = [(panorama.id, file) for panorama in found for file in panorama.image.files() if not os.path.isfile(file)]
     if missing:
         more = f" ({len(missing)} files are missing in all)" if len(missing) > 1 else ""
         without = list(dict.fromkeys(one for one, _ in missing))
@@ -117,28 +118,20 @@ def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
     return replace(tour, panoramas=kept, notes=(*tour.notes, *lines))
 
 
-def _is_file(file: Path) -> bool:
-    try:
-        return file.is_file()
-    except OSError:  # a name that is too long for a file
-        return False
-
-
 def _kept(panorama: Panorama, ids: set[str], dropped: dict[str, list[str]]) -> Iterator[Link]:
     seen: set[str] = set()
     for link in panorama.links:
-        why = None
         if link.target not in ids:
             why = "to panoramas that the tour does not have"
         elif link.target == panorama.id:
             why = "from a panorama to itself"
         elif link.target in seen:
             why = "beside another one to the same panorama"
-        if why is None:
+        else:
             seen.add(link.target)
             yield link
-        else:
-            dropped.setdefault(why, []).append(f"'{panorama.id}' to '{link.target}'")
+            continue
+        dropped.setdefault(why, []).append(f"'{panorama.id}' to '{link.target}'")
 
 
 def read_json(text: str, where: Path) -> dict[str, Any]:
