@@ -54,8 +54,7 @@ class MiniWorld:
         self._world = made.unwrapped
         self._agent = self._world.agent
         self._agent.cam_fov_y = field_of_view
-        self._heading = float(90 - np.degrees(self._agent.dir)) % 360
-        self._heading = round(self._heading / 90) * 90.0 % 360
+        self._heading = round(float(90 - np.degrees(self._agent.dir)) % 360 / 90) * 90.0 % 360
 
     @property
     def pose(self) -> Pose:

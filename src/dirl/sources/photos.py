@@ -82,7 +82,12 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
     """
     folder = Path(folder)
     name = name or folder.resolve().name
-    table = _read_table(folder)
+    file = folder / TABLE
+    if not file.is_file():
+        raise SceneError(f"{folder}: holds no {TABLE}; it has a row for each image: {','.join(REQUIRED)}")
+    table = [_row(values, where, folder) for where, values in read_csv(file, REQUIRED, OPTIONAL)]
+    if all(row.shot for row in table):
+        raise SceneError(f"{file}: has no rows of first shots; each says where one image was taken")
     check_name(name, str(folder))
     places: dict[str, list[Row]] = {}
     for row in table:
@@ -102,7 +107,7 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
         goals=tuple(state for state, row in enumerate(states) if row.goal),
         source=source,
         extractor="none",
-        origin=str(folder / TABLE),
+        origin=str(file),
     )
     return scene, [row.image for row in states] + _further_shots(states, numbers, [row for row in table if row.shot])
 
@@ -151,7 +156,8 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
         if image.format == FORMATS[0] and image.size == (width, height):
             yield data
             continue
-        if _is_panorama(data, image, width / height):
+        wide = abs(image.width / image.height - 2) < 0.02 < abs(width / height - 2)  # as no other view is
+        if wide or PANORAMA_MARK in data:
             raise SceneError(
                 f"{path}: {image.width}x{image.height} pixels are a panorama, which shows all headings at once; cut it "
                 "into one image a heading (an ordinary image of that shape: crop it a little)"
@@ -160,28 +166,12 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
         yield encode(np.asarray(ImageOps.fit(upright, (width, height), Image.Resampling.LANCZOS)), quality=90)
 
 
-def _is_panorama(data: bytes, image: Image.Image, ratio: float) -> bool:
-    """Whether an image says that it is a panorama, or is twice as wide as high where other views are not."""
-    twice = abs(image.width / image.height - 2) < 0.02
-    return PANORAMA_MARK in data or (twice and abs(ratio - 2) > 0.02)
-
-
 def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
     """Write ``states.csv`` of a folder, completely or not at all."""
     with atomic_path(folder / TABLE) as file, file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [*REQUIRED, "back", *(["shot"] if any("shot" in row for row in rows) else [])])
         writer.writeheader()
         writer.writerows(rows)
-
-
-def _read_table(folder: Path) -> list[Row]:
-    file = folder / TABLE
-    if not file.is_file():
-        raise SceneError(f"{folder}: holds no {TABLE}; it has a row for each image: {','.join(REQUIRED)}")
-    rows = [_row(values, where, folder) for where, values in read_csv(file, REQUIRED, OPTIONAL)]
-    if all(row.shot for row in rows):
-        raise SceneError(f"{file}: has no rows of first shots; each says where one image was taken")
-    return rows
 
 
 def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:

@@ -74,14 +74,12 @@ def unpack_recording(
         shutil.rmtree(unfinished, ignore_errors=True)
         unfinished.mkdir(parents=True)
         try:
-            recorded = [
-                place for place in tqdm(places, unit=" places") if _write_images(dataset, axes, place, unfinished)
-            ]
+            bar = tqdm(places, unit=" places")
+            recorded = [place for place in bar if _write_images(dataset, axes, place, unfinished)]
             write_table(unfinished, _rows(recorded, angles, step or _smallest_distance(recorded), shots))
             unfinished.rename(folder)
-        except BaseException:
+        finally:
             shutil.rmtree(unfinished, ignore_errors=True)
-            raise
         height, width = dataset.shape[-3:-1]
     return f"{folder}: {len(recorded)} places, {headings} headings, shots of a place: {shots}, images {width}x{height}"
 

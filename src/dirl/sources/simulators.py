@@ -4,10 +4,10 @@ from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
-from tqdm import tqdm
+from tqdm import tqdm, trange
 
 from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only, turns_per_circle
-from dirl.scenes.live import Pose, Simulator, SimulatorError, simulator_errors, stride, turns_by_angle
+from dirl.scenes.live import Pose, Simulator, SimulatorError, simulator_errors, state_pose, stride, turns_by_angle
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 
@@ -70,8 +70,13 @@ def take_scene(
         extractor="none",
         origin=simulator.name,
     )
+    views = []
     with simulator_errors(simulator.name):
-        return scene, list(_views(simulator, scene))
+        for state in trange(len(scene), desc="views", disable=None):
+            pose = state_pose(scene, state)
+            simulator.place(pose)
+            views.append(encode(simulator.look(pose.heading), QUALITY))
+    return scene, views
 
 
 def _explore(
@@ -97,14 +102,6 @@ def _explore(
     return ways
 
 
-def _views(simulator: Simulator, scene: Scene) -> Iterator[bytes]:
-    with tqdm(total=len(scene), desc="views", disable=None) as bar:
-        for (x, z), heading in zip(scene.positions.tolist(), scene.headings.tolist(), strict=True):
-            simulator.place(Pose(x, z, heading))
-            yield encode(simulator.look(heading), QUALITY)
-            bar.update()
-
-
 def take_look(
     simulator: Simulator, scene: Scene, seed: int, *, position: float, heading: float, exposure: float
 ) -> Iterator[bytes]:
@@ -127,11 +124,12 @@ def take_look(
     turns = turns_per_circle(scene.graph)
     sampled = np.random.default_rng(seed).normal(0, 1, (len(scene) // turns, 4))
     sampled *= [position, position, heading, exposure]
-    for state, ((x, z), planned) in enumerate(zip(scene.positions.tolist(), scene.headings.tolist(), strict=True)):
+    for state in range(len(scene)):
+        planned = state_pose(scene, state)
         to_x, to_z, turned, brighter = sampled[state // turns].tolist()
-        towards = (planned + turned) % 360
+        towards = (planned.heading + turned) % 360
         with simulator_errors(simulator.name):
-            _place_near(simulator, Pose(x, z, towards), to_x, to_z)
+            _place_near(simulator, planned._replace(heading=towards), to_x, to_z)
             seen = simulator.look(towards).astype(np.float64) * np.exp(brighter)
         yield encode(seen.clip(0, 255).astype(np.uint8), QUALITY)
 

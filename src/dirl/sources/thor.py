@@ -7,6 +7,7 @@ import csv
 import json
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from itertools import product
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -143,12 +144,11 @@ def take_views(simulator: Simulator, folder: Path, *, settings: Mapping[str, Any
         raise SceneError(f"{settings['scene']}: the agent can stand at none of the {len(places)} reachable positions")
     moves = _try_moves(simulator, folder, kept, str(settings["scene"]), float(settings["step"]))
     rows: list[dict[str, object]] = []
-    for name, position in kept.items():
-        for heading in HEADINGS:
-            at = {"image": _image(name, heading), "location": name, "heading": heading}
-            # A position where the agent could stand in an earlier run, but not in this one, is no place to go.
-            ahead, back = (end if end in kept else "" for end in moves[name, heading])
-            rows.append({**at, "x": position["x"], "z": position["z"], "ahead": ahead, "back": back})
+    for name, heading in product(kept, HEADINGS):
+        at = {"image": _image(name, heading), "location": name, "heading": heading}
+        # A position where the agent could stand in an earlier run, but not in this one, is no place to go.
+        ahead, back = (end if end in kept else "" for end in moves[name, heading])
+        rows.append({**at, "x": kept[name]["x"], "z": kept[name]["z"], "ahead": ahead, "back": back})
     write_table(folder, rows)
     return [f"{name}: {reason}" for name, reason in left_out.items()]
 
@@ -188,22 +188,19 @@ def _take_frames(
 ) -> dict[str, str]:
     """Write the frames that the folder lacks; returns the positions where the agent cannot stand, with the reason."""
     left_out: dict[str, str] = {}
-    with tqdm(total=len(places) * len(HEADINGS), desc="frames", disable=None) as bar:
-        for name, position in places.items():
-            for heading in HEADINGS:
-                file = folder / _image(name, heading)
-                bar.update()
-                if file.is_file() or name in left_out:
-                    continue
-                with _simulator_errors(f"position {name}, heading {heading}"):
-                    event, problem = _teleport(simulator, position, heading)
-                if problem:
-                    left_out[name] = problem
-                    continue
-                frame = np.asarray(event.frame)
-                _check_frame(frame, shape, f"position {name}, heading {heading}")
-                with atomic_path(file) as unfinished:
-                    unfinished.write_bytes(encode(frame, QUALITY))
+    for name, heading in tqdm([*product(places, HEADINGS)], desc="frames", disable=None):
+        file, where = folder / _image(name, heading), f"position {name}, heading {heading}"
+        if file.is_file() or name in left_out:
+            continue
+        with _simulator_errors(where):
+            event, problem = _teleport(simulator, places[name], heading)
+        if problem:
+            left_out[name] = problem
+            continue
+        frame = np.asarray(event.frame)
+        _check_frame(frame, shape, where)
+        with atomic_path(file) as unfinished:
+            unfinished.write_bytes(encode(frame, QUALITY))
     return left_out
 
 
@@ -222,28 +219,23 @@ def _try_moves(
     """Where moves ahead and back lead from each position with each heading, empty = blocked."""
     file = folder / MOVES
     moves = _moves_so_far(file)
-    with (
-        file.open("a", newline="") as stream,
-        tqdm(total=len(places) * len(HEADINGS), initial=len(moves), desc="moves", disable=None) as bar,
-    ):
+    with file.open("a", newline="") as stream:
         writer = csv.writer(stream)
-        for name, position in places.items():
-            for heading in HEADINGS:
-                if (name, heading) in moves:
-                    continue
-                ends = []
-                for action in ("MoveAhead", "MoveBack"):
-                    with _simulator_errors(f"position {name}, heading {heading}, {action}"):
-                        _, problem = _teleport(simulator, position, heading)
-                        if problem:  # it has been there before, for the frame
-                            raise SceneError(f"{scene}: position {name}, heading {heading}: {problem}; run it again")
-                        metadata = simulator.step(action).metadata
-                    end = _place_at(metadata, places, step) if metadata["lastActionSuccess"] else ""
-                    ends.append("" if end == name else end)
-                moves[name, heading] = (ends[0], ends[1])
-                writer.writerow([name, heading, *ends])
-                stream.flush()
-                bar.update()
+        for name, heading in tqdm([*product(places, HEADINGS)], desc="moves", disable=None):
+            if (name, heading) in moves:
+                continue
+            where, ends = f"position {name}, heading {heading}", []
+            for action in ("MoveAhead", "MoveBack"):
+                with _simulator_errors(f"{where}, {action}"):
+                    _, problem = _teleport(simulator, places[name], heading)
+                    if problem:  # it has been there before, for the frame
+                        raise SceneError(f"{scene}: {where}: {problem}; run it again")
+                    metadata = simulator.step(action).metadata
+                end = _place_at(metadata, places, step) if metadata["lastActionSuccess"] else ""
+                ends.append("" if end == name else end)
+            moves[name, heading] = (ends[0], ends[1])
+            writer.writerow([name, heading, *ends])
+            stream.flush()
     return moves
 
 
