@@ -99,13 +99,8 @@ def surrounding_states(graph: IntArray) -> IntArray:
     """The states seen ahead, to the right, behind and to the left, relative to the heading.
 
     They are found by repeated turns along the graph's own links, never from the numbering of the states
-    (paper section 3.5). A state without moves sees itself four times.
-
-    Args:
-        graph: a checked graph, int64 ``[N, 4]``.
-
-    Returns:
-        int64 ``[N, 4]``, column 0 is the state itself.
+    (paper section 3.5). Of a checked graph, int64 ``[N, 4]``, they are int64 ``[N, 4]``; column 0 is the state itself,
+    and a state without moves sees itself four times.
     """
     right = np.where(graph[:, RIGHT] >= 0, graph[:, RIGHT], np.arange(len(graph)))
     quarter = np.arange(len(graph))

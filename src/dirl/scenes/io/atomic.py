@@ -17,15 +17,11 @@ PREFIX = ".unfinished-"
 def atomic_path(file: str | Path) -> Iterator[Path]:
     """Within this context a file is written under a temporary name; at its end it is renamed.
 
+    It yields the path to write to. An existing file is replaced, and stays unchanged if anything fails.
+
     The temporary name is in the same folder, because a rename across file systems is a copy; it is random, so that two
     processes cannot write to the same one; and it ends like the file's own, because many libraries take the format
     from it. The data is on the disk (``fsync``) before the rename, and the rename before the context ends.
-
-    Args:
-        file: to write; an existing file is replaced, and stays unchanged if anything fails.
-
-    Yields:
-        The path to write to.
 
     Raises:
         OSError: the file cannot be written; names ``file``, not the temporary one.

@@ -38,7 +38,6 @@ def in_processes(tasks: Sequence[Callable[[], Result]], processes: int, name: st
 
 
 def _start() -> None:
-    """In a process beside others: each has one core."""
     import torch
 
-    torch.set_num_threads(1)
+    torch.set_num_threads(1)  # each process has one core

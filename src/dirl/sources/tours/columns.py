@@ -132,12 +132,8 @@ def _agreement(alike: Array, yaws: Array | float, turns: Array) -> Array:
     """How well the columns of two panoramas agree, each with its best distance: at each turn, ``[T]``.
 
     It is the mean of cubes: some columns that agree well tell more than many that agree a little, as all do where
-    the other panorama does not see what they show.
-
-    Args:
-        alike: see `_alike`.
-        yaws: where the second panorama stands in the image of the first, at each turn or at all of them.
-        turns: of the second, degrees ``[T]``.
+    the other panorama does not see what they show. ``yaws`` are where the second panorama stands in the image of the
+    first, at each turn or at all of them.
     """
     found = []
     for yaw, turn in zip(*np.broadcast_arrays(yaws, turns), strict=True):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -232,21 +233,14 @@ def _about_parts(tour: Tour, part: NDArray[np.int64]) -> Iterator[str]:
         False: "without any link to or from the others",
         True: "joined with others only by links one way or by links that contradict",
     }
-    for linked, why in whys.items():
-        for known in (True, False):
-            chosen = [
-                index
-                for index in range(1, int(part.max()) + 1)
-                if (index in touched) == linked and ({0, index} <= stated) == known
-            ]
-            if not chosen:
-                continue
+    uses = {True: "their stated headings are used", False: "their headings cannot be aligned with the others'"}
+    for linked, known in product(whys, uses):
+        others = range(1, int(part.max()) + 1)
+        chosen = [one for one in others if (one in touched) == linked and ({0, one} <= stated) == known]
+        if chosen:
             names = ", ".join(f"'{tour.panoramas[index].id}'" for index in np.flatnonzero(np.isin(part, chosen)))
             sizes = " and ".join(str((part == index).sum()) for index in chosen)
-            headings = (
-                "their stated headings are used" if known else "their headings cannot be aligned with the others'"
-            )
-            yield f"{len(chosen)} parts {why}, of {sizes} panoramas; {headings}: {names}"
+            yield f"{len(chosen)} parts {whys[linked]}, of {sizes} panoramas; {uses[known]}: {names}"
 
 
 def _about_positions(tour: Tour, step: float) -> Iterator[str]:
