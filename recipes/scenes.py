@@ -250,13 +250,8 @@ def encode(options: Any) -> None:
     """Compute the features of a dump anew, from its stored views."""
     out = Path(options.out)
     scene = load_scenes(options.scene)[0]
-    encoder = load_encoder(
-        options.encoder,
-        options.device,
-        precision=options.precision,
-        patches=options.patches,
-        fine_patches=options.fine_patches,
-    )
+    encoder = chosen_encoder(options)
+    assert encoder is not None
     features, patches = encode_scene(scene, encoder)
     assert scene.views is not None
     replace_features(scene.views.path, out, features, encoder.attributes, patches, encoder.patch_attributes)
@@ -324,11 +319,11 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
 
 
 def chosen_encoder(options: Any) -> ViewEncoder | None:
-    """The encoder that an option ``encoder`` names."""
-    patches, fine = (getattr(options, name, False) for name in ("patches", "fine_patches"))
+    """The encoder that an option ``encoder`` names, as far as the command's other options describe it."""
     if options.encoder is None:
         return None
-    return load_encoder(options.encoder, options.device, patches=patches, fine_patches=fine)
+    others = [name for name in ("precision", "patches", "fine_patches") if hasattr(options, name)]
+    return load_encoder(options.encoder, options.device, **{name: getattr(options, name) for name in others})
 
 
 COMMANDS: dict[str, Callable[[Any], None]] = {
