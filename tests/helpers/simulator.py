@@ -51,24 +51,12 @@ class Simulator:
                 success, message = False, "Wall is blocking Agent 0 from moving by (0.0000, 0.0000, 0.5000)."
         else:
             raise ValueError(f"Invalid action: {action}")
+        rotation = {"x": -0.0, "y": self.heading + NOISE, "z": 0.0}
         metadata = {
-            "agent": {
-                "name": "agent",
-                "position": self.position(self.cell),
-                "rotation": {"x": -0.0, "y": self.heading + NOISE, "z": 0.0},
-                "cameraHorizon": -0.0,
-                "isStanding": True,
-                "inHighFrictionArea": False,
-            },
-            "lastAction": action,
+            "agent": {"position": self.position(self.cell), "rotation": rotation},
             "lastActionSuccess": success,
             "errorMessage": message,
-            "errorCode": "",
             "actionReturn": returned,
-            "screenHeight": self.shape[0],
-            "screenWidth": self.shape[1],
-            "sceneName": "FloorPlan1",
-            "objects": [],
         }
         return SimpleNamespace(metadata=metadata, frame=self.frame())
 
