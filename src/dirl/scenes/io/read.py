@@ -107,14 +107,14 @@ def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
     name = dump.name or contents["name"] or dump.path.stem
     check_name(name, str(dump.path))
     views = {key.removeprefix("view_"): contents.pop(key) for key in [*contents] if key.startswith("view_")}
-    mapped = {
+    mapped: dict[str, Any] = {
         array: np.memmap(dump.path, np.float16, "r", offset, tuple(shape))
         for array, (offset, shape) in contents.pop("mapped").items()
     }
     beside = dump.path.with_suffix(".patches.npy")
     if intact and "patches" not in mapped and beside.is_file() and _is_intact_room(beside):
         mapped["patches"] = np.load(beside, mmap_mode="r", allow_pickle=False)
-    about = {
+    about: dict[str, Any] = {
         "name": name,
         "source": dump.source or contents["source"] or "unlabelled",
         "goals": tuple(contents["goals"]),
