@@ -158,5 +158,5 @@ def whitening(features: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
 
     Of more than `SAMPLED` states evenly spread ones are used: in double precision all of 300,000 take 15 GB.
     """
-    mean, axes, _ = principal_components(features[:: math.ceil(len(features) / SAMPLED)], count)
+    mean, axes = principal_components(features[:: math.ceil(len(features) / SAMPLED)], count)
     return mean, torch.ones_like(mean), axes

@@ -40,13 +40,12 @@ def test_a_projection_has_unit_variance_but_for_what_hardly_varies():
     scales = torch.tensor([4.0, 2.0, 1.0, 0.01])
     cells = torch.randn(20_000, 4, generator=generator) * scales + 7
     turned = cells @ torch.linalg.qr(torch.randn(4, 4, generator=generator))[0]
-    fitted = principal_components(turned, 4, floor=0.05)
-    projected = (turned - fitted.mean) @ fitted.axes
+    mean, axes = principal_components(turned, 4, floor=0.05)
+    projected = (turned - mean) @ axes
     deviations = projected.std(0)
     torch.testing.assert_close(deviations[:3], torch.ones(3), rtol=0.02, atol=0)
     assert deviations[3] < 0.06  # 0.01 / (0.05 * 4)
-    torch.testing.assert_close(fitted.explained[:2], torch.tensor([16 / 21, 4 / 21]), rtol=0.05, atol=0)
-    assert principal_components(turned, 2, floor=0.05).axes.shape == (4, 2)
+    assert principal_components(turned, 2, floor=0.05)[1].shape == (4, 2)
 
 
 def test_the_shipped_projection_is_small_and_fits_the_third_stage():

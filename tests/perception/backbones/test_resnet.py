@@ -165,16 +165,13 @@ def test_classifier_and_counters_are_optional(tmp_path, weights):
     load_backbone(save(bare | {"fc.weight": torch.zeros(7, 2048), "fc.bias": torch.zeros(7)}, tmp_path))
 
 
-def test_missing_file_is_named(tmp_path):
-    with pytest.raises(ValueError, match=re.escape(f"{tmp_path / 'weights.pth'}: there is no such file")):
-        load_backbone(tmp_path / "weights.pth")
-
-
-@pytest.mark.parametrize("content", [b"", b"not weights", b"PK\x03\x04 cut short", b"\x80\x02}q\x00."])
-def test_broken_file_is_named(tmp_path, content):
-    path = tmp_path / "weights.pth"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=re.escape(f"{path}: not a file of weights that torch can load")):
+@pytest.mark.parametrize("content", [None, b"", b"not weights", b"PK\x03\x04 cut short", b"\x80\x02}q\x00."])
+def test_missing_or_broken_file_is_named(tmp_path, content):
+    path, problem = tmp_path / "weights.pth", "there is no such file"
+    if content is not None:
+        path.write_bytes(content)
+        problem = "not a file of weights that torch can load"
+    with pytest.raises(ValueError, match=re.escape(f"{path}: {problem}")):
         load_backbone(path)
 
 
@@ -190,27 +187,25 @@ def test_what_is_no_state_dict_is_refused(tmp_path, content):
         load_backbone(path)
 
 
-def test_first_missing_parameter_is_named(tmp_path, weights):
-    path = save({name: value for name, value in weights.items() if not name.startswith("layer2.1")}, tmp_path)
-    with pytest.raises(ValueError, match=re.escape(f"{path}: 'layer2.1.conv1.weight' is missing")):
-        load_backbone(path)
+FIRST, EXPECTED = "layer1.0.conv1.weight", "expected floats [64, 64, 1, 1], found torch"
 
 
-def test_prefixed_names_are_shown(tmp_path, weights):
-    path = save({f"module.{name}": value for name, value in weights.items()}, tmp_path)
-    with pytest.raises(ValueError, match=r"'conv1\.weight' is missing; .*'module\.conv1\.weight'"):
-        load_backbone(path)
-
-
-@pytest.mark.parametrize("wrong", [torch.zeros(128, 64, 1, 1), torch.zeros(64, 64, 1, 1, dtype=torch.int64)])
-def test_misshaped_parameter_is_named(tmp_path, weights, wrong):
-    path = save(weights | {"layer1.0.conv1.weight": wrong}, tmp_path)
-    problem = f"expected floats [64, 64, 1, 1], found {wrong.dtype} {list(wrong.shape)}"
-    with pytest.raises(ValueError, match=re.escape(f"{path}: 'layer1.0.conv1.weight': {problem}")):
-        load_backbone(path)
-
-
-def test_deeper_network_is_refused(tmp_path, weights):
-    path = save(weights | {"layer3.6.conv1.weight": torch.zeros(256, 1024, 1, 1)}, tmp_path)
-    with pytest.raises(ValueError, match=re.escape(f"{path}: 'layer3.6.conv1.weight' is no parameter of a ResNet-50")):
+@pytest.mark.parametrize(
+    ("left_out", "other", "problem"),
+    [
+        ("layer2.1", {}, "'layer2.1.conv1.weight' is missing"),
+        (
+            "",
+            {"module.conv1.weight": torch.zeros(1)},
+            "'conv1.weight' is missing; the file's names begin with ['module.",
+        ),
+        ("none", {FIRST: torch.zeros(128, 64, 1, 1)}, f"'{FIRST}': {EXPECTED}.float32 [128, 64, 1, 1]"),
+        ("none", {FIRST: torch.zeros(64, 64, 1, 1).long()}, f"'{FIRST}': {EXPECTED}.int64 [64, 64, 1, 1]"),
+        ("none", {"layer3.6.conv1.weight": torch.zeros(1)}, "'layer3.6.conv1.weight' is no parameter of a ResNet-50"),
+    ],
+    ids=["missing", "of other names", "misshaped", "of integers", "of a deeper network"],
+)
+def test_first_wrong_parameter_is_named(tmp_path, weights, left_out, other, problem):
+    path = save({name: value for name, value in weights.items() if not name.startswith(left_out)} | other, tmp_path)
+    with pytest.raises(ValueError, match=re.escape(f"{path}: {problem}")):
         load_backbone(path)

@@ -14,8 +14,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
-from dirl.perception.backbones.patches import CELLS, load_projection, projection_hash
+from dirl.perception.backbones.patches import CELLS, load_projection
 from dirl.perception.backbones.resnet import resized
+from dirl.scenes.io.digest import file_digest
 
 SIZE = (224, 224)
 """Height and width that it was trained with, pixels."""
@@ -95,17 +96,11 @@ class EfficientNetLite0(nn.Module):
 
     def inner_stage(self, images: Tensor) -> Tensor:
         """Normalised images, ``[B, 3, H, W]``, to the fifth stage's map, ``[B, 112, H / 16, W / 16]``."""
-        stage: Tensor = self.first(F.relu6(self.stem(images)))
-        return stage
+        return self.first(F.relu6(self.stem(images)))
 
     def pool(self, inner_stage: Tensor) -> Tensor:
         """From the fifth stage's map to features, ``[B, 1280]``."""
         return F.relu6(self.head(self.last(inner_stage))).mean((2, 3))
-
-
-def normalised(views: Tensor) -> Tensor:
-    """The input of the network, float32 ``[B, 3, 224, 224]``, of RGB views, uint8 ``[B, H, W, 3]``."""
-    return ((resized(views, SIZE) - MEAN) / STD).permute(0, 3, 1, 2).contiguous()
 
 
 def lite0_weights() -> dict[str, Tensor]:
@@ -137,13 +132,13 @@ def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) 
     network = EfficientNetLite0(parameters).to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def inner(views: Tensor) -> Tensor:
-        return network.inner_stage(normalised(views).to(device, memory_format=torch.channels_last))
+        images = ((resized(views, SIZE) - MEAN) / STD).permute(0, 3, 1, 2)
+        return network.inner_stage(images.to(device, memory_format=torch.channels_last))
 
-    few = FEW if torch.device(device).type == "cpu" else None
-    if not patches:
-        return staged_encoder(inner, network.pool, attributes, few=few)
     described = {
         "extractor": f"EfficientNet-Lite0, fifth stage, views at {SIZE[0]}x{SIZE[1]}, {CELLS[0]}x{CELLS[1]} cells",
-        "projection": projection_hash(PROJECTION),
+        "projection": f"sha256:{file_digest(PROJECTION)}",
     }
-    return staged_encoder(inner, network.pool, attributes, load_projection(device, PROJECTION), described, few=few)
+    projection = load_projection(device, PROJECTION) if patches else None
+    few = FEW if torch.device(device).type == "cpu" else None
+    return staged_encoder(inner, network.pool, attributes, projection, described, few=few)

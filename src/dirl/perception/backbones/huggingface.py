@@ -1,10 +1,8 @@
 """Vision backbones of Hugging Face transformers as encoders."""
 
 import json
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,8 +10,8 @@ from torch import Tensor
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, weights_hash
 
 # Of an image processor's many settings, those that change what a model sees.
-RESIZING = {"do_resize", "size", "resample", "crop_pct", "do_center_crop", "crop_size"}
-SCALING = {"do_rescale", "rescale_factor", "do_normalize", "image_mean", "image_std"}
+SETTINGS = {"do_resize", "size", "resample", "crop_pct", "do_center_crop", "crop_size"}
+SETTINGS |= {"do_rescale", "rescale_factor", "do_normalize", "image_mean", "image_std"}
 
 
 def huggingface_encoder(name: str, device: str | torch.device) -> ViewEncoder:
@@ -56,42 +54,34 @@ def huggingface_encoder(name: str, device: str | torch.device) -> ViewEncoder:
         hidden = model(pixel_values=images["pixel_values"].to(device)).last_hidden_state
         return hidden.flatten(2).mean(2) if hidden.ndim == 4 else hidden.mean(1)
 
-    settings = {key: value for key, value in processor.to_dict().items() if key in RESIZING | SCALING}
-    encoder = ViewEncoder(
-        forward,
-        {
-            "extractor": f"{type(model).__name__} of transformers, mean of the last hidden state",
-            "preprocessing": json.dumps(settings, sort_keys=True, default=dict),
-            "weights": weights_hash(used),
-        },
-    )
-    _try(encoder, name)
-    return encoder
-
-
-def _try(encoder: ViewEncoder, name: str) -> None:
-    """Encode one grey image, so that an unsuitable model is detected before the work begins."""
+    settings = {key: value for key, value in processor.to_dict().items() if key in SETTINGS}
+    # One grey image is tried, so that an unsuitable model is detected before the work begins.
     try:
-        features = encoder(torch.full((1, 300, 400, 3), 128, dtype=torch.uint8))
+        features = forward(torch.full((1, 300, 400, 3), 128, dtype=torch.uint8))
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise EncoderError(f"encoder={name}: is no backbone that gives a hidden state of images ({reason})") from None
     if features.ndim != 2:
         raise EncoderError(f"encoder={name}: gives {list(features.shape)} for one image; expected [1, D]")
+    attributes = {
+        "extractor": f"{type(model).__name__} of transformers, mean of the last hidden state",
+        "preprocessing": json.dumps(settings, sort_keys=True, default=dict),
+        "weights": weights_hash(used),
+    }
+    return ViewEncoder(forward, attributes)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Within this context transformers shows no progress bars and does not list unused weights."""
-    from transformers.utils import logging as hf_logging
+    from transformers.utils import logging
 
-    log: Any = logging.getLogger("transformers")
-    level, bars = log.level, hf_logging.is_progress_bar_enabled()
-    log.setLevel(logging.ERROR)
-    hf_logging.disable_progress_bar()
+    level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
     try:
         yield
     finally:
-        log.setLevel(level)
+        logging.set_verbosity(level)
         if bars:
-            hf_logging.enable_progress_bar()
+            logging.enable_progress_bar()

@@ -7,13 +7,14 @@ every room, so that patches of different rooms are comparable; see ``data/NOTICE
 virtual views, 48 each, by which photos of another camera are recognised (`with_virtual`).
 """
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from dirl.scenes.io.digest import file_digest
 
 PATCH_SIZE = (96, 128)
 """Height and width that views are resized to, pixels."""
@@ -73,10 +74,5 @@ def patch_attributes(cells: tuple[int, int] = CELLS) -> dict[str, str]:
     height, width = PATCH_SIZE
     return {
         "extractor": f"ResNet-50 as shipped, third stage, views at {height}x{width}, {cells[0]}x{cells[1]} cells",
-        "projection": projection_hash(PROJECTION),
+        "projection": f"sha256:{file_digest(PROJECTION)}",
     }
-
-
-def projection_hash(file: Path) -> str:
-    """``sha256:`` and 64 digits, of a file."""
-    return f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}"

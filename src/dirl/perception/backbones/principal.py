@@ -1,30 +1,20 @@
 """Principal components: the directions in which vectors vary most, each scaled to unit variance."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 
-class Components(NamedTuple):
-    """Of vectors of width D. What is projected is ``(vectors - mean) @ axes``."""
-
-    mean: Tensor
-    """float32 ``[D]``."""
-    axes: Tensor
-    """float32 ``[D, count]``; fewer columns if the vectors span fewer dimensions."""
-    explained: Tensor
-    """The fraction of the variance that each component holds, float32 ``[count]``."""
-
-
-def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> Components:
-    """The first principal components of vectors.
+def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> tuple[Tensor, Tensor]:
+    """The first principal components of vectors, by which they are projected: ``(vectors - mean) @ axes``.
 
     Args:
         vectors: ``[N, D]``.
         count: how many to keep.
         floor: components whose deviation is below this fraction of the first one's are scaled as if they had that
             fraction, because scaling them up would amplify noise.
+
+    Returns:
+        Mean, float32 ``[D]``, and axes, ``[D, count]``; fewer columns if the vectors span fewer dimensions.
     """
     vectors = vectors.double()
     mean = vectors.mean(0)
@@ -35,4 +25,4 @@ def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> Com
     axes = axes * axes.gather(0, axes.abs().argmax(0, keepdim=True)).sign()  # eigh leaves the signs open
     deviations = values[:kept].sqrt()
     axes = axes / deviations.clamp(min=floor * deviations[0])
-    return Components(mean.float(), axes.float(), (values[:kept] / values.sum()).float())
+    return mean.float(), axes.float()

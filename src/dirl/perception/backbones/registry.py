@@ -3,6 +3,7 @@
 import hashlib
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -26,6 +27,7 @@ from dirl.perception.backbones.resnet import (
     ResNet50,
     backbone_of,
     fused,
+    is_ignored,
     load_backbone,
     preprocess,
     shipped_backbone,
@@ -95,12 +97,12 @@ def load_encoder(
         return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, cells=cells)
     if is_file or name == "torchvision":
         encoder = _resnet(load_backbone(path) if is_file else _torchvision_backbone(), device, dtype)
-    elif precision == "float32" and name == LITE:
-        return lite0_encoder(device, patches=patches)
-    elif precision == "float32":
-        encoder = huggingface_encoder(name, device)
-    else:
+    elif precision != "float32":
         raise EncoderError(f"precision={precision}: encoder={name} computes in float32 only")
+    elif name == LITE:
+        return lite0_encoder(device, patches=patches)
+    else:
+        encoder = huggingface_encoder(name, device)
     return _beside(encoder, device, dtype) if patches else encoder
 
 
@@ -139,25 +141,18 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dirl"
     kept = folder / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
-    found = _kept(kept)
-    if found is None:
-        print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
-        encoder = load_encoder(name, patches=patches)
-        features, parts = encode_scene(scene, encoder)
-        try:
-            replace_features(scene.views.path, kept, features, encoder.attributes, parts, encoder.patch_attributes)
-        except (SceneError, OSError) as error:
-            print(f"not kept: {error}", flush=True)
-        return replace(scene, features=features, patches=parts, extractor=extractor)
-    return replace(scene, features=found.features, patches=found.patches, extractor=extractor)
-
-
-def _kept(path: Path) -> Scene | None:
-    """The scene of an earlier command; None if there is none, or a damaged one."""
+    if kept.is_file():
+        with suppress(SceneError):  # a damaged one is made anew
+            found = read_dump(kept)
+            return replace(scene, features=found.features, patches=found.patches, extractor=extractor)
+    print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
+    encoder = load_encoder(name, patches=patches)
+    features, parts = encode_scene(scene, encoder)
     try:
-        return read_dump(path) if path.is_file() else None
-    except SceneError:
-        return None
+        replace_features(scene.views.path, kept, features, encoder.attributes, parts, encoder.patch_attributes)
+    except (SceneError, OSError) as error:
+        print(f"not kept: {error}", flush=True)
+    return replace(scene, features=features, patches=parts, extractor=extractor)
 
 
 def encode_views(
@@ -216,8 +211,7 @@ def _resnet(
     provenance: str = "",
     cells: tuple[int, int] | None = None,
 ) -> ViewEncoder:
-    counters = ("num_batches_tracked",)  # of no use once training is over, and missing in some files
-    parameters = {name: value for name, value in backbone.state_dict().items() if not name.endswith(counters)}
+    parameters = {name: value for name, value in backbone.state_dict().items() if not is_ignored(name)}
     attributes = {
         "extractor": "ResNet-50, global average pool",
         "preprocessing": f"RGB resized to {size[0]}x{size[1]} bilinear (Pillow), /255, mean {MEAN}, std {STD}",

@@ -129,15 +129,9 @@ def resized(views: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def encode(backbone: ResNet50, views: Tensor, batch: int = 32) -> Tensor:
-    """The features of views, computed on the backbone's device.
+    """The features of RGB views, uint8 ``[N, H, W, 3]``, ``batch`` at a time: float32 ``[N, 2048]``.
 
-    Args:
-        backbone: see `load_backbone`.
-        views: RGB, uint8 ``[N, H, W, 3]``.
-        batch: how many go through the backbone at a time.
-
-    Returns:
-        float32 ``[N, 2048]``, on the device of the views.
+    They are computed on the backbone's device, and returned on that of the views.
     """
     device = backbone.conv1.weight.device
     return torch.cat([backbone(preprocess(part).to(device)).to(views.device) for part in views.split(batch)])
@@ -188,8 +182,8 @@ def backbone_of(stored: object, origin: str) -> ResNet50:
         raise ValueError(f"{origin}: not a state_dict, which maps names to tensors")
     with torch.device("meta"):  # random weights would take most of the time
         backbone = ResNet50()
-    wanted = {name: value for name, value in backbone.state_dict().items() if not _ignored(name)}
-    found = {name: value for name, value in items if not _ignored(name)}
+    wanted = {name: value for name, value in backbone.state_dict().items() if not is_ignored(name)}
+    found = {name: value for name, value in items if not is_ignored(name)}
     for name, parameter in wanted.items():
         if name not in found:
             raise ValueError(f"{origin}: '{name}' is missing; the file's names begin with {list(found)[:3]}")
@@ -204,7 +198,8 @@ def backbone_of(stored: object, origin: str) -> ResNet50:
     return backbone
 
 
-def _ignored(name: str) -> bool:
+def is_ignored(name: str) -> bool:
+    """Whether a parameter is of no use: the classifier, and counters of the training, which some files lack."""
     return name.startswith("fc.") or name.endswith(".num_batches_tracked")
 
 

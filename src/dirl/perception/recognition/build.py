@@ -30,8 +30,7 @@ def chosen_stop(choice: str, threshold: float, match: str) -> TemplateStop:
 
 def build_recogniser(config: TrainConfig) -> Recogniser:
     """What the stop and the episodic memory recognise places by."""
-    found: Recogniser | None = make("recogniser", config.recogniser, config.trust)
-    return found or NCC()
+    return make("recogniser", config.recogniser, config.trust) or NCC()
 
 
 def recogniser_name(recogniser: Recogniser) -> str:

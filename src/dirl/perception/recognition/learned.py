@@ -125,9 +125,9 @@ class Learned(nn.Module):
 
     def measure(self, features: Tensor, patches: Tensor) -> None:
         """Whiten by N views of training rooms: pooled features, float ``[N, D]``, and patches, ``[N, cells, 96]``."""
-        self.mean, axes, _ = principal_components(features.float(), POOLED)
+        self.mean, axes = principal_components(features.float(), POOLED)
         self.axes = F.pad(axes, (0, POOLED - axes.shape[1]))
-        self.patch_mean, self.patch_axes, _ = principal_components(coarse(patches).flatten(0, 1).float(), 96)
+        self.patch_mean, self.patch_axes = principal_components(coarse(patches).flatten(0, 1).float(), 96)
         if are_fine(patches):
             self.photo.measure(patches)
 
@@ -196,7 +196,7 @@ class Learned(nn.Module):
         for layer in self.near:
             read = read + F.relu(layer(F.pad(read, (1, 1), mode="circular" if several else "constant")))
         whole = compared[..., -2:].mean((-1, -2)).flatten().unsqueeze(-1)
-        odds: Tensor = self.odds[several](torch.cat([read.mean(-1), read.amax(-1), whole], -1))
+        odds = self.odds[several](torch.cat([read.mean(-1), read.amax(-1), whole], -1))
         return odds.view(compared.shape[:-2])
 
 

@@ -26,10 +26,8 @@ Compared = Callable[[Tensor, Tensor], Tensor]
 def template_vectors(features: Tensor, surrounding: Tensor, match: str) -> Tensor:
     """The compared vector of each state, scaled so that the product of two is their coefficient, float32 ``[N, D']``.
 
-    Args:
-        features: of every state, float32 ``[N, D]``.
-        surrounding: the states ahead, right, back and left of each, int64 ``[N, 4]``.
-        match: ``views`` or ``front``, see `TemplateStop`.
+    Features are float32 ``[N, D]``, the states ahead, right, back and left of each int64 ``[N, 4]``; of ``match`` see
+    `TemplateStop`.
     """
     return normal_vectors(features if match == "front" else features[surrounding].flatten(1))
 

@@ -70,8 +70,8 @@ class Patches(nn.Module):
 
     def measure(self, features: Tensor, patches: Tensor) -> Self:
         """Take the statistics of N views: pooled features, float ``[N, D]``, and patches, ``[N, cells, channels]``."""
-        self.mean, axes, _ = principal_components(features.float(), COMPONENTS)
-        self.patch_mean, patch_axes, _ = principal_components(coarse(patches).flatten(0, 1).float(), COMPONENTS)
+        self.mean, axes = principal_components(features.float(), COMPONENTS)
+        self.patch_mean, patch_axes = principal_components(coarse(patches).flatten(0, 1).float(), COMPONENTS)
         self.axes, self.patch_axes = (F.pad(found, (0, COMPONENTS - found.shape[1])) for found in (axes, patch_axes))
         return self
 

@@ -92,12 +92,7 @@ class NCC(nn.Module):
 def ncc(observation: Tensor, goal: Tensor) -> Tensor:
     """Normalised cross-correlation of feature vectors, i.e. Pearson's coefficient (paper equation 13).
 
-    Args:
-        observation: float ``[..., D]``.
-        goal: float ``[..., D]``, broadcast against it.
-
-    Returns:
-        float ``[...]`` in [-1, 1]; 0 where one of the vectors is constant.
+    Of float ``[..., D]``, broadcast, to ``[...]`` in [-1, 1]; 0 where one of the vectors is constant.
     """
     return (normal_vectors(observation) * normal_vectors(goal)).sum(-1)
 

@@ -57,12 +57,11 @@ class VisitScores:
 
 def described_visits(recogniser: Recogniser, world: World, index: int) -> Tensor:
     """The described views of the visits of one scene, float32 ``[M, 4, F]``, in the order of `World.pictures`."""
-    pictures = world.pictures(index)
+    pictures, states, offset = world.pictures(index), len(world.scenes[index]), world.offsets[index]
     patches = None if world.patches is None or not recogniser.reads_patches else world.patches[pictures]
-    features, default = world.features[pictures], len(world.scenes[index])
-    own = recogniser.fit(features[:default], None if patches is None else patches[:default])
+    features = world.features[pictures]
+    own = recogniser.fit(features[:states], None if patches is None else patches[:states])
     views = own.describe(features, patches)
-    states, offset = len(world.scenes[index]), world.offsets[index]
     local = world.surrounding[offset : offset + states] - offset
     return views[torch.cat([local + look * states for look in range(world.looks)])]
 
