@@ -292,14 +292,11 @@ def inspect(options: Any) -> None:
         print("\n| state | state | matching | actions between |\n|--:|--:|--:|--:|")
         for a, b, score, distance in found.ambiguous[:SHOWN_PAIRS]:
             print(f"| {a} | {b} | {score:.3f} | {distance if distance >= 0 else 'unconnected'} |")
-    if found.false_stops is not None:
-        columns = {"every state as a goal": found.false_stops, "the scene's own goals": found.goal_false_stops}
-        if found.missed_stops is not None:
-            columns["missed in other looks"] = found.missed_stops
-        print("\n| false stops above |", *(f"{name} |" for name in columns))
-        print("|--:" * (len(columns) + 1) + "|")
+    if found.errors:
+        print("\n| false stops above |", *(f"{name} |" for name in found.errors))
+        print("|--:" * (len(found.errors) + 1) + "|")
         for index in range(0, len(found.thresholds), 10):
-            cells = ("-" if one is None else f"{one[index]:.4%}" for one in columns.values())
+            cells = ("-" if one is None else f"{one[index]:.4%}" for one in found.errors.values())
             print(f"| {found.thresholds[index]:.2f} |", *(f"{cell} |" for cell in cells))
     print("\n".join(["", "problems:" if found.problems else "no problems found", *(f"- {p}" for p in found.problems)]))
     if options.out is not None:
@@ -313,7 +310,7 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     draw_distances(scene, folder / "distances.png")
     if scene.views is not None:
         draw_contact_sheet(scene, folder / "contact_sheet.jpg")
-    if found.false_stops is not None:
+    if found.errors:
         draw_false_stops(scene, found, threshold, folder / "false_stops.png")
     print(f"\npictures: {folder}")
 

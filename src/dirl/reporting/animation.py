@@ -96,20 +96,17 @@ def episode_frames(scene: Scene, goal: int, path: Sequence[int], *, title: str, 
     actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
     shown = [*range(min(steps, MAX_FRAMES - 1)), steps]
     room = RoomMap(scene, goal, (MAP_SIZE, MAP_SIZE), SMOOTH)
-    views = {state: _small_view(scene, state) for state in {goal, *(path[step] for step in shown)}}
+    views = {}
+    if scene.views is not None:
+        for state in {goal, *(path[step] for step in shown)}:
+            view = Image.fromarray(scene.views[state])
+            size = VIEW_WIDTH, round(VIEW_WIDTH * view.height / view.width)
+            views[state] = view.resize(size, Image.Resampling.LANCZOS)
     return [_frame(views, goal, path, step, actions[step], room, title) for step in shown]
 
 
-def _small_view(scene: Scene, state: int) -> Image.Image | None:
-    """The view of a state as frames show it; None if the scene has none."""
-    if scene.views is None:
-        return None
-    view = Image.fromarray(scene.views[state])
-    return view.resize((VIEW_WIDTH, round(VIEW_WIDTH * view.height / view.width)), Image.Resampling.LANCZOS)
-
-
 def _frame(
-    thumbnails: Mapping[int, Image.Image | None],
+    thumbnails: Mapping[int, Image.Image],
     goal: int,
     path: Sequence[int],
     step: int,
@@ -117,13 +114,13 @@ def _frame(
     room: RoomMap,
     title: str,
 ) -> Image.Image:
-    """The picture of one step; ``thumbnails`` are the views of the states that are shown."""
+    """The picture of one step; ``thumbnails`` are the views of the states that are shown, none of a scene without."""
     ended = step == len(path) - 1
     color = (COLORS[2] if action == "goal reached" else COLORS[1]) if ended else COLORS[0]
     picture = room.draw(path[: step + 1], color)
     height = picture.height
-    named = (("what it sees", thumbnails[path[step]]), ("the goal's view", thumbnails[goal]))
-    views = [(name, view) for name, view in named if view is not None]
+    named = {"what it sees": path[step], "the goal's view": goal} if thumbnails else {}
+    views = [(name, thumbnails[state]) for name, state in named.items()]
     if views:
         height = max(height, sum(view.height + LINE for _, view in views) + GAP)
     caption = f"step {step} of {len(path) - 1}: {action}"

@@ -122,10 +122,8 @@ def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping
     atl_axis(upper, "ATL (steps, log scale)")
     _draw_line(lower, frames, evaluation["sr"], GREEN, "SR, greedy evaluation")
     _draw_line(lower, frames, evaluation["spl"], PURPLE, "SPL, greedy evaluation")
-    lower.set_ylabel("SR, SPL")
-    lower.set_ylim(-0.03, 1.03)
-    stable = summary["stable_at_frame"]
-    if stable is not None:
+    lower.set(ylabel="SR, SPL", ylim=(-0.03, 1.03))
+    if (stable := summary["stable_at_frame"]) is not None:
         upper.axvline(stable, color="0.3", linestyle="-.", linewidth=1, label=f"stable at {stable:,} frames")
         lower.axvline(stable, color="0.3", linestyle="-.", linewidth=1)
     for axes in (upper, lower):
@@ -133,10 +131,9 @@ def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping
             axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
     # A little room on the left keeps the evaluation at frame 0 off the axis.
     end = max(summary["frames"], 1)
-    lower.set_xlim(-0.02 * end, 1.02 * end)
+    lower.set(xlim=(-0.02 * end, 1.02 * end), xlabel="frames")
     lower.xaxis.set_major_locator(MaxNLocator(6, integer=True, steps=(1, 2, 5, 10)))
     lower.xaxis.set_major_formatter(EngFormatter())
-    lower.set_xlabel("frames")
 
 
 def _draw_imitation(upper: Axes, lower: Axes, folder: Path) -> None:
@@ -145,9 +142,7 @@ def _draw_imitation(upper: Axes, lower: Axes, folder: Path) -> None:
     upper.set_ylabel("loss")
     upper.set_ylim(bottom=0)
     _draw_line(lower, imitation["step"], imitation["accuracy"], GREEN)
-    lower.set_ylabel("accuracy")
-    lower.set_ylim(-0.03, 1.03)
-    lower.set_xlabel("steps of imitation")
+    lower.set(ylabel="accuracy", ylim=(-0.03, 1.03), xlabel="steps of imitation")
 
 
 def _draw_line(axes: Axes, x: FloatArray, y: FloatArray, color: str, label: str = "") -> None:

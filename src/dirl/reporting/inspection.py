@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,18 +25,16 @@ THUMBNAIL, LABEL, GAP = 96, 14, 4
 MAP_SIZE = 6.0
 """Inches, the longer side."""
 
-PLATE = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
-"""Behind the numbers on the map."""
+NUMBER: dict[str, Any] = {"ha": "center", "va": "center", "color": "0.25", "zorder": 4}
+NUMBER |= {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.8}}
+"""Of the numbers on the map."""
+
+ERROR_LINES = (("-", COLORS[0]), ("-", COLORS[1]), ("--", "0.4"))
+"""Styles and colours of `Inspection.errors`."""
 
 
 def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
-    """Draw walls, free cells, moves and goals, as a PNG.
-
-    Args:
-        scene: N states.
-        parts: which part each state is in, see `Inspection`; all but the largest are coloured.
-        file: the image to write.
-    """
+    """Draw walls, free cells, moves and goals, as a PNG; parts, see `Inspection`, but the largest are coloured."""
     side, place = step_length(scene), places(scene.graph)
     spans = np.ptp(scene.positions, axis=0) + 2 * side
     width, height = spans * MAP_SIZE / spans.max()
@@ -48,27 +47,19 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
     for first in np.unique(place, return_index=True)[1]:
         x, z = scene.positions[first]
         if parts[first] > 0:
-            axes.plot(
-                x, z, "s", color=COLORS[(parts[first] - 1) % len(COLORS)], alpha=0.35, markersize=2.4 * size, zorder=2
-            )
+            color = COLORS[(parts[first] - 1) % len(COLORS)]
+            axes.plot(x, z, "s", color=color, alpha=0.35, markersize=2.4 * size, zorder=2)
         if size > 3.5:
-            axes.text(
-                x, z, str(first), ha="center", va="center", fontsize=min(size, 9), color="0.25", zorder=4, bbox=PLATE
-            )
+            axes.text(x, z, str(first), fontsize=min(size, 9), **NUMBER)
     for state in np.flatnonzero(scene.graph[:, AHEAD] >= 0):
         ends = scene.positions[[state, scene.graph[state, AHEAD]]]
         axes.plot(*ends.T, color="0.7", linewidth=0.8, zorder=1.5)
     ahead = np.nan_to_num(heading_directions(scene))
+    arrow = {"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0}
     for goal in scene.goals:
-        x, z = scene.positions[goal]
-        axes.annotate(
-            "",
-            xytext=(x, z),
-            xy=(x + 0.8 * side * ahead[goal, 0], z + 0.8 * side * ahead[goal, 1]),
-            arrowprops={"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0},
-            zorder=5,
-        )
-        axes.plot(x, z, "*", color=GOAL_COLOR, markeredgecolor="black", markersize=14, zorder=6)
+        at = scene.positions[goal]
+        axes.annotate("", xytext=at, xy=at + 0.8 * side * ahead[goal], arrowprops=arrow, zorder=5)
+        axes.plot(*at, "*", color=GOAL_COLOR, markeredgecolor="black", markersize=14, zorder=6)
     handles: list[Patch | Line2D] = [Patch(color=WALL_COLOR, label="walls, furniture")] if has_walls(scene) else []
     handles.append(Line2D([], [], color="0.7", linewidth=0.8, label="moves ahead"))
     if len(scene.goals):
@@ -130,26 +121,18 @@ def draw_distances(scene: Scene, file: Path) -> None:
 def draw_false_stops(scene: Scene, found: Inspection, threshold: float, file: Path) -> None:
     """Draw how often an agent would stop at a wrong state, and miss a changed goal, over the threshold, as a PNG.
 
-    Args:
-        scene: named in the title.
-        found: with features, so that there are false stops.
-        threshold: the one in use.
-        file: the image to write.
+    The scene has features, so that errors were found; ``threshold`` is the one in use.
     """
-    assert found.false_stops is not None
-    thresholds = found.thresholds
     figure = Figure((6, 3.6), layout="constrained")
     axes = figure.subplots()
-    axes.plot(thresholds, 100 * found.false_stops, color=COLORS[0], label="every state as a goal")
-    if found.goal_false_stops is not None:
-        axes.plot(thresholds, 100 * found.goal_false_stops, color=COLORS[1], label="the scene's own goals")
-    if found.missed_stops is not None:
-        axes.plot(thresholds, 100 * found.missed_stops, "--", color="0.4", label="missed in other looks")
+    for (label, shares), (line, color) in zip(found.errors.items(), ERROR_LINES, strict=False):
+        if shares is not None:
+            axes.plot(found.thresholds, 100 * shares, line, color=color, label=label)
     axes.axvline(threshold, color="0.5", linestyle=":", label=f"threshold {threshold:g}")
     axes.set(xlabel="threshold", ylabel="false stops (% of states)", title=f"{scene.name} ({scene.source})")
     axes.set_yscale("symlog", linthresh=0.1)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(-0.005, 110))
+    axes.set(xlim=found.thresholds[[0, -1]], ylim=(-0.005, 110))
     tell_cut(axes)
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)

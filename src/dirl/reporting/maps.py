@@ -72,8 +72,7 @@ def draw_policy(
     title = textwrap.fill(title, int(11 * full_width))
     figure = Figure((full_width, height + 0.5 + LEGEND_HEIGHT + 0.25 * (title.count("\n") + 1)), layout="constrained")
     figure.suptitle(title)
-    policy_map, value_map, matching_map = figure.subplots(1, 3, sharex=True, sharey=True)
-    maps = policy_map, value_map, matching_map
+    maps = policy_map, value_map, matching_map = figure.subplots(1, 3, sharex=True, sharey=True)
     titles = "most probable action", "state value", "matching with the goal's views"
     for axes, shown in zip(maps, titles, strict=True):
         draw_room(axes, scene, side)
@@ -95,7 +94,7 @@ def draw_policy(
     done = PolyCollection([wedges[goal]], facecolors=GOAL_COLOR, edgecolors="black", linewidths=1, zorder=4)
     policy_map.add_collection(done)
     size = min(0.4 * 72 * width * side / spans[0], 13)  # points
-    for axes in (policy_map, value_map, matching_map):
+    for axes in maps:
         axes.plot(*middles[goal], "*", color=GOAL_COLOR, markersize=size, markeredgecolor="black", zorder=7)
     figure.legend(
         handles=_legend(goal, int(lost.sum()), len(above), threshold),
@@ -128,11 +127,8 @@ def never_arrives(scene: Scene, goal: int, actions: NDArray[np.integer]) -> NDAr
 def wedge_corners(positions: FloatArray, directions: FloatArray, side: float, turns: int) -> FloatArray:
     """The part of its cell that a state takes: centre, corner, middle of the side, corner; metres, ``[N, 4, 2]``.
 
-    Args:
-        positions: centres of the cells, ``[N, 2]``.
-        directions: unit vectors of the headings, ``[N, 2]``.
-        side: of a cell, metres.
-        turns: headings in a full circle; the wedges of a place fill its cell.
+    Of the centres of cells, ``[N, 2]``, unit vectors of the headings, ``[N, 2]``, the side of a cell, metres, and the
+    headings in a full circle: the wedges of a place fill its cell.
     """
     half = math.pi / turns
     corners = [np.zeros_like(directions)]
@@ -173,11 +169,11 @@ def _draw_actions(
     faces = 1 - sure * (1 - colors)
     faces[lost] = to_rgb(LOST_COLOR)
     axes.add_collection(PolyCollection(list(wedges), facecolors=faces, edgecolors="white", linewidths=0.5, zorder=2))
-    glyphs = []
-    for middle, direction, action in zip(middles, directions, actions, strict=True):
-        # The glyph's own "up" comes to lie along the heading.
-        turn = np.array([[direction[1], -direction[0]], direction])
-        glyphs.append(middle + glyph * GLYPHS[action] @ turn)
+    # The glyph's own "up" comes to lie along the heading.
+    glyphs = [
+        middle + glyph * GLYPHS[action] @ np.array([[direction[1], -direction[0]], direction])
+        for middle, direction, action in zip(middles, directions, actions, strict=True)
+    ]
     inks = np.where(lost[:, None], 0.5 + 0.5 * colors, 0.05)
     axes.add_collection(PolyCollection(glyphs, facecolors=inks, linewidths=0, zorder=3))
 
@@ -224,11 +220,9 @@ def _draw_heat(
 
 
 def _legend(goal: int, lost: int, above: int, threshold: float) -> list[Patch | Line2D]:
-    names = ("ahead", "turn right", "turn left", "back")
-    handles: list[Patch | Line2D] = [
-        Patch(color=tuple(1 - 0.7 * (1 - np.array(to_rgb(color)))), label=name)
-        for name, color in zip(names, COLORS, strict=False)
-    ]
+    handles: list[Patch | Line2D] = []
+    for name, color in zip(("ahead", "turn right", "turn left", "back"), COLORS, strict=False):
+        handles.append(Patch(color=tuple(1 - 0.7 * (1 - np.array(to_rgb(color)))), label=name))
     if lost:
         handles.append(Patch(color=LOST_COLOR, label=f"never arrives, {lost} state{'' if lost == 1 else 's'}"))
     label = f"matches above {threshold:g}, {above} state{'' if above == 1 else 's'}"

@@ -66,13 +66,7 @@ def film_scene(
 ) -> None:
     """Write a video of greedy episodes in one scene, each from the start that is farthest from its goal.
 
-    Args:
-        policy: trained.
-        protocol: how it is evaluated, and where.
-        index: of the scene in the world.
-        file: the video to write.
-        facts: of the run, see `dirl.training.build.describe`.
-        count: episodes at most, of goals spread evenly over those of the scene.
+    There are ``count`` at most, of goals spread evenly over those of the scene; the others are as of `draw_scene`.
     """
     world, scene, offset = protocol.world, protocol.world.scenes[index], protocol.world.offsets[index]
     among = world.goals_in(index)

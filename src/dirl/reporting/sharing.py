@@ -105,19 +105,13 @@ def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], 
 
 def _index(summary: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     """The greedy measures in the form that the Hub reads, JSON being YAML."""
-    metrics = [
-        {"type": key, "name": f"{key.upper()}, greedy", "value": round(summary["greedy"][key], 4)}
-        for key in ("sr", "spl")
-    ]
-    task = {"type": "reinforcement-learning", "name": "target-driven visual navigation"}
-    return [
-        {
-            "name": name,
-            "results": [
-                {"task": task, "dataset": {"name": str(summary["scene"]), "type": "scenes"}, "metrics": metrics}
-            ],
-        }
-    ]
+    measured = {key: round(summary["greedy"][key], 4) for key in ("sr", "spl")}
+    result = {
+        "task": {"type": "reinforcement-learning", "name": "target-driven visual navigation"},
+        "dataset": {"name": str(summary["scene"]), "type": "scenes"},
+        "metrics": [{"type": key, "name": f"{key.upper()}, greedy", "value": one} for key, one in measured.items()],
+    }
+    return [{"name": name, "results": [result]}]
 
 
 def _encoder(extractor: str) -> tuple[str, str]:
@@ -125,10 +119,7 @@ def _encoder(extractor: str) -> tuple[str, str]:
     for name in SHIPPED if extractor.startswith("ResNet-50") else ():  # to load one takes half a second
         if load_encoder(name).extractor == extractor:
             return f'"{name}"', ""
-    return (
-        "encoder, extractor=extractor",
-        "`extractor` is this text, `encoder` a function of images to features. ",
-    )
+    return "encoder, extractor=extractor", "`extractor` is this text, `encoder` a function of images to features. "
 
 
 def push_to_hub(run: str | Path, name: str, *, private: bool = False, license: str = "cc-by-nc-4.0") -> str:

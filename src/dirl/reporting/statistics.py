@@ -11,13 +11,9 @@ FloatArray = NDArray[np.float64]
 
 
 def iqm(values: ArrayLike) -> FloatArray:
-    """The mean of the middle half, without the lowest and highest quarter (each rounded down), along the first axis.
+    """The mean of the middle half, without the lowest and highest quarter (each rounded down), float ``[...]``.
 
-    Args:
-        values: float ``[R, ...]``, of R runs, at least one; infinity counts as the highest value.
-
-    Returns:
-        float ``[...]``.
+    Values are float ``[R, ...]``, of R runs, at least one; infinity counts as the highest value.
     """
     runs = np.sort(np.asarray(values, float), axis=0)
     if len(runs) == 0:
@@ -26,25 +22,15 @@ def iqm(values: ArrayLike) -> FloatArray:
     return runs[cut : len(runs) - cut].mean(0)
 
 
-def bootstrap_interval(values: ArrayLike, confidence: float = 0.95, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    """The percentile bootstrap confidence interval of the interquartile mean, by resampling the runs.
+def bootstrap_interval(values: ArrayLike, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """The 95 % percentile bootstrap confidence interval of the interquartile mean, by resampling the runs.
 
-    Args:
-        values: float ``[R, ...]``, of R runs, at least one.
-        confidence: of the interval.
-        seed: of the resampling.
-
-    Returns:
-        Lower and upper limit, float ``[...]`` each; both are the value itself for one run.
+    Lower and upper limit, float ``[...]`` each, of values as for `iqm`; of one run both are the value itself.
     """
     runs = np.asarray(values, float)
-    if len(runs) == 0:
-        raise ValueError("the interval of no runs is not defined")
     drawn = np.random.default_rng(seed).integers(len(runs), size=(len(runs), RESAMPLES))
-    means = iqm(runs[drawn])
-    tail = 100 * (1 - confidence) / 2
     # Nearest ranks: nothing is interpolated between a number and infinity.
-    low, high = np.percentile(means, [tail, 100 - tail], axis=0, method="nearest")
+    low, high = np.percentile(iqm(runs[drawn]), [2.5, 97.5], axis=0, method="nearest")
     return low, high
 
 

@@ -26,11 +26,9 @@ class SweepTable(Callback):
 
 
 def sweep_table(folder: Path, options: Collection[str]) -> str:
-    """The greedy measures of the finished runs in a folder, Markdown; empty where there are fewer than two.
+    """The greedy measures of the finished runs in a sweep's folder, Markdown; empty where there are fewer than two.
 
-    Args:
-        folder: of a sweep.
-        options: which were given, by name; those that differ between the runs tell them apart.
+    Of the options that were given, by name, those that differ between the runs tell them apart.
     """
     runs: dict[Path, dict[str, Any]] = {}
     measures: dict[Path, Mapping[str, Any]] = {}
@@ -42,17 +40,14 @@ def sweep_table(folder: Path, options: Collection[str]) -> str:
             measures[file.parent] = summary["greedy"]
     if len(runs) < 2:
         return ""
-    given = {name for config in runs.values() for name in config if _within(name, options)}
+    inside = tuple(f"{option}." for option in options)
+    given = {name for config in runs.values() for name in config if f"{name}.".startswith(inside)}
     told = [name for name in sorted(given) if len({str(config.get(name)) for config in runs.values()}) > 1]
     rows = {}
     for run, found in runs.items():
         label = ", ".join(_told(name, found.get(name)) for name in told)
         rows[f"{run.relative_to(folder)}: {label}" if label else str(run.relative_to(folder))] = measures[run]
     return result_table(rows, leave_out=["false", "missed", "episodes"])
-
-
-def _within(name: str, options: Collection[str]) -> bool:
-    return any(name == option or name.startswith(f"{option}.") for option in options)
 
 
 def _told(name: str, value: Any) -> str:

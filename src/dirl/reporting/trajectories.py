@@ -126,7 +126,7 @@ def _draw_map(
         failed = "" if reached else ", failed"
         line.set_label(f"{number + 1}: from state {path[0]}, {steps} step{'' if steps == 1 else 's'}{failed}")
         handles.append(line)
-    _draw_arrows(axes, scene.positions[[goal]], 0.9 * arrows[[goal]], "black", width=1.8, zorder=6)
+    axes.quiver(*scene.positions[[goal]].T, *0.9 * arrows[[goal]].T, color="black", width=1.8 / 72, zorder=6, **ARROW)
     axes.plot(*scene.positions[goal], "*", color=GOAL_COLOR, markersize=16, markeredgecolor="black", zorder=6)
     handles.append(marker("o", 7, "0.4", "white", "start; arrows: heading"))
     if not all(success):
@@ -153,18 +153,13 @@ def _draw_path(
     states = list(dict.fromkeys(path))
     lengths = np.ones((len(states), 1))
     lengths[0] = 2
-    _draw_arrows(axes, at[states], lengths * arrows[states], color, width=1, zorder=4)
+    axes.quiver(*at[states].T, *(lengths * arrows[states]).T, color=color, width=1 / 72, zorder=4, **ARROW)
     axes.plot(*at[path[0]], "o", color=color, markersize=7, markeredgecolor="white", zorder=5)
     if not reached:
         axes.plot(*at[path[-1]], "X", color=color, markersize=10, markeredgecolor="white", zorder=7)
     line = Line2D([], [], color=pale, linestyle=style, linewidth=2.5, marker="o", markersize=7)
     line.set(markerfacecolor=color, markeredgecolor="white")
     return line
-
-
-def _draw_arrows(axes: Axes, tails: FloatArray, arrows: FloatArray, color: str, *, width: float, zorder: float) -> None:
-    """Arrows ``[K, 2]`` in metres; ``width`` is that of the shaft, in points."""
-    axes.quiver(*tails.T, *arrows.T, color=color, width=width / 72, zorder=zorder, **ARROW)
 
 
 def _draw_views(figure: SubFigure, scene: Scene, goal: int, path: Sequence[int], reached: bool) -> None:

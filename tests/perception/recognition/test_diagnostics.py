@@ -8,7 +8,7 @@ from PIL import Image
 from rooms import grid_scene, renumbered
 from stops import stop_errors
 
-from dirl.perception.recognition.diagnostics import CORRELATIONS, inspect_scene
+from dirl.perception.recognition.diagnostics import CORRELATIONS, EVERY, MISSED, OWN, inspect_scene
 from dirl.perception.recognition.learned import Learned
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
@@ -116,7 +116,7 @@ def test_views_of_different_shapes_are_found(tmp_path):
 
 def test_a_room_without_views_and_features_is_looked_at_too():
     found = inspect_scene(replace(grid_scene(), features=None, extractor="none"))
-    assert found.false_stops is None
+    assert found.errors == {}
     assert [problem.split(";")[0] for problem in found.problems] == ["there are no views", "there are no features"]
 
 
@@ -151,12 +151,12 @@ def test_false_stops_are_those_of_template_matching():
     room = twins()
     found = inspect_scene(room)
     for index in (0, 40, 80, 99):
-        for goals, shares in ((range(len(room)), found.false_stops), (room.goals, found.goal_false_stops)):
+        for goals, shares in ((range(len(room)), found.errors[EVERY]), (room.goals, found.errors[OWN])):
             world = make_world([room], list(goals))
             wanted = stop_errors(TemplateStop(float(CORRELATIONS[index]))(world), world)["false"]
             assert shares[index] == pytest.approx(wanted, abs=1e-6), CORRELATIONS[index]
-    assert found.goal_false_stops[80] == pytest.approx(1 / 46)
-    assert (np.diff(found.false_stops) <= 0).all()
+    assert found.errors[OWN][80] == pytest.approx(1 / 46)
+    assert (np.diff(found.errors[EVERY]) <= 0).all()
 
 
 def test_any_recogniser_finds_ambiguous_states_and_goals_that_it_misses_in_other_looks(tmp_path):
@@ -168,9 +168,9 @@ def test_any_recogniser_finds_ambiguous_states_and_goals_that_it_misses_in_other
     changing = replace(room, patches=patches, look_features=features, look_patches=again)
     found = inspect_scene(changing, TemplateStop(0.0, "front", Learned()))
     assert found.thresholds[[0, -1]].tolist() == [-5, 15]
-    assert (np.diff(found.missed_stops) >= 0).all()
-    assert 0.4 < found.missed_stops[25] <= 0.6  # the second further look shows other places
-    assert inspect_scene(room).missed_stops is None
+    assert (np.diff(found.errors[MISSED]) >= 0).all()
+    assert 0.4 < found.errors[MISSED][25] <= 0.6  # the second further look shows other places
+    assert MISSED not in inspect_scene(room).errors
     draw_false_stops(changing, found, 0.0, tmp_path / "stops.png")
     with pytest.raises(SceneError, match="grid_scene: has no patches, which the recogniser compares"):
         inspect_scene(room, TemplateStop(0.0, "front", Learned()))

@@ -22,6 +22,8 @@ MAX_STATES = 5_000
 CORRELATIONS, LOG_ODDS = np.linspace(0.5, 1.0, 101), np.linspace(-5.0, 15.0, 101)
 """Thresholds at which the errors of the stop are counted, by what the recogniser's scores are."""
 
+EVERY, OWN, MISSED = "every state as a goal", "the scene's own goals", "missed in other looks"
+
 BLANK = 6.0
 """A view whose grey levels (0 to 255) deviate less than this from their mean shows next to nothing."""
 
@@ -43,12 +45,9 @@ class Inspection:
     """Pairs of states that match above the threshold: both states, score, actions between them; worst first."""
     thresholds: NDArray[np.floating]
     """`CORRELATIONS`, or `LOG_ODDS` of a recogniser that is calibrated."""
-    false_stops: NDArray[np.floating] | None
-    """Of all pairs of a goal and a state that reaches it, the fraction that matches above each of the thresholds."""
-    goal_false_stops: NDArray[np.floating] | None
-    """The same for the scene's own goals."""
-    missed_stops: NDArray[np.floating] | None
-    """The fraction of states that, seen in another look, do not match themselves; None without looks."""
+    errors: dict[str, NDArray[np.floating] | None]
+    """Shares above each of the thresholds: of pairs of a goal and a state that reaches it those that match, for every
+    state as a goal and for the scene's own, and of states those that in another look do not match themselves."""
 
 
 def inspect_scene(scene: Scene, stop: TemplateStop | None = None) -> Inspection:
@@ -69,22 +68,19 @@ def inspect_scene(scene: Scene, stop: TemplateStop | None = None) -> Inspection:
     problems = [*_graph_problems(scene, parts), *_map_problems(scene), *_view_problems(scene)]
     stop = stop or TemplateStop()
     thresholds = LOG_ODDS if stop.recogniser.calibrated else CORRELATIONS
-    ambiguous, false_stops, goal_false_stops, missed_stops = [], None, None, None
+    ambiguous, errors = [], {}
     if scene.features is None:
         problems.append("there are no features; add them by: scenes.py encode")
     else:
         problems += _feature_problems(scene)
         scores, again = _scores(scene, stop)
         ambiguous = _ambiguous(scene, scores, stop.threshold)
-        every = np.arange(len(scene))
-        false_stops = _false_stops(scene, scores, every, thresholds)
-        if scene.goals:
-            goal_false_stops = _false_stops(scene, scores, np.array(scene.goals, np.int64), thresholds)
+        for name, goals in ((EVERY, np.arange(len(scene))), (OWN, np.array(scene.goals, np.int64))):
+            errors[name] = _false_stops(scene, scores, goals, thresholds) if len(goals) else None
         if len(again):
-            missed_stops = np.searchsorted(np.sort(again), thresholds, side="right") / len(again)
+            errors[MISSED] = np.searchsorted(np.sort(again), thresholds, side="right") / len(again)
         problems += _matching_problems(scene, scores, ambiguous, stop.threshold)
-    facts = _facts(scene, parts)
-    return Inspection(facts, problems, parts, ambiguous, thresholds, false_stops, goal_false_stops, missed_stops)
+    return Inspection(_facts(scene, parts), problems, parts, ambiguous, thresholds, errors)
 
 
 def _scores(scene: Scene, stop: TemplateStop) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
@@ -92,7 +88,6 @@ def _scores(scene: Scene, stop: TemplateStop) -> tuple[NDArray[np.floating], NDA
     recogniser, surrounding = stop.recogniser, torch.from_numpy(scene.surrounding.copy())
     if recogniser.reads_patches and scene.patches is None:
         raise SceneError(f"{scene.origin}: has no patches, which the recogniser compares; encode it with patches=true")
-
     looks = [_tensors(scene.features, scene.patches)]
     if scene.look_features is not None:
         patches = [None] * len(scene.look_features) if scene.look_patches is None else scene.look_patches
@@ -152,9 +147,10 @@ def _graph_problems(scene: Scene, parts: IntArray) -> Iterator[str]:
     apart = np.flatnonzero(parts > 0)
     if len(apart):
         state = apart[0]
+        x, z = scene.positions[state]
         yield (
-            f"state {state} (at {_at(scene, state)}) and {len(apart) - 1} more are not connected with the largest part "
-            "in both directions: give them links, or choose goals and starts within one part"
+            f"state {state} (at x {x:.2f}, z {z:.2f}) and {len(apart) - 1} more are not connected with the largest "
+            "part in both directions: give them links, or choose goals and starts within one part"
         )
     lost = [goal for goal in scene.goals if parts[goal] > 0]
     if lost:
@@ -173,7 +169,7 @@ def _graph_problems(scene: Scene, parts: IntArray) -> Iterator[str]:
 def _map_problems(scene: Scene) -> Iterator[str]:
     turn = 360 / turns_per_circle(scene.graph)
     moving = np.flatnonzero(scene.graph[:, RIGHT] >= 0)
-    turned = _difference(scene.headings[scene.graph[moving, RIGHT]], scene.headings[moving])
+    turned = (scene.headings[scene.graph[moving, RIGHT]] - scene.headings[moving] + 180) % 360 - 180
     sense = -1 if np.median(turned) < 0 else 1  # some files count headings the other way round
     wrong = moving[np.abs(turned - sense * turn) > 1]
     if len(wrong):
@@ -270,13 +266,3 @@ def _matching_problems(
                 f"goal {goal} is taken for reached in {len(reaching)} other states, most in state {worst} "
                 f"({scores[worst, goal]:.3f}): raise the threshold above that, or choose another goal"
             )
-
-
-def _difference(to: NDArray[np.floating], start: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Degrees from one heading to another, -180 to 180."""
-    return (to - start + 180) % 360 - 180
-
-
-def _at(scene: Scene, state: int) -> str:
-    x, z = scene.positions[state]
-    return f"x {x:.2f}, z {z:.2f}"
