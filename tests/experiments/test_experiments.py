@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from commands import SAVED, TINY, room_file, run_recipe, start_recipe, train_config, wait_until
+from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, train_config, wait_until
 from rooms import grid_scene
 
 from dirl.experiments.any_goal import main_variant, nearest_trained, variant
@@ -44,30 +44,37 @@ def summaries(folder):
     return {file.parent.name: json.loads(file.read_text()) for file in folder.glob("runs/experiments/*/*/summary.json")}
 
 
+def have_the_same_weights(*runs):
+    ours, theirs = (torch.load(run / "network.pt", weights_only=True)["network"] for run in runs)
+    return all(torch.equal(ours[key], theirs[key]) for key in ours)
+
+
+def add_room(folder, number, split, **scene):
+    """Add a room that is called ``room_<number>`` to a collection."""
+    file = folder / f"room_{number}.h5"
+    write_dump(file, room := grid_scene(name=file.stem, goals=(0,), patches=True, seed=number, **scene))
+    add_entry(folder, Entry(file.stem, "bathroom", number, split, len(room), {}, {}, file_digest(file)))
+
+
 @pytest.fixture(scope="module")
 def grid(tmp_path_factory):
     """A folder with the runs of a small grid: every kind of system, and the expert's share."""
     folder = tmp_path_factory.mktemp("grid")
     options = [f"scene={room_file(folder)}", *SMALL, "reinforcement.frames_per_scene=300"]
     for given in (["table2", "system=random,il,td_drl,dirl"], ["fig8", "imitation={fraction:0.0},{fraction:0.5}"]):
-        status, _, errors = run_recipe(folder, "train", "-m", f"experiment={given[0]}", *options, given[1], "seed=0,1")
-        assert status == 0, errors
+        done(folder, "train", "-m", f"experiment={given[0]}", *options, given[1], "seed=0,1")
     return folder
 
 
 def test_experiments_share_runs_and_what_is_finished_is_not_made_again(grid):
-    made = {f"{system}_random_0.05_{seed}" for system in ("random", "il", "dirl") for seed in (0, 1)}
-    made |= {f"td_drl_random_0.0_{seed}" for seed in (0, 1)}
-    made |= {f"dirl_random_{share}_{seed}" for share in (0.0, 0.5) for seed in (0, 1)}
-    assert set(summaries(grid)) == made
+    kinds = ["random_random_0.05", "il_random_0.05", "dirl_random_0.05", "td_drl_random_0.0"]
+    kinds += ["dirl_random_0.0", "dirl_random_0.5"]
+    assert set(summaries(grid)) == {f"{kind}_{seed}" for kind in kinds for seed in (0, 1)}
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS[:-1])
 def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
-    status, printed, errors = run_recipe(
-        grid, "report", f"experiment={experiment}", "scene=grid", "goal=7", "starts=5", f"out={experiment}"
-    )
-    assert status == 0, errors
+    printed = done(grid, "report", f"experiment={experiment}", "scene=grid", "goal=7", "starts=5", f"out={experiment}")
     text = (grid / experiment / "README.md").read_text()
     assert text.strip() in printed
     assert "seeds 0, 1. Of several runs" in text
@@ -107,8 +114,7 @@ def test_table_1_is_half_of_the_way(grid):
 def test_a_report_of_one_seed_says_so(grid, tmp_path):
     (tmp_path / "fast").mkdir()
     (tmp_path / "fast/dirl").symlink_to(grid / "runs/experiments/fast/dirl_random_0.05_1")
-    status, printed, errors = run_recipe(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
-    assert status == 0, errors
+    printed = done(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
     assert "Preset `fast`, seed 1 alone.\n" in printed
 
 
@@ -150,16 +156,11 @@ def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_agai
     assert process.wait().status == -signal.SIGKILL
     assert (first / "summary.json").exists()
     assert not (second / "summary.json").exists(), "it was not killed in time"
-    status, printed, errors = run_recipe(tmp_path, "train", *command)
-    assert status == 0, errors
+    printed = done(tmp_path, "train", *command)
     assert "finished before: runs/experiments/fast/dirl_random_0.05_0" in printed
     whole = [*options, "system=dirl", "seed=1", "hydra.run.dir=whole"]
-    status, _, errors = run_recipe(tmp_path, "train", *whole)
-    assert status == 0, errors
-    ours, theirs = (
-        torch.load(run / "network.pt", weights_only=True)["network"] for run in (second, tmp_path / "whole")
-    )
-    assert all(torch.equal(ours[key], theirs[key]) for key in ours)
+    done(tmp_path, "train", *whole)
+    assert have_the_same_weights(second, tmp_path / "whole")
 
 
 def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_one_loses_none(tmp_path, monkeypatch):
@@ -173,16 +174,12 @@ def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_
         )
         assert status == 1
         assert f"failed: {folder}/1.5: reinforcement.gamma=1.5" in errors
-    ours, theirs = (
-        torch.load(tmp_path / folder / "0.9" / "network.pt", weights_only=True)["network"]
-        for folder in ("alone", "together")
-    )
-    assert all(torch.equal(ours[key], theirs[key]) for key in ours)
+    assert have_the_same_weights(*(tmp_path / folder / "0.9" for folder in ("alone", "together")))
 
 
 def test_a_folder_with_a_run_of_other_options_is_left_alone(tmp_path):
     options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=random", "seed=0"]
-    assert run_recipe(tmp_path, "train", *options)[0] == 0
+    done(tmp_path, "train", *options)
     status, _, errors = run_recipe(tmp_path, "train", *options, "evaluation.max_steps=49")
     assert status == 1
     assert "evaluation.max_steps=50 instead of 49" in errors
@@ -279,8 +276,7 @@ def test_stopping_is_reported_for_disturbed_views(tmp_path):
     scene = replace(grid_scene(goals=(0, 13)), features=features, extractor=encoder.extractor)
     write_dump(tmp_path / "room.h5", scene, [encode(view, quality=None) for view in views])
     options = [f"scene={tmp_path / 'room.h5'}", *SMALL, "experiment=fig4", "system=dirl", "seed=0"]
-    status, _, errors = run_recipe(tmp_path, "train", "-m", *options)
-    assert status == 0, errors
+    done(tmp_path, "train", "-m", *options)
     runs = finished_runs(tmp_path / "runs/experiments/fast", "")
     text = report_stopping(runs, tmp_path, "note", load_scenes(str(tmp_path / "room.h5"))[0].name, encoder)
     assert "Recommended threshold" in text
@@ -306,12 +302,10 @@ def any_goal(tmp_path_factory):
     write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
     options = ["scene=room.h5", "network.components=8", "encoder.width=32", "heads.width=32", "hold_out=0.34"]
     options += ["imitation.batch_size=64", "imitation.max_steps=20", "evaluation.max_steps=30", "imitation.noise=0.5"]
-    status, _, errors = run_recipe(folder, "train", "-m", "experiment=any_goal", *options, "seed=0")
-    assert status == 0, errors
+    done(folder, "train", "-m", "experiment=any_goal", *options, "seed=0")
     options += ["imitation.fraction=0.5", "reinforcement.frames_per_scene=400", "reinforcement.agents_per_scene=4"]
     line = ["experiment=table2", "system=dirl_compared", *options, "hydra.run.dir=runs/experiments/fast/compared"]
-    status, _, errors = run_recipe(folder, "train", *line)
-    assert status == 0, errors
+    done(folder, "train", *line)
     return folder
 
 
@@ -320,8 +314,7 @@ def test_goals_that_were_held_out_are_reported_beside_controls(any_goal):
         "compared",
         *(f"any_goal_0.5_0.5_{encoder}_0" for encoder in ("comparing", "siamese")),
     }
-    status, printed, errors = run_recipe(any_goal, "report", "experiment=any_goal", "out=report")
-    assert status == 0, errors
+    printed = done(any_goal, "report", "experiment=any_goal", "out=report")
     assert "8 states of places that were sampled and never trained" in printed
     rows = {row["walks by"]: row for row in rows_of(any_goal / "report" / "any_goal.csv")}
     assert float(rows["shortest path"]["SPL"]) == 1.0
@@ -350,8 +343,7 @@ def test_what_was_added_to_the_system_has_a_row_of_its_own():
 
 
 def test_figure_5_shows_policies_that_know_other_goals_at_goals_that_they_were_not_shown(any_goal):
-    status, _, errors = run_recipe(any_goal, "report", "experiment=fig5", "starts=5", "out=fig5")
-    assert status == 0, errors
+    done(any_goal, "report", "experiment=fig5", "starts=5", "out=fig5")
     rows = rows_of(any_goal / "fig5" / "fig5.csv")
     assert {row["system"] for row in rows} == {"random", "DIRL, compared", "DIRL, many goals"}
 
@@ -359,8 +351,7 @@ def test_figure_5_shows_policies_that_know_other_goals_at_goals_that_they_were_n
 def test_dirl_with_compared_goals_is_shown_the_way_to_other_goals_than_its_own(any_goal):
     """At 12 of 24 states, to every place that is not held out: 16 goals, of which the run has two."""
     assert summaries(any_goal)["compared"]["demonstrations"] == 12 * 16
-    status, _, errors = run_recipe(any_goal, "report", "experiment=fig4", "out=fig4")
-    assert status == 0, errors
+    done(any_goal, "report", "experiment=fig4", "out=fig4")
     assert [row["setting"] for row in rows_of(any_goal / "fig4" / "fig4.csv")] == ["DIRL, compared"]
 
 
@@ -395,25 +386,19 @@ def test_the_nearest_trained_goal_is_of_all_that_were_trained():
 
 def test_rooms_that_no_training_saw_are_reported(tmp_path):
     """Two rooms of a collection are trained on, two tested."""
-    for seed, split in enumerate(["train", "train", "test", "test", "validation"]):
-        name = f"room_{seed}"
-        file = tmp_path / "rooms" / f"{name}.h5"
-        file.parent.mkdir(exist_ok=True)
-        write_dump(file, grid_scene(name=name, goals=(0,), feature_width=32, seed=seed, patches=True))
-        add_entry(file.parent, Entry(name, "bathroom", seed, split, 24, {}, {}, file_digest(file)))
+    (tmp_path / "rooms").mkdir()
+    for number, split in enumerate(["train", "train", "test", "test", "validation"]):
+        add_room(tmp_path / "rooms", number, split, feature_width=32)
     options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32"]
     options += ["imitation.batch_size=64", "imitation.max_steps=5", "imitation.scenes_at_once=1", "seed=0"]
     for choices in (["rooms=1,2"], ["rooms=2", "encoder=siamese"]):
-        status, _, errors = run_recipe(tmp_path, "train", "-m", "experiment=unseen_rooms", *options, *choices)
-        assert status == 0, errors
+        done(tmp_path, "train", "-m", "experiment=unseen_rooms", *options, *choices)
     run = next(file.parent for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
     elsewhere = {"scene": f"collection:{tmp_path / 'rooms'}"}  # the collection has moved; its test rooms stay out
     assert load_trained(load_checkpoint(run), str(run), elsewhere).protocol.world.names == ("room_0", "room_1")
-    status, printed, errors = run_recipe(tmp_path, "evaluate", f"checkpoint={run}", "scene=rooms/room_3.h5")
-    assert status == 0, errors
+    printed = done(tmp_path, "evaluate", f"checkpoint={run}", "scene=rooms/room_3.h5")
     assert "room_3" in printed
-    status, printed, errors = run_recipe(tmp_path, "report", "experiment=unseen_rooms", "out=report")
-    assert status == 0, errors
+    printed = done(tmp_path, "report", "experiment=unseen_rooms", "out=report")
     assert "Tested in 2 rooms of the test split" in printed
     rows = {row["walks by"]: row for row in rows_of(tmp_path / "report" / "unseen_rooms.csv")}
     assert float(rows["shortest path"]["SPL"]) == 1.0
@@ -433,12 +418,12 @@ def test_rooms_that_no_training_saw_are_reported(tmp_path):
     ]
 
 
-def collection_of_one(folder):
+@pytest.fixture
+def collection(tmp_path):
     """A collection of one test room that the agents of the package can see, as a folder's name."""
-    seen = {"feature_width": 2048, "patches": True, "extractor": load_checkpoint("general")["extractor"]}
-    write_dump(folder / "rooms" / "room.h5", grid_scene(5, 3, name="room", goals=(0,), **seen))
-    digest = file_digest(folder / "rooms" / "room.h5")
-    add_entry(folder / "rooms", Entry("room", "bathroom", 0, "test", 60, {}, {}, digest))
+    (tmp_path / "rooms").mkdir()
+    extractor = load_checkpoint("general")["extractor"]
+    add_room(tmp_path / "rooms", 0, "test", width=5, depth=3, feature_width=2048, extractor=extractor)
     return "rooms"
 
 
@@ -454,8 +439,7 @@ def collection_of_one(folder):
         (["experiment=walked_once", "collections=[rooms]", "agents=[general,general]"], "must be one"),
     ],
 )
-def test_what_an_agent_cannot_be_measured_in_is_told_in_one_line(tmp_path, arguments, told):
-    collection_of_one(tmp_path)
+def test_what_an_agent_cannot_be_measured_in_is_told_in_one_line(tmp_path, collection, arguments, told):
     status, _, errors = run_recipe(tmp_path, "report", *arguments)
     assert status == 1
     assert errors.startswith("error: ")
@@ -464,12 +448,8 @@ def test_what_an_agent_cannot_be_measured_in_is_told_in_one_line(tmp_path, argum
     assert [file.name for file in tmp_path.iterdir()] == ["rooms"]
 
 
-def test_an_agent_is_measured_beside_maps(tmp_path):
-    place = collection_of_one(tmp_path)
-    status, printed, errors = run_recipe(
-        tmp_path, "report", "experiment=image_graph", f"collections=[{place}]", "out=report"
-    )
-    assert status == 0, errors
+def test_an_agent_is_measured_beside_maps(tmp_path, collection):
+    printed = done(tmp_path, "report", "experiment=image_graph", f"collections=[{collection}]", "out=report")
     assert "1 rooms of the test split, 60 states" in printed
     rows = {row["led by"]: row for row in rows_of(tmp_path / "report" / "image_graph.csv")}
     led = "graph, last 3 steps by the policy with memory"
@@ -477,13 +457,9 @@ def test_an_agent_is_measured_beside_maps(tmp_path):
     assert float(rows["graph, walk of 2 N steps"]["SR"]) == 1
 
 
-def test_an_agent_in_another_world_is_measured_beside_controls(tmp_path):
-    collection_of_one(tmp_path)
-    dump = "rooms/room.h5"
-    status, printed, errors = run_recipe(
-        tmp_path, "report", "experiment=other_worlds", f"collections=[{dump},{dump}]", "out=report"
-    )
-    assert status == 0, errors
+def test_an_agent_in_another_world_is_measured_beside_controls(tmp_path, collection):
+    dump = f"{collection}/room_0.h5"
+    printed = done(tmp_path, "report", "experiment=other_worlds", f"collections=[{dump},{dump}]", "out=report")
     assert "# general in other worlds" in printed
     rows = rows_of(tmp_path / "report" / "other_worlds.csv")
     by_size = rows_of(tmp_path / "report" / "other_worlds_by_size.csv")

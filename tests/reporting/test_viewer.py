@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from commands import run_recipe, train_config
+from commands import done, train_config
 from rooms import grid_scene
 from train import imitate
 
@@ -80,6 +80,11 @@ def pages_of(room, **options):
     return viewer_pages(room.policy, room.protocol, matching=matching(room.config), title="a test", **options)
 
 
+def data_of(room):
+    (page,) = pages_of(room).values()
+    return data_in(page)
+
+
 def data_in(page):
     return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
 
@@ -90,8 +95,7 @@ def floats(text):
 
 def test_a_page_holds_the_networks_exact_answers_and_the_matching(tmp_path):
     room = small_room(tmp_path)
-    (page,) = pages_of(room).values()
-    data = data_in(page)
+    data = data_of(room)
     states = torch.arange(len(room.world))
     scores = TemplateStop(0.9, "views").scores(room.world)
     for index, (goal, state) in enumerate(zip(data["goals"], (0, 13), strict=True)):
@@ -107,8 +111,7 @@ def test_a_page_holds_the_networks_exact_answers_and_the_matching(tmp_path):
 
 def test_a_page_holds_the_stored_views_and_the_room(tmp_path):
     room = small_room(tmp_path)
-    (page,) = pages_of(room).values()
-    data, (scene,) = data_in(page), room.world.scenes
+    data, (scene,) = data_of(room), room.world.scenes
     assert base64.b64decode(data["views"][7]) == scene.views.encoded(7)
     assert data["graph"] == scene.graph.tolist()
     assert data["surrounding"] == scene.surrounding.tolist()
@@ -116,12 +119,10 @@ def test_a_page_holds_the_stored_views_and_the_room(tmp_path):
 
 
 def test_raw_views_are_encoded_and_a_room_without_views_has_none(dump):
-    options = ["encoder.width=32", "goals=[0]"]
-    (page,) = pages_of(room_of(train_config(f"scene={dump}", *options))).values()
-    assert base64.b64decode(data_in(page)["views"][0])[8:12] == b"WEBP"
+    config = train_config(f"scene={dump}", "encoder.width=32", "goals=[0]")
+    assert base64.b64decode(data_of(room_of(config))["views"][0])[8:12] == b"WEBP"
     write_dump(dump, grid_scene())
-    (page,) = pages_of(room_of(train_config(f"scene={dump}", *options))).values()
-    assert data_in(page)["views"] is None
+    assert data_of(room_of(config))["views"] is None
 
 
 def test_several_scenes_get_a_page_each_which_name_each_other():
@@ -169,15 +170,14 @@ def test_evaluate_writes_the_viewer_into_the_runs_folder_and_says_when_it_replac
     run.finish({"frames": 0, "network": plain_weights(room.policy)}, {})
     run.close()
     command = ["checkpoint=run/network.pt", "viewer=true", "max_steps=9"]
-    status, printed, errors = run_recipe(tmp_path, "evaluate", *command)
-    assert status == 0, errors
+    printed = done(tmp_path, "evaluate", *command)
     assert "viewer: run/viewer_grid.html" in printed
     assert "in place of" not in printed
     data = data_in((tmp_path / "run" / "viewer_grid.html").read_text())
     assert data["max_steps"] == 9
     assert "DIRL, grid (source: synthetic), seed 1" in data["facts"]
     assert (data["goal_view"], data["match"], data["threshold"]) == ("surrounding", "views", 0.9)
-    assert "in place of the one before" in run_recipe(tmp_path, "evaluate", *command, "goal_view=front")[1]
+    assert "in place of the one before" in done(tmp_path, "evaluate", *command, "goal_view=front")
     data = data_in((tmp_path / "run" / "viewer_grid.html").read_text())
     assert (data["goal_view"], data["match"], data["threshold"]) == ("front", "front", 0.95)
 
@@ -455,7 +455,7 @@ def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
 @pytest.mark.parametrize("keys", [["ArrowUp", "ArrowRight", "ArrowLeft", "ArrowDown"], list("wdas")])
 def test_keys_walk_the_room_and_the_views_follow(tmp_path, open_page, keys):
     room = small_room(tmp_path)
-    scene, data = room.world.scenes[0], data_in(*pages_of(room).values())
+    scene, data = room.world.scenes[0], data_of(room)
     tab = open_page(room)
     choose(tab, 0, 20)
     state = 20

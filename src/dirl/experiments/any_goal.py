@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from tqdm import tqdm
 
-from dirl.config.choices import goal_view_options
 from dirl.config.components import TARGET
 from dirl.config.schemas import TrainConfig
 from dirl.evaluation.episodes import Episodes, sampled_starts, shortest_episodes
-from dirl.evaluation.protocol import EvaluationProtocol, metrics
+from dirl.evaluation.protocol import metrics
 from dirl.experiments.figures import band, panels, save_figure
 from dirl.experiments.measures import (
     FAR,
@@ -37,6 +36,7 @@ from dirl.experiments.results import Result, Table, grouped, write_tables
 from dirl.scenes import World
 from dirl.scenes.palette import GREEN, GREY, ORANGE, SKY, VERMILION, WINE
 from dirl.training.build import build_goals
+from dirl.training.load import Trained
 
 DRAWN = {
     FOUR: WINE,  # of the system
@@ -51,52 +51,42 @@ DRAWN = {
 STARTS = 20
 """Of each goal in the controls."""
 
-ALL = {"evaluation.goals": None}
-"""Every goal is measured."""
+
+def with_held_out(run: Result, goal_view: str | None = None) -> Trained:
+    """A run, to be evaluated at the goals that it held out."""
+    trained = run.load({"evaluation.goals": None}, goal_view)
+    assert trained.protocol.held_out is not None
+    return trained._replace(protocol=trained.protocol.held_out)
 
 
 def walked(run: Result) -> tuple[World, dict[str, Episodes]]:
     """Episodes from every start to every goal that was held out, by what walked them."""
-    config, policy, protocol = run.load(ALL)
-    _, by_photo, photo = run.load(ALL | goal_view_options("front"))
-    assert protocol.held_out is not None
-    assert photo.held_out is not None
-    starts = sampled_starts(protocol.held_out.world, STARTS, config.seed)
-    found = walked_by(policy, protocol.held_out, by_photo, photo.held_out, config.stop.threshold, starts)
-    return protocol.held_out.world, found
+    trained = with_held_out(run)
+    world = trained.protocol.world
+    starts = sampled_starts(world, STARTS, run.config.seed)
+    return world, walked_by(trained, with_held_out(run, "front"), starts)
 
 
-def walked_by(
-    policy: nn.Module,
-    protocol: EvaluationProtocol,
-    by_photo: nn.Module,
-    photo: EvaluationProtocol,
-    threshold: float,
-    starts: tuple[Tensor, Tensor],
-) -> dict[str, Episodes]:
-    """Episodes of a policy, and of controls.
+def walked_by(four: Trained, one: Trained, starts: tuple[Tensor, Tensor]) -> dict[str, Episodes]:
+    """Episodes of an agent that is shown four views of its goal, of it shown one photo, and of controls.
 
-    Args:
-        policy: that is shown four views of its goal.
-        protocol: of its evaluation.
-        by_photo: the policy that is shown one photo.
-        photo: of its evaluation.
-        threshold: above which one photo matches another view, see `ambiguous`.
-        starts: of the controls, of which many episodes do not end before the limit.
+    Controls begin at ``starts``: many of their episodes do not end before the limit.
     """
+    config, policy, protocol = four
+    _, by_photo, photo = one
     few = replace(protocol, starts=starts)
     alone = replace(few, memory=None)
     wrong = replace(alone, shown=wrong_goals(protocol.world), stop=None)
     control = controls(policy, few)
-    one = photo.run(by_photo)
-    told = ~ambiguous(protocol.world, threshold)[one.goal_index]
+    found = photo.run(by_photo)
+    told = ~ambiguous(protocol.world, config.stop.threshold)[found.goal_index]
     return {
         "shortest path": shortest_episodes(protocol.world, protocol.starts),
         FOUR: protocol.run(policy),
         f"{FOUR}, without memory": alone.run(policy),
         f"{FOUR}, without memory, sampled": alone.run(policy, greedy=False),
-        PHOTO: one,
-        f"{PHOTO}, of those that no other view matches": one.select(told),
+        PHOTO: found,
+        f"{PHOTO}, of those that no other view matches": found.select(told),
         f"{PHOTO}, without memory": replace(photo, starts=starts, memory=None).run(by_photo),
         WRONG: control[WRONG](),
         f"{WRONG}, without memory, sampled": wrong.run(policy, greedy=False),
@@ -187,20 +177,20 @@ def _parts(variants: Mapping[str, Sequence[Result]]) -> Table:
     ways = ("", ", no memory", ", one photo", ", one photo, no memory")
     measured = decimals(f"{measure}{way}" for way in ways for measure in ("SR", "SPL"))
     table = Table({"part of the system": "", "runs": "d", **measured})
-    photo = ALL | goal_view_options("front")
     for name, runs in variants.items():
-        by_run = [[*_with_and_without_memory(run, ALL), *_with_and_without_memory(run, photo)] for run in runs]
-        by_way = zip(*by_run, strict=True)
+        by_way = zip(*map(_with_and_without_memory, runs), strict=True)
         table.add(name, len(runs), *([one[key] for one in way] for way in by_way for key in ("sr", "spl")))
     return table
 
 
-def _with_and_without_memory(run: Result, changes: Mapping[str, Any]) -> list[dict[str, float]]:
-    """The measures of a run at held-out goals, from some starts of each, with its memory and without."""
-    _, policy, protocol = run.load(changes)
-    assert protocol.held_out is not None
-    few = replace(protocol.held_out, starts=sampled_starts(protocol.held_out.world, STARTS, run.config.seed))
-    return [metrics(one.run(policy)) for one in (few, replace(few, memory=None))]
+def _with_and_without_memory(run: Result) -> list[dict[str, float]]:
+    """The measures of a run at held-out goals, from some starts of each; in the order of the table's columns."""
+    found = []
+    for view in (None, "front"):
+        _, policy, protocol = with_held_out(run, view)
+        few = replace(protocol, starts=sampled_starts(protocol.world, STARTS, run.config.seed))
+        found += [metrics(one.run(policy)) for one in (few, replace(few, memory=None))]
+    return found
 
 
 def _draw(found: Found, out: Path) -> None:

@@ -86,13 +86,9 @@ def walked(agent: str, collection: str, goal_view: str, way: str, tables: Tables
 
 def measured(out: Path, agent: str, collection: str, goal_view: str, way: str, tables: Tables) -> Measured:
     """`MEASURES` of each room; from the folder, if they were measured before."""
-
-    def measure() -> Measured:
-        return by_measure(*walked(agent, collection, goal_view, way, tables))
-
     parts = (Path(agent).name, Path(collection).name, way.replace(", ", "_").replace(" ", "_"), goal_view)
-    found: Measured = kept(out / "measured" / f"{'-'.join(parts)}.json", measure)
-    return found
+    file = out / "measured" / f"{'-'.join(parts)}.json"
+    return kept(file, lambda: by_measure(*walked(agent, collection, goal_view, way, tables)))
 
 
 def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path) -> str:

@@ -1,7 +1,7 @@
 """Figures 4, 7 and 8: how many frames it takes until the policy is stable (paper sections 4.5.1 and 4.5.4)."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,6 @@ from dirl.reporting.statistics import FloatArray, iqm
 from dirl.scenes.palette import COLORS
 
 RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}
-
-Groups = Mapping[str, tuple[list[Result], Any]]
-"""Runs by label, each with the frames that the paper reports, or None."""
 
 
 def stable_frames(result: Result, key: str = "stable_at_frame") -> float:
@@ -54,11 +51,11 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
     """Write the curves and the table of frames for figure 4, 7 or 8."""
     paper = published(experiment)
     titles = {"fig4": "sample efficiency", "fig7": "surrounding or sequential views", "fig8": "the expert's fraction"}
-    groups, drawn = _groups(experiment, results, paper)
     columns = {"setting": "", "runs": "d", "frames, paper": ",d", "frames, every goal": ",.0f"}
     columns |= {f"frames, {NEAR:g} x shortest": ",.0f", "frames, mean of goals": ",.0f"}
     table = Table({**columns, "ATL at the end": ".2f", "trained": ",d"})
-    for label, (runs, reported) in groups.items():
+    drawn = {}
+    for label, runs, reported, is_drawn in _settings(experiment, results, paper):
         table.add(
             label,
             len(runs),
@@ -69,7 +66,9 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
             [run.summary["greedy"]["atl"] for run in runs],
             max(run.total for run in runs),
         )
-    draw_efficiency({label: groups[label][0] for label in drawn}, out, experiment)
+        if is_drawn:
+            drawn[label] = runs
+    draw_efficiency(drawn, out, experiment)
     text = (
         f"{note}\n\nFrames until the mean steps of the last {WINDOW} training episodes stay at or under a limit: "
         f"{STABLE_ATL:g} for every goal; {NEAR:g} times the shortest path for every goal; {STABLE_ATL:g} in the mean "
@@ -80,28 +79,26 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
     return write_tables(out, title, text, {experiment: table}, {experiment: shown})
 
 
-def _groups(experiment: str, results: Sequence[Result], paper: Mapping[str, Any]) -> tuple[Groups, list[str]]:
-    """All settings for the table, and which of them are drawn."""
-    found: dict[str, tuple[list[Result], Any]] = {}
+def _settings(
+    experiment: str, results: Sequence[Result], paper: Mapping[str, Any]
+) -> Iterator[tuple[str, list[Result], Any, bool]]:
+    """The label of each setting, its runs, the frames that the paper reports or None, and whether it is drawn."""
     if experiment == "fig4":
         for system, runs in by_system(results).items():
             if system in ("dirl", "td_drl", "a3c", "dirl_ppo", "dirl_compared"):
-                found[NAMES[system]] = runs, paper.get(system)
-        return found, list(found)
+                yield NAMES[system], runs, paper.get(system), True
+        return
     if experiment == "fig7":
         for views, runs in grouped(results, views_of).items():
-            found[f"{views} views"] = runs, paper[views]
-        return found, list(found)
-    drawn = []
+            yield f"{views} views", runs, paper[views], True
+        return
     settings = grouped(results, lambda config: (config.imitation.fraction, str(config.imitation.rule)))
     # The paper's rule is `interval`; what learns best is drawn.
     main = "random" if any(rule == "random" and share for share, rule in settings) else "interval"
     for (share, rule), runs in sorted(settings.items(), key=lambda item: (list(RULES).index(item[0][1]), item[0][0])):
         label = f"{share:.0%}, {RULES[rule]}" if share else "no expert"
-        found[label] = runs, paper.get(str(float(share))) if rule in ("interval", main) or not share else None
-        if rule == main or not share:
-            drawn.append(label)
-    return found, drawn
+        reported = paper.get(str(float(share))) if rule in ("interval", main) or not share else None
+        yield label, runs, reported, rule == main or not share
 
 
 def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str) -> None:
@@ -129,5 +126,4 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
 
 def views_of(config: TrainConfig) -> str:
     """``surrounding`` or ``sequential``."""
-    name: str = config.observation["_target_"].rpartition(".")[2]
-    return name.removesuffix("Views").lower()
+    return config.observation["_target_"].rpartition(".")[2].removesuffix("Views").lower()

@@ -60,12 +60,12 @@ Policies = Mapping[str, tuple[nn.Module, Any]]
 
 def drawn_goals(scenes: Sequence[Scene], goals: int) -> World:
     """Scenes with some goals each, sampled among the states that all others reach."""
-    chosen: dict[str, tuple[int, ...]] = {}
+    chosen = {}
     for index, scene in enumerate(scenes):
         generator = torch.Generator().manual_seed(index)
         states = torch.from_numpy(well_reached(scene)).nonzero().flatten()
-        chosen[scene.name] = tuple(states[torch.randperm(len(states), generator=generator)[:goals]].tolist())
-    return make_world(list(scenes), chosen)
+        chosen[scene.name] = states[torch.randperm(len(states), generator=generator)[:goals]].tolist()
+    return make_world(scenes, chosen)
 
 
 def by_graph(steps: float) -> str:
@@ -95,13 +95,9 @@ def walked(protocol: EvaluationProtocol, policies: Policies) -> Iterator[tuple[s
 
 
 def report_image_graph(collection: str, rooms: int | None, agent: str | None, out: Path) -> str:
-    """Measure, and write tables and a figure.
+    """Measure in the first so many rooms, or all, of a collection's test split, and write tables and a figure.
 
-    Args:
-        collection: a folder made by scenes.py sample.
-        rooms: the first so many of its test split; None = all.
-        agent: of ``system=any_goal``, trained in other rooms; without it only maps are measured.
-        out: a folder.
+    The agent is of ``system=any_goal``, trained in other rooms; without one only maps are measured.
 
     Raises:
         RunError: the agent sees another world than that of the collection.

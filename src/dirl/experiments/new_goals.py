@@ -5,11 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import nn
 from tqdm import tqdm
 
-from dirl.evaluation.episodes import Episodes
-from dirl.evaluation.protocol import EvaluationProtocol, metrics
+from dirl.evaluation.protocol import metrics
 from dirl.experiments.figures import panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, published, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
@@ -32,22 +30,13 @@ SYSTEMS = ("dirl", "td_drl", "a3c")
 """Those that are compared; in figure 5 also ``dirl_compared`` and ``any_goal``, at goals that they were not shown."""
 
 
-def new_goals(
-    world: World, distance: int, seed: int = 0, among: Mapping[str, Sequence[int]] | None = None
-) -> dict[str, list[int]]:
-    """Goals that are so many steps from the nearest trained one, by scene, as states of it.
+def new_goals(world: World, distance: int, among: Mapping[str, Sequence[int]] | None = None) -> dict[str, list[int]]:
+    """Goals that are so many steps, turns among them, from the nearest trained one, by scene, as states of it.
 
-    Args:
-        world: with the trained goals.
-        distance: in steps, turns among them.
-        seed: of the draw.
-        among: the states to choose from, by scene; all of them if left out.
-
-    Returns:
-        Up to `PER_SCENE` for each scene, those that every state with a path to a trained goal reaches; a scene without
-        any is left out.
+    Up to `PER_SCENE` of each scene, drawn from the states in ``among``, or from all, that every state with a path to a
+    trained goal reaches. A scene without any is left out.
     """
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     chosen = {}
     for index, scene in enumerate(world.scenes):
         trained = world.local_goals(index).tolist()
@@ -78,7 +67,7 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
             for distance in DISTANCES:
                 found = []
                 for run, (world, among) in zip(runs, worlds, strict=True):
-                    chosen = new_goals(world, distance, among=among)
+                    chosen = new_goals(world, distance, among)
                     if chosen:
                         found.append(_measured(run, chosen, starts, by_chance=system == "random"))
                     bar.update()
@@ -160,7 +149,9 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
                 raise RunError(f"scene={scene}: the runs are of {', '.join(run.scenes)}; choose one of them")
             changes = {"goals": {scene: [goal]}, "evaluation.max_steps": MAX_STEPS, "evaluation.starts": "every"}
             _, policy, protocol = run.load(changes)
-            episodes, paths = _walks(policy, protocol, scene)
+            goal_index, start = protocol.starts
+            there = goal_index == protocol.world.goals_in(protocol.world.names.index(scene))[0]
+            episodes, paths = protocol.trajectories(policy, (goal_index[there], start[there]), greedy=False)
             farthest = int(episodes.shortest.argmax())
             walked.append(episodes.steps[farthest].item())
             every.append(metrics(episodes))
@@ -176,13 +167,6 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
         f"start, at most {MAX_STEPS} steps. Pictures and GIFs are of the first seed. Paper: {paper['source']}."
     )
     return write_tables(out, "Figure 6: the control process", text, {"fig6": table}, pictures)
-
-
-def _walks(policy: nn.Module, protocol: EvaluationProtocol, scene: str) -> tuple[Episodes, list[list[int]]]:
-    """An episode from every start of a scene to its first goal, and the states that each passed."""
-    goal_index, start = protocol.starts
-    chosen = goal_index == protocol.world.goals_in(protocol.world.names.index(scene))[0]
-    return protocol.trajectories(policy, (goal_index[chosen], start[chosen]), greedy=False)
 
 
 def _draw_walk(world: World, run: Result, goal: int, path: list[int], file: Path, *, success: bool) -> None:

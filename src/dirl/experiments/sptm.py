@@ -169,13 +169,9 @@ def random_walker(seed: int) -> Walker:
 
 
 def walk_maze(data: Path, maze: Maze, name: str, trials: int) -> list[tuple[bool, int]]:
-    """Episodes of a maze from every start to every goal: whether each was reached, and after how many steps.
+    """So many trials from every start to every goal of a maze: whether each was reached, and after how many steps.
 
-    Args:
-        data: the folder ``data`` of SPTM.
-        maze: one of the mazes there.
-        name: what walks: `MEMORY`, `BLIND` or `RANDOM`.
-        trials: of each start and goal.
+    ``data`` is SPTM's folder of this name; ``name`` says what walks: `MEMORY`, `BLIND` or `RANDOM`.
     """
     memory = None
     if name != RANDOM:
@@ -200,12 +196,9 @@ def walk_maze(data: Path, maze: Maze, name: str, trials: int) -> list[tuple[bool
 def report_sptm(folder: Path, trials: int, out: Path, *, validation: bool = False, workers: int | None = None) -> str:
     """Write the share of reached goals in SPTM's mazes, beside walks that are blind to the goal.
 
-    Args:
-        folder: a clone of github nsavinov/SPTM.
-        trials: of each start and goal; six in the paper.
-        out: the report's folder; what is finished there is not walked again.
-        validation: the three mazes that settings were chosen in, instead of the seven for tests.
-        workers: processes, each with a maze and what walks there; all cores if left out.
+    ``folder`` is a clone of github nsavinov/SPTM; ``trials`` are of each start and goal, six in the paper. With
+    ``validation`` the mazes are those that settings were chosen in, instead of those for tests. Each of the workers, as
+    many as cores if left out, has a maze and what walks there. What is finished in ``out`` is not walked again.
 
     Raises:
         SceneError: the folder is no such clone, VizDoom is not installed or fails, or a process was killed.

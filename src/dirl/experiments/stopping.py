@@ -38,6 +38,8 @@ DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
 
 THRESHOLDS = np.arange(0.30, 1.0, 0.01)
 
+MEASURED = ("precision", "recall", "SR", "false stops")
+
 PRECISION = 0.99
 """Of a recommended threshold: a false stop ends an episode, a missed one costs steps."""
 
@@ -118,8 +120,7 @@ class SeesDisturbed(nn.Module):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """As the policy."""
-        answered: TensorDictBase = self.policy(tensordict.set("view_ids", tensordict["view_ids"] + self.states))
-        return answered
+        return self.policy(tensordict.set("view_ids", tensordict["view_ids"] + self.states))
 
 
 def success(trained: Trained, scene: Scene, clean: Tensor, disturbed: Tensor, threshold: float) -> dict[str, float]:
@@ -186,7 +187,7 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
             walked = [success(one, scene, clean, features, limit) for one in runs]
             cells += [[one[name] for one in walked] for name in ("sr", "false_stop_rate")]
         table.add(*cells)
-    _draw(pairs, curves, paper["threshold"], best, out)
+    _draw(pairs, paper["threshold"], best, out)
     units = "; ".join(f"{kind}: {unit}" for kind, (unit, _) in DISTURBANCES.items())
     text = (
         f"{note}\n\n{scene_name}, {len(scene)} states, each of them once as the goal for coefficients, precision and "
@@ -202,16 +203,7 @@ def report_stopping(results: Sequence[Result], out: Path, note: str, scene_name:
     return write_tables(out, "Stopping under disturbed views", text, {"stop": table}, {"stop": shown})
 
 
-MEASURED = ("precision", "recall", "SR", "false stops")
-
-
-def _draw(
-    pairs: Mapping[tuple[str, float], tuple[Tensor, Tensor]],
-    curves: Mapping[tuple[str, float], tuple[NDArray[np.float64], NDArray[np.float64]]],
-    used: float,
-    best: float,
-    out: Path,
-) -> None:
+def _draw(pairs: Mapping[tuple[str, float], tuple[Tensor, Tensor]], used: float, best: float, out: Path) -> None:
     """Above the coefficients by strength, below precision and recall over thresholds; a column a disturbance."""
     figure = Figure(figsize=(11, 5.5), layout="constrained")
     grid = figure.subplots(2, len(DISTURBANCES), sharey="row")
@@ -230,8 +222,8 @@ def _draw(
         upper.set(title=kind, xlabel=unit, ylim=(-0.05, 1.05))
         for number, key in enumerate(keys):
             weight = 0.35 + 0.65 * number / (len(keys) - 1)
-            lower.plot(THRESHOLDS, curves[key][0], color=PURPLE, alpha=weight, linewidth=1.3)
-            lower.plot(THRESHOLDS, curves[key][1], color=GREEN, alpha=weight, linewidth=1.3)
+            for curve, color in zip(precision_recall(*pairs[key]), (PURPLE, GREEN), strict=True):
+                lower.plot(THRESHOLDS, curve, color=color, alpha=weight, linewidth=1.3)
         lower.plot([], [], color=PURPLE, label="precision (paler: weaker)")
         lower.plot([], [], color=GREEN, label="recall (paler: weaker)")
         lower.axvline(used, color="0.3", linestyle="--", linewidth=1)

@@ -8,7 +8,6 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from dirl.config.choices import goal_view_options
 from dirl.evaluation.episodes import Episodes
 from dirl.experiments.any_goal import DRAWN, main_variant, variant, walked_by
 from dirl.experiments.figures import interval_row, panels, save_figure
@@ -49,32 +48,28 @@ BOTH_VIEWS = decimals(f"{name}, {way}" for way in (FOUR, PHOTO) for name in ("SR
 
 def tested(run: Result) -> tuple[World, dict[str, Episodes]]:
     """Episodes in the test rooms of the collection that a run was trained on, by what walked them."""
-    config, policy, protocol = run.load(TESTED)
-    _, by_photo, photo = run.load({**TESTED, **goal_view_options("front")})
-    starts = drawn_starts(protocol.world)
-    four, one = (replace(conditions, starts=starts) for conditions in (protocol, photo))
-    found = walked_by(policy, four, by_photo, one, config.stop.threshold, starts)
-    if isinstance(protocol.memory, PlanningMemory):
-        for name, conditions, walker in ((FOUR, four, policy), (PHOTO, one, by_photo)):
-            found[f"{name}, memory of counts"] = replace(conditions, memory=EpisodicMemory()).run(walker)
-    return protocol.world, found
+    loaded = run.load(TESTED), run.load(TESTED, "front")
+    world, starts = loaded[0].protocol.world, drawn_starts(loaded[0].protocol.world)
+    four, one = (trained._replace(protocol=replace(trained.protocol, starts=starts)) for trained in loaded)
+    found = walked_by(four, one, starts)
+    if isinstance(four.protocol.memory, PlanningMemory):
+        for name, (_, policy, protocol) in ((FOUR, four), (PHOTO, one)):
+            found[f"{name}, memory of counts"] = replace(protocol, memory=EpisodicMemory()).run(policy)
+    return world, found
 
 
 def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
     """Write how well goals are found in rooms that no training saw."""
     variants = grouped(results, variant)
     main = main_variant(variants)
-    by_variant = {main: _tested_by_count(variants.pop(main))}
-    by_variant |= {name: _tested_by_count(runs) for name, runs in variants.items()}
+    by_variant = {name: _tested_by_count(runs) for name, runs in ({main: variants[main]} | variants).items()}
     parts = Table({"system": "s", "training rooms": "d", "runs": "d", **BOTH_VIEWS})
     for name, tests in by_variant.items():
         count = max(tests)
         parts.add(name, count, len(tests[count]), *_both_views(tests[count]))
     curve = Table({"training rooms": "d", "runs": "d", **BOTH_VIEWS})
-    by_count = by_variant[main]
-    for count, found in by_count.items():
-        curve.add(count, len(found), *_both_views(found))
-    most = by_count[max(by_count)]
+    for count, most in by_variant[main].items():
+        curve.add(count, len(most), *_both_views(most))
     world, ways = most[0]
     table = measure_table({"walks by": "", "runs": "d"})
     far = Table({"SPL, walks by": "", **decimals(FAR)})
@@ -134,8 +129,7 @@ def _both_views(found: Found) -> list[list[float]]:
 def _rooms(found: Found, way: str, key: str) -> list[float]:
     """A measure in each room, the mean of the runs."""
     runs = torch.tensor([by_room(world, episodes[way], key) for world, episodes in found], dtype=torch.float64)
-    values: list[float] = runs.mean(0).tolist()
-    return values
+    return runs.mean(0).tolist()
 
 
 def _draw(found: Found, out: Path) -> None:

@@ -106,10 +106,8 @@ def _patches_like(first: Scene, dump: Scene, *, photos: bool) -> np.ndarray:
 def measured(agent: str, collection: str, out: Path) -> dict[str, Measured]:
     """Measures of each room, by goal view and way; from the folder, if they were measured before."""
     stem = f"{Path(agent).name}-{'-'.join(Path(part).name for part in collection.split(':'))}"
-    found: dict[str, Measured] = kept(
-        out / "measured" / f"{stem}.json", lambda: measure(agent, *rooms(collection, out / "rooms" / stem))
-    )
-    return found
+    file = out / "measured" / f"{stem}.json"
+    return kept(file, lambda: measure(agent, *rooms(collection, out / "rooms" / stem)))
 
 
 def measure(agent: str, files: list[str], looks: Sequence[range | None]) -> dict[str, Measured]:
