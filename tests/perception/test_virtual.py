@@ -7,6 +7,7 @@ import torch
 from dirl import Navigator
 from dirl.agent.navigator import NavigatorError
 from dirl.perception.backbones import load_encoder
+from dirl.perception.backbones.registry import encode_all
 from dirl.perception.backbones.virtual import encode_with_virtual, with_virtual
 from dirl.perception.recognition.photo import DESCRIBED, PhotoOdds
 from dirl.perception.virtual import VirtualCameras, virtual_views
@@ -116,6 +117,22 @@ def test_a_navigator_recognises_a_photo_of_a_narrower_camera(bathroom):
     virtual.reset(here)
     with_photo = virtual.act(elsewhere).scores.probabilities  # four views are compared as before
     torch.testing.assert_close(with_photo, plain.act(elsewhere).scores.probabilities, atol=1e-4, rtol=0)
+
+
+def test_a_navigator_compares_a_photo_by_fine_patches(bathroom):
+    photo, views = bathroom[0][0], bathroom[1]
+    navigator = Navigator.load("general", "resnet50_small", recogniser="learned", episodic_memory="localising")
+    navigator.reset(photo)
+    found = navigator.act(views).scores.matching
+    recogniser = navigator.recogniser
+    expected = {}
+    for fine in (True, False):
+        encoder = load_encoder("resnet50_small", patches=True, fine_patches=fine)
+        seen = encode_all(encoder, iter([photo, *views]), 5, "here", progress=False)
+        described = recogniser.describe(torch.from_numpy(seen.features), torch.from_numpy(seen.patches))
+        expected[fine] = recogniser.scores(described[None, 1:], described[None, :1]).item()
+    assert found == pytest.approx(expected[True], abs=0.02)
+    assert expected[False] != pytest.approx(expected[True], abs=0.1)
 
 
 def test_maps_with_virtual_views_are_for_navigators_with_the_same_ones(bathroom, tmp_path):

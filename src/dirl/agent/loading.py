@@ -48,8 +48,10 @@ def load_parts(
         raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
     changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
     config = read_config(saved["config"], origin, changes, trust)
-    patches = reads_patches(config)
-    encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=virtual is not None)
+    patches, recognises = reads_patches(config), build_recogniser(config)
+    learned = patches and isinstance(recognises, Learned)
+    fine = learned and (encoder == "resnet50_small" or virtual is not None)  # photos are recognised by them
+    encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
     order = saved.get("views", own)  # checkpoints of older versions name none
     if order != own:
@@ -58,9 +60,9 @@ def load_parts(
         raise NavigatorError(f"{origin}: was trained on {len(order)} views; a navigator takes {VIEWS}")
     scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
     policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched_view(config, order))
-    memory, recognises = make("episodic_memory", config.episodic_memory, trust), build_recogniser(config)
+    memory = make("episodic_memory", config.episodic_memory, trust)
     suit(memory, recognises)
-    if virtual is not None and not (patches and isinstance(recognises, Learned)):
+    if virtual is not None and not learned:
         raise NavigatorError(f"{origin}: virtual cameras need recogniser='learned', and a policy that compares patches")
     if memory is not None and order[-1] == "now":
         raise NavigatorError(
@@ -74,6 +76,7 @@ def load_parts(
         "facts": {"scene": scene or "any", "extractor": saved["extractor"]},
         "memory": memory,
         "recogniser": recognises,
+        "fine": fine,
         "virtual": virtual,
     }
 

@@ -44,7 +44,8 @@ class Navigator:
         memory: of what was done in an episode, or None.
         recogniser: by which the goal and known places are recognised; correlation if left out.
         turns: right turns of the agent in a full circle: 4 if a turn is 90 degrees, 12 if it is 30.
-        virtual: cameras by which photos of another camera are recognised; the encoder gives fine patches then.
+        fine: the encoder gives fine patches too, by which ``recogniser=learned`` compares single photos.
+        virtual: cameras by which photos of another camera are recognised, by fine patches.
 
     Raises:
         NavigatorError: ``turns`` that the memory cannot plan with.
@@ -60,6 +61,7 @@ class Navigator:
         memory: Memory | None = None,
         recogniser: Recogniser | None = None,
         turns: int = VIEWS,
+        fine: bool = False,
         virtual: VirtualCameras | None = None,
     ) -> None:
         check_turns(turns, memory)
@@ -68,10 +70,9 @@ class Navigator:
         self.sequential = view_order[-1] == "now"
         self.threshold = threshold
         self.memory, self.recogniser, self.turns = memory, recogniser or NCC(), turns
-        self.encoder, self.virtual = encoder, virtual
-        if virtual is not None:
-            facts = facts | {"extractor": f"{facts['extractor']}; {virtual}"}  # of maps too
-        self.facts = facts
+        self.encoder, self.fine, self.virtual = encoder, fine, virtual
+        beside = f"; {virtual}" if virtual else "; fine patches" if fine else ""
+        self.facts = facts | {"extractor": facts["extractor"] + beside}  # of maps too
         self.agent = Agent()
         self._goal: Goal | None = None
         self._seen: Views | None = None
@@ -102,8 +103,8 @@ class Navigator:
                 dump may describe the same file of weights differently: if the texts differ, there is a warning
                 unless this argument confirms that they mean the same.
             scene: whose layers are used. Optional if there is only one scene or the layers are shared.
-            recogniser: as in ``evaluate.py``: ``ncc``, ``patches``, ``learned`` or a YAML file; that of the
-                checkpoint if left out.
+            recogniser: as in ``evaluate.py``: ``ncc``, ``patches``, ``learned`` or a YAML file; that of the checkpoint
+                if left out. With ``encoder="resnet50_small"`` ``learned`` compares single photos by fine patches.
             episodic_memory: likewise: ``none``, ``counts``, ``planning``, ``localising`` or a YAML file.
             turns: right turns of the robot in a full circle; a memory that plans needs to know.
             virtual: cameras by which goals are recognised that are photos of another camera, narrower than the agent's
@@ -119,9 +120,8 @@ class Navigator:
         """
         saved, origin = load_checkpoint(checkpoint), str(checkpoint)
         chosen = {"recogniser": recogniser, "episodic_memory": episodic_memory}
-        navigator = cls(
-            **load_parts(saved, origin, encoder, extractor, scene, chosen, device, trust, virtual), turns=turns
-        )
+        parts = load_parts(saved, origin, encoder, extractor, scene, chosen, device, trust, virtual)
+        navigator = cls(**parts, turns=turns)
         tell_of_turns(turns_of_training(saved), {turns}, origin)
         return navigator
 
@@ -293,7 +293,7 @@ class Navigator:
         return features.unflatten(0, (-1, count)), batched
 
     def _features(self, pixels: Tensor) -> Tensor:
-        """Of images ``[N, H, W, 3]``, float32 ``[N, D]``; with virtual cameras those of fine patches follow."""
-        width = self.width + (0 if self.virtual is None else math.prod(FINE_SHAPE))
+        """Of images ``[N, H, W, 3]``, float32 ``[N, D]``; those of fine patches follow, if there are any."""
+        width = self.width + (math.prod(FINE_SHAPE) if self.fine else 0)
         found = checked_features(self.encoder(pixels.to(self.device)), len(pixels), width, self.facts["extractor"])
         return found.to(self.device, torch.float32)

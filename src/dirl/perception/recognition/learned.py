@@ -14,7 +14,7 @@ from dirl.perception.recognition.photo import PhotoOdds
 from dirl.perception.recognition.recogniser import Thresholds
 
 WEIGHTS = Path(__file__).parent / "data" / "learned.pt"
-"""For patches and features of the included ResNet-50 at 96x128 pixels (docs/results_recognition.md says how they came)."""
+"""For patches and features of the included ResNet-50 at 96x128 pixels; see docs/results_recognition.md."""
 
 ROWS, COLUMNS, VIEWS = 2, 4, 4
 RING = COLUMNS * VIEWS
