@@ -135,6 +135,22 @@ def test_a_navigator_compares_a_photo_by_fine_patches(bathroom):
     assert expected[False] != pytest.approx(expected[True], abs=0.1)
 
 
+def test_a_map_without_fine_patches_is_not_for_a_navigator_with_them(bathroom, tmp_path):
+    chosen = {"recogniser": "learned", "episodic_memory": "localising"}
+    loaded = load_encoder("resnet50_small", patches=True)
+
+    def encoder(images):
+        pooled, patches = loaded.forward_patches(images)
+        return torch.cat([pooled, patches.flatten(1)], 1)
+
+    walk = Navigator.load("general", encoder, extractor=loaded.extractor, **chosen).explore(turns=4)
+    walk.see(bathroom[0])
+    folder = walk.save(tmp_path / "map")
+    fine = Navigator.load("general", "resnet50_small", **chosen)
+    with pytest.raises(NavigatorError, match="; fine patches"):
+        fine.reset(bathroom[0][0], graph=folder)
+
+
 def test_maps_with_virtual_views_are_for_navigators_with_the_same_ones(bathroom, tmp_path):
     chosen = {"recogniser": "learned", "episodic_memory": "localising"}
     virtual = Navigator.load("general", "resnet50_small", virtual=CAMERAS, **chosen)
