@@ -1,4 +1,4 @@
-"""Find the way to a photo by the map of a video.
+"""Find the path to a photo by the map of a video.
 
     python recipes/go.py map=walk.npz photo=goal.jpg start=here.jpg out=way.png
 
@@ -22,11 +22,11 @@ from dirl.reporting.strips import draw_strip
 from dirl.sources.video import read_photo
 
 SHOWN = 16
-"""Frames of the way in the picture, at most."""
+"""Frames of the path in the picture, at most."""
 
 
 def main(options: Any) -> None:
-    """Locate the photos, and draw the way between them."""
+    """Locate the photos, and draw the path between them."""
     graph = load_frames_map(options.map)
     height = graph.frames.shape[1]
     goal = read_photo(options.photo, height)
@@ -39,12 +39,12 @@ def main(options: Any) -> None:
         print(f"| {name} | {ends[-1]} | {found.max():.2f} | {'' if found.max() >= KNOWN else 'uncertain'} |")
     far, following = graph.distances_to(np.array(ends[1:]))
     if not np.isfinite(far[ends[0]]):
-        raise ConfigError(f"photo={options.photo}: no way leads there; the recording was there before, and never again")
+        raise ConfigError(f"photo={options.photo}: no path leads there; the recording shows it only before the start")
     path = [ends[0]]
     while far[path[-1]] > 0:
         path.append(int(following[path[-1]]))
     jumps = sum(abs(after - before) > 1 for before, after in pairwise(path))
-    print(f"way: {len(path)} frames, {jumps} shortcuts")
+    print(f"path: {len(path)} frames, {jumps} shortcuts")
     shown = [path[place] for place in np.unique(np.linspace(0, len(path) - 1, SHOWN).round().astype(int))]
     pictures = [("here", here), *((f"frame {node}", graph.frames[node]) for node in shown), ("goal", goal)]
     draw_strip(pictures, Path(options.out))

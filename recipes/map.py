@@ -1,4 +1,4 @@
-"""Make a map of a first-person video: its frames, and shortcuts where it came by again.
+"""Make a map of a first-person video: its frames, and shortcuts between frames of one place.
 
     python recipes/map.py video=walk.mp4 out=walk.npz field_of_view=65
 

@@ -1,4 +1,4 @@
-"""The way to a photo by a map of frames, as a strip of pictures."""
+"""The path to a photo by a map of frames, as a strip of pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Being led to a photo by a recorded walk: a camera ahead, turns of any angle, nothing but frames.
 
 As SPTM (Savinov et al., ICLR 2018): the frames of the walk are a graph, in which shortcuts join frames of one place; an
-agent localises itself in it, looks for the farthest frame of the way that it still recognises, and moves towards that.
+agent localises itself in it, looks for the farthest frame of the path that it still recognises, and moves towards that.
 Here a filter over time localises, and `ColumnNet` tells by which motion a frame is reached.
 """
 
@@ -46,16 +46,16 @@ LOOKED, ALL = 60, 12
 """So many likely frames are compared with what is seen; every so many actions all."""
 
 SURE, SEEN = 0.3, 0.25
-"""Least probability around a frame, and least score of one on the way, to go on."""
+"""Least probability around a frame, and least score of one on the path, to go on."""
 
 ON_THE_WAY, NEARLY = 12, 0.45
-"""Frames of the way that are looked for, and which part of the best score suffices."""
+"""Frames of the path that are looked for, and which part of the best score suffices."""
 
 CIRCLE, PATIENCE = 15, 45
 """Turns before one gives up looking around, and actions without progress."""
 
 IN_VAIN = 8.0
-"""What a link of the way costs more, each time that it did not lead on."""
+"""What a link of the path costs more, each time that it did not lead on."""
 
 SAME_PLACE = 30
 """Frames around a goal in vain that are not tried again."""
@@ -125,7 +125,7 @@ class Follower:
         self.photo = self.net.describe(photo[None])
         self._fits = memory.fits(self.photo)
         self._links = memory.links.copy()
-        self._plan_ways()
+        self._plan_paths()
         self.belief = np.full(len(memory.frames), 1 / len(memory.frames))
         self._ends = np.concatenate([memory.shortcuts, memory.shortcuts[:, ::-1]])
         self._usual = LEAST  # likeness of any frame
@@ -190,12 +190,12 @@ class Follower:
             self._moves = [int(self._random.choice([LEFT, RIGHT, BACK]))] * int(self._random.integers(1, 4))
 
     def _follow(self, seen: TensorDict, node: int, sure: float) -> int:
-        """Towards the farthest frame of the way that is recognised; a turn where there is none."""
-        way = [node]
-        while len(way) < ON_THE_WAY and self.far[way[-1]] > 0:
-            way.append(int(self._following[way[-1]]))
-        columns = self.memory.columns[np.array(way)]
-        if at_end := self.far[way[-1]] == 0:
+        """Towards the farthest frame of the path that is recognised; a turn where there is none."""
+        path = [node]
+        while len(path) < ON_THE_WAY and self.far[path[-1]] > 0:
+            path.append(int(self._following[path[-1]]))
+        columns = self.memory.columns[np.array(path)]
+        if at_end := self.far[path[-1]] == 0:
             columns = torch.cat([columns, self.photo])
         fit = self.net.fit(seen, columns)
         best = fit.score.max()
@@ -206,12 +206,12 @@ class Follower:
         self._since = 0 if self.far[node] < self._least - 0.5 else self._since + 1
         self._least = min(self._least, self.far[node])
         if self._since > PATIENCE:
-            self._doubt(way)
+            self._doubt(path)
             return self._wander()
         known = (fit.score >= max(NEARLY * best, 0.6 * SEEN)) & (np.abs(fit.turned) < 70)
         leading = int(np.flatnonzero(known).max()) if known.any() else int(fit.score.argmax())
-        to_photo = at_end and leading == len(way)
-        backwards = 0 < leading < len(way) and all(0 <= way[k] - way[k + 1] <= 1 for k in range(leading))
+        to_photo = at_end and leading == len(path)
+        backwards = 0 < leading < len(path) and all(0 <= path[k] - path[k + 1] <= 1 for k in range(leading))
         return self._towards(*(float(value[leading]) for value in fit[1:]), backwards=backwards, to_photo=to_photo)
 
     def _towards(self, ahead: float, right: float, turned: float, *, backwards: bool, to_photo: bool) -> int:
@@ -225,15 +225,15 @@ class Follower:
             return RIGHT if right > 0 else LEFT
         return BACK if (backwards or ahead < -40) and not to_photo else AHEAD
 
-    def _doubt(self, way: list[int]) -> None:
+    def _doubt(self, path: list[int]) -> None:
         """What did not lead on costs more; a goal that was reached in vain is given up for the next best."""
-        if len(way) < 4:
-            self._fits[max(0, way[-1] - SAME_PLACE) : way[-1] + SAME_PLACE] = -1
-        for first, second in pairwise(way[:9]):
+        if len(path) < 4:
+            self._fits[max(0, path[-1] - SAME_PLACE) : path[-1] + SAME_PLACE] = -1
+        for first, second in pairwise(path[:9]):
             self._links[first, second] += IN_VAIN
-        self._plan_ways()
+        self._plan_paths()
 
-    def _plan_ways(self) -> None:
+    def _plan_paths(self) -> None:
         goals = [int(self._fits.argmax())]
         self.far, self._following, _ = dijkstra(self._links.T, indices=goals, return_predecessors=True, min_only=True)
 

@@ -1,4 +1,4 @@
-"""A map of a first-person recording: its frames, what followed what, and shortcuts where it came by again.
+"""A map of a first-person recording: its frames, what followed what, and shortcuts between frames of one place.
 
 Unlike an `ImageGraph` it needs no grid of moves: turns are continuous, and only what lies ahead is seen. Two frames are
 compared as cylinders, small and without slow changes of light, shifted against each other: how well the best shift fits
@@ -53,7 +53,7 @@ BATCH = 100
 
 
 class FrameMap:
-    """Frames of a recording and the ways between them.
+    """Frames of a recording and the paths between them.
 
     Args:
         frames: RGB, uint8 ``[N, H, W, 3]``, in order of time and near enough that neighbours overlap.
@@ -84,7 +84,7 @@ class FrameMap:
         return torch.cat([_local_contrast(part, grid) for part in images.split(BATCH)])
 
     def distances_to(self, goals: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Links on the shortest way to any of these frames, infinite if there is none, and the frame that follows."""
+        """Links on the shortest path to any of these frames, infinite if there is none, and the frame that follows."""
         far, following, _ = dijkstra(
             self._links.T, indices=goals, return_predecessors=True, min_only=True, unweighted=True
         )
