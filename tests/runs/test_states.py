@@ -127,7 +127,7 @@ def test_a_training_that_has_begun_has_a_used_optimiser(scene, optimiser):
 
 
 def test_random_states_are_tried():
-    check_random_state(torch.get_rng_state(), "a")
+    check_random_state(torch.get_rng_state(), "cpu", "a")
     for wrong in (torch.zeros(3, dtype=torch.uint8), torch.zeros(5056), None, torch.zeros(5056, dtype=torch.uint8)):
         with pytest.raises(RunError, match="is no state of a random number generator"):
-            check_random_state(wrong, "a")
+            check_random_state(wrong, "cpu", "a")

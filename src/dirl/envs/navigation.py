@@ -76,18 +76,15 @@ class NavigationEnv(EnvBase):
         self.start_count = torch.bincount(goal_index[reaches], minlength=len(world.goals))
         self.first_start = self.start_count.cumsum(0) - self.start_count
         self.generator = torch.Generator(self.device)
-        self.observation_spec = Composite(
-            state=Categorical(states, shape=agents),
-            goal=Categorical(states, shape=agents),
-            scene=Categorical(len(world.scenes), shape=agents),
-            **{key: Categorical(world.looks, shape=agents) for key in self._look_keys},
-            shape=agents,
-            device=self.device,
+        sizes = {"state": states, "goal": states, "scene": len(world.scenes)} | dict.fromkeys(
+            self._look_keys, world.looks
         )
+        observed = {key: Categorical(size, shape=agents, device=self.device) for key, size in sizes.items()}
+        self.observation_spec = Composite(observed, shape=agents, device=self.device)
         self.action_spec = Categorical(len(ACTIONS), shape=agents, device=self.device)
         self.reward_spec = Unbounded(shape=(*agents, 1), device=self.device)
-        flags = {key: Categorical(2, shape=(*agents, 1), dtype=torch.bool) for key in ("done", "terminated")}
-        self.full_done_spec = Composite(flags, shape=agents, device=self.device)
+        flag = Categorical(2, shape=(*agents, 1), device=self.device, dtype=torch.bool)
+        self.full_done_spec = Composite(done=flag, terminated=flag.clone(), shape=agents, device=self.device)
         self.set_seed(seed)
 
     def _set_seed(self, seed: int | None) -> None:

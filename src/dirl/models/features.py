@@ -48,12 +48,12 @@ class FeatureTable(nn.Module):
         room: int = 0,
     ) -> None:
         super().__init__()
-        width, self.room = features.shape[1], room
+        width, device, self.room = features.shape[1], features.device, room
         self._perturbed: Tensor | None = None
         self._noise: Tensor | None = None
-        self.register_buffer("mean", torch.zeros(width) if mean is None else mean)
-        self.register_buffer("std", torch.ones(width) if std is None else std)
-        self.register_buffer("axes", axes)
+        self.register_buffer("mean", torch.zeros(width, device=device) if mean is None else mean.to(device))
+        self.register_buffer("std", torch.ones(width, device=device) if std is None else std.to(device))
+        self.register_buffer("axes", None if axes is None else axes.to(device))
         self.register_buffer("features", features, persistent=False)
         self.register_buffer("patches", patches, persistent=False)
         self.register_buffer("table", None, persistent=False)

@@ -57,7 +57,8 @@ class Places(Nodes):
     def compact(self) -> "Places":
         """Of one agent, without its unused places."""
         kept = self.used[0].view(-1, VIEWS).any(1).nonzero().flatten()
-        row = torch.full((self.position.shape[1],), -1, device=kept.device).index_copy(0, kept, torch.arange(len(kept)))
+        row = torch.full((self.position.shape[1],), -1, device=kept.device)
+        row[kept] = torch.arange(len(kept), device=kept.device)
         nodes = (VIEWS * kept[:, None] + torch.arange(VIEWS, device=kept.device)).flatten()
 
         def renumbered(node: Tensor) -> Tensor:

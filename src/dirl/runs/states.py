@@ -79,8 +79,8 @@ def check_state(
         raise RunError(f"{where}: optimiser.state: is empty, though the training had begun")
     check_fits(saved["random"], fresh["random"], f"{where}: random")
     for name, state in saved["random"].items():
-        if name != "cuda":
-            check_random_state(state, f"{where}: random.{name}")
+        device = env.device if name == "env" and env is not None else name  # others are named by their device
+        check_random_state(state, device, f"{where}: random.{name}")
 
 
 def check_fits(saved: Any, fresh: Any, where: str, most: int = 2**63 - 1) -> None:
@@ -154,10 +154,10 @@ def check_optimiser(saved: Any, optimiser: Optimizer, where: str, trained: Any) 
             raise RunError(f"{where}.state.{index}: has other entries than that of the first parameter")
 
 
-def check_random_state(saved: Any, where: str) -> None:
-    """Raise `RunError` unless a tensor is the state of a random number generator of the CPU."""
+def check_random_state(saved: Any, device: torch.device | str, where: str) -> None:
+    """Raise `RunError` unless a tensor is the state of a random number generator of a device."""
     try:
-        torch.Generator().set_state(saved)
+        torch.Generator(device).set_state(saved)
     except (TypeError, RuntimeError) as error:
         raise RunError(f"{where}: is no state of a random number generator ({str(error).splitlines()[0]})") from None
 
