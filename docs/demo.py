@@ -399,7 +399,7 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     origin = str(packaged_agent(AGENT))
     asked = {"scene": str(dump), "goals": goals, "evaluation.max_steps": MAX_STEPS}
     config, policy, protocol = load_trained(load_checkpoint(origin), origin, {**goal_view_options("front"), **asked})
-    pages = viewer_pages(policy, protocol, matching=matching(config), title=f"{AGENT}, {name}", critic=False)
+    pages = viewer_pages(policy, protocol, matching=matching(config, "cpu"), title=f"{AGENT}, {name}", critic=False)
     visits = described_visits(NCC(), protocol.world, 0)
     same = NCC().scores(visits, visits) > navigator.memory.threshold
     features = np.concatenate([encoded.features, encoded.patches.reshape(len(scene), -1)], 1).astype(np.float16)

@@ -85,7 +85,7 @@ def main(options: Any) -> None:
     trained = shown_more(trained, arrows=options.arrows, panorama=options.panorama)
     if options.map is not None:
         trained = with_map(trained, options.map, options.last_steps)
-    if options.threshold is not None and build_recogniser(trained.config).thresholds is not None:
+    if options.threshold is not None and build_recogniser(trained.config, "cpu").thresholds is not None:
         raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
     if misses_arrivals(trained):
         print(CHANGING)
@@ -124,7 +124,7 @@ def shown_more(trained: Trained, *, arrows: bool, panorama: bool) -> Trained:
 
 def misses_arrivals(trained: Trained) -> bool:
     """Whether the agent stops by correlation in scenes with several looks (docs/results_changes.md)."""
-    correlates = isinstance(build_recogniser(trained.config), NCC)
+    correlates = isinstance(build_recogniser(trained.config, "cpu"), NCC)
     return correlates and trained.protocol.world.looks > 1 and trained.config.stop.evaluation == "match"
 
 
@@ -196,7 +196,8 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
     if protocol.observation.history:
         raise RunError("map: needs a policy that sees four views around it; this one sees its last four")
     if not isinstance(protocol.memory, LocalisingMemory) or protocol.scores is None:
-        memory = GraphMemory(protocol.world, steps_per_state, recogniser=build_recogniser(trained.config))
+        recogniser = build_recogniser(trained.config, protocol.world.device)
+        memory = GraphMemory(protocol.world, steps_per_state, recogniser=recogniser)
         return trained._replace(
             policy=GuidedPolicy(trained.policy, memory, LAST_STEPS if last_steps is None else last_steps)
         )
@@ -232,7 +233,7 @@ def viewer(trained: Trained, facts: Mapping[str, Any], others: Mapping[str, tupl
     return viewer_pages(
         policy,
         protocol,
-        matching=matching(config),
+        matching=matching(config, protocol.world.device),
         title=run_title(facts),
         critic=bool(set(config.losses) - {"imitation"}),
         beside=others,

@@ -64,7 +64,7 @@ def test_what_surrounds_a_state_is_three_turns_apart(trained):
 def test_maps_paths_and_film_are_drawn(trained):
     parts, folder = trained
     facts = describe(parts.config, parts.world)
-    draw_scene(parts.policy, parts.protocol, 0, folder, matching=matching(parts.config), facts=facts)
+    draw_scene(parts.policy, parts.protocol, 0, folder, matching=matching(parts.config, "cpu"), facts=facts)
     for name in ("maps_grid.png", "trajectories_grid.png", "episode_grid.gif"):
         with Image.open(folder / name) as image:
             assert min(image.size) > 200, name

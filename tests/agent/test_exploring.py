@@ -93,7 +93,7 @@ def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_p
 
 
 def test_an_image_graph_is_made_and_used_by_the_navigators_recogniser(world, navigator, tmp_path, monkeypatch):
-    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda _: Odds())
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
     trained(tmp_path / "run", world)
     sure = Navigator.load(tmp_path / "run", look_up(world), extractor="random")
     walk = sure.explore(turns=4)

@@ -147,7 +147,7 @@ def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path
 @pytest.mark.parametrize("goal_view", ["surrounding", "front"])
 def test_a_navigator_localises_as_the_evaluation_does(tmp_path, goal_view, monkeypatch):
     world, recogniser = rooms(), Odds()
-    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda _: recogniser)
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: recogniser)
     policy, seen = trained(tmp_path, world, f"goal_view={goal_view}", "episodic_memory=localising")
     starts = every_start(world)
     match = "front" if goal_view == "front" else "views"
@@ -272,7 +272,7 @@ class Sure(NCC):
 
 def test_a_batch_with_a_memory_decides_as_each_alone(tmp_path, world, monkeypatch):
     """Also where some agents are at new places and others at known ones, each with a goal of its own."""
-    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda _: Sure())
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Sure())
     trained(tmp_path, world, "episodic_memory=planning")
     together, goals, states = load(tmp_path, world), [0, 13, 21], torch.tensor([5, 6, 7])
     alone = [load(tmp_path, world) for _ in goals]

@@ -17,6 +17,15 @@ INDEXED = (ATEN.index.Tensor, ATEN.index_put_.default, ATEN.index_put.default, A
 class Module(backend_registration._DummyBackendModule):
     """What torch and TensorDict ask of the module of a device."""
 
+    here = False
+    """Only within `device_elsewhere`, or all tests of the process would have an accelerator."""
+
+    def is_available(self):
+        return self.here
+
+    def device_count(self):
+        return int(self.here)
+
     def synchronize(self, *_):
         pass
 
@@ -120,6 +129,7 @@ class Generator(metaclass=AnyGenerator):
 @contextmanager
 def device_elsewhere(monkeypatch):
     """Within this context torch has the device, `DEVICE`."""
+    monkeypatch.setattr(Module, "here", True)
     monkeypatch.setattr(torch, "Generator", Generator)
     for name in ("tensor", "as_tensor"):
         make = getattr(torch, name)

@@ -77,7 +77,7 @@ def clone(room, folder):
 
 
 def pages_of(room, **options):
-    return viewer_pages(room.policy, room.protocol, matching=matching(room.config), title="a test", **options)
+    return viewer_pages(room.policy, room.protocol, matching=matching(room.config, "cpu"), title="a test", **options)
 
 
 def data_of(room):

@@ -48,7 +48,7 @@ def load_parts(
         raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
     changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
     config = read_config(saved["config"], origin, changes, trust)
-    patches, recognises = reads_patches(config), build_recogniser(config)
+    patches, recognises = reads_patches(config), build_recogniser(config, device)
     learned = patches and isinstance(recognises, Learned)
     fine = learned and (encoder == "resnet50_small" or virtual is not None)  # photos are recognised by them
     encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)

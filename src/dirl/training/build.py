@@ -218,7 +218,8 @@ def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | Arrive
     """Where an agent stops on its way to each goal, bool ``[P]``, or in a world that changes `Arrived`; None: at it."""
     if rule == Stop.goal:
         return None
-    return matching(config)(world) if world.looks == 1 else matching(config).arrived(world)
+    stop = matching(config, world.device)
+    return stop(world) if world.looks == 1 else stop.arrived(world)
 
 
 def build_protocol(
@@ -230,7 +231,8 @@ def build_protocol(
         ConfigError: the episodic memory cannot serve such a policy.
     """
     options = config.evaluation
-    memory, recogniser = make("episodic_memory", config.episodic_memory, config.trust), build_recogniser(config)
+    memory = make("episodic_memory", config.episodic_memory, config.trust)
+    recogniser = build_recogniser(config, world.device)
     suit(memory, recogniser)
     if isinstance(memory, PlanningMemory | LocalisingMemory) and (observation.history or config.memory[TARGET]):
         raise ConfigError(
@@ -248,7 +250,7 @@ def build_protocol(
             )
         if config.stop.evaluation == Stop.goal:
             raise ConfigError("stop.evaluation=goal: a LocalisingMemory stops by what it sees; use matching")
-        stop: Tensor | Arrived | Compared | None = matching(config).compared(world)
+        stop: Tensor | Arrived | Compared | None = matching(config, world.device).compared(world)
     else:
         stop = stop_table(config, config.stop.evaluation, world)
     return EvaluationProtocol(

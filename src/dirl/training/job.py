@@ -1,6 +1,7 @@
 """A run from its configuration to its summary: components, folder, resumption, errors, ranks; its stages are given."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -15,6 +16,7 @@ from torch import nn
 
 from dirl.config.components import check_components, packages_to_trust
 from dirl.config.places import command
+from dirl.config.schemas import Device
 from dirl.config.values import typed
 from dirl.evaluation.protocol import EvaluationProtocol, assess, mean_shortest
 from dirl.evaluation.stability import EpisodeMeter
@@ -95,6 +97,7 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
     with one_line_exits(folder=folder) if alone else nullcontext():
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
+        sum_in_order(config.device)
         ranks.join(config, alone=alone)
         run = open_run(config, folder, overrides)
         if ranks.from_first(lambda: run.finished):
@@ -107,6 +110,16 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
             return _train(run, components, stages)
         except SimulatorError as error:
             raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
+
+
+def sum_in_order(device: Device) -> None:
+    """On a GPU choose the kernels that add in a fixed order, so that a seed decides everything as on the CPU.
+
+    torch warns of an operation that has no such kernel.
+    """
+    if device == Device.cuda:
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS reads it when it is first used
+        torch.use_deterministic_algorithms(True, warn_only=True)
 
 
 def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Components:
@@ -181,8 +194,9 @@ def _conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict
     run.finish({"frames": summary["frames"], "network": plain_weights(policy)}, summary)
     print(summary_table(summary))
     draw_learning_curve(run.folder, run.folder / "learning_curve.png")
+    stop = matching(run.config, protocol.world.device)
     for index in range(min(DRAWN_SCENES, len(protocol.world.scenes))):
-        draw_scene(policy, protocol, index, run.folder, matching=matching(run.config), facts=summary)
+        draw_scene(policy, protocol, index, run.folder, matching=stop, facts=summary)
     run.clean_up(summary)
     print(f"pictures, metrics and weights: {run.folder}")
     if outside := packages_to_trust(run.config):

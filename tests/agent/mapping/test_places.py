@@ -186,7 +186,7 @@ def place():
 @pytest.fixture
 def navigator(tmp_path, place, monkeypatch):
     """Of a policy that has learnt nothing, with a memory that localises."""
-    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda _: Odds())
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
     trained(tmp_path / "run", place, "episodic_memory=localising")
     return Navigator.load(tmp_path / "run", look_up(place), extractor="random")
 

@@ -1,9 +1,10 @@
 """What was seen at the panoramas of a map, and the moves that lead from one to another."""
 
+import copy
 from collections.abc import Mapping, Sequence
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from dirl.perception.recognition.recogniser import NCC, Recogniser, normal_vectors
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, shortest_distances
@@ -31,7 +32,10 @@ class Panoramas:
     """
 
     def __init__(self, turns: int, recogniser: Recogniser | None = None) -> None:
-        self.turns, self.recogniser = turns, recogniser or NCC()
+        self.turns = turns
+        self.recogniser = copy.deepcopy(recogniser or NCC())
+        if isinstance(self.recogniser, nn.Module):
+            self.recogniser.cpu()  # what a map keeps is on the CPU, wherever the policy is
         self.moves: list[list[int]] = []
         """Where each action leads from each node: `UNKNOWN`, the node itself where it is blocked, or another."""
         self.observed: list[list[bool]] = []

@@ -1,7 +1,9 @@
 """The recogniser of a configuration, and the stop by it."""
 
 import hashlib
+from typing import Any
 
+import torch
 from torch import nn
 
 from dirl.config.choices import group_options
@@ -11,9 +13,9 @@ from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 
 
-def matching(config: TrainConfig) -> TemplateStop:
-    """The stop by template matching."""
-    return stop_by(build_recogniser(config), config.stop.threshold, config.stop.match)
+def matching(config: TrainConfig, device: torch.device | str) -> TemplateStop:
+    """The stop by template matching, for a world on a device."""
+    return stop_by(build_recogniser(config, device), config.stop.threshold, config.stop.match)
 
 
 def stop_by(recogniser: Recogniser, threshold: float, match: str) -> TemplateStop:
@@ -28,9 +30,10 @@ def chosen_stop(choice: str, threshold: float, match: str) -> TemplateStop:
     return stop_by(make("recogniser", group_options("recogniser", choice) or {}), threshold, match)
 
 
-def build_recogniser(config: TrainConfig) -> Recogniser:
-    """What the stop and the episodic memory recognise places by."""
-    return make("recogniser", config.recogniser, config.trust) or NCC()
+def build_recogniser(config: TrainConfig, device: torch.device | str) -> Recogniser:
+    """What the stop and the episodic memory recognise places by, on a device."""
+    made: Any = make("recogniser", config.recogniser, config.trust) or NCC()
+    return made.to(device)
 
 
 def recogniser_name(recogniser: Recogniser) -> str:
