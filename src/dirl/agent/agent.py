@@ -93,9 +93,10 @@ class Remembering(Agent):
     walk through the place, ``[1, T, K, ...]``, are visits as well.
     """
 
-    def __init__(self, memory: Any, seen: Tensor | None = None, guide: Guide | None = None) -> None:
+    def __init__(self, memory: Any, guide: Guide | None = None) -> None:
         super().__init__(guide)
-        self.memory, self.seen = memory, seen
+        self.memory = memory
+        self.seen: Tensor | None = None
         self.past: Any = None
         """What the memory says of all visits: a `Trace`, `Walked` or `Places`; None before the first."""
 
@@ -132,7 +133,7 @@ class Planning(Remembering):
     """Agents with a `PlanningMemory`; ``turns`` in a full circle, int64 ``[B]``, or ``[1]`` if all have as many."""
 
     def __init__(self, memory: PlanningMemory, turns: Tensor, guide: Guide | None = None) -> None:
-        super().__init__(memory, guide=guide)
+        super().__init__(memory, guide)
         self.turns = turns
 
     def logits(self, now: Observed) -> Tensor:
@@ -152,7 +153,7 @@ class Localising(Remembering):
     """Agents with a `LocalisingMemory`, which decides where they stop too; they may begin with a map of the place."""
 
     def __init__(self, memory: LocalisingMemory, known: PlaceMap | None = None, guide: Guide | None = None) -> None:
-        super().__init__(memory, None if known is None else known.seen, guide)
+        super().__init__(memory, guide)
         self.known = known
 
     def arrive(self, now: Observed) -> Tensor:
@@ -163,8 +164,8 @@ class Localising(Remembering):
         elif self.known is None:
             self.past = self.memory.begin(agents, device)
         else:
-            seen = self.known.seen.to(device)
-            self.past = self.known.begin(now.goal_odds(seen.expand(agents, *seen.shape[1:])))
+            self.seen = self.known.seen.to(device)
+            self.past = self.known.begin(now.goal_odds(self.seen.expand(agents, *self.seen.shape[1:])))
         odds = now.goal_odds(now.visit[:, None])[:, 0]
         self.past = self.memory.arrive(self.past, self.remember(now), odds, now.facing)
         return self.memory.stops(self.past)

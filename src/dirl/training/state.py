@@ -98,11 +98,12 @@ def _place(value: Any) -> Any:
 
 def random_state(device: torch.device) -> dict[str, Tensor]:
     """The state of torch's own generators, from which actions and pairs are sampled."""
-    return {"cpu": torch.get_rng_state()} | ({"cuda": torch.cuda.get_rng_state()} if device.type == "cuda" else {})
+    own = {} if device.type == "cpu" else {device.type: torch.get_device_module(device).get_rng_state()}
+    return {"cpu": torch.get_rng_state(), **own}
 
 
 def restore_random_state(state: Mapping[str, Tensor]) -> None:
     """Restore the generators' states that `random_state` returned."""
     torch.set_rng_state(state["cpu"])
-    if "cuda" in state:
-        torch.cuda.set_rng_state(state["cuda"])
+    for device in state.keys() - {"cpu", "env"}:
+        torch.get_device_module(device).set_rng_state(state[device])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from elsewhere import DEVICE, device_elsewhere
 from odds import Odds
 from rooms import grid_scene
 from shown_goals import images_of, look_up, trained, walk_through
@@ -215,6 +216,21 @@ def test_a_navigator_walks_once_and_goes_straight_to_any_photo(navigator, place,
             assert len(passed) - 1 == place.scenes[0].distances[start, goal]
     on = explored(navigator, place, known)
     assert len(on.graph.map()) == len(known)
+
+
+def test_a_map_that_was_saved_serves_on_another_device(navigator, place, tmp_path, monkeypatch):
+    folder = explored(navigator, place).save(tmp_path / "map")
+
+    def actions():
+        navigator.reset(images_of(place.surrounding[13]), graph=folder)
+        return [navigator.act(images_of(place.surrounding[state])).action for state in (0, 0, 18)]
+
+    on_cpu, encoder = actions(), navigator.encoder
+    navigator.encoder = lambda images: encoder(images.cpu())
+    with device_elsewhere(monkeypatch):
+        navigator.policy.to(DEVICE)
+        navigator.recogniser.to(DEVICE)
+        assert actions() == on_cpu
 
 
 def test_a_map_of_places_needs_a_memory_that_localises(navigator, place, walks):
