@@ -298,7 +298,7 @@ class Stateless(TensorDictModuleBase):
         if tensordict.ndim > 1 and "flat" in self.written:
             tensordict["memory"] = tensordict["fused"].flatten(0, 1)
         for key in self.written:
-            tensordict["next", key] = torch.zeros(*tensordict.shape, 3)
+            tensordict["next", key] = torch.zeros(*tensordict.shape, 4 if key == "wide" else 3)
         return tensordict
 
 
@@ -310,6 +310,7 @@ class Stateless(TensorDictModuleBase):
         (("[a]", "[a]", "[a]", "1.0"), "its recurrent state must begin with zeros"),
         (("[a]", "[a]", "[]"), r"does not write \('next', 'a'\)"),
         (("[flat]", "[flat]", "[flat]"), "batch dimension mismatch"),
+        (("[wide]", "[wide]", "[wide]"), r"writes \('next', 'wide'\) as \S+ \[1, 4\]; .* says \S+ \[1, 3\]"),
     ],
 )
 def test_a_memory_that_does_not_keep_its_contract_is_refused(parts, monkeypatch, options, told):

@@ -174,4 +174,5 @@ def _of_schema_1(old: dict[str, Any]) -> dict[str, Any]:
         "losses": {objective: {"_target_": losses[objective]}} if objective in losses else {},
         "optimiser": {"_target_": "torch.optim.Adam", "lr": before["optimiser.lr"], "eps": before["optimiser.eps"]},
         "network": {"standardise": network["standardise"], "cache": "auto", "axes": network["axes"]},
+        "env": {"_target_": "dirl.envs.NavigationEnv", "slip": 0.0},
     }

@@ -195,7 +195,7 @@ class TrainConfig:
     losses: Any = MISSING
     optimiser: Any = MISSING
     source: Any = field(default_factory=lambda: {"_target_": "dirl.scenes.catalogue.Rooms"})
-    env: Any = field(default_factory=lambda: {"_target_": "dirl.envs.NavigationEnv", "slip": 0.0})
+    env: Any = field(default_factory=lambda: {"_target_": "dirl.envs.NavigationEnv"})
     network: NetworkConfig = field(default_factory=NetworkConfig)
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     reinforcement: ReinforcementConfig = field(default_factory=ReinforcementConfig)

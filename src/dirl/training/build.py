@@ -11,6 +11,7 @@ from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transformed
 
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, GoalView, Starts, Stop, TrainConfig
+from dirl.config.trials import CODE, told
 from dirl.envs import Reward, SequentialViews, SurroundingViews
 from dirl.envs.transforms import VIEWS, broken_promise
 from dirl.evaluation.episodes import every_start, sampled_starts
@@ -29,6 +30,7 @@ from dirl.training.live import open_live
 from dirl.training.losses import Losses, ScheduledLoss, trained_parameters
 from dirl.training.objectives import ImitationLoss
 from dirl.training.pairs import Demonstrations, DrawnPairs
+from dirl.training.trials import try_expert
 
 
 def build_world(config: TrainConfig, extractor: str | None = None) -> World:
@@ -70,8 +72,8 @@ def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
     if type(made) not in (SurroundingViews, SequentialViews):
         try:
             broken = broken_promise(made)
-        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
-            broken = f"cannot be asked what is seen: {type(error).__name__}: {str(error).splitlines()[0]}"
+        except CODE as error:
+            broken = f"cannot be asked what is seen: {told(error, type(made))}"
         if broken:
             raise ConfigError(f"observation: {kind}: {broken}")
     return made
@@ -157,6 +159,8 @@ def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
     made: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
     if "expert_action" not in getattr(made, "out_keys", ()):
         raise ConfigError(f"expert: {type(made).__name__} is no expert: it writes no expert_action (out_keys)")
+    if not type(made).__module__.startswith("dirl."):  # another one is tried, as it may draw from a generator
+        try_expert(make("expert", config.expert, config.trust, world=world, seed=config.seed), world)
     return made
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -16,7 +17,7 @@ from torch import nn
 
 from dirl.config.components import check_components, packages_to_trust
 from dirl.config.places import command
-from dirl.config.schemas import Device
+from dirl.config.schemas import Device, TrainConfig
 from dirl.config.values import typed
 from dirl.evaluation.protocol import EvaluationProtocol, assess, mean_shortest
 from dirl.evaluation.stability import EpisodeMeter
@@ -47,6 +48,7 @@ from dirl.training.loops import noticing_divergence
 from dirl.training.losses import Losses
 from dirl.training.pairs import Demonstrations
 from dirl.training.state import TrainState
+from dirl.training.trials import try_losses
 
 
 @dataclass
@@ -140,6 +142,9 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Comp
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
     reinforced = losses is not None and losses.on_rollouts
     state = begin(run, policy, losses, protocol) if losses is not None and reinforced else None
+    if state is not None and packages_to_trust(run.config):
+        trial = build_losses(run.config, policy, world, demos)
+        try_losses(run.config, policy, trial, state.agents)
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
@@ -199,6 +204,13 @@ def _conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict
         draw_scene(policy, protocol, index, run.folder, matching=stop, facts=summary)
     run.clean_up(summary)
     print(f"pictures, metrics and weights: {run.folder}")
-    if outside := packages_to_trust(run.config):
-        print(f"evaluate it with: {command('evaluate')} checkpoint={run.folder} trust=[{','.join(outside)}]")
+    if hint := how_to_evaluate(run.config, run.folder):
+        print(hint)
     return summary
+
+
+def how_to_evaluate(config: TrainConfig, folder: Path) -> str:
+    """The command that evaluates a run with classes outside of dirl, as a shell takes it; of other runs nothing."""
+    outside = packages_to_trust(config)
+    options = shlex.join([f"checkpoint={folder}", f"trust=[{','.join(outside)}]"])
+    return f"evaluate it with: {command('evaluate')} {options}" if outside else ""

@@ -45,7 +45,7 @@ class ScheduledLoss:
     @property
     def compares(self) -> bool:
         """Whether it is computed on rollouts and demonstrations together: ``forward(batch, demonstrations)``."""
-        return "demonstrations" in inspect.signature(self.module.forward).parameters
+        return "demonstrations" in list(inspect.signature(self.module.forward).parameters)[1:]
 
 
 class Losses(nn.Module):
@@ -113,12 +113,18 @@ class Losses(nn.Module):
         """A rollout, ``[B, T]``, with the reward of the losses that define one, as a discriminator does.
 
         Their ``reward`` reads the rollout with ``hidden`` and returns the reward of each step, float32 ``[B, T, 1]``.
+
+        Raises:
+            ConfigError: it returns another shape.
         """
-        for loss in self.losses.values():
+        for name, loss in self.losses.items():
             if hasattr(loss.module, "reward"):
                 with set_recurrent_mode(bool(self.recurrent)):
                     seen = self.trunk(batch.copy())
-                batch["next", "reward"] = loss.module.reward(seen)
+                reward, shape = loss.module.reward(seen), batch["next", "reward"].shape
+                if reward.shape != shape:
+                    raise ConfigError(f"losses.{name}: reward() gives {list(reward.shape)}; expected {list(shape)}")
+                batch["next", "reward"] = reward
         return batch
 
     def _with_hidden(
