@@ -1,32 +1,35 @@
 """Simulators that fail: each run ends in one line that says what, where and what to do, and leaves whole files."""
 
 import os
+import signal
 from ctypes.util import find_library
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
-from commands import run_recipe
+from commands import run_recipe, wait_until
+
+from dirl.sources.vizdoom import process_of
 
 MORTAL = """
-import os, signal, subprocess
+import os, signal
 
-from dirl.sources.vizdoom import VizDoom
+from dirl.sources.vizdoom import VizDoom, process_of
 
 
 class Mortal(VizDoom):
-    "VizDoom whose process is killed before the view of that number."
+    "VizDoom that is killed before the view of that number; if it is negative, the program that looks is."
 
     def __init__(self, name, last):
         super().__init__(name, height=60, width=80)
-        self.last = last
+        self.left, self.own = abs(last), last < 0
 
     def look(self, heading):
-        self.last -= 1
-        if not self.last:
-            asked = ["ps", "-o", "pid=,comm=", "--ppid", str(os.getpid())]
-            children = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()
-            (process,) = (int(line.split()[0]) for line in children if "vizdoom" in line)
-            os.kill(process, signal.SIGKILL)
+        self.left -= 1
+        if not self.left:
+            name = self._game.get_instance_id()
+            print(name, flush=True)
+            os.kill(os.getpid() if self.own else int(process_of(name)), signal.SIGKILL)
         return super().look(heading)
 """
 
@@ -126,6 +129,15 @@ def test_a_doom_that_is_killed_ends_each_run_in_one_line(doom, tmp_path):
     assert "Traceback" not in errors
     assert not (tmp_path / "walked.json").exists()
     assert (tmp_path / "doom.h5").read_bytes() == dump
+
+
+def test_no_doom_outlives_a_program_that_is_killed(doom, tmp_path):
+    doom(last=-1)
+    status, printed, _ = run_recipe(tmp_path, "scenes", *DUMP, "out=doom.h5", "encoder=null")
+    assert status == -signal.SIGKILL
+    wait_until(lambda: not list(Path("/dev/shm").glob(f"ViZDoom*{printed.strip()}")))
+    with pytest.raises(RuntimeError, match="its process is not there"):
+        process_of(printed.strip())
 
 
 @pytest.mark.parametrize(

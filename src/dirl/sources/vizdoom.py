@@ -2,9 +2,12 @@
 
 import os
 import struct
+import subprocess
+import weakref
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +33,9 @@ ASIDE = 8
 
 SETTLED = 12
 """Tics after which the eyes are at their height again."""
+
+WATCH = 'read -r _; grep -qs "$0" "/proc/$1/cmdline" && kill -9 "$1"; rm -f "/dev/shm/ViZDoom"*"$0"'
+"""Of a shell: wait for the end of its input, then end a Doom by its name and process, and remove what it shared."""
 
 SCENERY = {"Self", "Decoration", "Vegetation", "LightSource", "Gore", "Hazard", "Unknown"}
 """Categories of things that stay; others change the views once they are taken."""
@@ -81,6 +87,7 @@ class VizDoom:
         game.set_seed(1)
         with simulator_errors(f"{self.name}: VizDoom"):
             game.init()
+            _end_with_this_process(self, game)
             self._clear()
         with suppress(OSError):  # an empty folder that Doom leaves
             Path("_vizdoom").rmdir()
@@ -170,6 +177,27 @@ class VizDoom:
             if abs(off) < 0.05:
                 return
             self._tics(off, 0, 1)
+
+
+def _end_with_this_process(owner: VizDoom, game: Any) -> None:
+    """Let a Doom end with its owner and with this process, even if that is killed: Doom waits for orders for ever."""
+    name = game.get_instance_id()
+    watch = subprocess.Popen(["sh", "-c", WATCH, name, process_of(name)], stdin=subprocess.PIPE, start_new_session=True)
+    weakref.finalize(owner, _close, game, watch)
+
+
+def process_of(name: str) -> str:
+    """The number of the process that has a name among its arguments."""
+    for arguments in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):  # of a process that has just ended
+            if name.encode() in arguments.read_bytes():
+                return arguments.parent.name
+    raise RuntimeError("its process is not there")
+
+
+def _close(game: Any, watch: subprocess.Popen[bytes]) -> None:
+    game.close()
+    watch.communicate()
 
 
 def _check_map(wad: Path, name: str) -> None:
