@@ -1,13 +1,12 @@
 """The recipes as a user runs them, and a run that takes seconds."""
 
-import copy
 import functools
 import subprocess
 import sys
 import time
 
 from fork_server import Started as start_recipe
-from forks import ROOT, recipe_file
+from forks import ROOT, copies, keep_compositions, recipe_file
 from hydra import compose, initialize_config_dir
 from rooms import grid_scene
 
@@ -76,10 +75,14 @@ def room_file(folder, **options):
     return file
 
 
+registered = functools.cache(register)
+"""Gives Hydra the types, once."""
+
+
 def train_config(*options):
     """The configuration that ``recipes/train.py`` gets from these options."""
     others = tuple(option for option in options if not option.startswith("scene="))
-    composed = copy.deepcopy(_composed(others))
+    composed = _composed(others)()
     for option in options:
         if option.startswith("scene="):
             composed.scene = parsed(option).value()
@@ -88,7 +91,8 @@ def train_config(*options):
 
 @functools.cache
 def _composed(options):
-    """What Hydra makes of options without a scene, which takes a third of a second, and is often asked for again."""
-    register()
+    """What Hydra makes of options without a scene, which are often asked for again."""
+    registered()
+    keep_compositions()
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return compose("train", prepare(TrainConfig, options, ROOT / "conf"))
+        return copies(compose("train", prepare(TrainConfig, options, ROOT / "conf")))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from closet import closet
-from commands import ROOT, run_program, run_recipe
+from commands import ROOT, registered, run_recipe
 from hydra import compose, initialize_config_dir
 from PIL import Image
 from rooms import grid_scene, published_dump
@@ -16,7 +16,7 @@ from scenes import COMMANDS
 from simulator import Simulator
 from tours import Camera360, grid_truth, turned, write_table
 
-from dirl.cli.command_line import SCHEMAS, choose_command, prepare, register
+from dirl.cli.command_line import SCHEMAS, choose_command, prepare
 from dirl.cli.start import checked
 from dirl.config.conf_schemas import command_meanings
 from dirl.config.schemas import ConfigError, Match
@@ -45,7 +45,7 @@ def room(here):
 
 def run(line):
     """What the recipe does with a command line, without a process of its own."""
-    register()
+    registered()
     command, arguments = choose_command(dict.fromkeys(COMMANDS, ""), shlex.split(line), "")
     arguments = prepare(SCHEMAS[command], arguments)
     with initialize_config_dir(str(ROOT / "conf" / "scenes"), version_base="1.3"):
@@ -86,7 +86,7 @@ def test_the_program_ends_with_one_line_or_with_the_work_done(room, here):
     assert (status, errors) == (1, "error: there is no command 'inpect'; did you mean inspect?\n")
     status, _, errors = run_recipe(here, "scenes", "encode", "scene=room.h5", "out=room.h5", "encoder=x")
     assert (status, errors) == (1, "error: out=room.h5: this file exists already; it is not overwritten\n")
-    status, printed, errors = run_program(here, "scenes", "export", "scene=room.h5", "out=out.h5")
+    status, printed, errors = run_recipe(here, "scenes", "export", "scene=room.h5", "out=out.h5")
     assert (status, printed.split(":")[0]) == (0, "out.h5"), errors
     assert sorted(path.name for path in here.iterdir()) == ["out.h5", "room.h5"]
 
