@@ -55,7 +55,7 @@ def test_help_names_the_command_and_needs_no_torch(tmp_path, case):
     [
         (["trian"], "there is no command 'trian'; did you mean train?"),
         (["train", "sceen=a"], "there is no option 'sceen'; did you mean scene or seed?"),
-        (["train", "seed=x"], "seed=x: must be a whole number"),
+        (["train", "seed=x"], "seed=x: must be a valid integer"),
         (["train", "scene=all", "reward.goal=-1e300"], "reward.goal=-1e+300: must be between -1000000 and 1000000"),
         (["train", "scene=all", "reinforcement.gamma=2"], "reinforcement.gamma=2.0: must be between 0 and 1"),
         (["train", "scene=bathrom_02"], "there is no scene 'bathrom_02' (did you mean 'bathroom_02'?)"),

@@ -55,7 +55,9 @@ def test_no_flipped_bit_and_no_lost_byte_is_accepted(file):
         load_checkpoint(file)
 
 
-@pytest.mark.parametrize(("schema", "told"), [(3, "newer version"), (-1, "schema is not"), ([], "schema is not")])
+@pytest.mark.parametrize(
+    ("schema", "told"), [(3, "newer version"), (-1, "schema: must be greater"), ([], "schema: must be a")]
+)
 def test_one_of_another_schema_is_refused(file, schema, told):
     save_checkpoint(file, STATE | {"schema": schema})
     with pytest.raises(RunError, match=told):
@@ -99,20 +101,20 @@ class Code:
 
 
 WRONG = {
-    "no network": ({"network": None}, "network is not what"),
-    "a network of lists": ({"network": {"w": [1, 2]}}, "network is not what"),
-    "a key that is no text": ({"network": {1: torch.zeros(1)}}, "network is not what"),
-    "configuration that is no text": ({"config": 3}, "config is not what"),
-    "no scenes": ({"scenes": []}, "scenes is not what"),
-    "scenes of numbers": ({"scenes": [1]}, "scenes is not what"),
-    "negative frames": ({"frames": -1}, "frames is not what"),
-    "true frames": ({"frames": True}, "frames is not what"),
-    "fractional frames": ({"frames": 1.0}, "frames is not what"),
-    "too many frames": ({"frames": 2**63}, "frames is not what"),
-    "negative seconds": ({"seconds": -1.0}, "seconds is not what"),
+    "no network": ({"network": None}, "network: must be a valid dictionary"),
+    "a network of lists": ({"network": {"w": [1, 2]}}, "network: w: must be an instance of Tensor"),
+    "a key that is no text": ({"network": {1: torch.zeros(1)}}, r"network: \[1\]: \[key\]: must be a valid string"),
+    "configuration that is no text": ({"config": 3}, "config: must be a valid string"),
+    "no scenes": ({"scenes": []}, "scenes: List should have at least 1 item"),
+    "scenes of numbers": ({"scenes": [1]}, r"scenes: \[0\]: must be a valid string"),
+    "negative frames": ({"frames": -1}, "frames: must be greater than or equal to 0"),
+    "true frames": ({"frames": True}, "frames: must be a valid integer"),
+    "fractional frames": ({"frames": 1.0}, "frames: must be a valid integer"),
+    "too many frames": ({"frames": 2**63}, "frames: must be less than or equal to"),
+    "negative seconds": ({"seconds": -1.0}, "seconds: must be greater than or equal to 0"),
     "NaN seconds": ({"seconds": float("nan")}, "seconds is nan"),
-    "tables elsewhere": ({"tables": {"../a.csv": 1}}, "tables is not what"),
-    "negative tables": ({"tables": {"a.csv": -1}}, "tables is not what"),
+    "tables elsewhere": ({"tables": {"../a.csv": 1}}, r"tables: \.\./a\.csv: .* must be 'dagger\.csv', "),
+    "negative tables": ({"tables": {"dagger.csv": -1}}, r"tables: dagger\.csv: must be greater than or equal to 0"),
     "NaN weights": ({"network": {"w": torch.tensor([1.0, torch.nan])}}, r"network\.w: holds values that are not fin"),
     "infinite state": ({"x": [{"y": torch.tensor(torch.inf)}]}, r"x\[0\]\.y: holds values that are not finite"),
     "complex weights": ({"network": {"w": torch.zeros(2, dtype=torch.complex64)}}, "expected an ordinary tensor"),
@@ -136,7 +138,7 @@ def test_wrong_contents_get_one_line(file, change, told):
 @pytest.mark.parametrize("missing", ["network", "config", "extractor", "scenes", "frames"])
 def test_what_is_missing_is_named(file, missing):
     save_checkpoint(file, {key: value for key, value in STATE.items() if key != missing})
-    with pytest.raises(RunError, match=f"it lacks {missing}"):
+    with pytest.raises(RunError, match=f"is no checkpoint of dirl: {missing}: is missing"):
         load_checkpoint(file)
 
 

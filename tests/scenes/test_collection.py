@@ -109,11 +109,11 @@ def test_the_later_line_of_a_room_counts(folder):
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("{}", "line 5: is no entry of a collection"),
+        ("{}", "line 5: name: is missing"),
         ("nonsense", "line 5: is no entry of a collection"),
-        ("[1]", "line 5: is no entry of a collection"),
-        ('"text"', "line 5: is no entry of a collection"),
-        ("seed", "line 5: seed: found '30001'"),
+        ("[1]", r"line 5: must be an object, found \[1\]"),
+        ('"text"', "line 5: must be an object, found 'text'"),
+        ("seed", "line 5: seed: must be a valid integer, found '30001'"),
         ("name", "line 5: name: expected one without slashes, found '../up'"),
     ],
 )

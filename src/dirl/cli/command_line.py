@@ -19,7 +19,7 @@ from dirl.config.components import GROUPS
 from dirl.config.conf_schemas import SCHEMAS
 from dirl.config.saved import RENAMED, SINCE
 from dirl.config.schemas import ConfigError, Schedule, Weight
-from dirl.config.values import check_choice, fits, in_words, option_types
+from dirl.config.values import check_choice, misfit, option_types
 from dirl.runs.exits import one_line
 
 
@@ -199,12 +199,13 @@ def _check_value(trial: DictConfig, name: str, kind: Any, override: Override) ->
             raise ConfigError(f"{override.input_line}: {name} is a group of options: {inside}")
         return
     for given in _values(override):
+        wrong = ""
         try:
             OmegaConf.update(trial, name, given)
-            # OmegaConf takes a list where an element of a list should be a number.
-            nested = isinstance(given, list) and any(isinstance(one, list | dict) for one in given)
-            converted = not nested or fits(given, kind)
-        except OmegaConfBaseException:
-            converted = False
-        if not converted:
-            raise ConfigError(f"{name}={'null' if given is None else given}: must be {in_words(kind)}")
+        except OmegaConfBaseException as error:
+            wrong = misfit(given, kind) or str(error).splitlines()[0]
+        # OmegaConf takes a list where an element of a list should be a number.
+        if isinstance(given, list) and any(isinstance(one, list | dict) for one in given):
+            wrong = misfit(given, kind)
+        if wrong:
+            raise ConfigError(f"{name}={'null' if given is None else given}: {wrong}")

@@ -31,10 +31,11 @@ def check_values(recipe: str, options: Any, overrides: Sequence[str] = ()) -> No
         case "map" | "go":
             _recorded(recipe, options)
         case "sample":
-            from dirl.sources.rooms.options import check_keys
+            from dirl.scenes.io.checked import check_choice
             from dirl.sources.rooms.sampling import KINDS
 
-            check_keys({} if options.kind == "all" else {options.kind: 0}, KINDS, "kind")
+            if options.kind != "all":
+                check_choice(options.kind, KINDS, "kind")
             check_writable(options.out)
         case "benchmark":
             if options.out is not None:

@@ -1,14 +1,10 @@
 """Values of options: checked against their types and bounds, and told in words."""
 
 import difflib
-import inspect
 import math
-import types
-import typing
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import is_dataclass
-from enum import Enum
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -16,7 +12,8 @@ from omegaconf.errors import OmegaConfBaseException
 from dirl.config.bounds import Bounds
 from dirl.config.schemas import ConfigError
 
-PLAIN = {int: "a whole number", float: "a number", bool: "true or false", str: "text", types.NoneType: "null"}
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 
 def option_types(schema: type, prefix: str = "", *, bounds: bool = False) -> dict[str, Any]:
@@ -49,7 +46,8 @@ def typed(config: DictConfig) -> Any:
     for name, kind in option_types(type(made), bounds=True).items():
         check_bounds(name, OmegaConf.select(config, name), kind)
     for name, value in leaves(OmegaConf.to_container(config, resolve=True)).items():
-        check_finite(name, value)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"{name}={value}: must be a finite number")
     return made
 
 
@@ -77,25 +75,43 @@ def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def check_value(name: str, value: Any, annotation: Any) -> None:
-    """Check one value against an annotation; annotations of other than plain values are not checked.
+    """Check one value against an annotation.
 
     Raises:
         ConfigError: it does not fit.
     """
-    check_finite(name, value)
-    check_bounds(name, value, annotation)
-    if not fits(value, annotation):
-        raise ConfigError(f"{name}={'null' if value is None else value}: must be {in_words(annotation)}")
+    if wrong := misfit(value, annotation):
+        raise ConfigError(f"{name}={'null' if value is None else value}: {wrong}")
 
 
-def check_finite(name: str, value: Any) -> None:
-    """Raise `ConfigError` for a number that is infinite or none."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{name}={value}: must be a finite number")
+def misfit(value: Any, annotation: Any) -> str:
+    """What is wrong with a plain value by pydantic, which takes it as JSON: true is no number; empty if it fits."""
+    from pydantic import PydanticUserError, TypeAdapter, ValidationError  # here: most refusals do without
+    from pydantic_core import to_json
+
+    rules: Any = {"strict": True, "allow_inf_nan": False, "arbitrary_types_allowed": True}
+    plain = to_json(value, inf_nan_mode="constants", serialize_unknown=True)
+    try:
+        TypeAdapter(annotation, config=rules).validate_json(plain)
+    except PydanticUserError:  # the annotation has a name that is only imported for type checkers
+        return ""
+    except ValidationError as error:
+        return first_error(error)
+    return ""
+
+
+def first_error(error: "ValidationError") -> str:
+    """The first error of a validation in one line: where in the value it is, and what must be there."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    if first["type"] == "needs_python_object":
+        return "must be an object of Python, which no option can be"
+    where = "".join(f"[{part}]: " if isinstance(part, int) else f"{part}: " for part in first["loc"])
+    what = first["msg"].replace("Input should", "must").replace("Field required", "is missing")
+    return " ".join(f"{where}{what}".split())  # keys of a file can have more than one line
 
 
 def check_bounds(name: str, value: Any, annotation: Any) -> None:
-    """Raise `ConfigError` for a number outside the bounds of an annotation."""
+    """Raise `ConfigError` for a number outside the bounds of an annotation; not by pydantic, for a fast start."""
     for bounds in _bounds(annotation):
         if type(value) in (int, float) and value not in bounds:
             raise ConfigError(f"{name}={value}: must be {bounds}")
@@ -106,44 +122,3 @@ def _bounds(annotation: Any) -> Iterator[Bounds]:
         if isinstance(inside, Bounds):
             yield inside
         yield from _bounds(inside)
-
-
-def fits(value: Any, kind: Any) -> bool:
-    """Whether a value is of the type that an annotation names, and within its bounds."""
-    origin, inside = get_origin(kind), get_args(kind)
-    if origin is typing.Annotated:
-        return fits(value, inside[0]) and all(value in bounds for bounds in _bounds(kind))
-    if origin in (types.UnionType, typing.Union):
-        return any(fits(value, one) for one in inside)
-    if origin is Literal:
-        return value in inside
-    if origin is list:
-        return isinstance(value, list) and all(fits(one, inside[0]) for one in value)
-    if origin is dict:
-        return isinstance(value, dict) and all(fits(k, inside[0]) and fits(v, inside[1]) for k, v in value.items())
-    if inspect.isclass(kind) and issubclass(kind, Enum):
-        return value in list(kind)
-    if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    if kind in PLAIN:
-        return isinstance(value, kind) and not (kind is int and isinstance(value, bool))
-    if kind is not Any and inspect.isclass(kind) and not issubclass(kind, Sequence | Mapping):
-        return isinstance(value, kind)  # a tensor, a module: no option can hold one
-    return True
-
-
-def in_words(kind: Any) -> str:
-    """A type in words, for errors."""
-    if get_origin(kind) is typing.Annotated:
-        return in_words(get_args(kind)[0])
-    if get_origin(kind) in (types.UnionType, typing.Union):
-        told = [one for one in get_args(kind) if one in PLAIN or get_args(one) or issubclass(one, Enum)]
-        return " or ".join(in_words(one) for one in told)
-    if get_origin(kind) is Literal:
-        return f"one of {', '.join(map(str, get_args(kind)))}"
-    if get_origin(kind) is list:
-        (each,) = get_args(kind)
-        return "a list" if each is Any else f"a list, each {in_words(each)}"
-    if inspect.isclass(kind) and issubclass(kind, Enum):
-        return f"one of {', '.join(kind)}"
-    return PLAIN.get(kind, getattr(kind, "__name__", str(kind)))

@@ -1,15 +1,17 @@
 """Valid contents of a checkpoint."""
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NotRequired, get_args
 
 import torch
+from annotated_types import MinLen
+from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from torch import Tensor
+from typing_extensions import TypedDict
 
 from dirl.config.bounds import Bounds
-from dirl.config.values import fits
+from dirl.config.values import first_error
 from dirl.runs.finding import SCHEMA, RunError
 
 Count = Annotated[int, Bounds(0, 2**63 - 1)]
@@ -63,39 +65,32 @@ def _check_tensor(value: Tensor, where: str) -> None:
         raise RunError(f"{where}: holds values that are not finite")
 
 
-REQUIRED: Mapping[str, Any] = {
-    "network": dict[str, Tensor],
-    "config": str,
-    "extractor": str,
-    "scenes": list[str],
-    "frames": Count,
-}
-"""What every checkpoint holds, and of what type."""
+@with_config(ConfigDict(strict=True, arbitrary_types_allowed=True))
+class Header(TypedDict):
+    """What checkpoints hold; `dirl.runs.states` compares the state of a training, if it is there, with a fresh one."""
 
-OPTIONAL: Mapping[str, Any] = {
-    "schema": Count,
-    "views": list[str],
-    "turns": list[Count],
-    "learning": dict[str, Tensor],
-    "tables": dict[Table, Count],
-    "seconds": Duration,
-    "training_seconds": Duration,
-}
-"""What some hold; `dirl.runs.states` compares the state of a training with a fresh one."""
+    network: dict[str, Tensor]
+    config: str
+    extractor: str
+    scenes: Annotated[list[str], MinLen(1)]
+    frames: Count
+    schema: NotRequired[Count]
+    views: NotRequired[Annotated[list[str], MinLen(1)]]
+    turns: NotRequired[Annotated[list[Count], MinLen(1)]]
+    learning: NotRequired[dict[str, Tensor]]
+    tables: NotRequired[dict[Table, Count]]
+    seconds: NotRequired[Duration]
+    training_seconds: NotRequired[Duration]
 
 
 def check_header(state: Any, file: Path) -> dict[str, Any]:
-    """The content of a checkpoint file, or `RunError` if it lacks what all hold or has it of another kind."""
-    if not isinstance(state, dict):
-        raise RunError(f"{file}: is no checkpoint of dirl; it holds a {type(state).__name__}")
-    missing = sorted(REQUIRED.keys() - state.keys())
-    if missing:
-        raise RunError(f"{file}: is no checkpoint of dirl; it lacks {', '.join(missing)}")
-    if fits(state.get("schema"), Count) and state["schema"] > SCHEMA:
+    """The content of a checkpoint file, or `RunError` if it is not a `Header`, or one of a newer version."""
+    if isinstance(state, dict) and type(state.get("schema")) is int and state["schema"] > SCHEMA:
         raise RunError(
             f"{file}: was written by a newer version of dirl (schema {state['schema']}); update dirl to use it"
         )
-    for name, kind in {**REQUIRED, **OPTIONAL}.items():
-        if name in state and (state[name] == [] or not fits(state[name], kind)):
-            raise RunError(f"{file}: {name} is not what a checkpoint holds")
+    try:
+        TypeAdapter(Header).validate_python(state)
+    except ValidationError as error:
+        raise RunError(f"{file}: is no checkpoint of dirl: {first_error(error)}") from None
     return state

@@ -11,8 +11,7 @@ from torch.optim import Optimizer
 from torchrl.envs import EnvBase
 
 from dirl.config.schemas import TrainConfig
-from dirl.config.values import fits
-from dirl.runs.contents import TABLES, Count
+from dirl.runs.contents import TABLES
 from dirl.runs.finding import RunError
 
 
@@ -110,7 +109,7 @@ def _same_kind(saved: Any, fresh: Any, most: int) -> bool:
     if isinstance(fresh, list | tuple):
         return isinstance(saved, list | tuple) and (not fresh or len(saved) == len(fresh))
     if fresh is None or type(fresh) is int:
-        return (fresh is None and saved is None) or (fits(saved, Count) and saved <= most)
+        return (fresh is None and saved is None) or (type(saved) is int and 0 <= saved <= most)
     return type(saved) in (int, float) if isinstance(fresh, float) else type(saved) is type(fresh)
 
 

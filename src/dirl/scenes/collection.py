@@ -7,10 +7,11 @@ one name the later one counts.
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, overload
 
+from dirl.scenes.io.checked import checked
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.read import Dump, read_dumps
 from dirl.scenes.io.texts import read_text
@@ -139,15 +140,9 @@ def is_whole(dump: Path, entry: Entry) -> bool:
 
 def _entry(line: str, where: str) -> Entry:
     try:
-        found = json.loads(line)
-        entry = Entry(**found)
-    except (ValueError, TypeError) as error:
+        entry: Entry = checked(json.loads(line), Entry, where)
+    except json.JSONDecodeError as error:
         raise SceneError(f"{where}: is no entry of a collection ({error})") from None
-    for field in fields(Entry):
-        kinds = {"seed": int, "states": int, "checks": dict, "settings": dict}
-        value = found[field.name]
-        if not (isinstance(value, kinds.get(field.name, str)) or (field.name == "split" and value is None)):
-            raise SceneError(f"{where}: {field.name}: found {value!r}")
     if Path(entry.name).name != entry.name:
         raise SceneError(f"{where}: name: expected one without slashes, found {entry.name!r}")
     return entry

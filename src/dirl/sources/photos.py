@@ -20,24 +20,28 @@ A right turn is the next heading clockwise.
 
 import csv
 import difflib
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Le
 from PIL import Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.checked import checked
 from dirl.scenes.io.texts import read_csv
-from dirl.scenes.scene import Scene, SceneError, check_name
+from dirl.scenes.scene import LARGEST, Scene, SceneError, check_name
 from dirl.scenes.views import FORMATS, ImageError, encode, open_image
 
 TABLE = "states.csv"
 REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
 OPTIONAL = ("back", "goal", "shot")
+
+Number = Annotated[float, Ge(-LARGEST), Le(LARGEST)]
 
 TOLERANCE = 1.0
 """Degrees that a heading may be off."""
@@ -51,19 +55,27 @@ PANORAMA_MARK = b"GPano:ProjectionType"
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table, checked by itself."""
+    """One row of the table, checked by itself; an empty cell is none, but for those of moves."""
 
     where: str
     """The table and the line, for errors."""
     image: Path
     location: str
-    heading: float
-    position: tuple[float, float]
-    moves: tuple[str, str | None]
-    """The locations ahead and back, empty = blocked; None = back is not said."""
-    goal: bool
-    shot: int
+    heading: Number
+    x: Number
+    z: Number
+    ahead: str
+    """The location, empty = blocked."""
+    back: str | None = None
+    """None = is not said."""
+    goal: Literal["yes"] | None = None
+    shot: Annotated[int, Ge(0), Le(999_999)] = 0
     """0 for the first image of a place and heading."""
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """X and z."""
+        return self.x, self.z
 
 
 def read_photos(folder: str | Path, *, name: str | None = None, source: str = "photos") -> tuple[Scene, list[Path]]:
@@ -175,41 +187,14 @@ def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
 
 
 def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:
-    numbers = {}
-    for column in ("heading", "x", "z"):
-        try:
-            numbers[column] = float(values[column])
-        except ValueError:
-            numbers[column] = math.nan
-        if not math.isfinite(numbers[column]):
-            raise SceneError(f"{where}: {column}: expected a number, found '{values[column]}'")
-    image = folder / values["image"]
-    if not values["image"] or not image.is_file():
-        raise SceneError(f"{where}: image: there is no file '{values['image']}' in {folder}")
-    if not values["location"]:
-        raise SceneError(f"{where}: location: is empty; give the place a name")
-    if values.get("goal", "") not in ("", "yes"):
-        raise SceneError(f"{where}: goal: expected 'yes' or nothing, found '{values['goal']}'")
-    return Row(
-        where=where,
-        image=image,
-        location=values["location"],
-        heading=numbers["heading"],
-        position=(numbers["x"], numbers["z"]),
-        moves=(values["ahead"], values.get("back")),
-        goal=values.get("goal") == "yes",
-        shot=_shot(values, where),
-    )
-
-
-def _shot(values: Mapping[str, str], where: str) -> int:
-    shot = values.get("shot") or "0"
-    if not shot.isdecimal() or len(shot) > 6:
-        raise SceneError(f"{where}: shot: expected a whole number or nothing, found '{shot[:50]}'")
+    given = {column: cell for column, cell in values.items() if cell or column in (ACTIONS[AHEAD], ACTIONS[BACK])}
+    row: Row = checked({"where": where, **given}, Row, where, strict=False)
+    if not (folder / row.image).is_file():
+        raise SceneError(f"{where}: image: there is no file '{row.image}' in {folder}")
     for column in ("ahead", "back", "goal"):
-        if int(shot) and values.get(column):
+        if row.shot and values.get(column):
             raise SceneError(f"{where}: {column}: stands in the row of the first shot; leave it empty here")
-    return int(shot)
+    return replace(row, image=folder / row.image)
 
 
 def _check_place(location: str, here: Sequence[Row], count: int) -> None:
@@ -238,10 +223,10 @@ def _graph(states: Sequence[Row], numbers: Mapping[str, range]) -> IntArray:
     """Next states, int64 ``[N, 4]``: turns by the order of headings, moves as the rows say."""
     graph = turns_only(len(numbers), len(states) // len(numbers))
     for state, row in enumerate(states):
-        for action, location in zip((AHEAD, BACK), row.moves, strict=True):
+        for action, location in ((AHEAD, row.ahead), (BACK, row.back)):
             if location:
                 graph[state, action] = _moved(states, numbers, row, ACTIONS[action], location)
-    if states[0].moves[1] is None:
+    if states[0].back is None:
         _undo_ahead(graph, states)
     return graph
 

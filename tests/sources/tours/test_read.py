@@ -84,7 +84,7 @@ SPOILT = {
         "links.csv",
         "yaw",
         "jaw",
-        "links.csv: line 1: there is no column 'jaw'; did you mean 'yaw'?",
+        "links.csv: line 1: columns: there is no 'jaw'; did you mean 'yaw'?",
     ),
     "a missing cell": ("table", "links.csv", "place_1.jpg,", "", "links.csv: line 2: 2 cells for 3 columns"),
     "a number of text": ("table", "links.csv", r",[-.\d]+\n", ",x\n", "links.csv: line 2: yaw: expected a number"),

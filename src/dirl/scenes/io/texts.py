@@ -1,10 +1,10 @@
 """Text files that somebody else may have written: refused at once if they are huge, as a sparse file can be."""
 
 import csv
-import difflib
 from collections.abc import Sequence
 from pathlib import Path
 
+from dirl.scenes.io.checked import check_choice
 from dirl.scenes.scene import SceneError
 
 MOST = 64 * 2**20
@@ -72,10 +72,7 @@ def read_csv(
 def _check_columns(columns: Sequence[str], required: Sequence[str], optional: Sequence[str], file: Path) -> None:
     known = [*required, *optional]
     for column in columns:
-        if column not in known:
-            near = difflib.get_close_matches(column, known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"columns are {', '.join(known)}"
-            raise SceneError(f"{file}: line 1: there is no column '{column}'; {hint}")
+        check_choice(column, known, f"{file}: line 1: columns")
         if columns.count(column) > 1:
             raise SceneError(f"{file}: line 1: the column '{column}' is named twice")
     missing = [column for column in required if column not in columns]

@@ -6,30 +6,30 @@ Lengths are metres, angles degrees; x points right on the plan, y up the plan, z
 import inspect
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields, make_dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar, get_type_hints
+from typing import Annotated, Any, ClassVar, get_type_hints
 
 import tomli_w
+from annotated_types import Ge, Gt, Le
 
+from dirl.scenes.io.checked import check_choice, checked
 from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.furniture import FURNITURE
-from dirl.sources.rooms.options import check_keys, check_value
 from dirl.sources.rooms.textures import TEXTURES
 
-T = TypeVar("T")
-
 SIDES = ("north", "south", "east", "west")
-SHELL = ("size", "floor", "ceiling", "skirting", "rail")
-"""What a room has beside its walls and its furniture."""
 
 LONGEST = 30.0
 """Metres: rooms and furniture larger than this are mistakes."""
 
-Size = tuple[float, float, float]
+Length = Annotated[float, Gt(0), Le(LONGEST)]
+NotNegative = Annotated[float, Ge(0)]
+Size = tuple[Length, Length, Length]
 Band = tuple[float, str]
 
 
@@ -79,13 +79,13 @@ class Material:
     kind: str = "plain"
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     seed: int = 0
-    resolution: int = 512
-    size: float = 1.0
-    rough: float = 0.6
+    resolution: Annotated[int, Ge(1), Le(2048)] = 512
+    size: NotNegative = 1.0
+    rough: NotNegative = 0.6
     metal: bool = False
     mirror: bool = False
-    emit: float = 0.0
-    glow: float = 1.6
+    emit: NotNegative = 0.0
+    glow: NotNegative = 1.6
 
 
 @dataclass(frozen=True)
@@ -169,102 +169,104 @@ def read_description(path: str | Path) -> RoomDescription:
         raise SceneError(str(error)) from None
 
 
+@dataclass
+class _Shell:
+    """The table ``[room]``."""
+
+    size: Size
+    floor: str
+    walls: dict[str, Any]
+    ceiling: str = "ceiling"
+    skirting: str | None = None
+    rail: str | None = None
+
+
+@dataclass
+class _File:
+    """A description as TOML has it; of materials and furniture the kinds are not known yet."""
+
+    name: str
+    room: _Shell
+    goals: tuple[int, ...] = ()
+    grid: Grid = Grid()
+    camera: Camera = Camera()
+    materials: dict[str, dict[str, Any]] = field(default_factory=dict)
+    furniture: list[dict[str, Any]] = field(default_factory=list)
+
+
 def parse_description(text: str) -> RoomDescription:
     """The room that a TOML text describes; raises `SceneError` as `read_description` does."""
     try:
-        tables = tomllib.loads(text)
+        file: _File = checked(tomllib.loads(text), _File)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"not TOML: {error}") from None
-    known = ("name", "goals", "room", "grid", "camera", "materials", "furniture")
-    check_keys(tables, known, "the top level", required=("name", "room"))
-    room = check_value(tables["room"], dict, "[room]")
-    shell = {key: value for key, value in room.items() if key != "walls"}
-    check_keys(room, (*SHELL, "walls"), "[room]", required=("size", "floor", "walls"))
-    hints = get_type_hints(RoomDescription)
-    made = {key: check_value(value, hints[key], f"[room] {key}") for key, value in shell.items()}
-    _check_lengths(made["size"], "[room] size")
-    return RoomDescription(
-        **made,
-        name=check_value(tables["name"], str, "name"),
-        walls=_walls(room["walls"], made["size"][2]),
-        furniture=tuple(
-            _piece(table, f"[[furniture]] number {number}")
-            for number, table in enumerate(check_value(tables.get("furniture", []), list, "furniture"), 1)
-        ),
-        materials={
-            name: _material(table, f"[materials] {name}")
-            for name, table in check_value(tables.get("materials", {}), dict, "[materials]").items()
-        },
-        goals=check_value(tables.get("goals", []), tuple[int, ...], "goals"),
-        grid=_filled(Grid, tables.get("grid", {}), "[grid]"),
-        camera=_filled(Camera, tables.get("camera", {}), "[camera]"),
-    )
+    tables = {
+        "walls": _walls(file.room),
+        "materials": {name: _material(table, f"[materials] {name}") for name, table in file.materials.items()},
+        "furniture": tuple(_piece(table, f"[[furniture]] number {n}") for n, table in enumerate(file.furniture, 1)),
+    }
+    given = {**vars(file), **vars(file.room), **tables}
+    del given["room"]
+    return RoomDescription(**given)
 
 
-def _filled(kind: Callable[..., T], table: Any, where: str, kinds: Mapping[str, Callable[..., Any]] | None = None) -> T:
-    """A dataclass made of a table, its values checked; what it lacks are options of the one of ``kinds`` it names."""
-    hints = get_type_hints(kind)
-    hints.pop("options", None)
-    parameters = fields(kind)  # type: ignore[arg-type]
-    required = [option.name for option in parameters if option.default is MISSING and option.default_factory is MISSING]
-    table = check_value(table, dict, where)
-    given = {key: value for key, value in table.items() if kinds is None or key in hints}
-    check_keys(given, hints, where, required=required)
-    made = {key: check_value(value, hints[key], f"{where} {key}") for key, value in given.items()}
-    if kinds is not None:
-        chosen = made.get("kind", "plain")
-        check_keys({chosen: 0}, kinds, f"{where} kind")
-        options = {key: value for key, value in table.items() if key not in hints}
-        check_keys(options, (*inspect.getfullargspec(kinds[chosen]).kwonlyargs, *hints), where)
-        types = get_type_hints(kinds[chosen])
-        made["options"] = {key: check_value(value, types[key], f"{where} {key}") for key, value in options.items()}
-    return kind(**made)
+def _with_options(kind: Any, table: Mapping[str, Any], where: str, kinds: Mapping[str, Callable[..., Any]]) -> Any:
+    """A dataclass made of a table; what it does not have itself are options of the one of ``kinds`` that it names."""
+    chosen = str(table.get("kind", "plain"))
+    check_choice(chosen, kinds, f"{where}: kind")
+    made = vars(checked(table, _table(kind, kinds[chosen]), where))
+    own = [one.name for one in fields(kind) if one.name != "options"]
+    options = {name: made[name] for name in table if name not in own}
+    return kind(**{name: made[name] for name in own}, options=options)
 
 
-def _check_lengths(size: Size, where: str) -> None:
-    if min(size) <= 0 or max(size) > LONGEST:
-        raise SceneError(f"{where}: expected lengths above 0 and up to {LONGEST} metres, found {list(size)}")
+@cache
+def _table(kind: type, made: Callable[..., Any]) -> type:
+    """A dataclass that has the options of a function, its keyword-only parameters, among its own."""
+    hints = get_type_hints(made)
+    options = [(name, hints[name], None) for name in inspect.getfullargspec(made).kwonlyargs]
+    return make_dataclass(kind.__name__, [*options, ("options", ClassVar[Any])], bases=(kind,), frozen=True)
 
 
-def _walls(table: Any, height: float) -> dict[str, tuple[Band, ...]]:
-    check_keys(check_value(table, dict, "[room.walls]"), SIDES, "[room.walls]", required=SIDES)
-    walls = {}
-    for side, given in table.items():
-        where = f"[room.walls] {side}"
-        bands = [[height, given]] if isinstance(given, str) else check_value(given, list, where)
-        walls[side] = tuple(check_value(band, tuple[float, str], where) for band in bands)
-        tops = [0.0, *(top for top, _ in walls[side])]
+_Walls = make_dataclass("_Walls", [(side, tuple[Band, ...]) for side in SIDES])
+
+
+def _walls(room: _Shell) -> dict[str, tuple[Band, ...]]:
+    """The bands of each side; a side that is one material has one as high as the room."""
+    height = room.size[2]
+    bands = {side: [[height, given]] if isinstance(given, str) else given for side, given in room.walls.items()}
+    walls = vars(checked(bands, _Walls, "[room.walls]"))
+    for side, made in walls.items():
+        tops = [0.0, *(top for top, _ in made)]
         if any(low >= high for low, high in pairwise(tops)) or abs(tops[-1] - height) > 1e-6:
-            raise SceneError(f"{where}: the upper edges of the bands must rise to the room's height, {height}")
+            raise SceneError(
+                f"[room.walls]: {side}: the upper edges of the bands must rise to the room's height, {height}"
+            )
     return walls
 
 
-def _material(table: Any, where: str) -> Material:
-    material = _filled(Material, table, where, TEXTURES)
-    n = material.resolution
-    if not (1 <= n <= 2048 and n & (n - 1) == 0):
-        raise SceneError(f"{where} resolution: expected a power of two up to 2048, found {n}")
-    for key in ("size", "rough", "emit", "glow"):
-        if getattr(material, key) < 0:
-            raise SceneError(f"{where} {key}: must not be negative")
+def _material(table: Mapping[str, Any], where: str) -> Material:
+    material: Material = _with_options(Material, table, where, TEXTURES)
+    if material.resolution.bit_count() != 1:
+        raise SceneError(f"{where}: resolution: must be a power of two, found {material.resolution}")
     return material
 
 
-def _piece(table: Any, where: str) -> Piece:
-    if isinstance(table, dict) and isinstance(table.get("kind"), str):
-        where += f" ({table['kind']})"
-    piece = _filled(Piece, table, where, FURNITURE)
-    _check_lengths(piece.size, f"{where} size")
+def _piece(table: Mapping[str, Any], where: str) -> Piece:
+    if "kind" not in table:
+        raise SceneError(f"{where}: kind: is missing")
+    where += f" ({table['kind']})"
+    piece: Piece = _with_options(Piece, table, where, FURNITURE)
     if (piece.at is None) == (piece.wall is None) or (piece.wall is None) != (piece.along is None):
         raise SceneError(f"{where}: say where it stands, by 'wall' and 'along', or by 'at'")
     if piece.wall is not None:
-        check_keys({piece.wall: 0}, SIDES, f"{where} wall")
+        check_choice(piece.wall, SIDES, f"{where}: wall")
     return piece
 
 
 def description_text(room: RoomDescription) -> str:
     """The TOML text of a room; `parse_description` makes an equal room of it."""
-    shell = {key: getattr(room, key) for key in SHELL if getattr(room, key) is not None}
+    shell = {one.name: value for one in fields(_Shell) if (value := getattr(room, one.name)) is not None}
     tables = {
         "name": room.name,
         "goals": room.goals,

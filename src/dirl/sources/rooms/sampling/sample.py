@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dirl.scenes.io.checked import check_choice
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.build import View, poses, take_views, view_problems
 from dirl.sources.rooms.checks import check_room
 from dirl.sources.rooms.description import Grid, RoomDescription
 from dirl.sources.rooms.layout import assemble
 from dirl.sources.rooms.navigation import walk
-from dirl.sources.rooms.options import check_keys
 from dirl.sources.rooms.sampling import furnishing
 from dirl.sources.rooms.sampling.draft import Draft, rounded
 from dirl.sources.rooms.sampling.splits import repertoire_of
@@ -74,7 +74,7 @@ def sample_views(
 
     They are those that `build_room` takes with that ``size`` and without ``fine``; none without ``look``.
     """
-    check_keys({kind: 0}, KINDS, "kind")
+    check_choice(kind, KINDS, "kind")
     if seed < 0:
         raise SceneError(f"seed={seed}: must not be negative")
     problems = ["attempts must be at least 1"]

@@ -1,0 +1,58 @@
+"""What was read from a file, checked against annotated types by pydantic; what does not fit is told in one line."""
+
+import difflib
+from collections.abc import Collection
+from dataclasses import fields
+from functools import cache
+from typing import Any, get_type_hints
+
+from dirl.scenes.scene import SceneError
+
+UNKNOWN = "unexpected_keyword_argument"
+"""What pydantic calls a key that a dataclass does not have."""
+
+
+def checked(value: Any, kind: Any, where: str = "", *, strict: bool = True) -> Any:
+    """What a file holds as a type: tables become dataclasses, lists tuples, whole numbers floats.
+
+    Args:
+        value: made of dictionaries, lists, texts and numbers.
+        kind: a dataclass, whose tables are dataclasses too, or another type; bounds are those of `annotated_types`.
+        where: in which file or part of it, for errors.
+        strict: False takes texts as numbers too.
+
+    Raises:
+        SceneError: something is of another type, out of bounds, unknown or missing; the message names it.
+    """
+    from pydantic import ValidationError  # here: many commands read no such file, and this takes 0.1 s
+    from pydantic_core import to_json
+
+    try:
+        # Strictly, a list of JSON can be a tuple, and an object a dataclass; those of Python cannot.
+        return _adapter(kind).validate_json(to_json(value, inf_nan_mode="strings"), strict=strict, extra="forbid")
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+    first = next((one for one in found if one["type"] == UNKNOWN), found[0])
+    if first["type"] == UNKNOWN:
+        *above, key = map(str, first["loc"])
+        for part in above:
+            kind = get_type_hints(kind)[part]
+        check_choice(key, [field.name for field in fields(kind)], ".".join([*filter(None, [where]), *above]))
+    name = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).lstrip(".")
+    wrong = "is missing" if first["type"] == "missing" else f"{first['msg']}, found {first['input']!r:.80}"
+    raise SceneError(": ".join(filter(None, [where, name, wrong.replace("Input should", "must")])))
+
+
+@cache
+def _adapter(kind: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
+
+
+def check_choice(name: str, known: Collection[str], where: str) -> None:
+    """Raise `SceneError` unless a name is one of those that are known."""
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"choose from {', '.join(known)}"
+        raise SceneError(f"{where}: there is no '{name}'; {hint}".removeprefix(": "))
