@@ -49,16 +49,14 @@ def train(run: Run, components: Components) -> dict[str, Any]:
     """Imitation, then reinforcement; returns what the summary says of them (paper section 3, algorithm 1)."""
     policy, demos, protocol = components.policy, components.demos, components.protocol
     found: dict[str, Any] = {}
-    if components.begins and len(demos):
+    if components.before_reinforcement and len(demos):
         step = imitate(run, policy, demos)
         for labelled, frames in dagger_rounds(run, policy, protocol, demos):  # Ross et al. 2011; none by default
             step = imitate(run, policy, labelled, step)
             found = {"frames": frames, "demonstrations": len(labelled)}
-    if components.begins and run.config.evaluation.times:
+    if components.before_reinforcement and run.config.evaluation.times:
         write_evaluation(run, policy, protocol, 0)
-    if components.state is not None:
-        found = reinforce(run, components.state, protocol) | found
-    return found
+    return found if components.state is None else reinforce(run, components.state, protocol)
 
 
 def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
@@ -71,10 +69,10 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
             set_learning_rate(steps.optimiser, steps.lr)
             rows = draw()
             with noisy(policy, options.noise):
-                result = loss(trunk(rows.copy()))
+                result = loss(trunk(rows.copy()))  # equations 11 and 12
             steps.optimiser.zero_grad()
             result["loss_imitation"].backward()
-            average_gradients(policy.parameters(), len(rows))
+            average_gradients(policy.parameters(), len(rows))  # over ranks, if there are several
             steps.optimiser.step()
             steps.record(result["loss_imitation"].item(), result["accuracy"].item(), len(rows))
     print(f"{len(demos)} demonstrations, {steps.step} steps of imitation: {steps.accuracy:.1%} of the actions learned")
@@ -83,25 +81,31 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
 
 def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
+    improve = hogwild.learn if run.config.reinforcement.workers > 1 else learn
     with updates(run, state, protocol) as loop:
-        (hogwild.learn if run.config.reinforcement.workers > 1 else learn)(run.config, state, loop)
+        improve(run.config, state, loop)
     return state.summary
 
 
 def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
-    """Collect, losses, backward, clip, step; as long as the loop goes on."""
+    """Collect, losses, backward, clip, step; as long as the loop goes on.
+
+    Where an episode ends, at the goal or by template matching (section 3.4), the environment decides.
+    """
     options, optimiser, policy = config.reinforcement, state.optimiser, state.policy
     operator, advantages = policy.operator(), make_advantages(options.gamma, options.lmbda)
     critic = operator.get_value_operator()
     parameters, rate = state.parameters, optimiser.defaults["lr"]
-    by_agent, bfloat16 = bool(state.losses.recurrent), config.precision == "bfloat16"
+    by_agent = bool(state.losses.recurrent)  # a memory needs the steps of an agent together and in order
+    bfloat16 = config.precision == "bfloat16"
     while loop.goes_on:
-        set_learning_rate(optimiser, rate * loop.left)
+        set_learning_rate(optimiser, rate * loop.left)  # falls linearly to 0
         with caching(policy), torch.autocast(state.env.device.type, torch.bfloat16, enabled=bfloat16):
             batch, state.agents = collect(state.env, operator, state.agents, options.n_steps)
-            batch = advantages(bootstrap(state.losses.rewarded(batch), critic))
+            batch = state.losses.rewarded(batch)  # the environment's reward, unless a loss defines one
+            batch = advantages(bootstrap(batch, critic))  # equations 5 and 6
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
-                losses = state.losses(part, loop.left)
+                losses = state.losses(part, loop.left)  # equations 7 and 8, and 12 with a weight
                 optimiser.zero_grad()
                 total_loss(losses).backward()
                 average_gradients(parameters, len(part))

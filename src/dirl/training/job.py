@@ -62,7 +62,7 @@ class Components:
     """Where and how the policy is evaluated; its world and observation are those of the training."""
     state: TrainState | None
     """Of the reinforcement; None if the run has none."""
-    begins: bool
+    before_reinforcement: bool
     """Whether the run is before its reinforcement: it is new, or goes on from a checkpoint of its imitation."""
 
 
@@ -95,7 +95,7 @@ def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
 
 def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool) -> dict[str, Any]:
     """Build the components before anything is written; then run the stages."""
-    # Without the inner one Hydra would say something of its own about an error of the machine.
+    # Beside that of `run_main`, outside of Hydra: before it Hydra would say something of its own about an error.
     with one_line_exits(folder=folder) if alone else nullcontext():
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
@@ -140,15 +140,15 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Comp
     protocol = build_protocol(run.config, world, observation, goals.held_out)
     if (live := open_live(run.config, world, observation)) is not None:
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
-    reinforced = losses is not None and losses.on_rollouts
-    state = begin(run, policy, losses, protocol) if losses is not None and reinforced else None
+    state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None
     if state is not None and packages_to_trust(run.config):
         trial = build_losses(run.config, policy, world, demos)
         try_losses(run.config, policy, trial, state.agents)
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
-    return Components(policy, demos, protocol, state, begins=run.saved is None or "imitation" in run.saved)
+    before_reinforcement = run.saved is None or "imitation" in run.saved
+    return Components(policy, demos, protocol, state, before_reinforcement)
 
 
 def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
