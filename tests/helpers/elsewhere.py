@@ -29,6 +29,12 @@ class Module(backend_registration._DummyBackendModule):
     def synchronize(self, *_):
         pass
 
+    def get_rng_state(self, *_):
+        return torch.get_rng_state()
+
+    def set_rng_state(self, state, *_):
+        torch.set_rng_state(state)
+
     def get_amp_supported_dtype(self):
         return [torch.bfloat16]
 
