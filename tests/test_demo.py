@@ -167,7 +167,10 @@ def test_a_photo_is_a_goal(site, address, watched_tab, name):
     # The last digits of the features, and so near ties of a plan, depend on the processor: its own logits count.
     logits, stops = (torch.tensor(tab.evaluate(f"[...goal.{name}]")) for name in ("logits", "stops"))
     logits, read = logits.view(-1, 4), np.frombuffer(b64decode(goal["logits"]), "<f4").reshape(-1, 4)
-    assert (logits.argmax(1).numpy() == read.argmax(1)).mean() > 0.97
+    chosen, lead = logits.argmax(1).numpy(), np.diff(np.sort(read, 1))[:, -1]
+    other = chosen != read.argmax(1)
+    assert other.mean() < 0.1
+    assert lead[other].max(initial=0) < 0.1 * np.median(lead)
     taken = tab.evaluate("taken.slice(1).join('')")
     assert taken == planned(logits, stops.tolist(), start, data, facts)
     tab.fill("#photo-threshold", "0.85")
