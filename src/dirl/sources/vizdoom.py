@@ -87,7 +87,8 @@ class VizDoom:
         game.set_seed(1)
         with simulator_errors(f"{self.name}: VizDoom"):
             game.init()
-            _end_with_this_process(self, game)
+            if Path("/proc").is_dir():  # elsewhere than on Linux a killed program leaves its Doom behind
+                _end_with_this_process(self, game)
             self._clear()
         with suppress(OSError):  # an empty folder that Doom leaves
             Path("_vizdoom").rmdir()

@@ -32,10 +32,11 @@ class Panoramas:
     """
 
     def __init__(self, turns: int, recogniser: Recogniser | None = None) -> None:
-        self.turns = turns
-        self.recogniser = copy.deepcopy(recogniser or NCC())
-        if isinstance(self.recogniser, nn.Module):
-            self.recogniser.cpu()  # what a map keeps is on the CPU, wherever the policy is
+        self.turns, self.recogniser = turns, recogniser or NCC()
+        if isinstance(recogniser, nn.Module) and any(
+            one.device.type != "cpu" for one in recogniser.state_dict().values()
+        ):
+            self.recogniser = copy.deepcopy(recogniser).cpu()  # what a map keeps is on the CPU, wherever the policy is
         self.moves: list[list[int]] = []
         """Where each action leads from each node: `UNKNOWN`, the node itself where it is blocked, or another."""
         self.observed: list[list[bool]] = []
