@@ -150,7 +150,7 @@ def test_refusals_say_what_to_do(monkeypatch, options, alone, told):
     config = train_config("scene=bathroom_02", *options)
 
     def ask():
-        ranks.check(config, alone)
+        ranks.check(config, alone=alone)
         ranks.share_of_agents(config, scenes=1)
 
     with pytest.raises(ConfigError, match=told):

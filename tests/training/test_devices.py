@@ -4,16 +4,21 @@ import pytest
 import torch
 from commands import TINY, room_file, train_config
 from elsewhere import DEVICE, Elsewhere, device_elsewhere
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import OmegaConf
 from parts import make_parts, train_in
 
 from dirl.agent.mapping import ImageGraph
+from dirl.config.saved import config_text
 from dirl.config.schemas import Device
 from dirl.evaluation.protocol import action_values
 from dirl.perception.recognition import Learned
 from dirl.perception.recognition.build import build_recogniser
 from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.finding import config_file
 from dirl.scenes import World
-from dirl.training.job import sum_in_order
+from dirl.training.job import prepare_device, run_job
 from dirl.training.load import load_trained
 
 SMALL = [
@@ -82,13 +87,35 @@ def test_a_recogniser_is_where_the_world_is_and_that_of_a_map_on_the_cpu(elsewhe
     assert ImageGraph(recogniser=kept).recogniser is kept
 
 
-def test_on_a_gpu_alone_kernels_are_chosen_that_add_in_a_fixed_order(monkeypatch):
+@pytest.fixture
+def in_order(monkeypatch):
+    """Whether kernels that add in a fixed order are chosen; none are before the test, and after it."""
     monkeypatch.setenv("CUBLAS_WORKSPACE_CONFIG", ":16:8")  # what the user chose stays
-    try:
-        sum_in_order(Device.cpu)
-        assert not torch.are_deterministic_algorithms_enabled()
-        sum_in_order(Device.cuda)
-        assert torch.are_deterministic_algorithms_enabled()
-        assert torch.is_deterministic_algorithms_warn_only_enabled()
-    finally:
-        torch.use_deterministic_algorithms(False)
+    yield torch.are_deterministic_algorithms_enabled
+    torch.use_deterministic_algorithms(False)
+
+
+def test_on_a_gpu_alone_kernels_are_chosen_that_add_in_a_fixed_order(in_order):
+    prepare_device(Device.cpu)
+    assert not in_order()
+    prepare_device(Device.cuda)
+    assert in_order()
+    assert torch.is_deterministic_algorithms_warn_only_enabled()
+
+
+def test_a_resumed_run_chooses_them_for_its_own_device(tmp_path, monkeypatch, elsewhere, in_order):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    config_file(folder).write_text(config_text(train_config(f"scene={room_file(tmp_path)}", *SMALL, "device=cuda")))
+    resume = f"resume={folder}"
+    hydra = {"runtime": {"output_dir": str(folder)}, "mode": RunMode.MULTIRUN, "overrides": {"task": [resume]}}
+    monkeypatch.setattr(HydraConfig, "get", lambda: OmegaConf.create(hydra))
+    chosen = []
+
+    def stages(run, components):
+        chosen.append(in_order())
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        run_job(OmegaConf.structured(train_config(resume)), stages)
+    assert chosen == [True]

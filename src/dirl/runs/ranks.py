@@ -21,7 +21,7 @@ import torch.distributed as dist
 from torch import nn
 from torch.distributed.rendezvous import rendezvous
 
-from dirl.config.schemas import ConfigError, Device, Reduction, TrainConfig
+from dirl.config.schemas import ConfigError, Reduction, TrainConfig
 from dirl.runs import exits
 from dirl.runs.finding import RunError
 
@@ -34,30 +34,27 @@ SEEDS = 1_000_003
 """Between the seeds of two ranks."""
 
 
-def join(config: TrainConfig, *, alone: bool) -> None:
-    """Meet the other ranks, if ``torchrun`` has started this process with any.
-
-    Raises:
-        ConfigError: what the configuration asks for cannot be shared among ranks, or the run is not ``alone`` but a job
-            of a sweep.
-    """
+def join() -> None:
+    """Meet the other ranks, if ``torchrun`` has started this process with any."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1 or dist.is_initialized():
         return
     store, number, count = next(rendezvous("env://", timeout=PATIENCE))
-    on_gpu = config.device == Device.cuda
-    if on_gpu and torch.cuda.is_available():  # else it is refused as without ranks
-        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", number)))
-    backend = "cpu:gloo,cuda:nccl" if on_gpu else "gloo"
+    backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
     dist.init_process_group(backend, store=store, rank=number, world_size=count, timeout=PATIENCE)
     atexit.register(dist.destroy_process_group)
     exits.is_first = lambda: store.add("has spoken", 1) == 1
     if number:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115, for the rest of the process
-    check(config, alone)
 
 
-def check(config: TrainConfig, alone: bool) -> None:
-    """Raise `ConfigError` for a training that ranks cannot share; see `share_of_agents` for reinforcement."""
+def check(config: TrainConfig, *, alone: bool) -> None:
+    """Check that ranks can share a training, if there are several; see `share_of_agents` for reinforcement.
+
+    Raises:
+        ConfigError: they cannot, or the run is not ``alone`` but a job of a sweep.
+    """
+    if size() == 1:
+        return
     asked = f"torchrun with {size()} ranks"
     if not alone:
         raise ConfigError(f"{asked}: trains one run; start the jobs of a sweep (-m) without torchrun")

@@ -99,9 +99,10 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
     with one_line_exits(folder=folder) if alone else nullcontext():
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
-        sum_in_order(config.device)
-        ranks.join(config, alone=alone)
+        ranks.join()
         run = open_run(config, folder, overrides)
+        ranks.check(run.config, alone=alone)  # a resumed run has another configuration than the one composed
+        prepare_device(run.config.device)
         if ranks.from_first(lambda: run.finished):
             print(f"finished before: {run.folder}")
             return ranks.from_first(lambda: json.loads((run.folder / "summary.json").read_text()))
@@ -114,14 +115,17 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
             raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
 
 
-def sum_in_order(device: Device) -> None:
-    """On a GPU choose the kernels that add in a fixed order, so that a seed decides everything as on the CPU.
+def prepare_device(device: Device) -> None:
+    """On a GPU choose that of this rank, and the kernels that add in a fixed order: a seed decides as on the CPU.
 
     torch warns of an operation that has no such kernel.
     """
-    if device == Device.cuda:
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS reads it when it is first used
-        torch.use_deterministic_algorithms(True, warn_only=True)
+    if device != Device.cuda:
+        return
+    if ranks.size() > 1 and torch.cuda.is_available():  # else it is refused as without ranks
+        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", ranks.rank())))
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS reads it when it is first used
+    torch.use_deterministic_algorithms(True, warn_only=True)
 
 
 def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Components:
