@@ -200,7 +200,7 @@ def test_a_place_where_doom_puts_nobody(doom):
 @pytest.mark.usefixtures("miniworld")
 def test_names_that_the_simulators_do_not_have(tmp_path):
     pytest.importorskip("vizdoom", reason="the extra vizdoom is not installed")
-    with pytest.raises(SceneError, match=r"env=FourRoms: .*; did you mean FourRooms\?"):
+    with pytest.raises(SceneError, match=r"MiniWorld: there is no environment 'FourRoms'; did you mean 'FourRooms'\?"):
         MiniWorld("FourRoms")
     with pytest.raises(SceneError, match=r"map=map99: freedoom2.wad holds no such map; it holds MAP01, "):
         VizDoom("map99")

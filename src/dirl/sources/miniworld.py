@@ -1,6 +1,5 @@
 """MiniWorld: rooms and mazes of coloured walls, drawn with OpenGL, here without a display."""
 
-import difflib
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dirl.scenes.io.checked import check_choice
 from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 
@@ -39,13 +39,7 @@ class MiniWorld:
         self, env: str, *, seed: int = 0, height: int = 120, width: int = 160, field_of_view: float = 60.0
     ) -> None:
         make, names = _registered()
-        if f"MiniWorld-{env}-v0" not in names:
-            short = [name.split("-")[1] for name in names]
-            near = difflib.get_close_matches(env, short, n=1)
-            raise SceneError(
-                f"env={env}: MiniWorld has no such environment; "
-                + (f"did you mean {near[0]}?" if near else f"choose from {', '.join(short)}")
-            )
+        check_choice(env, [name.split("-")[1] for name in names], "MiniWorld", "environment")
         self.name = f"{env}_{seed}"
         # It tells about samples of pixels.
         with simulator_errors(f"{self.name}: MiniWorld"), redirect_stdout(StringIO()):

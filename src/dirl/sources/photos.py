@@ -19,7 +19,6 @@ A right turn is the next heading clockwise.
 """
 
 import csv
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -32,7 +31,7 @@ from PIL import Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.checked import checked
+from dirl.scenes.io.checked import check_choice, checked
 from dirl.scenes.io.texts import read_csv
 from dirl.scenes.scene import LARGEST, Scene, SceneError, check_name
 from dirl.scenes.views import FORMATS, ImageError, encode, open_image
@@ -233,10 +232,7 @@ def _graph(states: Sequence[Row], numbers: Mapping[str, range]) -> IntArray:
 
 def _moved(states: Sequence[Row], numbers: Mapping[str, range], row: Row, column: str, location: str) -> int:
     """The state at another location with the heading of a row."""
-    if location not in numbers:
-        near = difflib.get_close_matches(location, numbers, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else "no row has it in the column location"
-        raise SceneError(f"{row.where}: {column}: there is no location '{location}'; {hint}")
+    check_choice(location, numbers, f"{row.where}: {column}", "location")
     if location == row.location:
         raise SceneError(
             f"{row.where}: {column}: leads to '{location}' itself; leave it empty where the way is blocked"

@@ -8,6 +8,9 @@ from typing import Any, get_type_hints
 
 from dirl.scenes.scene import SceneError
 
+MOST_NAMED = 30
+"""How many choices an error lists; a tour can have hundreds of panoramas."""
+
 UNKNOWN = "unexpected_keyword_argument"
 """What pydantic calls a key that a dataclass does not have."""
 
@@ -50,9 +53,10 @@ def _adapter(kind: Any) -> Any:
     return TypeAdapter(kind)
 
 
-def check_choice(name: str, known: Collection[str], where: str) -> None:
-    """Raise `SceneError` unless a name is one of those that are known."""
+def check_choice(name: str, known: Collection[str], where: str, noun: str = "") -> None:
+    """Raise `SceneError` unless a name is one of those that are known; ``noun`` is what they are the names of."""
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"choose from {', '.join(known)}"
-        raise SceneError(f"{where}: there is no '{name}'; {hint}".removeprefix(": "))
+        more = ", ..." if len(known) > MOST_NAMED else ""
+        hint = f"did you mean '{near[0]}'?" if near else f"choose from {', '.join([*known][:MOST_NAMED])}{more}"
+        raise SceneError(f"{where}: there is no {noun}{' ' * bool(noun)}'{name}'; {hint}".removeprefix(": "))

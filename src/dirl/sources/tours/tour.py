@@ -3,7 +3,6 @@
 The functions that look into its files raise `SceneError` where these are not as expected.
 """
 
-import difflib
 import math
 import os
 from collections.abc import Collection, Iterator, Mapping
@@ -13,6 +12,7 @@ from typing import Any
 
 import pyjson5
 
+from dirl.scenes.io.checked import check_choice
 from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Cube, Equirectangular
@@ -94,9 +94,7 @@ def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
     every = [panorama.id for panorama in tour.panoramas]
     found = [panorama for panorama in tour.panoramas if panorama.id not in skip]
     for unknown in sorted(set(skip) - set(every)):
-        near = difflib.get_close_matches(unknown, every, 1)
-        hint = f"; did you mean '{near[0]}'?" if near else ""
-        raise SceneError(f"{tour.origin}: skip: there is no panorama '{unknown}'{hint}")
+        check_choice(unknown, every, f"{tour.origin}: skip", "panorama")
     if not found:
         raise SceneError(f"{tour.origin}: names no panoramas" + (" but those to skip" if every else ""))
     if len(found) > MOST_PANORAMAS:
