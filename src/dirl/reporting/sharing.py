@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from dirl.agent.hub import HubError, first_line, hub_library
-from dirl.perception.backbones.registry import SHIPPED, load_encoder
+from dirl.perception.backbones import EncoderError
+from dirl.perception.backbones.registry import packaged_encoder
 from dirl.reporting.tables import run_title, summary_table
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.shared import write_shared
@@ -116,9 +117,12 @@ def _index(summary: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 
 def _encoder(extractor: str) -> tuple[str, str]:
     """The arguments by which a navigator gets the encoder of an extractor, and what they mean if it is not dirl's."""
-    for name in SHIPPED if extractor.startswith("ResNet-50") else ():  # to load one takes half a second
-        if load_encoder(name).extractor == extractor:
-            return f'"{name}"', ""
+    try:
+        name = packaged_encoder(extractor)
+    except EncoderError:  # its weights are not installed here
+        name = None
+    if name is not None:
+        return f'"{name}"', ""
     return "encoder, extractor=extractor", "`extractor` is this text, `encoder` a function of images to features. "
 
 
