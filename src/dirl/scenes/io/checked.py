@@ -8,8 +8,8 @@ from typing import Any, get_type_hints
 
 from dirl.scenes.scene import SceneError
 
-MOST_NAMED = 30
-"""How many choices an error lists; a tour can have hundreds of panoramas."""
+MOST_NAMED = 100
+"""How many choices an error lists: all kinds of furniture, but not all panoramas of a large tour."""
 
 UNKNOWN = "unexpected_keyword_argument"
 """What pydantic calls a key that a dataclass does not have."""
@@ -57,6 +57,6 @@ def check_choice(name: str, known: Collection[str], where: str, noun: str = "") 
     """Raise `SceneError` unless a name is one of those that are known; ``noun`` is what they are the names of."""
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
-        more = ", ..." if len(known) > MOST_NAMED else ""
+        what, more = f"{noun} '{name}'".lstrip(), ", ..." if len(known) > MOST_NAMED else ""
         hint = f"did you mean '{near[0]}'?" if near else f"choose from {', '.join([*known][:MOST_NAMED])}{more}"
-        raise SceneError(f"{where}: there is no {noun}{' ' * bool(noun)}'{name}'; {hint}".removeprefix(": "))
+        raise SceneError(f"{where}: there is no {what}; {hint}".removeprefix(": "))
