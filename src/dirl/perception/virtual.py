@@ -11,7 +11,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 
 @dataclass(frozen=True)
@@ -79,6 +78,8 @@ def virtual_views(
         >>> virtual_views(views, fov=50, own=75, yaw=45).shape
         (10, 48, 64, 3)
     """
+    from scipy.ndimage import map_coordinates  # here: most commands make no virtual views, and this takes 0.1 s
+
     at = _looked_up(views.shape[-3:-1], fov, own, yaw, pitch)
     seen = [
         [map_coordinates(visit[..., channel], at, float, order=1, mode="nearest") for channel in range(3)]
