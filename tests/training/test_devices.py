@@ -121,7 +121,7 @@ def test_a_resumed_run_is_prepared_and_checked_by_its_own_configuration(tmp_path
     with pytest.raises(InterruptedError):
         run_job(OmegaConf.structured(train_config(resume)), stages)
     assert chosen == [True]
-    assert checked == [(Device.cuda, False)]
+    assert checked == [(Device.cpu, False), (Device.cuda, False)]
 
 
 def test_each_rank_takes_the_gpu_that_torchrun_gives_it(monkeypatch, in_order):

@@ -100,8 +100,10 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
         ranks.join()
+        ranks.check(config, alone=alone)  # before ranks wait for each other
         run = open_run(config, folder, overrides)
-        ranks.check(run.config, alone=alone)  # a resumed run has another configuration than the one composed
+        if config.resume is not None:  # which has a configuration of its own
+            ranks.check(run.config, alone=alone)
         prepare_device(run.config.device)
         if ranks.from_first(lambda: run.finished):
             print(f"finished before: {run.folder}")
