@@ -6,13 +6,14 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from PIL import ExifTags, Image
 from rooms import grid_scene
 from shown_goals import trained
 
 from dirl import Navigator
 from dirl.agent.navigator import NavigatorError
 from dirl.perception.backbones import ResNet50, load_encoder
-from dirl.scenes import make_world
+from dirl.scenes import ACTIONS, make_world
 
 IMAGES = np.random.default_rng(0).integers(0, 256, (4, 40, 50, 3), np.uint8)
 
@@ -32,6 +33,13 @@ def finished_run(folder, extractor, width):
     """The folder of a run on features of that width which claim to be of that extractor."""
     trained(folder, make_world([grid_scene(feature_width=width, extractor=extractor)]))
     return folder
+
+
+def test_by_default_a_checkpoint_names_its_encoder_itself(tmp_path):
+    extractor = load_encoder("resnet50_small").extractor
+    navigator = Navigator.load(finished_run(tmp_path, extractor, 2048))
+    features = load_encoder("resnet50_small")(torch.from_numpy(IMAGES))
+    torch.testing.assert_close(navigator.encoder(torch.from_numpy(IMAGES)), features)
 
 
 def test_an_encoder_is_loaded_by_name_and_compared_by_itself(run, resnet50):
@@ -73,8 +81,25 @@ def test_an_encoder_of_another_package_is_loaded_by_name(source, tmp_path, monke
     navigator = Navigator.load(run, name)
     navigator.reset(IMAGES)
     assert navigator.act(IMAGES).scores.matching == pytest.approx(1, abs=1e-5)
-    with pytest.raises(NavigatorError, match="another extractor"):
+    with pytest.raises(NavigatorError, match="which is no encoder of dirl; name it"):
         Navigator.load(run)
+
+
+def test_files_of_photos_are_read_upright_in_place_of_arrays(run, tmp_path):
+    navigator, files = Navigator.load(run, "resnet50"), [tmp_path / f"{view}.png" for view in range(4)]
+    for file, view in zip(files, IMAGES, strict=True):
+        lying = Image.fromarray(view).transpose(Image.Transpose.ROTATE_90)
+        lying.getexif()[ExifTags.Base.Orientation] = 6
+        lying.save(file, exif=lying.getexif())
+    navigator.reset(str(files[0]))
+    seen = navigator.act(files)
+    assert seen.scores.matching == pytest.approx(1, abs=1e-5)
+    assert seen.action.name == ACTIONS[seen.action]
+    with pytest.raises(NavigatorError, match=r"goal_images: .*gone\.jpg: No such file"):
+        navigator.reset(tmp_path / "gone.jpg")
+    Image.fromarray(IMAGES[0, :20]).save(files[1])
+    with pytest.raises(NavigatorError, match=r"images: the views of an agent are photos of one size; .*50x20"):
+        navigator.act(files)
 
 
 def test_more_images_than_a_batch_are_encoded_in_parts(run, resnet50, monkeypatch):

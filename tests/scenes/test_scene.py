@@ -32,6 +32,10 @@ def spoiled(name, state, value):
     return {name: array}
 
 
+def test_it_shows_itself_in_one_line():
+    assert repr(Scene(**parts())) == "<Scene room (synthetic): 24 states, 0 goals, features [24, 16], 1 look, from here>"
+
+
 @pytest.mark.parametrize("name", ["graph", "positions", "headings", "features", "distances", "surrounding"])
 def test_arrays_are_read_only(scene, name):
     with pytest.raises(ValueError, match="read-only"):

@@ -13,7 +13,7 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state, recurrent_keys
 from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
 from dirl.perception.recognition.recogniser import Recogniser
-from dirl.scenes import ACTIONS
+from dirl.scenes import ACTIONS, Action
 
 
 class Scores(NamedTuple):
@@ -28,8 +28,8 @@ class Scores(NamedTuple):
 class Decision(NamedTuple):
     """The agent's action and whether it stops; for a batch, tensors ``[B]``."""
 
-    action: int | Tensor
-    """0 ahead, 1 turn right, 2 turn left, 3 back; take it unless ``stop`` is true."""
+    action: Action | Tensor
+    """0 ahead, 1 turn right, 2 turn left, 3 back, with its ``name``; take it unless ``stop`` is true."""
     stop: bool | Tensor
     """Whether the views match the goal's, that is, the agent has arrived."""
     scores: Scores

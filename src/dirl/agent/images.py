@@ -1,5 +1,7 @@
 """The camera images that a navigator accepts."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,10 @@ from torch import Tensor
 
 from dirl.envs.transforms import VIEWS
 from dirl.scenes import ACTIONS
+from dirl.scenes.views import ImageError, read_photo
 
-Images = Tensor | NDArray[np.uint8]
+Images = Tensor | NDArray[np.uint8] | str | Path | Sequence[str | Path]
+"""RGB pixels, uint8, or the file of a photo, or the files of an agent's views (JPEG, PNG or WebP)."""
 
 
 class NavigatorError(ValueError):
@@ -26,8 +30,19 @@ def checked_images(images: Images, name: str, *, sequential: bool, views: int = 
     Raises:
         NavigatorError: the images have another shape or type.
     """
+    if isinstance(images, str | Path):
+        images = _read(images, name)
+    elif isinstance(images, list | tuple) and images and all(isinstance(file, str | Path) for file in images):
+        photos = [_read(file, name) for file in images]
+        shapes = {photo.shape[:2]: file for photo, file in zip(photos, images, strict=True)}
+        if len(shapes) > 1:
+            sizes = ", ".join(f"{file} has {width}x{height}" for (height, width), file in shapes.items())
+            raise NavigatorError(f"{name}: the views of an agent are photos of one size; {sizes} pixels")
+        images = np.stack(photos)
     if not isinstance(images, Tensor | np.ndarray):
-        raise NavigatorError(f"{name}: expected a numpy array or a torch tensor, found {type(images).__name__}")
+        raise NavigatorError(
+            f"{name}: expected an array, a tensor, or the files of photos, found {type(images).__name__}"
+        )
     if (found := _unreadable(images)) is not None:
         raise NavigatorError(f"{name}: expected uint8 pixels, found {found}")
     # Copied, because the array of a camera driver or image library may be read-only or have negative strides.
@@ -89,6 +104,13 @@ def checked_features(found: Any, rows: int, width: int, extractor: str) -> Tenso
     return features
 
 
+def _read(file: str | Path, name: str) -> NDArray[np.uint8]:
+    try:
+        return read_photo(file)
+    except ImageError as error:
+        raise NavigatorError(f"{name}: {error}") from None
+
+
 def _accepted(shape: tuple[int, ...], *, sequential: bool, goal: bool, views: int) -> bool:
     if sequential:
         return len(shape) in (3, 4)
@@ -97,7 +119,7 @@ def _accepted(shape: tuple[int, ...], *, sequential: bool, goal: bool, views: in
     return (len(shape) in (4, 5) and shape[-4] in (VIEWS, views)) or (goal and len(shape) == 5 and shape[-4] == 1)
 
 
-def _unreadable(images: Images) -> str | None:
+def _unreadable(images: Tensor | NDArray[Any]) -> str | None:
     """What images are that hold no pixels; None if they do."""
     if not isinstance(images, Tensor):
         return None if images.dtype == np.uint8 else f"an array of {images.dtype}"

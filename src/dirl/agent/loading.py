@@ -20,7 +20,7 @@ from dirl.models.build import build_policy, reads_patches, saved_statistics
 from dirl.models.weights import check_extractor, load_weights, renamed
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
-from dirl.perception.backbones.registry import BATCH
+from dirl.perception.backbones.registry import BATCH, packaged_encoder
 from dirl.perception.recognition.build import build_recogniser, suit
 from dirl.perception.recognition.learned import Learned
 from dirl.perception.virtual import VirtualCameras
@@ -32,7 +32,7 @@ Encoder = Callable[[Tensor], Any]
 def load_parts(
     saved: dict[str, Any],
     origin: str,
-    encoder: Encoder | str | Path,
+    encoder: Encoder | str | Path | None,
     extractor: str | None,
     scene: str | None,
     chosen: Mapping[str, str | None],
@@ -48,6 +48,7 @@ def load_parts(
         raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
     changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
     config = read_config(saved["config"], origin, changes, trust)
+    encoder = encoder or own_encoder(saved, origin)
     patches, recognises = reads_patches(config), build_recogniser(config, device)
     learned = patches and isinstance(recognises, Learned)
     fine = learned and (encoder == "resnet50_small" or virtual is not None)  # photos are recognised by them
@@ -79,6 +80,20 @@ def load_parts(
         "fine": fine,
         "virtual": virtual,
     }
+
+
+def own_encoder(saved: Mapping[str, Any], origin: str) -> str:
+    """Return the name of the package's encoder that made the features of a checkpoint's training.
+
+    Raises:
+        NavigatorError: none of the package did.
+    """
+    if (name := packaged_encoder(saved["extractor"])) is None:
+        raise NavigatorError(
+            f"{origin}: was trained on features of '{saved['extractor']}', which is no encoder of dirl; name it, or give "
+            "a function of images: encoder=..."
+        )
+    return name
 
 
 def image_encoder(

@@ -26,6 +26,7 @@ from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.perception.virtual import VirtualCameras
 from dirl.runs.checkpoints import load_checkpoint
+from dirl.scenes import Action
 
 
 class Navigator:
@@ -81,7 +82,7 @@ class Navigator:
     def load(
         cls,
         checkpoint: str | Path,
-        encoder: Encoder | str | Path = "resnet50",
+        encoder: Encoder | str | Path | None = None,
         *,
         extractor: str | None = None,
         scene: str | None = None,
@@ -96,8 +97,9 @@ class Navigator:
 
         Args:
             checkpoint: the folder of a run, or a ``.pt`` file in one.
-            encoder: a name or a file of ResNet-50 weights for `dirl.perception.backbones.load_encoder`; an encoder that
-                it has loaded; or a function of images (see `Encoder`). If left out, that of the built-in rooms.
+            encoder: by default that of the package by which the checkpoint was trained. Or a name or a file of
+                ResNet-50 weights for `dirl.perception.backbones.load_encoder`; an encoder that it has loaded; or a
+                function of images (see `Encoder`).
             extractor: the description of the encoder in the dump whose features it reproduces (``Scene.extractor``),
                 which must equal the checkpoint's. Required for a function; encoders of dirl describe themselves. A
                 dump may describe the same file of weights differently: if the texts differ, there is a warning
@@ -129,7 +131,7 @@ class Navigator:
     def from_pretrained(
         cls,
         name: str | Path,
-        encoder: Encoder | str | Path = "resnet50",
+        encoder: Encoder | str | Path | None = None,
         *,
         revision: str | None = None,
         **options: Any,
@@ -172,7 +174,8 @@ class Navigator:
             goal_images: the views at the goal, uint8 RGB ``[4, H, W, 3]`` (ahead, right, back, left) or
                 ``[B, 4, H, W, 3]``. Or one photo, ``[H, W, 3]`` or ``[B, 1, H, W, 3]``; how well this works
                 depends on the training (``imitation.front_only``, ``goal_view=front``). With sequential views
-                one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents.
+                one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents. Or the
+                file of a photo (JPEG, PNG or WebP), or the files of the four views.
             graph: a map of the place, see `explore`, or the folder of a saved one, for a single agent. A topological
                 map leads it to the goal; the policy decides within ``last_steps`` of it, and where the agent does not
                 recognise what it sees. A `PlaceMap` is what the agent's memory begins with.
@@ -245,7 +248,7 @@ class Navigator:
         probabilities = logits.softmax(-1)
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))
-        return Decision(int(action), bool(stop), Scores(float(matching), probabilities[0]))
+        return Decision(Action(int(action)), bool(stop), Scores(float(matching), probabilities[0]))
 
     def explore(self, graph: ImageGraph | PlaceMap | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.

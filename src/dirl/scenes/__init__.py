@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from dirl.scenes.catalogue import PUBLISHED_GOALS, load_scenes
-from dirl.scenes.graph import ACTIONS, GraphError
+from dirl.scenes.graph import ACTIONS, Action, GraphError
 from dirl.scenes.io.read import SceneWarning, read_dump
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.scene import Scene, SceneError
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ACTIONS",
     "PUBLISHED_GOALS",
+    "Action",
     "GraphError",
     "Scene",
     "SceneError",

@@ -3,13 +3,26 @@
 A graph is an integer array ``[N, 4]``: ``graph[state, action]`` is the next state, -1 where the move is blocked.
 """
 
+from enum import IntEnum
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-ACTIONS = ("ahead", "right", "left", "back")
-"""The action order of every graph in memory; right and left are turns on the spot (as in the published dumps)."""
+
+
+class Action(IntEnum):
+    """What an agent does in a step, in the order of every graph in memory; right and left are turns on the spot."""
+
+    ahead = 0
+    right = 1
+    left = 2
+    back = 3
+
+
+ACTIONS = tuple(action.name for action in Action)
+"""The names of the actions, in their order (that of the published dumps)."""
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
 

@@ -34,7 +34,7 @@ class SceneError(ValueError):
     """An invalid scene; the message says what is wrong, where, and what to do."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """One room. Immutable (its arrays are read-only) and checked when made.
 
@@ -110,6 +110,11 @@ class Scene:
             object.__setattr__(self, name, _read_only(array))
         for goal in self.goals:
             self.check_goal(goal)
+
+    def __repr__(self) -> str:
+        features = "no features" if self.features is None else f"features [{', '.join(map(str, self.features.shape))}]"
+        shown = f"{len(self)} states, {len(self.goals)} goals, {features}, {self.looks} look{'s'[: self.looks > 1]}"
+        return f"<Scene {self.name} ({self.source}): {shown}, from {self.origin}>"
 
     def __len__(self) -> int:
         """The number of states."""

@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 MAX_PIXELS = 2**24
 """Of a view; larger ones are refused before they are unpacked."""
+
+MAX_PHOTO_PIXELS = 2**28
+"""Of a photo; as RGB it takes three bytes for each."""
 
 FORMATS = ("WEBP", "PNG", "JPEG")
 """Of images. Pillow knows many more, and for some of them starts other programs (Ghostscript for EPS)."""
@@ -116,3 +119,11 @@ def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Imag
     finally:
         Image.MAX_IMAGE_PIXELS = limit
     return image
+
+
+def read_photo(file: str | Path) -> NDArray[np.uint8]:
+    """Return the photo in a file, upright as its EXIF says, RGB, uint8 ``[H, W, 3]``; `ImageError` if there is none."""
+    try:
+        return np.asarray(ImageOps.exif_transpose(open_image(Path(file).read_bytes(), MAX_PHOTO_PIXELS)).convert("RGB"))
+    except (OSError, ImageError) as error:
+        raise ImageError(f"{file}: {getattr(error, 'strerror', None) or error}") from None

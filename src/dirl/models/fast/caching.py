@@ -9,8 +9,8 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from tensordict import is_batchedtensor
 from torch import Tensor, nn
+from torch._C._functorch import is_batchedtensor  # tensordict hands it on up to 0.14 only; nothing public says it
 
 from dirl.envs.transforms import VIEWS, front_only
 from dirl.models.features import FeatureTable
