@@ -33,7 +33,8 @@ def spoiled(name, state, value):
 
 
 def test_it_shows_itself_in_one_line():
-    assert repr(Scene(**parts())) == "<Scene room (synthetic): 24 states, 0 goals, features [24, 16], 1 look, from here>"
+    shown = "<Scene room (synthetic): 24 states, 0 goals, features [24, 16], 1 look, from here>"
+    assert repr(Scene(**parts())) == shown
 
 
 @pytest.mark.parametrize("name", ["graph", "positions", "headings", "features", "distances", "surrounding"])

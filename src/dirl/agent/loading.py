@@ -90,8 +90,8 @@ def own_encoder(saved: Mapping[str, Any], origin: str) -> str:
     """
     if (name := packaged_encoder(saved["extractor"])) is None:
         raise NavigatorError(
-            f"{origin}: was trained on features of '{saved['extractor']}', which is no encoder of dirl; name it, or give "
-            "a function of images: encoder=..."
+            f"{origin}: was trained on features of '{saved['extractor']}', which is no encoder of dirl; name it, or "
+            "give a function of images: encoder=..."
         )
     return name
 

@@ -11,7 +11,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 
-
 class Action(IntEnum):
     """What an agent does in a step, in the order of every graph in memory; right and left are turns on the spot."""
 
