@@ -48,7 +48,7 @@ html_theme = "furo"
 html_title = f"dirl {importlib.metadata.version('dirl')}"
 html_favicon = "_static/favicon.svg"
 repository = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["urls"].get("Repository")
-if repository:  # links to the repository, and to the source of each page
+if repository and "example.org" not in repository:  # links to the repository, and to the source of each page
     html_theme_options = {"source_repository": repository, "source_branch": "main", "source_directory": "docs/"}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

