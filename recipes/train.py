@@ -8,7 +8,7 @@
     python recipes/train.py resume=runs/dirl_bathroom_02/2026-01-31_12-00-00
 
 All options: conf/train.yaml and the groups beside it. What a run needs besides its training is in `dirl.training.job`;
-progress, checkpoints, interrupts and several processes are in `dirl.training.loops`.
+progress, checkpoints and interrupts are in `dirl.training.loops`.
 """
 
 from dirl.cli.start import run_main, start
@@ -27,7 +27,6 @@ from dirl.config.schemas import TrainConfig
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import caching, noisy
 from dirl.runs.folder import Run
-from dirl.runs.ranks import average_gradients
 from dirl.training import hogwild
 from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, run_job
@@ -72,9 +71,8 @@ def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
                 result = loss(trunk(rows.copy()))  # equations 11 and 12
             steps.optimiser.zero_grad()
             result["loss_imitation"].backward()
-            average_gradients(policy.parameters(), len(rows))  # over ranks, if there are several
             steps.optimiser.step()
-            steps.record(result["loss_imitation"].item(), result["accuracy"].item(), len(rows))
+            steps.record(result["loss_imitation"].item(), result["accuracy"].item())
     print(f"{len(demos)} demonstrations, {steps.step} steps of imitation: {steps.accuracy:.1%} of the actions learned")
     return steps.step
 
@@ -108,7 +106,6 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
                 losses = state.losses(part, loop.left)  # equations 7 and 8, and 12 with a weight
                 optimiser.zero_grad()
                 total_loss(losses).backward()
-                average_gradients(parameters, len(part))
                 norm = clip_gradients(parameters, options.max_grad_norm, per_variable=options.clip_per_variable)
                 optimiser.step()
         loop.record(summarise(state.env, batch, losses.set("gradient_norm", norm)))

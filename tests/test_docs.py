@@ -72,7 +72,6 @@ NOT_RUN = {
     "loggers.md": ["tensorboard is a server that does not end"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model", "takes half an hour"],
     "paper.md": ["takes an hour and a half"],
-    "ranks.md": ["needs torchrun", "takes minutes"],
     "recordings.md": ["takes about an hour"],
     "robot.md": ["needs ROS 2"],
     "share.md": ["needs an account"],

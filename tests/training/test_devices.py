@@ -15,7 +15,6 @@ from dirl.config.schemas import Device
 from dirl.evaluation.protocol import action_values
 from dirl.perception.recognition import Learned
 from dirl.perception.recognition.build import build_recogniser
-from dirl.runs import ranks
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.finding import config_file
 from dirl.scenes import World
@@ -104,15 +103,14 @@ def test_on_a_gpu_alone_kernels_are_chosen_that_add_in_a_fixed_order(in_order):
     assert torch.is_deterministic_algorithms_warn_only_enabled()
 
 
-def test_a_resumed_run_is_prepared_and_checked_by_its_own_configuration(tmp_path, monkeypatch, elsewhere, in_order):
+def test_a_resumed_run_is_prepared_by_its_own_configuration(tmp_path, monkeypatch, elsewhere, in_order):
     folder = tmp_path / "run"
     folder.mkdir()
     config_file(folder).write_text(config_text(train_config(f"scene={room_file(tmp_path)}", *SMALL, "device=cuda")))
     resume = f"resume={folder}"
     hydra = {"runtime": {"output_dir": str(folder)}, "mode": RunMode.MULTIRUN, "overrides": {"task": [resume]}}
     monkeypatch.setattr(HydraConfig, "get", lambda: OmegaConf.create(hydra))
-    chosen, checked = [], []
-    monkeypatch.setattr(ranks, "check", lambda config, *, alone: checked.append((config.device, alone)))
+    chosen = []
 
     def stages(run, components):
         chosen.append(in_order())
@@ -121,18 +119,3 @@ def test_a_resumed_run_is_prepared_and_checked_by_its_own_configuration(tmp_path
     with pytest.raises(InterruptedError):
         run_job(OmegaConf.structured(train_config(resume)), stages)
     assert chosen == [True]
-    assert checked == [(Device.cpu, False), (Device.cuda, False)]
-
-
-def test_each_rank_takes_the_gpu_that_torchrun_gives_it(monkeypatch, in_order):
-    taken = []
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "set_device", taken.append)
-    monkeypatch.setenv("LOCAL_RANK", "1")
-    prepare_device(Device.cuda)
-    assert taken == []
-    monkeypatch.setattr(ranks, "size", lambda: 2)
-    prepare_device(Device.cpu)
-    assert taken == []
-    prepare_device(Device.cuda)
-    assert taken == [1]

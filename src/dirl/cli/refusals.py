@@ -83,11 +83,10 @@ def _scene_command(name: str, options: Any) -> None:
 def _training(options: TrainConfig, overrides: Sequence[str]) -> None:
     """Refuse a run that cannot be resumed, components without a class, and weights and scenes that do not exist."""
     if options.resume is not None:
-        if os.environ.get("RANK", "0") == "0":  # other ranks need not see the folder
-            from dirl.runs.locks import finish_cleaning
+        from dirl.runs.locks import finish_cleaning
 
-            finish_cleaning(Path(options.resume))
-            find_unfinished(options.resume, overrides)
+        finish_cleaning(Path(options.resume))
+        find_unfinished(options.resume, overrides)
         return
     components(options)  # each names a class; whether there is such a class is known after the imports
     _scenes(options)

@@ -30,11 +30,9 @@ RECIPES = {
 def command(name: str, *, running: bool = False) -> str:
     """How the user calls a recipe, as ``dirl train`` or ``python recipes/train.py``, to say what to run next.
 
-    The program that is ``running`` now may be a copy under another name, or run behind ``torchrun``.
+    The program that is ``running`` now may be a copy under another name.
     """
-    ranks = os.environ.get("LOCAL_WORLD_SIZE", "1") if running else "1"
-    torchrun = f"torchrun --nproc-per-node={ranks} "
     if VARIABLE in os.environ:
-        return f"dirl {name}" if ranks == "1" else f"{torchrun}--no-python dirl {name}"
+        return f"dirl {name}"
     script = sys.argv[0] if running and sys.argv[0].endswith(".py") and not os.path.isabs(sys.argv[0]) else None
-    return f"{'python ' if ranks == '1' else torchrun}{script or RECIPES[name][0]}"
+    return f"python {script or RECIPES[name][0]}"

@@ -10,7 +10,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,11 +17,8 @@ from typing import Any, NoReturn
 from hydra.errors import HydraException
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-MEMORY, FILES, LOST, PIPE = 71, 74, 75, 128 + 13
-"""Exit statuses; the first three as in ``sysexits.h``."""
-
-PATIENCE = 3.0
-"""Seconds that other ranks wait for rank 0 to say what is wrong; then ``torchrun`` has ended them."""
+MEMORY, FILES, PIPE = 71, 74, 128 + 13
+"""Exit statuses; the first two as in ``sysexits.h``."""
 
 HINTS = {
     errno.ENOSPC: "make room on the disk",
@@ -41,10 +37,6 @@ class Terminated(BaseException):
     """SIGTERM as an exception, as ``KeyboardInterrupt`` is for SIGINT."""
 
 
-class LostRankError(Exception):
-    """Another rank of the run has ended, see `dirl.runs.ranks`."""
-
-
 def end_at_once() -> None:
     """From now on SIGINT and SIGTERM end the program with one line where no context of this module handles them.
 
@@ -57,8 +49,7 @@ def end_at_once() -> None:
 
 
 def _end_at_once(number: int, _: Any) -> NoReturn:
-    if speaks():
-        os.write(2, b"interrupted\n" if number == signal.SIGINT else b"terminated\n")
+    os.write(2, b"interrupted\n" if number == signal.SIGINT else b"terminated\n")
     os._exit(128 + number)
 
 
@@ -80,7 +71,7 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
         if folder is not None:
             with contextlib.suppress(OSError):
                 os.removedirs(folder)
-        raise SystemExit(f"error: {one_line(str(error), 2000)}" if speaks() else 1) from None
+        raise SystemExit(f"error: {one_line(str(error), 2000)}") from None
     except KeyboardInterrupt:
         leave("interrupted", 128 + signal.SIGINT, advice)
     except Terminated:
@@ -90,8 +81,6 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
         leave("nobody reads any more what this program prints", PIPE, advice)
     except OSError as error:
         leave(f"error: {_told(error)}", FILES, advice)
-    except LostRankError:
-        leave("error: another process of this run was lost", LOST, advice)
     except Exception as error:
         if not _is_memory(error):
             raise
@@ -107,31 +96,10 @@ def one_line(text: str, most: int = 300) -> str:
 def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> NoReturn:
     """End the program with an exit status and one line on the standard error: what happened, and how to go on."""
     try:
-        if speaks():
-            print("; ".join(filter(None, [message, advice()])), file=sys.stderr, flush=True)
+        print("; ".join(filter(None, [message, advice()])), file=sys.stderr, flush=True)
     except BrokenPipeError:
         _silence(sys.stderr)
     raise SystemExit(status) from None
-
-
-is_first: Callable[[], bool] | None = None
-"""Whether a rank is the first to say why it ends; once the ranks have met, see `dirl.runs.ranks.join`."""
-
-
-def speaks() -> bool:
-    """Whether this process is to say why the run ends: ranks end together, for one reason.
-
-    Before they have met, whatever one has to say all have: the others let rank 0 speak, whose exit ends them.
-    """
-    if is_first is not None:
-        try:
-            return is_first()
-        except Exception:  # nobody is left to ask
-            return True
-    if os.environ.get("RANK", "0") != "0":
-        with _signals({signal.SIGTERM: signal.SIG_DFL}):
-            time.sleep(PATIENCE)
-    return True
 
 
 def _terminate(*_: Any) -> NoReturn:

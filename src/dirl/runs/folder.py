@@ -16,7 +16,6 @@ from dirl.config.places import command
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig
 from dirl.config.values import leaves, plain
-from dirl.runs import ranks
 from dirl.runs.checkpoints import latest_checkpoint, save_checkpoint
 from dirl.runs.contents import TABLES
 from dirl.runs.finding import SCHEMA, RunError, config_file, find_unfinished, is_finished, training_checkpoints
@@ -30,7 +29,7 @@ from dirl.scenes.scene import turns_of
 
 
 class Run:
-    """A run: its folder, its configuration, and the checkpoint that it continues from. Only rank 0 writes there.
+    """A run: its folder, its configuration, and the checkpoint that it continues from.
 
     Its metrics are CSV files, one for each stage, with one row for each record. (TorchRL's ``CSVLogger`` writes one
     file for each metric, and cannot remove what a killed run wrote after its last checkpoint.)
@@ -75,9 +74,6 @@ class Run:
             ConfigError: the logger's package is not installed.
             OSError: the folder cannot be written to.
         """
-        self.folder = ranks.from_first(lambda: self._begin(world, view_order))
-
-    def _begin(self, world: World, view_order: Sequence[str]) -> Path:
         asked = self.folder
         if self._lock is None and self.saved is None:
             self.folder, self._lock = claim(asked)
@@ -95,7 +91,6 @@ class Run:
                 with suppress(OSError):
                     self.folder.rmdir()
             raise
-        return self.folder
 
     def _tidy_up(self) -> None:
         """Remove the files of a killed process that this run does not continue from."""
@@ -140,8 +135,6 @@ class Run:
 
         A run that an older version began keeps its columns.
         """
-        if ranks.rank():
-            return
         file = self.folder / f"{stage}.csv"
         cells = {
             name: "" if math.isnan(value) else f"{value:.6g}" if isinstance(value, float) else value
@@ -170,8 +163,6 @@ class Run:
         Args:
             state: at least ``network`` and ``frames``; ``torch.load`` must be able to read it with ``weights_only``.
         """
-        if ranks.rank():
-            return
         self._check_written()
         tables = {}
         for file in sorted(self._tables):
@@ -218,8 +209,7 @@ def facts(config: TrainConfig, world: World, view_order: Sequence[str]) -> dict[
 def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
     """Begin a run in a new folder, or continue the existing one, or that which ``config.resume`` names.
 
-    A run that is continued locks its folder here; a new one does so in `Run.begin`. Only rank 0 opens anything; the
-    others get from it what they go on from.
+    A run that is continued locks its folder here; a new one does so in `Run.begin`.
 
     Args:
         config: as composed; of a resumed run only ``resume`` is used.
@@ -231,20 +221,6 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
             it; its checkpoints are damaged; or options were given together with ``resume``.
         ConfigError: the saved configuration cannot be used.
     """
-    opened: list[Run] = []
-
-    def contents() -> tuple[Path, TrainConfig, dict[str, Any] | None]:
-        opened.append(_open(config, folder, overrides))
-        return opened[0].folder, opened[0].config, opened[0].saved
-
-    shared = ranks.from_first(contents)
-    run = opened[0] if opened else Run(*shared)
-    if run.saved is not None:
-        run.saved = ranks.own_part(run.saved, str(run.folder))
-    return run
-
-
-def _open(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
     finish_cleaning(Path(config.resume or folder))
     if config.resume is None:
         if not config_file(folder).exists():

@@ -1,4 +1,4 @@
-"""A run from its configuration to its summary: components, folder, resumption, errors, ranks; its stages are given."""
+"""A run from its configuration to its summary: components, folder, resumption, errors; its stages are given."""
 
 import json
 import os
@@ -24,7 +24,6 @@ from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import count_parameters, plain_weights
 from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
-from dirl.runs import ranks
 from dirl.runs.exits import one_line_exits
 from dirl.runs.finding import RunError
 from dirl.runs.folder import Run, open_run
@@ -99,15 +98,12 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
     with one_line_exits(folder=folder) if alone else nullcontext():
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
-        ranks.join()
-        ranks.check(config, alone=alone)  # before ranks wait for each other
         run = open_run(config, folder, overrides)
-        if config.resume is not None:  # which has a configuration of its own
-            ranks.check(run.config, alone=alone)
         prepare_device(run.config.device)
-        if ranks.from_first(lambda: run.finished):
+        if run.finished:
             print(f"finished before: {run.folder}")
-            return ranks.from_first(lambda: json.loads((run.folder / "summary.json").read_text()))
+            summary: dict[str, Any] = json.loads((run.folder / "summary.json").read_text())
+            return summary
         components = build_components(run, initial)
         run.begin(components.protocol.world, components.protocol.observation.order)
     with one_line_exits(run.how_to_go_on) if alone else nullcontext():
@@ -118,14 +114,12 @@ def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stage
 
 
 def prepare_device(device: Device) -> None:
-    """On a GPU choose that of this rank, and the kernels that add in a fixed order: a seed decides as on the CPU.
+    """On a GPU choose the kernels that add in a fixed order: a seed decides as on the CPU.
 
     torch warns of an operation that has no such kernel.
     """
     if device != Device.cuda:
         return
-    if ranks.size() > 1 and torch.cuda.is_available():  # else it is refused as without ranks
-        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", ranks.rank())))
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS reads it when it is first used
     torch.use_deterministic_algorithms(True, warn_only=True)
 
@@ -139,7 +133,6 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Comp
     observation = build_observation(run.config, world)
     weights = initial_weights(run.config, world, run.saved or initial)
     policy = learning_policy(run.config, world, observation, weights)
-    ranks.agree(policy)
     demos = build_demonstrations(run.config, world, observation)
     losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
     goals = build_goals(run.config, world.scenes)
@@ -160,9 +153,7 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Comp
 def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
     """The state of a reinforcement before its first update, or from the checkpoint that the run continues."""
     optimiser = build_optimiser(run.config, policy, losses)
-    agents = ranks.share_of_agents(run.config, len(protocol.world.scenes))
-    seed = ranks.own_seed(run.config.seed)
-    env = build_env(run.config, protocol.world, protocol.observation, policy, agents=agents, seed=seed)
+    env = build_env(run.config, protocol.world, protocol.observation, policy)
     meter = EpisodeMeter(mean_shortest(protocol.world))
     state = TrainState(policy, losses, optimiser, env, env.reset(), meter)
     if run.saved is not None and "imitation" not in run.saved:
@@ -175,14 +166,14 @@ def _train(run: Run, components: Components, stages: Stages) -> dict[str, Any]:
     """Run the stages; evaluate, and write the summary. A policy that learns nothing is evaluated only."""
     policy, protocol = components.policy, components.protocol
     if run.saved is None:
-        torch.manual_seed(ranks.own_seed(run.config.seed))
+        torch.manual_seed(run.config.seed)
     facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)}
     print(f"{run_title(facts)}: {run.folder}")
     if not count_parameters(policy):
-        return ranks.from_first(lambda: _conclude_untrained(run, policy, protocol, facts))
+        return _conclude_untrained(run, policy, protocol, facts)
     with noticing_divergence():
         trained = stages(run, components)
-        return ranks.from_first(lambda: _conclude(run, policy, protocol, facts | NOT_REINFORCED | trained))
+        return _conclude(run, policy, protocol, facts | NOT_REINFORCED | trained)
 
 
 def _conclude_untrained(

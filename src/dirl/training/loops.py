@@ -1,4 +1,4 @@
-"""What the loops of ``recipes/train.py`` leave out: progress, interrupts, metrics, checkpoints, evaluation, ranks.
+"""What the loops of ``recipes/train.py`` leave out: progress, interrupts, metrics, checkpoints, evaluation.
 
 A loop is used within its context, whose end stops the program if a signal came meanwhile:
 
@@ -24,14 +24,13 @@ from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import plain_weights
-from dirl.runs import ranks
 from dirl.runs.exits import interruptible, leave
 from dirl.runs.finding import RunError
 from dirl.runs.folder import Run
 from dirl.runs.states import check_state
 from dirl.training.build import build_env, build_expert
 from dirl.training.pairs import Demonstrations, with_labels
-from dirl.training.rollout import Update, collect, together
+from dirl.training.rollout import Update, collect
 from dirl.training.state import TrainState, random_state, restore_random_state
 
 ROWS = 200
@@ -53,15 +52,14 @@ class ImitationSteps:
     """Of the latest step, as is the accuracy: the fraction of its rows in which the most probable action is right."""
     accuracy: float = 0.0
     bar: Any = None
-    asked: list[int] = field(default_factory=list)
-    stop: list[int] = field(default_factory=list)
+    signals: list[int] = field(default_factory=list)
     """Signals that ask the loop to end."""
 
     @property
     def goes_on(self) -> bool:
         """Whether there are steps left to do."""
         options = self.run.config.imitation
-        return self.step - self.first < options.max_steps and self.loss >= options.loss_threshold and not self.stop
+        return self.step - self.first < options.max_steps and self.loss >= options.loss_threshold and not self.signals
 
     @property
     def lr(self) -> float:
@@ -69,26 +67,25 @@ class ImitationSteps:
         options = self.run.config.imitation
         return options.lr * (1 - (self.step - self.first) / options.max_steps) if options.lr_decay else options.lr
 
-    def record(self, loss: float, accuracy: float, rows: int) -> None:
-        """Count a step of so many rows; write its metrics, save when it is time to.
+    def record(self, loss: float, accuracy: float) -> None:
+        """Count a step; write its metrics, save when it is time to.
 
         Raises:
             RunError: the loss is not finite. The checkpoints before are not touched.
         """
         if not math.isfinite(loss):
             raise RunError(f"the imitation has diverged: a loss of {loss} at step {self.step}; lower imitation.lr")
-        parts, self.stop, save = ranks.tell((loss, accuracy, rows), self.asked, self.run.save_due())
-        everywhere = sum(count for *_, count in parts)
-        self.loss, self.accuracy = (sum(part[i] * (part[2] / everywhere) for part in parts) for i in (0, 1))
+        self.loss = loss
+        self.accuracy = accuracy
         self.step += 1
         self.run.write("imitation", self.step, {"step": self.step, "loss": self.loss, "accuracy": self.accuracy})
         self.bar.update()
-        if (save or self.stop) and not self.first:
+        if (self.run.save_due() or self.signals) and not self.first:
             self.run.save(self.state_dict())
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes, and under ``network`` the weights for everyone else; called by all ranks."""
-        state = {
+        """What `load_state_dict` takes, and under ``network`` the weights for everyone else."""
+        return {
             "frames": 0,
             "imitation": {"step": self.step, "loss": self.loss, "accuracy": self.accuracy},
             "network": plain_weights(self.policy),
@@ -97,7 +94,6 @@ class ImitationSteps:
             "trained": len(self.optimiser.state),
             "random": random_state(next(self.policy.parameters()).device),
         }
-        return ranks.with_others(state, ("random",))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state."""
@@ -116,11 +112,11 @@ def imitation_steps(run: Run, policy: Any, first: int) -> Iterator[ImitationStep
         check_state(run.saved, steps.state_dict(), steps.optimiser, str(run.folder), options.max_steps)
         steps.load_state_dict(run.saved)
     shown: dict[str, Any] = {"total": options.max_steps, "initial": steps.step - first, "unit": " steps"}
-    hidden = not options.sampled or ranks.rank() > 0
-    with interruptible() as steps.asked, tqdm(**shown, mininterval=bar_interval(), disable=hidden) as steps.bar:
+    bar = tqdm(**shown, mininterval=bar_interval(), disable=not options.sampled)
+    with interruptible() as steps.signals, bar as steps.bar:
         yield steps
-    if steps.stop:
-        leave("interrupted", 128 + steps.stop[0], run.how_to_go_on)
+    if steps.signals:
+        leave("interrupted", 128 + steps.signals[0], run.how_to_go_on)
 
 
 @dataclass
@@ -133,14 +129,13 @@ class Updates:
     total: int
     """Frames of the whole training."""
     bar: Any
-    asked: list[int]
-    stop: list[int] = field(default_factory=list)
+    signals: list[int]
     """Signals that ask the loop to end."""
 
     @property
     def goes_on(self) -> bool:
         """Whether there are updates left to do."""
-        return not self.done and not self.stop
+        return not self.done and not self.signals
 
     @property
     def left(self) -> float:
@@ -156,9 +151,8 @@ class Updates:
 
     def record(self, update: Update, paused: AbstractContextManager[None] | None = None) -> None:
         """Count an update; write, evaluate and save when they are due, the latter two within ``paused``."""
-        parts, signals, save = ranks.tell(update, self.asked, self.run.save_due())
-        self.stop.extend(signals)
-        update, before, lr = together(parts), self.state.frames, self.state.optimiser.defaults["lr"] * self.left
+        before = self.state.frames
+        lr = self.state.optimiser.defaults["lr"] * self.left
         self.state.count(update)
         frames, meter = self.state.frames, self.state.meter
         if due(before, frames, self.total, ROWS):
@@ -168,7 +162,7 @@ class Updates:
             row |= {"sr": meter.success_rate(self.run.config.reinforcement.max_steps), "lr": lr}
             self.run.write("reinforcement", frames, row | update.values)
         evaluates = due(before, frames, self.total, self.run.config.evaluation.times)
-        saves = save or self.done
+        saves = self.run.save_due() or self.done
         if evaluates or saves:
             with paused or nullcontext():
                 if evaluates:
@@ -185,15 +179,14 @@ def updates(run: Run, state: TrainState, protocol: EvaluationProtocol) -> Iterat
     """The updates of a reinforcement, from its present state on."""
     total = run.config.reinforcement.frames_per_scene * len(protocol.world.scenes)
     shown: dict[str, Any] = {"total": total, "initial": state.frames, "unit": " frames", "unit_scale": True}
-    hidden = ranks.rank() > 0
-    with interruptible() as asked, tqdm(**shown, mininterval=bar_interval(), disable=hidden) as bar:
-        loop = Updates(run, state, protocol, total, bar, asked)
+    with interruptible() as signals, tqdm(**shown, mininterval=bar_interval()) as bar:
+        loop = Updates(run, state, protocol, total, bar, signals)
         state.start_clock()
         yield loop
-        if loop.stop and not loop.done:
+        if loop.signals and not loop.done:
             run.save(state.state_dict())
             bar.close()
-            leave("interrupted", 128 + loop.stop[0], run.how_to_go_on)
+            leave("interrupted", 128 + loop.signals[0], run.how_to_go_on)
 
 
 @contextmanager
@@ -245,16 +238,12 @@ def due(before: int, now: int, total: int, times: int) -> bool:
 
 
 def write_evaluation(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:
-    """Evaluate the policy as it is, greedily, and write a row of ``evaluation.csv``; in rank 0."""
-
-    def row() -> dict[str, float | int]:
-        found = {"frames": frames, **metrics(protocol.run(policy))}
-        if protocol.live is not None:
-            live = metrics(protocol.live(policy))
-            found |= {f"live_{key}": live[key] for key in ("sr", "spl")}
-        if protocol.held_out is not None:
-            apart = metrics(protocol.held_out.run(policy))
-            found |= {f"held_out_{key}": apart[key] for key in ("sr", "spl")}
-        return found
-
-    run.write("evaluation", frames, ranks.from_first(row))
+    """Evaluate the policy as it is, greedily, and write a row of ``evaluation.csv``."""
+    row = {"frames": frames, **metrics(protocol.run(policy))}
+    if protocol.live is not None:
+        live = metrics(protocol.live(policy))
+        row |= {f"live_{key}": live[key] for key in ("sr", "spl")}
+    if protocol.held_out is not None:
+        held_out = metrics(protocol.held_out.run(policy))
+        row |= {f"held_out_{key}": held_out[key] for key in ("sr", "spl")}
+    run.write("evaluation", frames, row)

@@ -14,7 +14,6 @@ from torchrl.modules import set_recurrent_mode
 
 from dirl.config.schemas import ConfigError, Schedule
 from dirl.models import initial_state, recurrent_keys
-from dirl.runs import ranks
 from dirl.training.objectives import clip_each
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
@@ -152,19 +151,17 @@ def demonstration_batches(
         policy: that learns from them.
         demonstrations: ``[M]``; or pairs, of which a batch is sampled for each update.
         batch_size: rows sampled anew for each update, uniformly with replacement; all of them if it is not less than M.
-            None: all, or `MINIBATCH` of more than `FULL_BATCH`; of pairs always `MINIBATCH`. Each rank samples its
-            share.
+            None: all, or `MINIBATCH` of more than `FULL_BATCH`; of pairs always `MINIBATCH`.
     """
     if isinstance(demonstrations, DrawnPairs):
-        own = ranks.share(batch_size or MINIBATCH)
-        return lambda: as_first_steps(policy, demonstrations.draw(own))
+        return lambda: as_first_steps(policy, demonstrations.draw(batch_size or MINIBATCH))
     count = len(demonstrations)
     wanted = batch_size or (count if count <= FULL_BATCH else MINIBATCH)
     if wanted >= count:
         rows = as_first_steps(policy, demonstrations)
         return lambda: rows
-    device, own = demonstrations["state"].device, ranks.share(wanted)
-    return lambda: as_first_steps(policy, demonstrations[torch.randint(count, (own,), device=device)])
+    device = demonstrations["state"].device
+    return lambda: as_first_steps(policy, demonstrations[torch.randint(count, (wanted,), device=device)])
 
 
 def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorDictBase:

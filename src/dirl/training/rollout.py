@@ -1,6 +1,5 @@
 """Collecting rollouts: agents continue from their present states."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -58,17 +57,6 @@ class Update(NamedTuple):
     """How long these were."""
     values: dict[str, float]
     """Losses, and what describes the update beside them."""
-
-
-def together(updates: Sequence[Update]) -> Update:
-    """The updates of all ranks as one; episodes follow each other rank by rank."""
-    first = updates[0]
-    return Update(
-        frames=sum(update.frames for update in updates),
-        goal_index=[goal for update in updates for goal in update.goal_index],
-        steps=[steps for update in updates for steps in update.steps],
-        values={key: sum(update.values[key] for update in updates) / len(updates) for key in first.values},
-    )
 
 
 def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Update:

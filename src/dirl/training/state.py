@@ -13,7 +13,6 @@ from torchrl.envs import EnvBase
 
 from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import plain_weights
-from dirl.runs import ranks
 from dirl.training.losses import Losses, trained_parameters
 from dirl.training.rollout import Update
 
@@ -58,8 +57,8 @@ class TrainState:
         self.meter.add(update.goal_index, update.steps, self.frames)
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes, and under ``network`` the weights for everyone else; called by all ranks."""
-        state = {
+        """What `load_state_dict` takes, and under ``network`` the weights for everyone else."""
+        return {
             "frames": self.frames,
             "training_seconds": self.seconds,
             "network": plain_weights(self.policy),
@@ -71,7 +70,6 @@ class TrainState:
             "meter": self.meter.state_dict(),
             "random": {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)},
         }
-        return ranks.with_others(state, ("agents", "random"))
 
     def _own_of_losses(self) -> dict[str, Any]:
         """The part of the losses' state_dict that is not the policy's: weights, buffers, extra state."""
