@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import ExifTags, Image
 from rooms import grid_scene
 
 from dirl.scenes import SceneError
 from dirl.scenes.views import decode
-from dirl.sources.photos import encoded_photos, read_photos
+from dirl.sources.photos import draft_table, encoded_photos, read_photos
 
 HEADER = "image,location,heading,x,z,ahead"
 
@@ -279,3 +279,58 @@ SHOTS = shots(corridor(), 1)
 def test_shots_that_are_no_visit_to_every_place_are_refused(tmp_path, lines, says):
     with pytest.raises(SceneError, match=says):
         read_photos(folder_of(tmp_path, lines, f"{HEADER},shot"))
+
+
+def photo(file, time=None, north=None):
+    exif = Image.Exif()
+    if time is not None:
+        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.DateTimeOriginal] = f"2026:11:26 10:00:{time:02}"
+    if north is not None:
+        exif.get_ifd(ExifTags.IFD.GPSInfo)[ExifTags.GPS.GPSImgDirection] = north
+    Image.new("RGB", (40, 30)).save(file, exif=exif)
+
+
+def drafted(folder, **options):
+    """What is said of a drafted table; places and headings by image; and the scene that it makes."""
+    said = draft_table(folder, **options)
+    scene = read_photos(folder)[0]
+    rows = [line.split(",") for line in (folder / "states.csv").read_text().splitlines()[1:]]
+    return said, {image: (place, float(heading)) for image, place, heading, *_ in rows}, scene
+
+
+def test_a_table_is_drafted_by_what_names_say(tmp_path):
+    for name in ("hall_n", "hall_e", "hall_s", "hall_w", "door_0", "door_90", "door_180", "door_270"):
+        photo(tmp_path / f"{name}.jpg")
+    said, found, scene = drafted(tmp_path)
+    assert "headings: by their names" in said
+    assert found["hall_s.jpg"] == ("hall", 180)
+    assert found["door_270.jpg"] == ("door", 270)
+    ahead, back = scene.graph[:, 0], scene.graph[:, 3]
+    assert (ahead >= 0).sum() == (back >= 0).sum() == 2
+    with pytest.raises(SceneError, match=r"states\.csv: is there already; delete it"):
+        draft_table(tmp_path)
+
+
+def test_a_table_is_drafted_by_time_and_compass(tmp_path):
+    norths = [12, 280, 190, 101, 95, 185, 276, 5]  # one place counter-clockwise, one clockwise
+    for second, north in enumerate(norths):
+        photo(tmp_path / f"{9 - second}.jpg", second, north)
+    said, found, _ = drafted(tmp_path)
+    assert "order: by the times in their EXIF" in said
+    assert "headings: by the compass" in said
+    assert [found[f"{9 - second}.jpg"] for second in range(8)] == [
+        *(("place_1", heading) for heading in (0, 270, 180, 90)),
+        *(("place_2", heading) for heading in (90, 180, 270, 0)),
+    ]
+
+
+def test_a_table_is_drafted_in_the_order_of_names_where_nothing_else_is_known(tmp_path):
+    for number in range(1, 17):
+        photo(tmp_path / f"IMG_{number}.jpg", time=3 if number == 5 else None)
+    said, found, _ = drafted(tmp_path, headings=8)
+    assert "headings: by the order" in said
+    assert found["IMG_10.jpg"] == ("place_2", 45)
+    photo(tmp_path / "IMG_17.jpg")
+    (tmp_path / "states.csv").unlink()
+    with pytest.raises(SceneError, match="17 photos are no whole places of 8 headings each"):
+        draft_table(tmp_path, headings=8)
