@@ -37,7 +37,7 @@ from dirl.perception.recognition.build import build_recogniser, matching
 from dirl.perception.recognition.recogniser import NCC
 from dirl.reporting import film_scene, run_title, summary_table, viewer_pages
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.finding import RunError, packaged_agent
+from dirl.runs.paths import RunError, packaged_agent
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, shortest_move

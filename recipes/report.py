@@ -37,7 +37,7 @@ from dirl.experiments.walked_once import report_walked_once
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import load_encoder
 from dirl.reporting.tables import scene_names
-from dirl.runs.finding import RunError
+from dirl.runs.paths import RunError
 
 
 def main(options: Any) -> None:

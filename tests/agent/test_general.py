@@ -8,7 +8,7 @@ from dirl import Navigator
 from dirl.agent.hub import fetch_pretrained
 from dirl.config.schemas import ConfigError
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.finding import AGENTS
+from dirl.runs.paths import AGENTS
 from dirl.scenes import load_scenes
 from dirl.training.load import load_trained
 

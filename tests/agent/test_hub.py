@@ -18,7 +18,8 @@ from dirl.config.schemas import ConfigError
 from dirl.perception.backbones import load_encoder
 from dirl.reporting.sharing import model_card, push_to_hub, save_pretrained
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.finding import RunError
+from dirl.runs.paths import RunError
+from dirl.scenes.io.digest import sealed
 
 MEASURES = {"atl": 6.5, "atl_success": 6.5, "sr": 1.0, "spl": 0.875, "shortest": 6.0, "false_stop_rate": 0.0}
 MEASURES |= {"missed_stop_rate": 0.0, "episodes": 46}
@@ -148,11 +149,13 @@ def test_nothing_shared_runs_code(shared, world, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     config = yaml.safe_load((shared / "config.yaml").read_text())
     facts = json.loads((shared / "dirl.json").read_text())
-    del facts["digest"]  # who writes such a folder computes one, or leaves it out
-    (shared / "dirl.json").write_text(json.dumps(facts))
+    del facts["digest"]
+    weights = (shared / "model.safetensors").read_bytes()
     for target in ("trap.Trap", "os.system", "dirl.runs.folder.os.system"):
         config["encoder"] = {"_target_": target}
-        (shared / "config.yaml").write_text(yaml.safe_dump(config))
+        text = yaml.safe_dump(config)
+        (shared / "config.yaml").write_text(text)
+        (shared / "dirl.json").write_text(json.dumps(sealed(facts, weights, text.encode())))  # as its author would
         with pytest.raises(ConfigError, match="_target_="):
             Navigator.from_pretrained(shared, look_up(world), extractor="random")
     assert not (tmp_path / "sprung").exists()

@@ -5,14 +5,12 @@ from typing import Any
 
 import pytest
 from commands import ROOT, run_program, run_recipe, train_config
-from omegaconf import OmegaConf
 
 from dirl.cli.command_line import prepare
 from dirl.config.conf_schemas import SCHEMAS
-from dirl.config.saved import RENAMED, SINCE
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.values import misfit, option_types
-from dirl.runs.exits import one_line_exits
+from dirl.runs.errors import one_line_exits
 
 CONF = ROOT / "conf"
 
@@ -71,19 +69,6 @@ def test_a_value_of_another_type_is_told_the_one_that_is_wanted(recipe, argument
     with pytest.raises(ConfigError) as raised:
         prepare(SCHEMAS[recipe], ["-m", argument], CONF if recipe == "train" else None)
     assert str(raised.value) == told
-
-
-@pytest.mark.parametrize(("name", "new"), {**RENAMED, **SINCE}.items())
-def test_an_old_name_is_told_the_new_one(name, new):
-    with pytest.raises(ConfigError) as raised:
-        prepare(TrainConfig, [f"{name}=1"], CONF)
-    assert str(raised.value) == f"the option '{name}' has a new name: {new}"
-
-
-def test_the_new_names_exist():
-    config = OmegaConf.structured(train_config("scene=bathroom_02", "objective=ppo"))
-    for new in ", ".join(RENAMED.values()).split(", "):
-        assert OmegaConf.select(config, new) is not None or (CONF / new).is_dir(), new
 
 
 @pytest.mark.parametrize(

@@ -149,19 +149,6 @@ def test_an_optimiser_is_no_module():
 
 
 @pytest.mark.parametrize(
-    ("group", "old"),
-    [
-        ("losses.imitation", "dirl.objectives.ImitationLoss"),
-        ("losses.imitation", "dirl.objectives.imitation.ImitationLoss"),
-        ("recogniser", "dirl.recognition.NCC"),
-        ("expert", "dirl.experts.ShortestPathExpert"),
-    ],
-)
-def test_a_class_is_found_by_the_name_of_its_earlier_module(group, old):
-    assert find_class(group, old, ()).__name__ == old.rpartition(".")[2]
-
-
-@pytest.mark.parametrize(
     "target", ["os.system", "builtins.eval", "torch.load", "pathlib.Path", "torch.nn.Linear", "house.Mine"]
 )
 def test_a_configuration_from_a_file_names_dirls_classes_only(target):

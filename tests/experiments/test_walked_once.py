@@ -18,7 +18,7 @@ from dirl.experiments import walked_once
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import VisitScores
-from dirl.runs.finding import RunError
+from dirl.runs.paths import RunError
 from dirl.scenes import make_world, read_dump, write_dump
 from dirl.training.load import Trained
 

@@ -6,7 +6,7 @@ import torch
 from commands import SHORT, done, room_file, run_recipe
 
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.finding import training_checkpoints
+from dirl.runs.paths import training_checkpoints
 
 
 @pytest.fixture

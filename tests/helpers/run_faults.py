@@ -15,13 +15,13 @@ from commands import SHORT, room_file
 from forks import Child, no_pictures, run
 from injection import KINDS, Faults
 from rooms import grid_scene
-from spoilt_checkpoints import spoil_bytes, spoil_contents
+from spoilt_checkpoints import spoil_bytes
 
 from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
 from dirl.agent.mapping.walks import explore
 from dirl.reporting.sharing import save_pretrained
-from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
-from dirl.runs.finding import RunError, is_finished, training_checkpoints
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.paths import RunError, is_finished, training_checkpoints
 
 TIMES = ("seconds", "frames_per_second", "peak_memory_mb")
 """What differs from run to run."""
@@ -177,22 +177,6 @@ def stopped_run(bench):
     return folder, latest
 
 
-def checkpoints(bench, times, rng):
-    """A checkpoint with wrong contents and a right digest: one line, or for want of another the run is refused."""
-    folder, latest = stopped_run(bench)
-    for file in training_checkpoints(folder):
-        if file != latest:
-            file.unlink()
-    good = load_checkpoint(latest)
-    for _ in range(times):
-        state, what = spoil_contents(good, rng)
-        copied = bench.new_folder()
-        shutil.copytree(folder, copied)
-        save_checkpoint(copied / "checkpoints" / latest.name, state)
-        yield what, refused(bench.train(copied, prepare=no_pictures), 1)
-        shutil.rmtree(copied)
-
-
 def damaged_bytes(bench, times, rng):
     """A checkpoint with damaged bytes is not read; a run goes on from the one before."""
     folder, latest = stopped_run(bench)
@@ -315,7 +299,6 @@ CASES = {
     "kills": kills,
     "signals": signals,
     "faults": faults,
-    "checkpoints": checkpoints,
     "bytes": damaged_bytes,
     "folders": folders,
     "machine": machine,

@@ -4,8 +4,8 @@ import zipfile
 import pytest
 import torch
 
-from dirl.runs.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint
-from dirl.runs.finding import RunError
+from dirl.runs.checkpoints import latest_checkpoint, load_checkpoint, restoring, save_checkpoint
+from dirl.runs.paths import RunError
 
 STATE = {
     "frames": 7,
@@ -14,6 +14,7 @@ STATE = {
     "extractor": "random",
     "schema": 2,
     "scenes": ["room"],
+    "views": ["ahead"],
     "optimiser": {"state": {0: {"step": torch.tensor(1.0)}}, "param_groups": [{"betas": (0.9, 0.999), "eps": None}]},
 }
 
@@ -55,12 +56,9 @@ def test_no_flipped_bit_and_no_lost_byte_is_accepted(file):
         load_checkpoint(file)
 
 
-@pytest.mark.parametrize(
-    ("schema", "told"), [(3, "newer version"), (-1, "schema: must be greater"), ([], "schema: must be a")]
-)
-def test_one_of_another_schema_is_refused(file, schema, told):
-    save_checkpoint(file, STATE | {"schema": schema})
-    with pytest.raises(RunError, match=told):
+def test_one_of_another_schema_is_refused(file):
+    save_checkpoint(file, STATE | {"schema": 3})
+    with pytest.raises(RunError, match=r"was written by another version of dirl \(schema 3, not 2\)"):
         load_checkpoint(file)
 
 
@@ -85,14 +83,6 @@ def test_an_unfinished_runs_folder_gives_its_latest_whole_checkpoint(tmp_path, c
         load_checkpoint(tmp_path / "nowhere")
 
 
-def repeated(times):
-    """A list of lists of lists and so on, each of which holds the one below twice: 2 to that power in all."""
-    value = [0]
-    for _ in range(times):
-        value = [value, value]
-    return value
-
-
 class Code:
     """What would run when a pickle is read that is not restricted."""
 
@@ -100,56 +90,17 @@ class Code:
         return exec, ("raise SystemExit('it ran')",)
 
 
-WRONG = {
-    "no network": ({"network": None}, "network: must be a valid dictionary"),
-    "a network of lists": ({"network": {"w": [1, 2]}}, "network: w: must be an instance of Tensor"),
-    "a key that is no text": ({"network": {1: torch.zeros(1)}}, r"network: \[1\]: \[key\]: must be a valid string"),
-    "configuration that is no text": ({"config": 3}, "config: must be a valid string"),
-    "no scenes": ({"scenes": []}, "scenes: List should have at least 1 item"),
-    "scenes of numbers": ({"scenes": [1]}, r"scenes: \[0\]: must be a valid string"),
-    "negative frames": ({"frames": -1}, "frames: must be greater than or equal to 0"),
-    "true frames": ({"frames": True}, "frames: must be a valid integer"),
-    "fractional frames": ({"frames": 1.0}, "frames: must be a valid integer"),
-    "too many frames": ({"frames": 2**63}, "frames: must be less than or equal to"),
-    "negative seconds": ({"seconds": -1.0}, "seconds: must be greater than or equal to 0"),
-    "NaN seconds": ({"seconds": float("nan")}, "seconds is nan"),
-    "tables elsewhere": ({"tables": {"../a.csv": 1}}, r"tables: \.\./a\.csv: .* must be 'dagger\.csv', "),
-    "negative tables": ({"tables": {"dagger.csv": -1}}, r"tables: dagger\.csv: must be greater than or equal to 0"),
-    "NaN weights": ({"network": {"w": torch.tensor([1.0, torch.nan])}}, r"network\.w: holds values that are not fin"),
-    "infinite state": ({"x": [{"y": torch.tensor(torch.inf)}]}, r"x\[0\]\.y: holds values that are not finite"),
-    "complex weights": ({"network": {"w": torch.zeros(2, dtype=torch.complex64)}}, "expected an ordinary tensor"),
-    "sparse weights": ({"network": {"w": torch.eye(3).to_sparse()}}, "expected an ordinary tensor"),
-    "a huge tensor of one number": ({"network": {"w": torch.zeros(1).expand(2**40)}}, "larger than the file"),
-    "a set": ({"x": {1, 2}}, "x is a set"),
-    "keys that are tuples": ({"x": {(1, 2): 3}}, "x has keys that are neither"),
-    "code": ({"x": Code()}, "is no checkpoint of dirl"),
-}
-
-
-@pytest.mark.parametrize(("change", "told"), WRONG.values(), ids=WRONG)
-def test_wrong_contents_get_one_line(file, change, told):
-    save_checkpoint(file, STATE | change)
-    with pytest.raises(RunError, match=told) as caught:
+def test_no_code_in_a_checkpoint_is_run(file):
+    save_checkpoint(file, STATE | {"x": Code()})
+    with pytest.raises(RunError, match="is no checkpoint of dirl") as caught:
         load_checkpoint(file)
-    assert str(caught.value).startswith(f"{file}: ")
-    assert len(str(caught.value).splitlines()) == 1
+    assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("missing", ["network", "config", "extractor", "scenes", "frames"])
+@pytest.mark.parametrize("missing", ["network", "views", "schema"])
 def test_what_is_missing_is_named(file, missing):
     save_checkpoint(file, {key: value for key, value in STATE.items() if key != missing})
-    with pytest.raises(RunError, match=f"is no checkpoint of dirl: {missing}: is missing"):
-        load_checkpoint(file)
-
-
-def test_nested_garbage_takes_no_time_and_no_memory(file):
-    cycle = []
-    cycle.append(cycle)
-    save_checkpoint(file, STATE | {"x": repeated(60), "y": cycle, "z": [torch.zeros(2**12)] * 1000})
-    assert load_checkpoint(file)["frames"] == 7
-    views = torch.zeros(2**16)
-    save_checkpoint(file, STATE | {"x": [views.view(-1) for _ in range(100)]})
-    with pytest.raises(RunError, match="tensors that are much larger than the file"):
+    with pytest.raises(RunError, match=f"is no checkpoint of dirl: it lacks {missing}"):
         load_checkpoint(file)
 
 
@@ -162,3 +113,14 @@ def test_an_archive_that_would_unpack_to_more_is_refused(file, monkeypatch):
     save_checkpoint(file, {})
     with pytest.raises(RunError, match="its parts are larger than the file"):
         load_checkpoint(file)
+
+
+def test_a_state_that_does_not_fit_is_one_line(tmp_path):
+    optimiser = torch.optim.Adam(torch.nn.Linear(3, 2).parameters())
+    with (
+        pytest.raises(RunError, match=r"its checkpoint does not fit this run \(ValueError: ") as caught,
+        restoring(tmp_path),
+    ):
+        optimiser.load_state_dict({"state": {}, "param_groups": []})
+    assert str(caught.value).startswith(f"{tmp_path}: ")
+    assert "\n" not in str(caught.value)

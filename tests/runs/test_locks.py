@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from dirl.runs.finding import RunError
 from dirl.runs.locks import FolderLock, RunningError, claim
+from dirl.runs.paths import RunError
 
 HOLD = "import sys, time; from pathlib import Path; from dirl.runs.locks import FolderLock; "
 HOLD += "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); time.sleep(600)"

@@ -16,7 +16,7 @@ from dirl.evaluation.protocol import action_values
 from dirl.perception.recognition import Learned
 from dirl.perception.recognition.build import build_recogniser
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.finding import config_file
+from dirl.runs.paths import config_file
 from dirl.scenes import World
 from dirl.training.job import prepare_device, run_job
 from dirl.training.load import load_trained

@@ -6,8 +6,8 @@ from parts import make_parts, train_in
 from train import train
 
 from dirl.config.schemas import ConfigError
-from dirl.runs.finding import RunError
 from dirl.runs.folder import Run
+from dirl.runs.paths import RunError
 from dirl.training.job import build_components
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "evaluation.times=0"]

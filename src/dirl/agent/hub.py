@@ -7,8 +7,8 @@ packages that the user trusts, as in every checkpoint.
 from pathlib import Path
 from typing import Any
 
-from dirl.runs.finding import WEIGHTS, packaged_agent
-from dirl.runs.shared import CONFIG, FACTS
+from dirl.runs.export import CONFIG, FACTS
+from dirl.runs.paths import WEIGHTS, packaged_agent
 
 FILES = [WEIGHTS, CONFIG, FACTS, "README.md", "summary.json", "*.png", "*.gif"]
 """What is fetched from a repository; other files are not."""

@@ -17,7 +17,7 @@ from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy, reads_patches, saved_statistics
-from dirl.models.weights import check_extractor, load_weights, renamed
+from dirl.models.weights import check_extractor, load_weights
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.registry import BATCH, packaged_encoder
@@ -54,7 +54,7 @@ def load_parts(
     fine = learned and (encoder == "resnet50_small" or virtual is not None)  # photos are recognised by them
     encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
-    order = saved.get("views", own)  # checkpoints of older versions name none
+    order = saved["views"]
     if order != own:
         raise NavigatorError(f"{origin}: was trained on the views {order}, not {own}")
     if len(order) != VIEWS:
@@ -166,7 +166,7 @@ def matched_view(config: TrainConfig, order: list[str]) -> int | None:
 
 def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
     """The trained policy with the layers of one scene, and an empty table of features."""
-    weights, names = renamed(saved["network"]), [scene or saved["scenes"][0]]
+    weights, names = saved["network"], [scene or saved["scenes"][0]]
     if "features.mean" not in weights:
         raise NavigatorError(f"{origin}: the weights do not fit a policy on features; they lack features.mean")
     try:

@@ -17,10 +17,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config.components import GROUPS
 from dirl.config.conf_schemas import SCHEMAS
-from dirl.config.saved import RENAMED, SINCE
 from dirl.config.schemas import ConfigError, Schedule, Weight
 from dirl.config.values import check_choice, misfit, option_types
-from dirl.runs.exits import one_line
+from dirl.runs.errors import one_line
 
 
 def register() -> None:
@@ -94,7 +93,7 @@ def prepare(schema: type, arguments: Sequence[str], conf: Path | None = None) ->
         elif any((folder / name).is_dir() for folder in folders):
             _check_choice(name, override, folders)
             prepared.append(text)
-        elif conf is not None and "." in name and name.split(".")[0] in GROUPS and name not in RENAMED:
+        elif conf is not None and "." in name and name.split(".")[0] in GROUPS:
             prepared.append(text if text.startswith(("+", "~")) else f"++{text}")
         else:
             _check_name(known, name)
@@ -163,8 +162,6 @@ def _check_name(known: Mapping[str, Any], name: str) -> None:
     """Raise `ConfigError` unless there is such an option."""
     if name in known:
         return
-    if name in RENAMED or name in SINCE:
-        raise ConfigError(f"the option '{name}' has a new name: {RENAMED.get(name) or SINCE[name]}")
     level, _, last = name.rpartition(".")
     inside = {other.split(".")[-1]: other for other in known if other.rpartition(".")[0] == level}
     near = [other for other in known if other.split(".")[-1] == last]

@@ -54,7 +54,7 @@ def main() -> None:
         runpy.run_path(str(script), run_name="__main__")
     else:
         from dirl.config.values import check_choice
-        from dirl.runs.exits import one_line_exits
+        from dirl.runs.errors import one_line_exits
 
         with one_line_exits():
             check_choice(f"command '{name}'", name, [*RECIPES, *OTHERS])

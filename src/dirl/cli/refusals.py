@@ -10,7 +10,7 @@ from typing import Any
 from dirl.config.components import TARGET, components, make
 from dirl.config.places import command
 from dirl.config.schemas import ConfigError, ExperimentName, TrainConfig
-from dirl.runs.finding import find_checkpoint, find_unfinished, finished_folders, initial_weights_file
+from dirl.runs.paths import find_checkpoint, find_unfinished, finished_folders, initial_weights_file
 
 
 def check_values(recipe: str, options: Any, overrides: Sequence[str] = ()) -> None:

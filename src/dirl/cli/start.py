@@ -22,7 +22,7 @@ from dirl.config.meanings import entries, explained
 from dirl.config.places import CONF, RECIPES, command
 from dirl.config.schemas import ConfigError
 from dirl.config.values import typed
-from dirl.runs.exits import end_at_once, one_line_exits
+from dirl.runs.errors import end_at_once, one_line_exits
 
 HELP = ("-h", "--help")
 COMPLETION = ("-sc", "--shell-completion")
@@ -82,7 +82,7 @@ def run_main(main: Callable[[], Any]) -> None:
     """Run a recipe's function, decorated by Hydra; a refusal, or an error of the machine, ends it with one line.
 
     Raises:
-        SystemExit: see `dirl.runs.exits`.
+        SystemExit: see `dirl.runs.errors`.
     """
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells errors in many lines
     gc.freeze()  # what the imports made is not looked through again

@@ -50,15 +50,6 @@ PUBLIC = frozenset(
 )
 """Classes of other packages that a configuration read from a file may name, besides dirl's own."""
 
-
-MOVED: Mapping[str, str] = {
-    "dirl.experts.": "dirl.evaluation.experts.",
-    "dirl.mapping.": "dirl.agent.mapping.",
-    "dirl.objectives.": "dirl.training.objectives.",
-    "dirl.recognition.": "dirl.perception.recognition.",
-}
-"""Beginnings of class names in configurations written before 0.3, and what they are today."""
-
 MODULE = "torch.nn.modules.module.Module"
 BASES = {
     "optimiser": "torch.optim.optimizer.Optimizer",
@@ -107,12 +98,6 @@ def check_components(config: Any, trust: Collection[str] | None = None) -> None:
         check_options(name, class_parameters(find_class(name, options[TARGET], trust)), options)
 
 
-def moved(target: str) -> str:
-    """The name that a class of dirl has today, see `MOVED`."""
-    old = next((old for old in MOVED if target.startswith(old)), None)
-    return target if old is None else MOVED[old] + target.removeprefix(old)
-
-
 def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> type:
     """The class that a component names.
 
@@ -128,7 +113,7 @@ def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> 
     where = f"{name}.{TARGET}={target}"
     if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")) or "." not in target:
         raise ConfigError(f"{where}: must be the full name of a class, package.module.Class")
-    module_name, _, class_name = moved(target).rpartition(".")
+    module_name, _, class_name = target.rpartition(".")
     package = target.split(".")[0]
     trusted = trust is None or target in PUBLIC or package == "dirl" or package in trust
     if not trusted:

@@ -7,36 +7,19 @@ import yaml  # PyYAML comes with OmegaConf
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config.components import TARGET, check_components, moved
+from dirl.config.components import TARGET, check_components
 from dirl.config.schemas import ConfigError, TrainConfig
-from dirl.config.values import leaves, plain, typed
+from dirl.config.values import plain, typed
 
 MAX_CHARACTERS = 200_000
 """Of a saved configuration; those that are written here have 4,000."""
 
-RENAMED: Mapping[str, str] = {
-    "network.width": "encoder.width, heads.width",
-    "network.heads": "heads",
-    "imitation.share": "imitation.fraction",
-    "imitation.enough": "imitation.loss_threshold",
-    "imitation.keep": "imitation.bc_coef.start",
-    "imitation.walk": "imitation.walk_steps",
-    "objective.name": "objective",
-    "objective.epochs": "reinforcement.epochs",
-    "objective.minibatches": "reinforcement.minibatches",
-    "objective.clip": "losses.ppo.clip_epsilon",
-    "optimiser.name": "optimiser",
-    "optimiser.max_norm": "reinforcement.max_grad_norm",
-    "optimiser.clip_each": "reinforcement.clip_per_variable",
-    "reinforcement.steps": "reinforcement.n_steps",
-    "reinforcement.entropy": "reinforcement.entropy_coef.start",
-    "reinforcement.final_entropy": "reinforcement.entropy_coef.end",
-    "reinforcement.value": "reinforcement.critic_coef",
+MOVED = {
+    "dirl.experts.": "dirl.evaluation.experts.",
+    "dirl.objectives.": "dirl.training.objectives.",
+    "dirl.recognition.": "dirl.perception.recognition.",
 }
-"""Options of schema 1 (dirl 0.1) by the names they have had since."""
-
-SINCE: Mapping[str, str] = {"imitation.drawn": "imitation.sampled", "image_graph": "map"}
-"""Options of 0.2 before its release by the names they have had since; a saved configuration is converted."""
+"""Classes by the names that the packaged agents `general` and `general_lite` were saved with, and those of today."""
 
 
 def config_text(config: TrainConfig) -> str:
@@ -59,19 +42,15 @@ def read_config(
         ConfigError: it is not one of this version, names an untrusted package, or a change is invalid.
     """
     try:
-        values = plain_mapping(text)
-        if isinstance(values.get("objective"), dict):
-            try:
-                values = _of_schema_1(values)
-            except (AttributeError, TypeError) as error:  # a group or name of another type
-                raise ConfigError(f"a value of schema 1 is not of its type ({error})") from None
-        values = _with_source(_moved(_since(values))) | {"resume": None, "trust": list(trust)}
+        for old, new in MOVED.items():
+            text = text.replace(f"{TARGET}: {old}", f"{TARGET}: {new}")
+        values = _of_packaged_agents(plain_mapping(text)) | {"resume": None, "trust": list(trust)}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
         config: TrainConfig = typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), values))  # type: ignore[arg-type]
         check_components(config, trust)
-    except (OmegaConfBaseException, yaml.YAMLError, ConfigError, KeyError, RecursionError) as error:
-        reason = " ".join(f"lacks {error}".split() if isinstance(error, KeyError) else str(error).split())
+    except (OmegaConfBaseException, yaml.YAMLError, ConfigError, RecursionError) as error:
+        reason = " ".join(str(error).split())
         raise ConfigError(f"{origin}: holds no configuration of this version of dirl: {reason}") from None
     return config
 
@@ -106,38 +85,14 @@ def plain_mapping(text: str) -> dict[str, Any]:
     return values
 
 
-def _since(values: dict[str, Any]) -> dict[str, Any]:
-    """The values with the options and the rules of goals that had another name before 0.2 was released."""
-    imitation = values.get("imitation")
-    if isinstance(imitation, dict):
-        imitation = {"sampled" if name == "drawn" else name: value for name, value in imitation.items()}
-        values = {**values, "imitation": {**imitation, "goals": _fractions(imitation.get("goals"))}}
-    return {**values, "goals": _fractions(values.get("goals"))}
-
-
-def _fractions(goals: Any) -> Any:
-    """Goals by rule, with ``fraction:S`` for ``share:S``."""
-    if isinstance(goals, dict):
-        return {name: _fractions(rule) for name, rule in goals.items()}
-    return f"fraction:{goals[6:]}" if isinstance(goals, str) and goals.startswith("share:") else goals
-
-
-def _moved(values: Any) -> Any:
-    """The values with the classes that they name where these are today."""
-    if isinstance(values, dict):
-        return {name: _moved(value) for name, value in values.items()}
-    if isinstance(values, list):
-        return [_moved(value) for value in values]
-    return moved(values) if isinstance(values, str) else values
-
-
-def _with_source(values: dict[str, Any]) -> dict[str, Any]:
-    """The values with the class of the source, which had a name before 0.3."""
-    source = values.get("source")
-    if not isinstance(source, dict) or "name" not in source:
-        return values
-    thor = {TARGET: "dirl.scenes.catalogue.Thor", "root": source.get("root")}
-    return values | {"source": thor if source["name"] == "thor" else {TARGET: "dirl.scenes.catalogue.Rooms"}}
+def _of_packaged_agents(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values with what `general` and `general_lite` name otherwise; goes when they are trained again."""
+    if set(values.get("source") or ()) == {"name", "root"}:
+        values = values | {"source": {TARGET: "dirl.scenes.catalogue.Rooms"}}
+    if isinstance(values.get("imitation"), dict) and "drawn" in values["imitation"]:
+        imitation = {**values["imitation"], "sampled": values["imitation"]["drawn"]}
+        values = values | {"imitation": {name: value for name, value in imitation.items() if name != "drawn"}}
+    return values
 
 
 def _replace(values: dict[str, Any], name: str, value: Any) -> None:
@@ -146,33 +101,3 @@ def _replace(values: dict[str, Any], name: str, value: Any) -> None:
     for part in above:
         values = values.setdefault(part, {})
     values[last] = value
-
-
-def _of_schema_1(old: dict[str, Any]) -> dict[str, Any]:
-    """A configuration of schema 1 converted to the current one, as far as evaluation, Navigator and reports need it."""
-    before, network = leaves(old), old["network"]
-    gone = ("objective", "network", "optimiser", "policy", "observation")
-    values = {name: value for name, value in old.items() if name not in gone}
-    for group in ("imitation", "reinforcement"):
-        values[group] = {key: value for key, value in old[group].items() if f"{group}.{key}" not in RENAMED}
-    for name, new in RENAMED.items():
-        if new.split(".")[0] in ("imitation", "reinforcement"):
-            _replace(values, new, before[name])
-    _replace(values, "imitation.bc_coef.end", 0.0)
-    views = {"surrounding": "SurroundingViews", "sequential": "SequentialViews"}
-    policies = {"network": "dirl.models.ActorCritic", "random": "dirl.evaluation.experts.RandomPolicy"}
-    heads = {"width": network["width"], "shared": network["heads"] == "shared"}
-    losses = {"a2c": "torchrl.objectives.A2CLoss", "ppo": "torchrl.objectives.ClipPPOLoss"}
-    objective = before["objective.name"]
-    return values | {
-        "observation": {"_target_": f"dirl.envs.{views[old['observation']]}"},
-        "encoder": {"_target_": "dirl.models.SiameseEncoder", "width": network["width"]},
-        "memory": {"_target_": None},
-        "heads": {"_target_": "dirl.models.ActorCriticHeads", **heads},
-        "policy": {"_target_": policies.get(old["policy"], "dirl.evaluation.experts.ShortestPathPolicy")},
-        "expert": {"_target_": "dirl.evaluation.experts.ShortestPathExpert"},
-        "losses": {objective: {"_target_": losses[objective]}} if objective in losses else {},
-        "optimiser": {"_target_": "torch.optim.Adam", "lr": before["optimiser.lr"], "eps": before["optimiser.eps"]},
-        "network": {"standardise": network["standardise"], "cache": "auto", "axes": network["axes"]},
-        "env": {"_target_": "dirl.envs.NavigationEnv", "slip": 0.0},
-    }

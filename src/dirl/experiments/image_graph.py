@@ -35,7 +35,7 @@ from dirl.experiments.measures import (
 from dirl.experiments.results import Table, write_tables
 from dirl.perception.recognition.matching import FRONT_THRESHOLD, TemplateStop
 from dirl.reporting.statistics import iqm
-from dirl.runs.finding import RunError
+from dirl.runs.paths import RunError
 from dirl.scenes import Scene, World, make_world
 from dirl.scenes.collection import read_collection
 from dirl.scenes.goals import well_reached

@@ -14,7 +14,7 @@ from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.finding import RunError, finished_folders
+from dirl.runs.paths import RunError, finished_folders
 from dirl.scenes.io.atomic import atomic_path, write_text
 from dirl.scenes.io.texts import read_text
 from dirl.scenes.palette import SYSTEM_COLORS

@@ -23,7 +23,7 @@ from dirl.models.weights import load_weights
 from dirl.perception.backbones import ViewEncoder, encode_views
 from dirl.perception.recognition.matching import ncc, template_vectors
 from dirl.reporting.style import plain, tell_cut
-from dirl.runs.finding import RunError
+from dirl.runs.paths import RunError
 from dirl.scenes import Scene
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, VERMILION
 from dirl.training.load import Trained

@@ -28,7 +28,7 @@ from dirl.experiments.results import Table, write_tables
 from dirl.models import LocalisingMemory
 from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import normal_vectors
-from dirl.runs.finding import RunError
+from dirl.runs.paths import RunError
 from dirl.scenes import Scene, World, read_dump
 from dirl.scenes.collection import read_collection
 from dirl.scenes.graph import places

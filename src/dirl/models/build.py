@@ -14,7 +14,6 @@ from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.trials import tried
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
-from dirl.models.weights import renamed
 from dirl.perception.backbones.patches import PATCH_SHAPE, coarse
 from dirl.scenes import ACTIONS, World
 
@@ -153,9 +152,8 @@ def saved_statistics(weights: Mapping[str, Tensor], origin: str) -> tuple[Tensor
     Raises:
         ConfigError: they are not of one feature width.
     """
-    found = renamed(weights)
     keys = [f"features.{name}" for name in ("mean", "std", "axes")]
-    mean, std, axes = (found[key].float() if key in found else None for key in keys)
+    mean, std, axes = (weights[key].float() if key in weights else None for key in keys)
     width = 0 if mean is None else mean.numel()
     for name, value in {"mean": mean, "std": std, "axes": axes}.items():
         if value is not None and (len(value) if value.ndim == 1 + (name == "axes") else None) != width:

@@ -48,23 +48,10 @@ def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, 
     try:
         found = {
             name: value
-            for name, value in renamed(weights).items()
+            for name, value in weights.items()
             if not scenes or ".scenes." not in name or name.split(".scenes.")[1].split(".")[0] in own
         }
         policy.load_state_dict(found)
     except (RuntimeError, KeyError, AttributeError) as error:
         reason = " ".join(str(error).split())[:300]
         raise ConfigError(f"{origin}: the weights do not fit the network of its configuration ({reason})") from None
-
-
-def renamed(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights by the names they have today, also those of schema 1."""
-    if "encoder.table.mean" not in weights:
-        return dict(weights)
-    heads = {"hidden.": "heads.trunk.", "policy.": "heads.policy.", "value.": "heads.value."}
-    names = {"encoder.table.": "features.", **heads}
-    found = {}
-    for name, value in weights.items():
-        old = next((prefix for prefix in names if name.startswith(prefix)), "")
-        found[names.get(old, "") + name.removeprefix(old)] = value
-    return found

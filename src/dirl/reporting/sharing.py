@@ -12,7 +12,7 @@ from dirl.perception.backbones import EncoderError
 from dirl.perception.backbones.registry import packaged_encoder
 from dirl.reporting.tables import run_title, summary_table
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.shared import write_shared
+from dirl.runs.export import write_shared
 
 CARD = """---
 library_name: dirl

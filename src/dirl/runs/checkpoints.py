@@ -11,15 +11,16 @@ import hashlib
 import io
 import sys
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from dirl.runs.contents import check_header, check_plain
-from dirl.runs.finding import RunError, find_checkpoint, training_checkpoints
-from dirl.runs.shared import read_shared
+from dirl.runs.export import read_shared
+from dirl.runs.paths import RunError, find_checkpoint, training_checkpoints
+from dirl.runs.schema import check_entries
 from dirl.scenes.io.atomic import atomic_path
 
 SEAL = b"dirl sha256 "
@@ -46,7 +47,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 
     Args:
         path: a ``.pt`` file, or the folder of a run for its final weights, or the latest that is whole if it is not
-            finished; or a folder that `dirl.runs.shared` wrote; or the name of an agent in `dirl.runs.finding.AGENTS`.
+            finished; or a folder that `dirl.runs.export` wrote; or the name of an agent in `dirl.runs.paths.AGENTS`.
 
     Raises:
         RunError: there is none, or it is damaged.
@@ -83,29 +84,37 @@ def latest_checkpoint(
 
 
 def read_checkpoint(file: Path) -> dict[str, Any]:
-    """Read a checkpoint file, and check its digest and contents.
+    """Read a checkpoint file whose digest is right.
 
     Raises:
-        RunError: it is damaged, or no checkpoint of dirl.
+        RunError: it is damaged, or no checkpoint of this version of dirl.
     """
     data = file.read_bytes()
-    sealed = _check_digest(data, file)
-    unsealed = f"{file}: is damaged or no checkpoint of this version of dirl: it does not end with a digest"
+    _check_digest(data, file)
     try:
         state = _unpack(data)
     except Exception as error:  # zipfile and torch raise many kinds for what they cannot read
-        if not sealed:
-            raise RunError(unsealed) from None
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{file}: is no checkpoint of dirl ({reason})") from None
-    check_plain(state, file, 4 * len(data))
-    if not sealed and (not isinstance(state, dict) or "schema" in state):  # dirl 0.1 wrote neither
-        raise RunError(unsealed)
-    return check_header(state, file)
+    return check_entries(state, file)
+
+
+@contextmanager
+def restoring(origin: Path) -> Iterator[None]:
+    """Within this context a run takes over a saved state; what does not fit is told in one line.
+
+    Raises:
+        RunError: the state does not fit.
+    """
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
+        raise RunError(f"{origin}: its checkpoint does not fit this run ({reason})") from None
 
 
 def _unpack(data: bytes) -> Any:
-    """The content of an archive of ``torch.save``; ours are not compressed, others could unpack to any size."""
+    """Return the content of an archive of ``torch.save``; ours are not compressed, others could unpack to any size."""
     archive = io.BytesIO(data)
     if sum(entry.file_size for entry in zipfile.ZipFile(archive).infolist()) > len(data):
         raise ValueError("its parts are larger than the file")
@@ -113,17 +122,10 @@ def _unpack(data: bytes) -> Any:
     return torch.load(archive, map_location="cpu", weights_only=True)
 
 
-def _check_digest(data: bytes, file: Path) -> bool:
-    """Whether the file ends with a digest, as every one since schema 2 does.
-
-    Raises:
-        RunError: it is no archive, or its digest is not that of what stands before.
-    """
+def _check_digest(data: bytes, file: Path) -> None:
+    """Raise `RunError` unless the file is an archive that ends with the digest of what stands before it."""
     body, digest = memoryview(data)[:-DIGITS], data[-DIGITS:]
-    if not data.startswith(b"PK\3\4"):
-        raise RunError(f"{file}: is damaged or no checkpoint: it begins as none")
-    if body[-len(SEAL) :] != SEAL:
-        return False
+    if not data.startswith(b"PK\3\4") or body[-len(SEAL) :] != SEAL:
+        raise RunError(f"{file}: is damaged or no checkpoint of this version of dirl: it does not end with a digest")
     if hashlib.sha256(body).hexdigest().encode() != digest:
         raise RunError(f"{file}: is damaged: its digest differs from that of its content")
-    return True

@@ -17,11 +17,10 @@ from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig
 from dirl.config.values import leaves, plain
 from dirl.runs.checkpoints import latest_checkpoint, save_checkpoint
-from dirl.runs.contents import TABLES
-from dirl.runs.finding import SCHEMA, RunError, config_file, find_unfinished, is_finished, training_checkpoints
 from dirl.runs.locks import FolderLock, claim, finish_cleaning, is_numbered
 from dirl.runs.loggers import Logger, make_logger
-from dirl.runs.states import check_progress
+from dirl.runs.paths import RunError, config_file, find_unfinished, is_finished, training_checkpoints
+from dirl.runs.schema import SCHEMA, TABLES
 from dirl.scenes import World
 from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
 from dirl.scenes.io.texts import read_text
@@ -131,10 +130,7 @@ class Run:
         return time.perf_counter() - self._began
 
     def write(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
-        """Append a row to ``<stage>.csv``; NaN becomes an empty cell. The columns are those of the first row.
-
-        A run that an older version began keeps its columns.
-        """
+        """Append a row to ``<stage>.csv``; NaN becomes an empty cell. The columns are those of the first row."""
         file = self.folder / f"{stage}.csv"
         cells = {
             name: "" if math.isnan(value) else f"{value:.6g}" if isinstance(value, float) else value
@@ -245,8 +241,18 @@ def _go_on(folder: Path, config: TrainConfig) -> Run:
     if not training_checkpoints(folder):
         return Run(folder, config, lock=lock)
 
-    saved, unusable = latest_checkpoint(folder, lambda file, state: check_progress(file, state, config))
+    saved, unusable = latest_checkpoint(folder, check_tables)
     return Run(folder, config, saved, lock=lock, unusable=unusable)
+
+
+def check_tables(file: Path, state: Mapping[str, Any]) -> None:
+    """Raise `RunError` unless the tables of a run have at least the rows that its checkpoint counts."""
+    if "tables" not in state:
+        raise RunError(f"{file}: is no checkpoint of a training; it lacks tables")
+    for name, size in state["tables"].items():
+        table = file.parent.parent / name
+        if not table.is_file() or table.stat().st_size < size:
+            raise RunError(f"{file}: does not fit {table}, which is shorter than it was, or missing")
 
 
 def _config_text(folder: Path) -> str:

@@ -24,11 +24,11 @@ from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import count_parameters, plain_weights
 from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
-from dirl.runs.exits import one_line_exits
-from dirl.runs.finding import RunError
+from dirl.runs.checkpoints import restoring
+from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run
 from dirl.runs.memory import peak_memory_mb
-from dirl.runs.states import check_state
+from dirl.runs.paths import RunError
 from dirl.scenes.live import SimulatorError
 from dirl.training.build import (
     build_demonstrations,
@@ -157,8 +157,8 @@ def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -
     meter = EpisodeMeter(mean_shortest(protocol.world))
     state = TrainState(policy, losses, optimiser, env, env.reset(), meter)
     if run.saved is not None and "imitation" not in run.saved:
-        check_state(run.saved, state.state_dict(), optimiser, str(run.folder), run.saved["frames"], env)
-        state.load_state_dict(run.saved)
+        with restoring(run.folder):
+            state.load_state_dict(run.saved)
     return state
 
 

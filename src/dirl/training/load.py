@@ -15,7 +15,7 @@ from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models.build import build_policy, feature_table
 from dirl.models.weights import check_extractor, load_weights, tell_of_turns, turns_of_training
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.finding import ARCHITECTURE, initial_weights_file
+from dirl.runs.paths import ARCHITECTURE, initial_weights_file
 from dirl.scenes import World
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.scene import turns_of

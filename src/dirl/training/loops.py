@@ -24,10 +24,10 @@ from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import plain_weights
-from dirl.runs.exits import interruptible, leave
-from dirl.runs.finding import RunError
+from dirl.runs.checkpoints import restoring
+from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
-from dirl.runs.states import check_state
+from dirl.runs.paths import RunError
 from dirl.training.build import build_env, build_expert
 from dirl.training.pairs import Demonstrations, with_labels
 from dirl.training.rollout import Update, collect
@@ -91,7 +91,6 @@ class ImitationSteps:
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
             "optimiser": self.optimiser.state_dict(),
-            "trained": len(self.optimiser.state),
             "random": random_state(next(self.policy.parameters()).device),
         }
 
@@ -109,8 +108,8 @@ def imitation_steps(run: Run, policy: Any, first: int) -> Iterator[ImitationStep
     options = run.config.imitation
     steps = ImitationSteps(run, policy, torch.optim.Adam(policy.parameters(), lr=options.lr), first, first)
     if run.saved is not None and "imitation" in run.saved and not first:
-        check_state(run.saved, steps.state_dict(), steps.optimiser, str(run.folder), options.max_steps)
-        steps.load_state_dict(run.saved)
+        with restoring(run.folder):
+            steps.load_state_dict(run.saved)
     shown: dict[str, Any] = {"total": options.max_steps, "initial": steps.step - first, "unit": " steps"}
     bar = tqdm(**shown, mininterval=bar_interval(), disable=not options.sampled)
     with interruptible() as steps.signals, bar as steps.bar:

@@ -65,7 +65,6 @@ class TrainState:
             "learning": self.policy.state_dict(),
             "losses": self._own_of_losses(),
             "optimiser": self.optimiser.state_dict(),
-            "trained": len(self.optimiser.state),
             "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
             "random": {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)},

@@ -14,7 +14,7 @@ from dirl.agent.mapping.places import PlaceMap
 from dirl.models.localising import Places
 from dirl.perception.recognition.build import recogniser_name
 from dirl.perception.recognition.recogniser import NCC, Recogniser
-from dirl.runs.shared import MISSING
+from dirl.runs.export import MISSING
 from dirl.scenes.graph import ACTIONS
 from dirl.scenes.io.atomic import atomic_path, write_json
 from dirl.scenes.io.digest import check_seal, sealed
@@ -97,7 +97,6 @@ def load_graph(
         places = facts.get("kind") == "places"
         if not places:
             recogniser = recogniser or NCC()
-            facts.setdefault("recogniser", recogniser_name(NCC()))  # as in maps of older versions
         graph = _places(load(content)) if places else _image_graph(facts, load(content), recogniser)
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]

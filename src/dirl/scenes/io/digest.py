@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -32,8 +31,6 @@ PATCH_ATTRIBUTES = ("extractor", "projection")
 
 DIGEST = "digest"
 """The attribute of a dump (``graph`` has it too, for damage can also make attributes disappear), or the key in JSON."""
-
-SHA256 = re.compile(r"[0-9a-f]{64}")
 
 BLOCK_BYTES = 2**24
 
@@ -109,9 +106,7 @@ def sealed(facts: Mapping[str, Any], *contents: bytes) -> dict[str, Any]:
 
 
 def check_seal(facts: Mapping[str, Any], *contents: bytes) -> None:
-    """Check what `sealed` added, ValueError if anything is not as it was written; older folders have none."""
-    # What looks like one under another name is a digest whose name is damaged.
-    digests = {key: value for key, value in facts.items() if key == DIGEST or SHA256.fullmatch(str(value))}
-    plain = {key: value for key, value in facts.items() if key not in digests}
-    if digests and digests != {DIGEST: sealed(plain, *contents)[DIGEST]}:
+    """Check what `sealed` added, ValueError if anything is not as it was written."""
+    plain = {key: value for key, value in facts.items() if key != DIGEST}
+    if facts != sealed(plain, *contents):
         raise ValueError("its files are not those that were written: the digest differs")

@@ -1,18 +1,15 @@
-"""Where runs and checkpoints are on disk; without torch, so that recipes refuse a wrong path at once."""
+"""Where runs and checkpoints are on disk."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from dirl.config.schemas import ConfigError
 
-SCHEMA = 2
-"""Of configurations and checkpoints; 1 was dirl 0.1."""
-
 AGENTS = Path(__file__).parents[1] / "agents"
 """Trained agents that come with the package, each in the folder of its name."""
 
 WEIGHTS = "model.safetensors"
-"""Of a policy that was shared, see `dirl.runs.shared`."""
+"""Of a policy that was shared, see `dirl.runs.export`."""
 
 ARCHITECTURE = ("observation", "encoder", "memory", "heads", "policy", "network")
 """The options that decide which weights a policy has, and what they read."""

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dirl.runs.contents import check_header, check_plain
-from dirl.runs.finding import WEIGHTS, RunError
+from dirl.runs.paths import WEIGHTS, RunError
+from dirl.runs.schema import check_entries
 from dirl.scenes.io.atomic import atomic_path, write_json, write_text
 from dirl.scenes.io.digest import check_seal, sealed
 from dirl.scenes.io.texts import read_text
@@ -60,5 +60,4 @@ def read_shared(folder: Path) -> dict[str, Any]:
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{folder}: is no policy shared by dirl ({reason})") from None
-    check_plain(state, file, 4 * len(data))
-    return check_header(state, file)
+    return check_entries(state, file)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from dirl.runs.exits import interruptible, one_line_exits
+from dirl.runs.errors import interruptible, one_line_exits
 
 
 @pytest.fixture(autouse=True)
@@ -64,7 +64,7 @@ def test_what_is_a_fault_of_the_program_keeps_its_traceback():
 
 
 def test_a_closed_pipe_ends_the_program_quietly():
-    code = "from dirl.runs.exits import one_line_exits\nwith one_line_exits():\n while True: print('x' * 1000)"
+    code = "from dirl.runs.errors import one_line_exits\nwith one_line_exits():\n while True: print('x' * 1000)"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.readline()
         process.stdout.close()
@@ -106,5 +106,5 @@ def test_handlers_are_as_before_afterwards_and_other_threads_have_none():
 
 
 def test_it_is_there_before_anything_that_takes_time():
-    code = "import sys, dirl.runs.exits; sys.exit('torch' in sys.modules)"
+    code = "import sys, dirl.runs.errors; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
