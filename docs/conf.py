@@ -38,7 +38,7 @@ autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 maximum_signature_line_length = 80
-exclude_patterns = ["_build", "_demo", "results"]  # reports, which other pages include
+exclude_patterns = ["_build", "_cache", "_demo", "results"]  # reports, which other pages include
 # `sphinx-build -b linkcheck docs docs/_build` asks other hosts, so it is run by hand; its output.txt lists every
 # external link. The tests check links and anchors within the site.
 linkcheck_timeout, linkcheck_retries, linkcheck_workers = 15, 2, 4
@@ -83,7 +83,7 @@ def inventories(folder: Path) -> dict[str, tuple[str, str]]:
     return found
 
 
-intersphinx_mapping = inventories(HERE / "_build" / "inventories")
+intersphinx_mapping = inventories(HERE / "_cache" / "inventories")
 
 
 def _inline(translator, node):
@@ -135,12 +135,13 @@ class VectorFigures(SphinxTransform):
                 image["uri"] = str(vector)
 
 
-def write_demo(folder, page):
+def write_demo(app, folder, page):
     """Build the live demo beside the pages, and the page that leads to it; where that is not possible it says why."""
     try:
-        pages = build_demo(folder, HERE / "_build" / "demo")
+        pages = build_demo(folder, HERE / "_cache" / "demo")
         links = [f'<a href="demo/{file.name}">{file.stem.removeprefix("viewer_")}</a>' for file in pages]
         where = f"```{{raw}} html\n<p><b>Open it</b>: {', '.join(links)}</p>\n```"
+        app.tags.add("demo")
     except RuntimeError as error:
         print(f"the site has no live demo: {error}")
         where = f"*This copy of the site was built without the demo: {error}.*"
@@ -155,5 +156,5 @@ def setup(app):
     app.connect("autodoc-process-bases", _bases)
     app.connect("autodoc-process-signature", _signature)
     write_page(HERE.parent / "conf", HERE / "configuration.md")
-    write_demo(Path(app.outdir) / "demo", HERE / "demo.md")
+    write_demo(app, Path(app.outdir) / "demo", HERE / "demo.md")
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))

@@ -1,6 +1,6 @@
 """Time the live demo's first answers in headless Chromium: ``python docs/time_demo.py FOLDER [RUNS]``.
 
-FOLDER is ``demo`` of the built site, with pages, models and runtime. (The cache docs/_build/demo has no runtime: no
+FOLDER is ``demo`` of the built site, with pages, models and runtime. (The cache docs/_cache/demo has no runtime: no
 page there is ever ready.) Each run opens a page anew, waits until the agent is ready, and gives it the page's first
 photo. Besides the time until the answer is there it prints the processor time of the page's process with all its
 threads: about what one quiet core would need, whatever else the machine does.

@@ -41,7 +41,7 @@ def site(demo, tmp_path_factory):
         pytest.skip(reason)
     folder = tmp_path_factory.mktemp("site") / "demo"
     try:
-        demo.build(folder, DOCS / "_build" / "demo")
+        demo.build(folder, DOCS / "_cache" / "demo")
     except RuntimeError as error:
         pytest.skip(str(error))
     return folder

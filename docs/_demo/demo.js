@@ -94,6 +94,7 @@ async function look(blob) {
     goals.push(found);
     offerGoal(found);
     chooseGoal(goals.length - 1, path[0]);
+    play();
     document.body.dataset.answered = Math.round(performance.now() - begun);
     said(`The view most like it: state ${best}, with a match of ${scores.data[best].toFixed(2)}. Answered in `
       + `${document.body.dataset.answered} ms; ${goal.stops.size ? "the map shows the walk" : "nothing matches enough to stop: move the slider down"}.`);
@@ -155,6 +156,6 @@ facts.photos.forEach((file, i) => {
 });
 byId("photo-threshold").value = facts.threshold;
 byId("photo-threshold").addEventListener("input", () => { setThreshold(goal); if (goal.ask) begin(path[0]); });
-byId("photo-threshold").addEventListener("change", (e) => e.target.blur());
+byId("photo-threshold").addEventListener("change", (e) => { e.target.blur(); if (goal.ask) play(); });
 setThreshold(null);
 models().then(() => said(`The agent is ready. ${HERE}`), (error) => said(`The agent cannot be loaded: ${error.message}`));
