@@ -195,7 +195,7 @@ def run_block(block, page, names, monkeypatch):
 SHELL_PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
-    *(page for page in DOCS.rglob("*.md") if "_build" not in str(page)),
+    *(page for page in DOCS.rglob("*.md") if not {"_build", "_cache"} & {*page.parts}),
 ]
 
 
