@@ -73,6 +73,32 @@ def test_links_side_by_side_are_all_shown():
         tour_scene(tour_of(replace(truth, links=crooked)), headings=4, tolerance=0)
 
 
+def test_a_move_back_undoes_every_move_ahead_though_panoramas_are_crowded():
+    """Each at the middle of eight others, in a grid that leans by half a heading and a little more."""
+    rng, truth = np.random.default_rng(0), grid_truth(4, 4)
+    near = [(i, j) for i in range(16) for j in range(16) if 0 < np.hypot(*(truth.places[i] - truth.places[j])) < 3]
+    along = {(i, j): np.degrees(np.arctan2(*(truth.places[j] - truth.places[i]))) + 25 for i, j in near}
+    links = [(i, j, angle + rng.uniform(-15, 15)) for (i, j), angle in along.items()]
+    made = tour_scene(tour_of(replace(truth, links=links)), headings=8)
+    graph = made.scene.graph
+    ahead = np.flatnonzero(graph[:, AHEAD] >= 0)
+    assert len(ahead) == len(links)
+    assert (graph[graph[ahead, AHEAD], BACK] == ahead).all()
+    assert told(made, f"a move back undoes {len(links)} of {len(links)} moves ahead along links both ways (1.00)")
+
+
+def test_the_only_door_of_a_room_is_shown_before_others():
+    doors = [40.0 * number for number in range(9)]
+    links = star(doors).links
+    ring = [
+        (i, i % 8 + 1, doors[i - 1] + 90) for i in range(1, 9)
+    ]  # not of the ninth room, whose one door is the hall's
+    back = [(j, i, angle + 180) for i, j, angle in ring]
+    made = tour_scene(tour_of(replace(star(doors), links=[*links, *ring, *back])), headings=8)
+    assert told(made, "shown by no heading")
+    assert not told(made, "can be reached from each other")
+
+
 def star(angles):
     """A hall whose doors are at these angles; behind each is a room with a door back."""
     truth = grid_truth(len(angles) + 1, 1)

@@ -144,6 +144,13 @@ def test_a_tour_is_found_by_its_folder_or_file(name, tmp_path):
     assert len(read_tour(folder / "data.js" if name == "data.js" else tmp_path).panoramas) == 4
 
 
+def test_columns_of_panoramas_that_are_not_known_may_be_left_out(tmp_path):
+    written("table", tmp_path)
+    (tmp_path / "panoramas.csv").write_text("image,heading\nplace_1.jpg,30\nplace_2.jpg,\n")
+    told = [(one.position, one.heading) for one in read_tour(tmp_path).panoramas]
+    assert told == [(None, None), (None, 30.0), (None, None), (None, None)]
+
+
 def test_links_that_lead_nowhere_are_left_out_and_noted(tmp_path):
     written("table", tmp_path)
     text = (tmp_path / "links.csv").read_text()

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 
+import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from dirl.scenes.graph import AHEAD, BACK, IntArray, turns_only
 from dirl.sources.tours.alignment import wrap
@@ -20,8 +21,15 @@ ASIDE = 90.0
 FAR = 45.0
 """Degrees aside that a user should know of."""
 
-FORBIDDEN = 1e6
-"""What a heading too far aside costs: more than all others of a panorama together."""
+SHOWN, BRIDGE, UNDONE = 20.0, 60.0, 4.0
+"""What it is worth to show a link, one without which panoramas fall apart, and that a move back undoes a move along it;
+a link 90 degrees aside costs 1."""
+
+TOGETHER = 60
+"""Panoramas that are solved as one program, nearly always in less than a second; of more, neighbours are together."""
+
+SECONDS = 60.0
+"""After which the best assignment so far is taken, of panoramas with several times as many links as headings."""
 
 
 def link_ends(tour: Tour) -> tuple[IntArray, Array]:
@@ -30,58 +38,125 @@ def link_ends(tour: Tour) -> tuple[IntArray, Array]:
     return np.array(list(yaws), np.int64).reshape(-1, 2), np.array(list(yaws.values()), float)
 
 
-def follow_links(tour: Tour, along: Array, facing: Array, tolerance: float | None) -> tuple[IntArray, Array]:
-    """The moves of a tour of P panoramas with K headings each.
+def follow_links(tour: Tour, along: Array, facing: Array, tolerance: float = ASIDE) -> tuple[IntArray, Array]:
+    """Return the moves of a tour of P panoramas with K headings each.
 
-    Two links may be nearest to the same heading, where two doors are side by side. So that none is hidden, headings are
-    assigned to links by the least sum of squared angles. A heading that is left follows the link nearest to it, within
-    half a turn.
+    Every link gets one heading of its panorama, and a link both ways opposite ones at its two ends, see
+    `assign_headings`. A move ahead follows the link of the heading, and a move back that of the opposite heading. Both
+    keep the heading, so that a move back undoes a move ahead.
 
     Args:
         tour: with L links.
         along: where each link is on the map, degrees clockwise, float64 ``[L]``.
         facing: the headings, degrees clockwise, float64 ``[K]``.
-        tolerance: degrees between a heading and the link that a move follows; `ASIDE` if left out.
+        tolerance: degrees between a link and its heading, at most.
 
     Returns:
-        Next states, int64 ``[P * K, 4]``; and how far each link lies aside of the nearest heading that shows it,
-        degrees, float64 ``[L]``, infinite where none does.
+        Next states, int64 ``[P * K, 4]``; and how far each link lies aside of its heading, degrees, float64 ``[L]``,
+        infinite for links without one.
     """
     ends, _ = link_ends(tour)
     count = len(facing)
+    off = np.abs(wrap(along[:, None] - facing)).round(6)
+    heading = assign_headings(ends, np.where(off <= tolerance + 1e-6, off, np.inf))
+    shown = np.flatnonzero(heading >= 0)
+    ahead = heading[shown]
+    behind = (ahead + count // 2) % count
+    start, end = count * ends[shown].T
     graph = turns_only(len(tour.panoramas), count)
+    graph[start + ahead, AHEAD] = end + ahead
+    graph[start + behind, BACK] = end + behind
     aside = np.full(len(ends), np.inf)
-    headings = np.arange(count)
-    for panorama in range(len(tour.panoramas)):
-        mine = np.flatnonzero(ends[:, 0] == panorama)
-        if not len(mine):
-            continue
-        off = np.abs(wrap(along[mine][None] - facing[:, None])).round(6)
-        link = _assigned(off, 180 / count, tolerance)
-        follows = headings[link >= 0]
-        target = count * ends[mine[link[follows]], 1]
-        graph[count * panorama + follows, AHEAD] = target + follows
-        behind = (follows + count // 2) % count
-        graph[count * panorama + behind, BACK] = target + behind
-        np.minimum.at(aside, mine[link[follows]], off[follows, link[follows]])
+    aside[shown] = off[shown, ahead]
     return graph, aside
 
 
-def _assigned(off: Array, half: float, tolerance: float | None) -> IntArray:
-    """The link of each heading, int64 ``[K]``, -1 for none; of angles between them, degrees, float64 ``[K, L]``."""
-    most = ASIDE if tolerance is None else tolerance
-    near = half if tolerance is None else tolerance
-    link = np.where(off.min(1) <= near + 1e-6, off.argmin(1), -1)
-    headings, links = linear_sum_assignment(np.where(off <= most + 1e-6, off**2, FORBIDDEN))
-    within = off[headings, links] <= most + 1e-6
-    link[headings[within]] = links[within]
-    return link
+def assign_headings(ends: IntArray, off: Array) -> IntArray:
+    """Return the heading of each link, int64 ``[L]``, -1 for none.
+
+    Panoramas are not assigned one by one, because the heading of a link both ways at one end decides that at the other.
+    As many links as possible are shown, as many of those both ways as possible at opposite headings, and then the sum
+    of squared angles is least. Large tours are solved in parts of neighbours, one after the other.
+
+    Args:
+        ends: the panoramas where each link starts and ends, int64 ``[L, 2]``.
+        off: degrees between each link and each heading, float64 ``[L, K]``, infinite where it must not have it.
+    """
+    assigned = np.full(len(ends), -1)
+    joined = csr_array((np.ones(len(ends)), ends.T), shape=(ends.max() + 1,) * 2)
+    rank = np.argsort(reverse_cuthill_mckee((joined + joined.T).tocsr(), symmetric_mode=True))
+    part = rank[ends].min(1) // TOGETHER
+    bridges = {frozenset(bridge) for bridge in nx.bridges(nx.Graph(ends.tolist()))}
+    worth = np.array([BRIDGE if frozenset(pair) in bridges else SHOWN for pair in ends.tolist()])
+    free = off.copy()
+    for number in np.unique(part):
+        mine = np.flatnonzero(part == number)
+        assigned[mine] = _solve(ends[mine], free[mine], worth[mine])
+        shown = mine[assigned[mine] >= 0]
+        for start, heading in zip(ends[shown, 0], assigned[shown], strict=True):
+            free[ends[:, 0] == start, heading] = np.inf
+    return assigned
 
 
-def about_links(tour: Tour, aside: Array) -> Iterator[str]:
-    """What became of the links (``aside`` is that of `follow_links`), a line each, and which panoramas are lost."""
+def _solve(ends: IntArray, off: Array, worth: Array) -> IntArray:
+    """Return the heading of each link as `assign_headings` does, by a set packing as a mixed-integer linear program.
+
+    A choice is a link at a heading, or a link both ways at two opposite headings. No link and no heading of a panorama
+    may be in two of the choices that are taken.
+    """
+    links, count = off.shape
+    number = {(start, end): link for link, (start, end) in enumerate(ends.tolist())}
+    back = np.array([number.get((end, start), -1) for start, end in ends.tolist()])
+    slot = links + count * ends[:, :1] + np.arange(count)  # a panorama's heading, numbered after the links
+    cost = (off / ASIDE) ** 2
+
+    link, heading = np.nonzero(np.isfinite(off))
+    there = np.flatnonzero(back > np.arange(links))
+    opposite = (np.arange(count) + count // 2) % count
+    cost_both = cost[there] + cost[back[there]][:, opposite]
+    pair, heading_there = np.nonzero(np.isfinite(cost_both))
+    link_there, link_back, heading_back = there[pair], back[there[pair]], opposite[heading_there]
+
+    # What each choice takes: a link and a heading, or two of each.
+    alone = np.arange(len(link))
+    both = len(link) + np.arange(len(pair))
+    choice = np.concatenate([alone, alone, both, both, both, both])
+    slots_both = slot[link_there, heading_there], slot[link_back, heading_back]
+    taken = np.concatenate([link, slot[link, heading], link_there, link_back, *slots_both])
+    worth_alone = worth[link] - cost[link, heading]
+    worth_both = worth[link_there] + worth[link_back] + 2 * UNDONE - cost_both[pair, heading_there]
+    value = np.concatenate([worth_alone, worth_both])
+    assigned = np.full(links, -1)
+    if not len(value):
+        return assigned
+    takes = csr_array((np.ones(len(choice)), (taken, choice)), shape=(slot.max() + 1, len(value)))
+    solution = milp(
+        -value,
+        constraints=LinearConstraint(takes, ub=1),
+        integrality=np.ones(len(value)),
+        bounds=Bounds(0, 1),
+        options={"time_limit": SECONDS},
+    )
+    chosen = solution.x > 0.5
+    assigned[link[chosen[alone]]] = heading[chosen[alone]]
+    assigned[link_there[chosen[both]]] = heading_there[chosen[both]]
+    assigned[link_back[chosen[both]]] = heading_back[chosen[both]]
+    return assigned
+
+
+def about_links(tour: Tour, graph: IntArray, aside: Array) -> Iterator[str]:
+    """What became of the links (see `follow_links`), a line each, and which panoramas are lost."""
     ids = [panorama.id for panorama in tour.panoramas]
     ends, _ = link_ends(tour)
+    count = len(graph) // len(ids)
+    state = np.flatnonzero(graph[:, AHEAD] >= 0)
+    there = graph[state, AHEAD]
+    links = set(map(tuple, ends.tolist()))
+    both = np.array([pair[::-1] in links for pair in zip(state // count, there // count, strict=True)], bool)
+    undone = graph[there[both], BACK] == state[both]
+    if both.any():
+        share = f"{undone.sum()} of {len(undone)} moves ahead along links both ways"
+        yield f"a move back undoes {share} ({undone.mean():.2f})"
     hidden, far = np.flatnonzero(np.isinf(aside)), np.flatnonzero(np.isfinite(aside) & (aside > FAR))
     if len(hidden):
         i, j = ends[hidden[0]]

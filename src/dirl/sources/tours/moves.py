@@ -12,7 +12,7 @@ from dirl.scenes.graph import IntArray
 from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.sources.tours.alignment import LEAD, Alignment, align, least_squares, wrap
 from dirl.sources.tours.columns import Seen, columns, compare
-from dirl.sources.tours.links import about_links, follow_links, link_ends
+from dirl.sources.tours.links import ASIDE, about_links, follow_links, link_ends
 from dirl.sources.tours.tour import Tour
 
 Array = NDArray[np.float64]
@@ -48,20 +48,20 @@ def tour_scene(
     tour: Tour,
     *,
     headings: int = 8,
-    tolerance: float | None = None,
+    tolerance: float = ASIDE,
     step: float = 2.0,
     name: str | None = None,
     compare_images: bool = True,
 ) -> Converted:
     """The scene of a tour.
 
-    Each link has a heading of its own, see `dirl.sources.tours.links.follow_links`, along which a move ahead leads. A
-    move back leads along the link of the opposite heading. Both keep the heading.
+    Each link has a heading of its own, along which a move ahead leads, and a link both ways has opposite headings at
+    its ends, so that a move back undoes a move ahead: see `dirl.sources.tours.links.follow_links`.
 
     Args:
         tour: see `dirl.sources.tours.read_tour`.
         headings: of each panorama, a multiple of four.
-        tolerance: degrees that a link may lie aside of a heading that shows it; 90 if left out.
+        tolerance: degrees that a link may lie aside of the heading that shows it.
         step: metres that a link is long on the map, where the tour gives no positions.
         name: of the scene; the tour's if left out.
         compare_images: whether headings that links do not give, or contradict, come from what the panoramas show.
@@ -105,7 +105,7 @@ def tour_scene(
     )
     contrary = _contrary(tour, middles)
     about = [*_about_loops(by_links, aligned, seen), *_about(tour, aligned)]
-    notes = [*tour.notes, *about, *about_links(tour, off), *contrary, *_about_positions(tour, step)]
+    notes = [*tour.notes, *about, *about_links(tour, graph, off), *contrary, *_about_positions(tour, step)]
     return Converted(scene, wrap(facing - middles[:, None]), notes, layout)
 
 

@@ -41,8 +41,8 @@ def read_table(file: Path) -> Tour:
     | | ``to`` | the image that it leads to |
     | | ``yaw`` | in which direction it lies, degrees clockwise from the middle of the image |
     | ``panoramas.csv`` | ``image`` | one of those images |
-    | | ``x``, ``z`` | the place on a map, metres; empty = unknown |
-    | | ``heading`` | where the middle of the image looks, degrees clockwise from +z; empty = unknown |
+    | | ``x``, ``z`` | the place on a map, metres; empty or without a column = unknown |
+    | | ``heading`` | where the middle of the image looks, degrees clockwise from +z; likewise |
 
     Panoramas are the linked images, in the order of their names.
     """
@@ -53,8 +53,9 @@ def read_table(file: Path) -> Tour:
         links.setdefault(row["to"], [])
     places: dict[str, tuple[tuple[float, float] | None, float | None]] = {}
     if (folder / PLACES).is_file():
-        for where, row in read_csv(folder / PLACES, ("image", "x", "z", "heading"), most=MOST_TEXT):
-            x, z, heading = (number(row[key], f"{where}: {key}") if row[key] else None for key in ("x", "z", "heading"))
+        for where, row in read_csv(folder / PLACES, ("image",), ("x", "z", "heading"), most=MOST_TEXT):
+            told = {key: number(text, f"{where}: {key}") for key, text in row.items() if key != "image" and text}
+            x, z, heading = told.get("x"), told.get("z"), told.get("heading")
             places[row["image"]] = (None if x is None or z is None else (x, z), heading)
     panoramas = []
     for name, of_image in sorted(links.items()):
