@@ -2,6 +2,8 @@
 
 import io
 import os
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -58,6 +60,15 @@ def reason(data):
         return "" if decode(data).shape[2] == 3 else "no RGB"
     except ImageError as error:
         return str(error)
+
+
+def test_decoding_in_threads_changes_nothing_of_the_process(monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    filters, data = [*warnings.filters], picture("PNG", (40, 30))
+    with ThreadPoolExecutor(4) as threads:
+        assert {view.shape for view in threads.map(decode, [data] * 400)} == {(30, 40, 3)}
+    assert Image.MAX_IMAGE_PIXELS == 100
+    assert warnings.filters == filters
 
 
 @pytest.mark.parametrize("kind", FORMATS)

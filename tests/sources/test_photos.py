@@ -203,6 +203,40 @@ def test_webp_of_the_right_shape_is_stored_as_it_is(tmp_path):
     assert list(encoded_photos([path], 15, 20)) != [path.read_bytes()]
 
 
+def test_webp_of_the_right_shape_is_turned_upright(tmp_path):
+    picture = Image.new("RGB", (40, 30), "red")
+    picture.paste("blue", (0, 0, 40, 15))
+    exif = Image.Exif()
+    exif[0x0112] = 3  # upside down
+    picture.save(tmp_path / "a.webp", exif=exif, lossless=True)
+    (view,) = map(decode, encoded_photos([tmp_path / "a.webp"], 30, 40))
+    assert view[2, 20].argmax() == 0
+    assert view[27, 20].argmax() == 2
+
+
+def test_grey_of_16_bits_keeps_its_upper_eight(tmp_path):
+    Image.fromarray(np.linspace(0, 65535, 1200).astype(np.uint16).reshape(30, 40)).save(tmp_path / "a.png")
+    (view,) = map(decode, encoded_photos([tmp_path / "a.png"], 30, 40))
+    assert abs(view[:, :, 0].astype(float) - np.linspace(0, 255, 1200).reshape(30, 40)).mean() < 5
+    assert abs(decode((tmp_path / "a.png").read_bytes())[15, 20].astype(float) - 132).max() < 3
+
+
+def test_images_outside_of_the_folder_are_refused(tmp_path):
+    lines, folder = corridor(), tmp_path / "shared"
+    folder.mkdir()
+    for name in ("../secret.png", str(tmp_path / "secret.png")):
+        with pytest.raises(SceneError, match=r"states\.csv: line 2: image: '.*' lies outside of "):
+            read_photos(folder_of(folder, [lines[0].replace("hall_0.png", name), *lines[1:]]))
+
+
+def test_a_table_with_decimal_commas_is_read(tmp_path):
+    lines = [line.replace(",1,0,", ",1.25,-0.5,") for line in corridor()]
+    folder_of(tmp_path, lines)
+    table = "\n".join([HEADER, *lines]).replace(",", ";").replace(".25", ",25").replace(".5", ",5")
+    (tmp_path / "states.csv").write_text(table)
+    assert read_photos(tmp_path)[0].positions[-1].tolist() == [1.25, -0.5]
+
+
 def test_an_image_that_cannot_be_read_is_named(tmp_path):
     (tmp_path / "a.jpg").write_bytes(b"no image")
     with pytest.raises(SceneError, match=r"a.jpg: not a readable image"):

@@ -19,7 +19,7 @@ from dirl.perception.recognition.matching import TemplateStop
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
 from dirl.scenes.io.atomic import write_json
-from dirl.scenes.io.texts import read_text
+from dirl.scenes.io.bounded import read_text
 from dirl.training.load import Trained, load_trained
 
 FOUR, PHOTO = "four views of the goal", "one photo of the goal"

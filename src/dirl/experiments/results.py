@@ -16,7 +16,7 @@ from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import RunError, finished_folders
 from dirl.scenes.io.atomic import atomic_path, write_text
-from dirl.scenes.io.texts import read_text
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.load import Trained, load_trained
 

@@ -8,8 +8,8 @@ from typing import Any
 from dirl.runs.paths import WEIGHTS, RunError
 from dirl.runs.schema import check_entries
 from dirl.scenes.io.atomic import atomic_path, write_json, write_text
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.io.digest import check_seal, sealed
-from dirl.scenes.io.texts import read_text
 
 CONFIG, FACTS = "config.yaml", "dirl.json"
 """The files of such a folder beside the weights by name: the run's configuration, and `KEYS`."""

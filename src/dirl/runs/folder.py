@@ -23,7 +23,7 @@ from dirl.runs.paths import RunError, config_file, find_unfinished, is_finished,
 from dirl.runs.schema import SCHEMA, TABLES
 from dirl.scenes import World
 from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
-from dirl.scenes.io.texts import read_text
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.scene import turns_of
 
 

@@ -11,10 +11,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, overload
 
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.io.checked import checked
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.read import Dump, read_dumps
-from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import Scene, SceneError
 
 INDEX = "collection.jsonl"

@@ -1,22 +1,33 @@
 """The camera views of a dump: read and decoded one at a time, on access."""
 
 import io
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+from PIL.WebPImagePlugin import WebPImageFile
+
+from dirl.scenes.io.bounded import read_bytes
 
 MAX_PIXELS = 2**24
 """Of a view; larger ones are refused before they are unpacked."""
 
-MAX_PHOTO_PIXELS = 2**28
-"""Of a photo; as RGB it takes three bytes for each."""
+MAX_PHOTO_PIXELS = 2 * 10**8
+"""Of a photograph or a panorama to be scaled; Pillow takes four bytes for each, and twice that to turn it upright."""
 
-FORMATS = ("WEBP", "PNG", "JPEG")
-"""Of images. Pillow knows many more, and for some of them starts other programs (Ghostscript for EPS)."""
+MAX_PHOTO_BYTES = 2**28
+"""Of its file."""
+
+MAX_WEBP_PIXELS = 2**26
+"""Of a WebP image, whose decoder holds three copies."""
+
+WEBP = "WEBP"
+FORMATS = {"PNG": (PngImageFile, b"\x89PNG"), "JPEG": (JpegImageFile, b"\xff\xd8"), WEBP: (WebPImageFile, b"RIFF")}
+"""Of images: Pillow's class, and how a file begins. It knows many more, and starts other programs for some of them."""
 
 
 class ImageError(ValueError):
@@ -93,37 +104,48 @@ def encode(view: NDArray[np.uint8], quality: int | None = 85) -> bytes:
 
 def decode(data: bytes) -> NDArray[np.uint8]:
     """The RGB image, uint8 ``[H, W, 3]``, in the bytes of an encoded one; `ImageError` if there is none."""
-    return np.asarray(open_image(data, MAX_PIXELS).convert("RGB"))
+    return np.asarray(to_rgb(open_image(data, MAX_PIXELS)))
 
 
 def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Image:
-    """The image in the bytes of a file in one of `FORMATS`, of at most so many pixels.
+    """Return the image in the bytes of a file in one of `FORMATS`, of at most so many pixels.
 
     Without ``load`` its pixels are not decoded, and it tells the size that it declares. `ImageError` if it is none.
+    Pillow's ``Image.open`` has a limit of its own, for the whole process, below the size of panoramas.
     """
-    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # panoramas are larger than Pillow takes a photo to be
+    kind = next((kind for kind, begin in FORMATS.values() if data.startswith(begin)), None)
+    if kind is None:
+        raise ImageError("it is not WebP, PNG or JPEG")
+    most = min(max_pixels, MAX_WEBP_PIXELS) if kind is WebPImageFile else max_pixels
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of odd metadata
-            image = Image.open(io.BytesIO(data), formats=FORMATS)
-            if image.width * image.height > max_pixels:
-                raise ImageError(f"{image.width}x{image.height} pixels are more than {max_pixels}")
-            if load:
-                image.load()
+        image = kind(io.BytesIO(data))
+        if image.width * image.height > most:
+            raise ImageError(f"{image.width}x{image.height} pixels are more than {most}")
+        if load:
+            image.load()
     except ImageError:
         raise
-    except UnidentifiedImageError:
-        raise ImageError("it is not WebP, PNG or JPEG") from None
     except Exception as error:  # Pillow raises many kinds for damaged images, struct.error and SyntaxError among them
         raise ImageError(" ".join(f"{type(error).__name__}: {error}".split())[:200]) from None
-    finally:
-        Image.MAX_IMAGE_PIXELS = limit
     return image
+
+
+def to_rgb(image: Image.Image) -> Image.Image:
+    """Return an image as RGB. Grey of 16 bits keeps its upper eight; Pillow's own conversion makes it white."""
+    if image.mode.startswith("I"):
+        image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+    return image if image.mode == "RGB" else image.convert("RGB")
+
+
+def upright_rgb(image: Image.Image) -> Image.Image:
+    """Return an image as its EXIF orientation says, and as RGB; ``image`` itself may be turned."""
+    ImageOps.exif_transpose(image, in_place=True)
+    return to_rgb(image)
 
 
 def read_photo(file: str | Path) -> NDArray[np.uint8]:
     """Return the photo in a file, upright as its EXIF says, RGB, uint8 ``[H, W, 3]``; `ImageError` if there is none."""
     try:
-        return np.asarray(ImageOps.exif_transpose(open_image(Path(file).read_bytes(), MAX_PHOTO_PIXELS)).convert("RGB"))
-    except (OSError, ImageError) as error:
+        return np.asarray(upright_rgb(open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS)))
+    except (OSError, ValueError) as error:
         raise ImageError(f"{file}: {getattr(error, 'strerror', None) or error}") from None

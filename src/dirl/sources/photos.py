@@ -32,10 +32,11 @@ from PIL import ExifTags, Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.checked import check_choice, checked
+from dirl.scenes.io.bounded import read_bytes
+from dirl.scenes.io.checked import check_choice, checked, inside
 from dirl.scenes.io.texts import read_csv
 from dirl.scenes.scene import LARGEST, Scene, SceneError, check_name
-from dirl.scenes.views import FORMATS, MAX_PHOTO_PIXELS, ImageError, encode, open_image
+from dirl.scenes.views import MAX_PHOTO_BYTES, MAX_PHOTO_PIXELS, WEBP, encode, open_image, upright_rgb
 
 TABLE = "states.csv"
 REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
@@ -45,6 +46,9 @@ Number = Annotated[float, Ge(-LARGEST), Le(LARGEST)]
 
 TOLERANCE = 1.0
 """Degrees that a heading may be off."""
+
+MAX_HEADINGS = 360
+"""Of a location; nearer ones cannot be told apart."""
 
 PANORAMA_MARK = b"GPano:ProjectionType"
 """What cameras write into the XMP metadata of a panorama."""
@@ -158,11 +162,15 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
     """
     for path in images:
         try:
-            data = path.read_bytes()
+            data = read_bytes(path, MAX_PHOTO_BYTES)
             image = open_image(data, MAX_PHOTO_PIXELS)
-        except (OSError, ImageError) as error:
+        except (OSError, ValueError) as error:
             raise SceneError(f"{path}: not a readable image ({error})") from None
-        if image.format == FORMATS[0] and image.size == (width, height):
+        if (
+            image.format == WEBP
+            and image.size == (width, height)
+            and image.getexif().get(ExifTags.Base.Orientation, 1) == 1
+        ):
             yield data
             continue
         wide = abs(image.width / image.height - 2) < 0.02 < abs(width / height - 2)  # as no other view is
@@ -171,8 +179,9 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
                 f"{path}: {image.width}x{image.height} pixels are a panorama, which shows all headings at once; cut it "
                 "into one image a heading (an ordinary image of that shape: crop it a little)"
             )
-        upright = ImageOps.exif_transpose(image).convert("RGB")
-        yield encode(np.asarray(ImageOps.fit(upright, (width, height), Image.Resampling.LANCZOS)), quality=90)
+        yield encode(
+            np.asarray(ImageOps.fit(upright_rgb(image), (width, height), Image.Resampling.LANCZOS)), quality=90
+        )
 
 
 def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
@@ -275,9 +284,9 @@ def _said_by_name(file: Path) -> tuple[str, float]:
 def _said_by_exif(file: Path) -> tuple[str, float | None]:
     """Time, as text that sorts, and degrees clockwise from north, as far as the camera has written them."""
     try:
-        exif = open_image(file.read_bytes(), MAX_PHOTO_PIXELS, load=False).getexif()
+        exif = open_image(read_bytes(file, MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS, load=False).getexif()
         details, place = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
-    except (OSError, ImageError) as error:
+    except (OSError, ValueError) as error:
         raise SceneError(f"{file}: not a readable image ({error})") from None
     time = str(details.get(ExifTags.Base.DateTimeOriginal, ""))
     angle = place.get(ExifTags.GPS.GPSImgDirection)
@@ -289,17 +298,20 @@ def _said_by_exif(file: Path) -> tuple[str, float | None]:
 def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:
     given = {column: cell for column, cell in values.items() if cell or column in (ACTIONS[AHEAD], ACTIONS[BACK])}
     row: Row = checked({"where": where, **given}, Row, where, strict=False)
-    if not (folder / row.image).is_file():
+    image = inside(folder, values["image"], f"{where}: image")
+    if not image.is_file():
         raise SceneError(f"{where}: image: there is no file '{row.image}' in {folder}")
     for column in ("ahead", "back", "goal"):
         if row.shot and values.get(column):
             raise SceneError(f"{where}: {column}: stands in the row of the first shot; leave it empty here")
-    return replace(row, image=folder / row.image)
+    return replace(row, image=image)
 
 
 def _check_place(location: str, here: Sequence[Row], count: int) -> None:
     """Check the headings, in their order, and the positions of a location; ``count`` is how many the first one has."""
     first = here[0]
+    if len(here) > MAX_HEADINGS:
+        raise SceneError(f"{first.where}: location '{location}' has {len(here)} headings; at most {MAX_HEADINGS}")
     if len(here) != count or count % 4:
         raise SceneError(
             f"{first.where}: location '{location}' has {len(here)} headings; expected the same multiple of four "

@@ -34,6 +34,9 @@ ASIDE = 8
 SETTLED = 12
 """Tics after which the eyes are at their height again."""
 
+MOST_LUMPS = 100_000
+"""Entries of a WAD file's directory that are read; Freedoom 2 has 3,000."""
+
 WATCH = 'read -r _; grep -qs "$0" "/proc/$1/cmdline" && kill -9 "$1"; rm -f "/dev/shm/ViZDoom"*"$0"'
 """Of a shell: wait for the end of its input, then end a Doom by its name and process, and remove what it shared."""
 
@@ -207,7 +210,10 @@ def _check_map(wad: Path, name: str) -> None:
         with wad.open("rb") as file:
             kind, count, at = struct.unpack("<4sii", file.read(12))
             file.seek(at)
-            lumps = [file.read(16)[8:].rstrip(b"\0").decode("ascii", "replace") for _ in range(count)]
+            directory = file.read(16 * min(count, MOST_LUMPS))
+            lumps = [
+                directory[i : i + 8].rstrip(b"\0").decode("ascii", "replace") for i in range(8, len(directory), 16)
+            ]
     except (OSError, struct.error) as error:
         raise SceneError(f"{wad}: not a readable WAD file ({error})") from None
     maps = [lump for lump, after in pairwise(lumps) if after in ("THINGS", "TEXTMAP")]

@@ -4,7 +4,8 @@ import pytest
 
 from dirl.scenes import SceneError
 from dirl.scenes.collection import INDEX, read_collection
-from dirl.scenes.io.texts import MOST, read_rows, read_text
+from dirl.scenes.io.bounded import MOST, read_text
+from dirl.scenes.io.texts import read_rows
 from dirl.sources.photos import read_photos
 from dirl.sources.rooms import read_description
 

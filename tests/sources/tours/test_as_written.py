@@ -96,7 +96,7 @@ def test_a_script_that_makes_its_configuration_by_code_is_refused_in_one_line(tm
         read_tour(tmp_path)
     assert "\n" not in str(caught.value)
     (tmp_path / "other.htm").write_text(text)
-    with pytest.raises(SceneError, match=r"2 files hold 'scenes', other\.htm too; name the one that is the tour"):
+    with pytest.raises(SceneError, match=r"holds 2 tours of pannellum, other\.htm too; name the file"):
         read_tour(tmp_path)
 
 
@@ -145,6 +145,6 @@ def test_panoramas_between_the_limits_of_pillow_and_of_dirl_are_read(tmp_path, m
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10_000)  # Pillow refuses twice as many
     assert read_panorama(Equirectangular(file), 1000)[0].shape == (200, 400, 3)
     assert Image.MAX_IMAGE_PIXELS == 10_000
-    monkeypatch.setattr("dirl.sources.tours.images.MAX_PIXELS", 70_000)
+    monkeypatch.setattr("dirl.sources.tours.images.MAX_PHOTO_PIXELS", 70_000)
     with pytest.raises(SceneError, match="400x200 pixels are more than 70000"):
         read_panorama(Equirectangular(file), 1000)

@@ -17,8 +17,8 @@ from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.export import MISSING
 from dirl.scenes.graph import ACTIONS
 from dirl.scenes.io.atomic import atomic_path, write_json
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.io.digest import check_seal, sealed
-from dirl.scenes.io.texts import read_text
 
 TENSORS, FACTS = "map.safetensors", "map.json"
 

@@ -1,15 +1,20 @@
 """What was read from a file, checked against annotated types by pydantic; what does not fit is told in one line."""
 
 import difflib
+import os
 from collections.abc import Collection
 from dataclasses import fields
 from functools import cache
+from pathlib import Path, PurePosixPath
 from typing import Any, get_type_hints
 
 from dirl.scenes.scene import SceneError
 
 MOST_NAMED = 100
 """How many choices an error lists: all kinds of furniture, but not all panoramas of a large tour."""
+
+LONGEST = 1000
+"""Characters of the name of a file in another one; what is longer no operating system takes."""
 
 UNKNOWN = "unexpected_keyword_argument"
 """What pydantic calls a key that a dataclass does not have."""
@@ -60,3 +65,33 @@ def check_choice(name: str, known: Collection[str], where: str, noun: str = "") 
         what, more = f"{noun} '{name}'".lstrip(), ", ..." if len(known) > MOST_NAMED else ""
         hint = f"did you mean '{near[0]}'?" if near else f"choose from {', '.join([*known][:MOST_NAMED])}{more}"
         raise SceneError(f"{where}: there is no {what}; {hint}".removeprefix(": "))
+
+
+def inside(folder: Path, name: Any, where: str) -> Path:
+    """Return the path of a file that a table or a tour names; it lies in the folder, symbolic links followed.
+
+    The file need not exist.
+
+    Args:
+        folder: of the table or the tour.
+        name: of the file, relative to the folder.
+        where: it is named, for errors.
+
+    Raises:
+        SceneError: the name is none, or leads out of the folder.
+    """
+    if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > LONGEST:
+        raise SceneError(f"{where}: expected the name of a file, found {str(name)[:50]!r}")
+    text = name.replace("\\", "/")
+    if "://" in text or text.startswith("//"):
+        raise SceneError(f"{where}: '{name[:100]}' is on the web; nothing is downloaded, fetch the files first")
+    path = PurePosixPath(text)
+    if not path.parts:
+        raise SceneError(f"{where}: expected the name of a file, found {name[:50]!r}")
+    if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
+        raise SceneError(f"{where}: '{name[:100]}' lies outside of {folder}")
+    found = folder / path
+    real, root = os.path.realpath(found), os.path.realpath(folder)
+    if os.path.commonpath([real, root]) != root:
+        raise SceneError(f"{where}: '{name[:100]}' is a link that leads out of {folder}; put the file itself there")
+    return found

@@ -1,31 +1,15 @@
-"""Text files that somebody else may have written: refused at once if they are huge, as a sparse file can be."""
+"""Tables that somebody else may have written, as CSV."""
 
 import csv
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from dirl.scenes.io.bounded import MOST, read_text
 from dirl.scenes.io.checked import check_choice
 from dirl.scenes.scene import SceneError
 
-MOST = 64 * 2**20
-"""Bytes that are read of a file. The longest table of a run has a row a step of imitation, 40 bytes each."""
-
-
-def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: str = "strict") -> str:
-    """The text of a file of at most so many bytes; ``errors`` as of ``bytes.decode``.
-
-    Raises:
-        ValueError: it is longer than ``most``, or (with ``errors="strict"``) no such text.
-        OSError: it cannot be read.
-    """
-    with file.open("rb") as stream:
-        data = stream.read(most + 1)
-    if len(data) > most:
-        raise ValueError(f"{file}: has more than {most} bytes, which no such file of dirl has")
-    try:
-        return data.decode(encoding, errors)
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{file}: is not UTF-8 text ({error})") from None
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+")
 
 
 def read_rows(file: Path) -> list[dict[str, str]]:
@@ -52,13 +36,16 @@ def read_csv(
     if not lines:
         raise SceneError(f"{file}: is empty; its first line names the columns: {','.join(required)}")
     # Spreadsheets of countries with a decimal comma separate by semicolons.
-    reader = csv.reader(lines, delimiter=";" if ";" in lines[0] and "," not in lines[0] else ",")
+    semicolons = ";" in lines[0] and "," not in lines[0]
+    reader = csv.reader(lines, delimiter=";" if semicolons else ",")
     rows = []
     try:
         columns = [column.strip() for column in next(reader)]
         _check_columns(columns, required, optional, file)
         for line in reader:
             cells = [cell.strip() for cell in line]
+            if semicolons:
+                cells = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
             where = f"{file}: line {reader.line_num}"
             if any(cells) and len(cells) != len(columns):
                 raise SceneError(f"{where}: {len(cells)} cells for {len(columns)} columns")

@@ -16,11 +16,14 @@ from typing import Annotated, Any, ClassVar, get_type_hints
 import tomli_w
 from annotated_types import Ge, Gt, Le
 
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.io.checked import check_choice, checked
-from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.furniture import FURNITURE
 from dirl.sources.rooms.textures import TEXTURES
+
+MOST_TEXT, LONGEST_LINE = 2**20, 2_000
+"""Bytes of a description, and characters of one of its lines."""
 
 SIDES = ("north", "south", "east", "west")
 
@@ -160,7 +163,7 @@ def read_description(path: str | Path) -> RoomDescription:
     """
     path = Path(path)
     try:
-        return parse_description(read_text(path))
+        return parse_description(read_text(path, MOST_TEXT))
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error})") from None
     except SceneError as error:
@@ -196,9 +199,11 @@ class _File:
 
 def parse_description(text: str) -> RoomDescription:
     """The room that a TOML text describes; raises `SceneError` as `read_description` does."""
+    if len(max(text.splitlines(), key=len, default="")) > LONGEST_LINE:  # the time for a.a.a... is its square
+        raise SceneError(f"not TOML of a room: it has a line of more than {LONGEST_LINE} characters")
     try:
         file: _File = checked(tomllib.loads(text), _File)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SceneError(f"not TOML: {error}") from None
     tables = {
         "walls": _walls(file.room),

@@ -3,7 +3,7 @@
 py360convert would do the cutting, but reads cubes by way of an equirectangular image.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from dirl.scenes.io.bounded import read_bytes
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import ImageError, encode, open_image
+from dirl.scenes.views import MAX_PHOTO_PIXELS, encode, open_image, to_rgb
 
 MAX_BYTES = 2**28
 """Of an image file."""
 
-MAX_PIXELS = 2**28
-"""Of a panorama, or of a face; the sizes that files declare are checked before any pixel is decoded."""
+MAX_FACE_PIXELS = 2**27
+"""Of a face; the sizes that files declare are checked before any pixel is decoded."""
 
 MOST_LEVELS, MOST_TILES = 16, 64
 """Sizes of a cube, and tiles along a side."""
@@ -39,6 +40,11 @@ class Equirectangular:
         """The files of the image."""
         yield self.file
 
+    @property
+    def count(self) -> int:
+        """How many files that are."""
+        return 1
+
 
 @dataclass(frozen=True)
 class CubeLevel:
@@ -46,11 +52,17 @@ class CubeLevel:
 
     Args:
         size: pixels a side; None if only the file tells.
-        tiles: of each of `FACES` the rows of its tiles.
+        count: tiles along a side.
+        path: the file of a tile, by face, row and column; a small tour can name millions of them.
     """
 
     size: int | None
-    tiles: Mapping[str, tuple[tuple[Path, ...], ...]]
+    count: int
+    path: Callable[[str, int, int], Path]
+
+    def tiles(self, face: str) -> list[list[Path]]:
+        """The rows of the tiles of one of `FACES`."""
+        return [[self.path(face, y, x) for x in range(self.count)] for y in range(self.count)]
 
 
 def tiled(size: int, tile: int, where: str, path: Callable[[str, int, int], Path]) -> CubeLevel:
@@ -58,8 +70,7 @@ def tiled(size: int, tile: int, where: str, path: Callable[[str, int, int], Path
     count = -(-size // tile)
     if count > MOST_TILES:
         raise SceneError(f"{where}: {size} pixels in tiles of {tile} are more than {MOST_TILES} tiles a side")
-    rows = range(count)
-    return CubeLevel(size, {face: tuple(tuple(path(face, y, x) for x in rows) for y in rows) for face in FACES})
+    return CubeLevel(size, count, path)
 
 
 @dataclass(frozen=True)
@@ -70,12 +81,17 @@ class Cube:
 
     def files(self) -> Iterator[Path]:
         """The files of all sizes."""
-        yield from (file for level in self.levels for rows in level.tiles.values() for row in rows for file in row)
+        yield from (file for level in self.levels for face in FACES for row in level.tiles(face) for file in row)
+
+    @property
+    def count(self) -> int:
+        """How many files that are."""
+        return sum(len(FACES) * level.count**2 for level in self.levels)
 
 
 def six_images(path: Callable[[str], Path]) -> Cube:
     """A cube of one image a face."""
-    return Cube((CubeLevel(None, {face: ((path(face),),) for face in FACES}),))
+    return Cube((CubeLevel(None, 1, lambda face, y, x: path(face)),))
 
 
 def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]:
@@ -90,27 +106,28 @@ def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]
             raise SceneError(
                 f"{image.file}: {found.width}x{found.height} pixels; an equirectangular image is twice as wide as high"
             )
-        return [_reduced(_open(image.file).convert("RGB"), found.width / (2 * np.pi), density)]
+        return [_reduced(to_rgb(_open(image.file)), found.width / (2 * np.pi), density)]
     enough = [level for level in image.levels if level.size is None or level.size / 2 >= density]
     level = enough[0] if enough else image.levels[-1]
     sizes = {face: _tile_sizes(level, face) for face in FACES}  # of all, before any pixel is decoded
     sides = sorted({sum(width for width, _ in rows[0]) for rows in sizes.values()})
     if len(sides) > 1:
         raise SceneError(
-            f"{level.tiles['f'][0][0]}: the faces of this cube have {len(sides)} sizes, {sides[:2]} pixels"
+            f"{level.tiles('f')[0][0]}: the faces of this cube have {len(sides)} sizes, {sides[:2]} pixels"
         )
-    return [_reduced(_face(level.tiles[face]), sides[0] / 2, density) for face in FACES]
+    return [_reduced(_face(level.tiles(face)), sides[0] / 2, density) for face in FACES]
 
 
 def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
     """Width and height that the tiles of a face declare, row by row; `SceneError` unless they make its square."""
-    sizes = [[_open(file, load=False).size for file in row] for row in level.tiles[face]]
+    tiles = level.tiles(face)
+    sizes = [[_open(file, load=False).size for file in row] for row in tiles]
     width, height = sum(tile[0] for tile in sizes[0]), sum(row[0][1] for row in sizes)
-    if width != height or (level.size is not None and width != level.size) or width * height > MAX_PIXELS:
+    if width != height or (level.size is not None and width != level.size) or width * height > MAX_FACE_PIXELS:
         wanted = "a square" if level.size is None else f"{level.size}x{level.size}"
-        first = level.tiles[face][0][0]
+        first = tiles[0][0]
         raise SceneError(f"{first}: the tiles of face '{face}' make {width}x{height} pixels, not {wanted}")
-    for files, row in zip(level.tiles[face], sizes, strict=True):
+    for files, row in zip(tiles, sizes, strict=True):
         for file, tile in zip(files, row, strict=True):
             if tile[1] != row[0][1]:
                 raise SceneError(f"{file}: this tile is {tile[1]} pixels high, the first of its row {row[0][1]}")
@@ -121,16 +138,14 @@ def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
 
 def _face(tiles: Sequence[Sequence[Path]]) -> Image.Image:
     """A face put together from its tiles, whose sizes fit, see `_tile_sizes`."""
-    rows = [np.concatenate([np.asarray(_open(file).convert("RGB")) for file in row], 1) for row in tiles]
+    rows = [np.concatenate([np.asarray(to_rgb(_open(file))) for file in row], 1) for row in tiles]
     return Image.fromarray(np.concatenate(rows))
 
 
 def _open(file: Path, *, load: bool = True) -> Image.Image:
     try:
-        if file.stat().st_size > MAX_BYTES:
-            raise SceneError(f"{file}: has more than {MAX_BYTES >> 20} MB, which no image of a tour needs")
-        return open_image(file.read_bytes(), MAX_PIXELS, load=load)
-    except (OSError, ImageError) as error:
+        return open_image(read_bytes(file, MAX_BYTES), MAX_PHOTO_PIXELS, load=load)
+    except (OSError, ValueError) as error:
         raise SceneError(f"{file}: not a readable image ({error})") from None
 
 

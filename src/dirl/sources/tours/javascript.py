@@ -8,15 +8,30 @@ angles are degrees. They are clockwise from the middle of the image.
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from bisect import bisect
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from dirl.scenes.io.checked import LONGEST, inside
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
-from dirl.sources.tours.tour import Link, Panorama, Tour, entries, entry, inside, number, read_json, tour_text
+from dirl.sources.tours.tour import (
+    FlatError,
+    Link,
+    Panorama,
+    Tour,
+    entries,
+    entry,
+    number,
+    read_json,
+    read_panoramas,
+    tour_text,
+)
 
-COMMENT = r"(?:\s|//[^\n]*\n|/\*.*?\*/)*"
+COMMENT = r"(?>(?:\s|//[^\n]*\n|/\*.*?\*/)*)"  # atomic: else each comment doubles the time to find no match
 ASSIGNMENT = re.compile(
     rf"{COMMENT}(?:['\"]use strict['\"];?{COMMENT})?(?:var|let|const)\s+[A-Za-z_]\w*\s*={COMMENT}(?=\{{)", re.DOTALL
 )
@@ -30,12 +45,12 @@ def read_marzipano(file: Path) -> Tour:
         raise SceneError(f"{file}: expected 'var APP_DATA = {{...}};', as the Marzipano Tool writes it")
     data = read_json(text[assigned.end() :], file)
     scenes = entries(data, "scenes", str(file))
-    panoramas = tuple(_of_marzipano(scene, index, file) for index, scene in enumerate(scenes))
-    return Tour(str(data.get("name") or file.resolve().parent.name), panoramas, (), str(file))
+    named = [(entry(scene, "id", str, f"{file}: scene {index}"), scene) for index, scene in enumerate(scenes)]
+    panoramas, unusable = read_panoramas((name, partial(_of_marzipano, name, scene, file)) for name, scene in named)
+    return Tour(str(data.get("name") or file.resolve().parent.name), panoramas, (), str(file), unusable)
 
 
-def _of_marzipano(scene: Mapping[str, Any], index: int, file: Path) -> Panorama:
-    name = entry(scene, "id", str, f"{file}: scene {index}")
+def _of_marzipano(name: str, scene: Mapping[str, Any], file: Path) -> Panorama:
     where = f"{file}: scene '{name}'"
     links = tuple(
         Link(entry(spot, "target", str, where), math.degrees(number(spot.get("yaw"), f"{where}: yaw")))
@@ -68,35 +83,56 @@ def _cube(scene: Mapping[str, Any], name: str, file: Path, where: str) -> Cube:
 SCENES = re.compile(r"""(?:"scenes"|'scenes'|\bscenes)\s*:""")
 """What the configuration of a tour has, and little else."""
 
+NAMES = re.compile(
+    r"""["](?:[^"\\]|\\.)*+(?:["]|\Z)|['](?:[^'\\]|\\.)*+(?:[']|\Z)|//[^\n]*|/\*.*?(?:\*/|\Z)"""
+    r"""|(?<=:)(\s*+(?!(?:true|false|null|NaN|Infinity)\b)[A-Za-z_$][\w$.]*+)(?=\s*+[,}])""",
+    re.DOTALL,
+)
+"""Values that are names of functions, as custom hot spots have them; texts and comments are passed over."""
+
 MOST_OBJECTS = 100
 """That may begin before the scenes in the same text and be no configuration."""
+
+MOST_PARSED = 2**28
+"""Characters that are tried in all."""
 
 
 def read_pannellum(file: Path) -> Tour:
     """The tour that a configuration describes."""
-    text = tour_text(file)
+    text = NAMES.sub(lambda found: found[0] if found[1] is None else " null", tour_text(file))
     data = read_json(text, file) if text.lstrip().startswith("{") else _within(text, file)
     common = data.get("default")
     common = common if isinstance(common, Mapping) else {}
     scenes = entry(data, "scenes", dict, str(file))
-    panoramas = tuple(_of_pannellum(name, scene, common, file) for name, scene in scenes.items())
-    return Tour(str(common.get("title") or file.resolve().parent.name), panoramas, (), str(file))
+    panoramas, unusable = read_panoramas(
+        (name, partial(_of_pannellum, name, scene, common, file)) for name, scene in scenes.items()
+    )
+    return Tour(str(common.get("title") or file.resolve().parent.name), panoramas, (), str(file), unusable)
 
 
 def _within(text: str, file: Path) -> dict[str, Any]:
     """The configuration in a page or a script: the smallest object with scenes."""
     why = SceneError(f"{file}: has no object with 'scenes', as pannellum.viewer(...) takes it")
-    for scenes in SCENES.finditer(text):
-        begins = [match.start() for match in re.finditer("{", text[: scenes.start()])]
-        for begin in begins[: -MOST_OBJECTS - 1 : -1]:
-            try:
-                found = read_json(text[begin:], file)
-            except SceneError as error:
-                why = error
-                continue
-            if "scenes" in found:
-                return found
+    for begin in islice(_objects(text), MOST_PARSED // (len(text) + 1)):
+        try:
+            found = read_json(text[begin:], file)
+        except SceneError as error:
+            why = error
+            continue
+        if "scenes" in found:
+            return found
     raise why
+
+
+def _objects(text: str) -> Iterator[int]:
+    """Where objects begin that may hold scenes, each once, the smallest first."""
+    begins, tried = [match.start() for match in re.finditer("{", text)], set[int]()
+    for scenes in SCENES.finditer(text):
+        last = bisect(begins, scenes.start())
+        for begin in reversed(begins[max(0, last - MOST_OBJECTS) : last]):
+            if begin not in tried:
+                tried.add(begin)
+                yield begin
 
 
 def _of_pannellum(name: str, own: Any, common: Mapping[str, Any], file: Path) -> Panorama:
@@ -119,7 +155,7 @@ def _image(scene: Mapping[str, Any], file: Path, where: str) -> Equirectangular 
     folder = inside(file.parent, base, where) if base else file.parent
     for key, whole in (("haov", 360), ("vaov", 180)):
         if number(scene.get(key, whole), f"{where}: {key}") != whole:
-            raise SceneError(f"{where}: {key}={scene[key]}: only whole panoramas can be cut into views")
+            raise FlatError(f"{where}: {key}={scene[key]}: only whole panoramas can be cut into views")
     if kind == "equirectangular":
         return Equirectangular(inside(folder, scene.get("panorama"), where))
     if kind == "cubemap":
@@ -144,7 +180,7 @@ def _tiles(given: Mapping[str, Any], folder: Path, where: str) -> Cube:
 
     def path_at(level: int) -> Callable[[str, int, int], Path]:
         def path(face: str, y: int, x: int) -> Path:
-            name = pattern
+            name = pattern if len(pattern) <= LONGEST else ""
             for sign, value in {"%s": face, "%l": level, "%y": y, "%x": x}.items():
                 name = name.replace(sign, str(value))
             return inside(folder, name.lstrip("/") + (f".{ending}" if ending else ""), where)

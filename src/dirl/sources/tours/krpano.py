@@ -8,11 +8,13 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from dirl.scenes.io.checked import LONGEST, inside
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import MOST_LEVELS, Cube, CubeLevel, Equirectangular, six_images, tiled
-from dirl.sources.tours.tour import Link, Panorama, Tour, inside, number, tour_text
+from dirl.sources.tours.tour import FlatError, Link, Panorama, Tour, number, read_panoramas, tour_text
 
 
 def read_krpano(file: Path) -> Tour:
@@ -27,13 +29,17 @@ def read_krpano(file: Path) -> Tour:
     names: dict[str, str] = {}
     for scene in scenes:
         name = scene.get("name", "")
+        if not name:
+            raise SceneError(f"{file}: scene {len(names)} has no name")
         if name.lower() in names:
             raise SceneError(f"{file}: two scenes have the name '{name}', in which case does not count")
         names[name.lower()] = name
-    panoramas = [_panorama(scene, index, file, names) for index, scene in enumerate(scenes)]
+    panoramas, unusable = read_panoramas(
+        (scene.get("name", ""), partial(_panorama, scene, file, names)) for scene in scenes
+    )
     if not any(panorama.heading for panorama in panoramas):  # MakeVTour writes 0.0 where nothing is known
-        panoramas = [replace(panorama, heading=None) for panorama in panoramas]
-    return Tour(file.resolve().parent.name, tuple(panoramas), (note,) if unlinked else (), str(file))
+        panoramas = tuple(replace(panorama, heading=None) for panorama in panoramas)
+    return Tour(file.resolve().parent.name, panoramas, (note,) if unlinked else (), str(file), unusable)
 
 
 def _root(file: Path) -> ET.Element:
@@ -47,11 +53,9 @@ def _root(file: Path) -> ET.Element:
         raise SceneError(f"{file}: is not XML ({error})") from None
 
 
-def _panorama(scene: ET.Element, index: int, file: Path, names: Mapping[str, str]) -> Panorama:
+def _panorama(scene: ET.Element, file: Path, names: Mapping[str, str]) -> Panorama:
     name = scene.get("name", "")
-    where = f"{file}: scene '{name or index}'"
-    if not name:
-        raise SceneError(f"{where}: has no name")
+    where = f"{file}: scene '{name}'"
     links = tuple(
         Link(names.get(target.lower(), target), number(spot.get("ath"), f"{where}: ath"))
         for spot in scene.iter("hotspot")
@@ -80,6 +84,8 @@ def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
             size = int(number(level.get("tiledimagewidth"), f"{where}: tiledimagewidth", 1, 2**15))
             tile = int(number(image.get("tilesize"), f"{where}: tilesize", 1, 2**15))
             levels.append(level_of(cube.get("url", ""), size, tile, 0))
+        if len(levels) > MOST_LEVELS:
+            raise SceneError(f"{where}: has {len(levels)} levels; at most {MOST_LEVELS}")
         return Cube(tuple(sorted(levels, key=lambda level: level.size or 0)))
     cube = image.find("cube")
     if cube is None:
@@ -95,9 +101,9 @@ def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
 
 def _check_whole(image: ET.Element, where: str) -> None:
     """Raise `SceneError` for part of a panorama, or for one that krpano turns before it is shown."""
-    for partial in ("hfov", "vfov"):
-        if image.get(partial) not in (None, "", "360", "360.0", "180", "180.0"):
-            raise SceneError(f"{where}: {partial}={image.get(partial)}: only whole panoramas can be cut into views")
+    for key in ("hfov", "vfov"):
+        if image.get(key) not in (None, "", "360", "360.0", "180", "180.0"):
+            raise FlatError(f"{where}: {key}={image.get(key)}: only whole panoramas can be cut into views")
     turned = image.get("prealign") or ""
     if any(part.strip().strip("+-0.") for part in turned.split("|")):
         raise SceneError(f"{where}: prealign={turned[:50]}: turns the panorama; export the tour without it")
@@ -109,10 +115,12 @@ def _file(url: str, face: str, level: int, row: int, column: int, file: Path, wh
 
 
 def _name(url: str, values: dict[str, str | int]) -> str:
-    """The URL with ``%s``, ``%l``, ``%v``, ``%h`` replaced; as many zeros as stand before the letter pad a number."""
+    """Return the URL with ``%s``, ``%l``, ``%v``, ``%h`` replaced; zeros before the letter pad a number."""
+    if len(url) > LONGEST:  # before it is repeated for each tile
+        return ""
 
     def put(match: re.Match[str]) -> str:
         zeros, letter = match.groups()
         return str(values[letter]).rjust(len(zeros) + 1, "0") if letter in values else match.group()
 
-    return re.sub(r"%(0*)([a-z])", put, re.sub("%(FIRSTXML|CURRENTXML|SWFPATH)%/", "", url))
+    return re.sub(r"%(0{0,9})([a-z])", put, re.sub("%(FIRSTXML|CURRENTXML|SWFPATH)%/", "", url))

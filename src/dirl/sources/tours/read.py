@@ -3,12 +3,13 @@
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
+from dirl.scenes.io.checked import inside
 from dirl.scenes.io.texts import read_csv
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Equirectangular
 from dirl.sources.tours.javascript import SCENES, read_marzipano, read_pannellum
 from dirl.sources.tours.krpano import read_krpano
-from dirl.sources.tours.tour import MOST_TEXT, Link, Panorama, Tour, check_tour, inside, number, tour_text
+from dirl.sources.tours.tour import MOST_TEXT, Link, Panorama, Tour, check_tour, number, tour_text
 from dirl.sources.tours.zind import REACH, read_zind
 
 LINKS, PLACES = "links.csv", "panoramas.csv"
@@ -109,18 +110,15 @@ def _find(path: Path) -> tuple[str, Path]:
 
 
 def _in_folder(folder: Path) -> tuple[str, Path] | None:
-    for kind, names in FORMATS.items():
-        found = sorted(file for name in names for file in folder.glob(name))
+    for kind, names in [*FORMATS.items(), ("pannellum", tuple(f"*{ending}" for ending in PAGES))]:
+        found = sorted(file for name in names for file in folder.glob(name) if kind != "pannellum" or _has_scenes(file))
         if len(found) > 1:
-            raise SceneError(f"{folder}: holds {len(found)} files like {found[0].name}; name the one that is the tour")
+            raise SceneError(
+                f"{folder}: holds {len(found)} tours of {kind}, {found[0].name} too; name the file of the one you mean"
+            )
         if found:
             return kind, found[0]
-    pages = sorted(file for file in folder.iterdir() if file.suffix.lower() in PAGES and _has_scenes(file))
-    if len(pages) > 1:
-        raise SceneError(
-            f"{folder}: {len(pages)} files hold 'scenes', {pages[0].name} too; name the one that is the tour"
-        )
-    return ("pannellum", pages[0]) if pages else None
+    return None
 
 
 def _has_scenes(file: Path) -> bool:

@@ -5,28 +5,31 @@ The functions that look into its files raise `SceneError` where these are not as
 
 import math
 import os
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import pyjson5
 
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.io.checked import check_choice
-from dirl.scenes.io.texts import read_text
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Cube, Equirectangular
 
 MOST_PANORAMAS = 2_000
 """Of a tour; headings and layout are solved for all of them together."""
 
+MOST_FILES = 1_000_000
+"""Of a tour: a hundred panoramas of 8,192 pixels a face have 200,000 tiles."""
+
 MOST_SKIPPED = 20
-"""Panoramas without files that an error names."""
+"""Panoramas that cannot be read, and that an error names."""
 
 MOST_DEPTH = 100
 """Of objects in objects."""
 
-MOST_TEXT = 32 * 2**20
+MOST_TEXT = 16 * 2**20
 """Bytes of the file that describes a tour."""
 
 
@@ -72,12 +75,14 @@ class Tour:
         panoramas: in the order of the file.
         notes: what was left out and why, a line each.
         origin: the file, named in errors.
+        unusable: why others of its panoramas cannot be read, by id.
     """
 
     name: str
     panoramas: tuple[Panorama, ...]
     notes: tuple[str, ...]
     origin: str
+    unusable: Mapping[str, SceneError] = field(default_factory=dict)
 
     def yaws(self) -> dict[tuple[int, int], float]:
         """The yaw of each link, degrees, by the places of its two panoramas in the tour."""
@@ -86,17 +91,36 @@ class Tour:
         return {(index, number[link.target]): link.yaw for index, link in links}
 
 
-def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
-    """A tour without some panoramas, if its files exist and its ids differ.
+class FlatError(SceneError):
+    """A picture of a tour that shows a part of what is around it: nothing is wrong with it, but it is no panorama."""
 
-    Links that lead nowhere, to where they start, or twice to one place are left out, and noted.
+
+def read_panoramas(
+    scenes: Iterable[tuple[str, Callable[[], Panorama]]],
+) -> tuple[tuple[Panorama, ...], dict[str, SceneError]]:
+    """Return the panoramas that can be read, and why others cannot, by id; they may be skipped."""
+    panoramas, unusable = [], {}
+    for name, read in scenes:
+        try:
+            panoramas.append(read())
+        except SceneError as error:
+            unusable[name] = error
+    return tuple(panoramas), unusable
+
+
+def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
+    """Return a tour without some panoramas, if its files exist and its ids differ.
+
+    Flat pictures, and links that lead nowhere, to where they start, or twice to one place are left out, and noted.
     """
-    every = [panorama.id for panorama in tour.panoramas]
+    every = [*(panorama.id for panorama in tour.panoramas), *tour.unusable]
     found = [panorama for panorama in tour.panoramas if panorama.id not in skip]
     for unknown in sorted(set(skip) - set(every)):
         check_choice(unknown, every, f"{tour.origin}: skip", "panorama")
-    if not found:
-        raise SceneError(f"{tour.origin}: names no panoramas" + (" but those to skip" if every else ""))
+    problems = {name: str(error) for name, error in tour.unusable.items() if name not in skip}
+    flat = [problems.pop(name) for name in [*problems] if isinstance(tour.unusable[name], FlatError)]
+    if not found and not problems:
+        raise SceneError(f"{tour.origin}: names no panoramas" + (" but those to skip, or flat ones" if every else ""))
     if len(found) > MOST_PANORAMAS:
         raise SceneError(f"{tour.origin}: {len(found)} panoramas; at most {MOST_PANORAMAS} are read")
     ids: set[str] = set()
@@ -104,16 +128,29 @@ def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
         if panorama.id in ids:
             raise SceneError(f"{tour.origin}: two panoramas have the id '{panorama.id}'")
         ids.add(panorama.id)
-    missing = [(panorama.id, file) for panorama in found for file in panorama.image.files() if not os.path.isfile(file)]
-    if missing:
-        more = f" ({len(missing)} files are missing in all)" if len(missing) > 1 else ""
-        without = list(dict.fromkeys(one for one, _ in missing))
-        skipping = f"; without these panoramas: 'skip=[{','.join(without)}]'" if len(without) <= MOST_SKIPPED else ""
-        raise SceneError(f"{tour.origin}: panorama '{missing[0][0]}': there is no file {missing[0][1]}{more}{skipping}")
+    if (files := sum(panorama.image.count for panorama in found)) > MOST_FILES:
+        raise SceneError(f"{tour.origin}: its images are {files} files; at most {MOST_FILES} are read")
+    problems |= {panorama.id: why for panorama in found if (why := _why_unreadable(panorama, tour.origin))}
+    if problems:
+        named = len({panorama.id for panorama in found} | problems.keys())
+        more = f" ({len(problems)} of {named} panoramas cannot be read)" if len(problems) > 1 else ""
+        few = len(problems) <= MOST_SKIPPED and len(problems) < named
+        skipping = f"; without these panoramas: 'skip=[{','.join(problems)}]'" if few else ""
+        raise SceneError(f"{next(iter(problems.values()))}{more}{skipping}")
     dropped: dict[str, list[str]] = {}
     kept = tuple(replace(panorama, links=tuple(_kept(panorama, ids, dropped))) for panorama in found)
     lines = (f"{len(all_)} links {why} are left out, the first: {all_[0]}" for why, all_ in dropped.items())
-    return replace(tour, panoramas=kept, notes=(*tour.notes, *lines))
+    of_flat = [f"{len(flat)} flat pictures are left out, the first: {flat[0]}"] if flat else []
+    return replace(tour, panoramas=kept, notes=(*tour.notes, *of_flat, *lines))
+
+
+def _why_unreadable(panorama: Panorama, origin: str) -> str:
+    """Return which file of a panorama is missing, or why its name cannot be one; empty if all are there."""
+    try:
+        missing = next((file for file in panorama.image.files() if not os.path.isfile(file)), None)
+    except SceneError as error:
+        return str(error)
+    return f"{origin}: panorama '{panorama.id}': there is no file {missing}" if missing else ""
 
 
 def _kept(panorama: Panorama, ids: set[str], dropped: dict[str, list[str]]) -> Iterator[Link]:
@@ -181,18 +218,3 @@ def number(value: Any, where: str, low: float = -1e6, high: float = 1e6) -> floa
         shown = str(value)[:50]
         raise SceneError(f"{where}: expected a number from {low:g} to {high:g}, found '{shown}'")
     return found
-
-
-def inside(folder: Path, name: Any, where: str) -> Path:
-    """The path of a file of a tour, which lies in the tour's folder."""
-    if not isinstance(name, str) or not name.strip() or not name.isprintable():
-        raise SceneError(f"{where}: expected the name of a file, found {str(name)[:50]!r}")
-    text = name.replace("\\", "/")
-    if "://" in text or text.startswith("//"):
-        raise SceneError(f"{where}: '{name[:100]}' is on the web; nothing is downloaded, fetch the tour's files first")
-    path = PurePosixPath(text)
-    if not path.parts:
-        raise SceneError(f"{where}: expected the name of a file, found {name[:50]!r}")
-    if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
-        raise SceneError(f"{where}: '{name[:100]}' lies outside the tour's folder")
-    return folder / path

@@ -10,22 +10,26 @@ Coordinates of the file run to the left and ahead of a panorama's middle; maps o
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
+from dirl.scenes.io.checked import inside
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Equirectangular
-from dirl.sources.tours.tour import Link, Panorama, Tour, entry, inside, number, read_json, tour_text
+from dirl.sources.tours.tour import MOST_PANORAMAS, Link, Panorama, Tour, entry, number, read_json, tour_text
 
 REACH = 3.0
 """Metres between linked panoramas at most."""
 
 APART = 3.0
 """Metres between two floors on the map."""
+
+MOST_COMPARED = 10**9
+"""Pairs of panoramas, times walls, times doors of a floor."""
 
 Array = NDArray[np.float64]
 
@@ -51,6 +55,8 @@ def read_zind(file: Path, reach: float) -> Tour:
             notes.append(f"floor '{name}' has no scale: its lengths are heights of the camera, taken for 1.5 m")
         metres = 1.5 if scale is None else number(scale, f"{file}: scale of '{name}'", 1e-3, 1e3)
         floor = _read_floor(rooms, metres, name, file)
+        if len(panoramas) + len(floor.standing) > MOST_PANORAMAS:
+            raise SceneError(f"{file}: more than {MOST_PANORAMAS} panoramas; no more are read")
         across = [at[0] for at, _, _ in floor.standing.values()]
         if edge is not None and across:
             shift = edge + APART - min(across)
@@ -58,7 +64,7 @@ def read_zind(file: Path, reach: float) -> Tour:
         else:
             shift = 0.0
         edge = max(across) + shift if across else edge
-        panoramas += _linked(floor, reach, shift)
+        panoramas += _linked(floor, reach, shift, file)
     return Tour(file.resolve().parent.name, tuple(panoramas), tuple(notes), str(file))
 
 
@@ -105,42 +111,46 @@ def _points(values: Any, where: str) -> Array:
     return np.array([[number(one, where) for one in point] for point in values], float).reshape(-1, 2)
 
 
-def _linked(floor: _Floor, reach: float, shift: float) -> Iterator[Panorama]:
+def _linked(floor: _Floor, reach: float, shift: float, file: Path) -> Iterator[Panorama]:
     """The panoramas of a floor with their links, drawn ``shift`` metres to the right."""
-    links: dict[str, list[Link]] = {name: [] for name in floor.standing}
-    for here, there in permutations(floor.standing, 2):
-        start, heading, _ = floor.standing[here]
-        end = floor.standing[there][0]
-        way = end - start
-        if 0 < np.hypot(*way) <= reach and _is_free(start, end, floor):
-            links[here].append(Link(there, float((np.degrees(np.arctan2(*way)) - heading + 180) % 360 - 180)))
+    names, places = list(floor.standing), np.array([at for at, _, _ in floor.standing.values()]).reshape(-1, 2)
+    near = KDTree(places).query_pairs(reach, output_type="ndarray") if names else np.zeros((0, 2), np.int64)
+    walls, gaps = np.array(floor.walls).reshape(-1, 2, 2), np.array(floor.gaps).reshape(-1, 2, 2)
+    if len(near) * (len(walls) + 1) * (len(gaps) + 1) > MOST_COMPARED:
+        raise SceneError(
+            f"{file}: a floor has {len(near)} pairs of panoramas within reach={reach:g} m, {len(walls)} walls and "
+            f"{len(gaps)} doors, which are too many to compare; give a smaller reach"
+        )
+    links: dict[str, list[Link]] = {name: [] for name in names}
+    for pair in sorted(near.tolist() + near[:, ::-1].tolist()):
+        here, there = pair
+        way = places[there] - places[here]
+        if np.hypot(*way) > 0 and _is_free(places[here], places[there], walls, gaps):
+            yaw = np.degrees(np.arctan2(*way)) - floor.standing[names[here]][1]
+            links[names[here]].append(Link(names[there], float((yaw + 180) % 360 - 180)))
     for name, (at, heading, image) in floor.standing.items():
         place = (float(at[0]) + shift, float(at[1]))
         yield Panorama(name, Equirectangular(image), tuple(links[name]), place, heading % 360)
 
 
-def _is_free(start: Array, end: Array, floor: _Floor) -> bool:
-    """Whether the way crosses no wall, or only where a gap is."""
-    for wall in floor.walls:
-        met = _crossing(start, end, *wall)
-        if met is not None and not any(_lies_on(met, *gap) for gap in floor.gaps):
-            return False
-    return True
+def _is_free(start: Array, end: Array, walls: Array, gaps: Array) -> bool:
+    """True if the way crosses no wall, or only where a gap is; walls and gaps are ``[W, 2, 2]`` and ``[G, 2, 2]``."""
+    return all(_lies_on(met, gaps).any() for met in _crossings(start, end, walls))
 
 
-def _crossing(a: Array, b: Array, c: Array, d: Array) -> Array | None:
-    first, second = b - a, d - c
-    cross = first[0] * second[1] - first[1] * second[0]
-    if cross == 0:
-        return None
-    apart = c - a
-    along = (apart[0] * second[1] - apart[1] * second[0]) / cross
-    across = (apart[0] * first[1] - apart[1] * first[0]) / cross
-    return a + along * first if 0 <= along <= 1 and 0 <= across <= 1 else None
+def _crossings(start: Array, end: Array, walls: Array) -> Array:
+    """Where a way meets walls ``[W, 2, 2]``, for those that it meets, ``[M, 2]``."""
+    way, along, apart = end - start, walls[:, 1] - walls[:, 0], walls[:, 0] - start
+    cross = way[0] * along[:, 1] - way[1] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):  # of parallels, which do not meet
+        on_way = (apart[:, 0] * along[:, 1] - apart[:, 1] * along[:, 0]) / cross
+        on_wall = (apart[:, 0] * way[1] - apart[:, 1] * way[0]) / cross
+    met = (cross != 0) & (on_way >= 0) & (on_way <= 1) & (on_wall >= 0) & (on_wall <= 1)
+    return start + on_way[met, None] * way
 
 
-def _lies_on(point: Array, start: Array, end: Array, near: float = 0.2) -> bool:
-    """Whether a point is within ``near`` metres of a segment: the two sides of a wall are not drawn as one line."""
-    way = end - start
-    share = np.clip((point - start) @ way / np.maximum(way @ way, 1e-12), 0, 1)
-    return bool(np.hypot(*(point - start - share * way)) <= near)
+def _lies_on(point: Array, gaps: Array, near: float = 0.2) -> NDArray[np.bool_]:
+    """Return which gaps ``[G, 2, 2]`` are within ``near`` metres of a point: a wall's two sides are drawn apart."""
+    way = gaps[:, 1] - gaps[:, 0]
+    share = np.clip(((point - gaps[:, 0]) * way).sum(1) / np.maximum((way**2).sum(1), 1e-12), 0, 1)
+    return np.asarray(np.hypot(*(point - gaps[:, 0] - share[:, None] * way).T) <= near)

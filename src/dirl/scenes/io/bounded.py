@@ -1,0 +1,81 @@
+"""Files that somebody else may have written: none is read, unpacked or waited for without a bound."""
+
+import os
+import stat
+import zipfile
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST = 64 * 2**20
+"""Bytes that are read of a file. The longest table of a run has a row a step of imitation, 40 bytes each."""
+
+FREELY_UNPACKED, MOST_RATIO = 2**28, 100
+"""Arrays of more bytes may only be so many times larger than their file: gzip packs zeros a thousand times."""
+
+
+def read_bytes(file: Path, most: int = MOST) -> bytes:
+    """Return the content of a regular file; a pipe or a device, which may never end, is not waited for.
+
+    Raises:
+        ValueError: it is longer than ``most`` bytes, or no regular file.
+        OSError: it cannot be read.
+    """
+    waiting = getattr(os, "O_NONBLOCK", 0)  # else opening a pipe waits for somebody to write
+    with open(file, "rb", opener=lambda path, flags: os.open(path, flags | waiting)) as stream:
+        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+            raise ValueError(f"{file}: is no regular file")
+        data = stream.read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"{file}: has more than {most} bytes, which no such file of dirl has")
+    return data
+
+
+def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: str = "strict") -> str:
+    """Return the text of a file, see `read_bytes`; ``errors`` as of ``bytes.decode``.
+
+    Raises:
+        ValueError: it is longer than ``most`` bytes, no regular file, or (with ``errors="strict"``) no such text.
+        OSError: it cannot be read.
+    """
+    try:
+        return read_bytes(file, most).decode(encoding, errors)
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: is not UTF-8 text ({error})") from None
+
+
+def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an ``.npz`` file; the sizes that it declares are checked before any is unpacked.
+
+    Raises:
+        ValueError: it is no such file, is damaged, or would unpack to far more than it is.
+        OSError: it cannot be read.
+    """
+    try:
+        with file.open("rb") as stream, zipfile.ZipFile(stream) as archive:
+            entries, packed = archive.infolist(), os.fstat(stream.fileno()).st_size
+            if (unpacked := sum(entry.file_size for entry in entries)) > max(FREELY_UNPACKED, MOST_RATIO * packed):
+                raise ValueError(f"{packed} bytes would unpack to {unpacked}")
+            for entry in entries:
+                _check_header(archive, entry)
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as stored:
+                return dict(stored)
+    except OSError:
+        raise
+    except Exception as error:  # zipfile and numpy raise many kinds for what they cannot read
+        reason = " ".join(f"{error}".split())[:200]
+        raise ValueError(f"{file}: is no file of arrays that can be read ({reason or type(error).__name__})") from None
+
+
+def _check_header(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
+    """Raise ValueError unless an array has the size that its shape says: NumPy makes room for the shape first."""
+    with archive.open(entry) as member:
+        version = np.lib.format.read_magic(member)
+        read_header = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(member)
+        if member.tell() + prod(shape) * dtype.itemsize != entry.file_size:
+            raise ValueError(f"{entry.filename} is not as large as its shape {shape}")

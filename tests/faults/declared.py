@@ -1,0 +1,363 @@
+"""Give every reader small files that declare much: each ends in 60 s of processor time and 2 GB, with one line.
+
+    nice python tests/faults/declared.py [quick | name ...]
+
+Each case writes a file of at most 6 MB and reads it in a fork, as a recipe would. It prints a line for each case: what
+came of it, seconds, and how much more memory it took than the process had. The exit status is 1 if a case took more,
+ended in a traceback, or in more than one line.
+"""
+
+import json
+import os
+import resource
+import signal
+import struct
+import sys
+import tempfile
+import zipfile
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+
+from dirl.agent.mapping.frames import load_frames_map
+from dirl.scenes.collection import INDEX, read_collection
+from dirl.sources.photos import encoded_photos, read_photos
+from dirl.sources.recordings import unpack_recording
+from dirl.sources.rooms import read_description
+from dirl.sources.tours import read_tour
+from dirl.sources.tours.images import cut_views
+from dirl.sources.video import read_photo
+from dirl.sources.vizdoom import _check_map
+
+SECONDS, MEMORY = 60, 2.0
+"""Of the processor, and gigabytes."""
+
+
+def png(width, height, colour=0, bits=8):
+    """A PNG of zeros of this size: a small file, whatever the size."""
+    channels = {0: 1, 2: 3, 6: 4}[colour]
+    packer, row, data = zlib.compressobj(1), bytes(1 + (width * channels * bits + 7) // 8), b""
+    for _ in range(height):
+        data += packer.compress(row)
+    parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)), (b"IDAT", data + packer.flush())]
+    body = b"".join(
+        struct.pack(">I", len(part)) + kind + part + struct.pack(">I", zlib.crc32(kind + part))
+        for kind, part in [*parts, (b"IEND", b"")]
+    )
+    return b"\x89PNG\r\n\x1a\n" + body
+
+
+def tour(name):
+    """A case whose tour is written by a function of the folder."""
+
+    def case(write):
+        def make(folder):
+            (folder / name).write_text(write())
+            (folder / "a.jpg").touch()
+            return lambda: read_tour(folder)
+
+        return make
+
+    return case
+
+
+def scenes_of_marzipano(count, **scene):
+    text = json.dumps([{"id": f"s{number}", **scene} for number in range(count)])
+    return f"var APP_DATA = {{scenes: {text}}};"
+
+
+def comments():
+    return "/**/" * 40 + "function () {}"
+
+
+def comments_that_do_not_end():
+    return 'v = {"a": ' + "/*" * 500_000
+
+
+def one_pixel_tiles():
+    return scenes_of_marzipano(200, levels=[{"size": 64, "tileSize": 1}] * 16)
+
+
+def zeros():
+    return f'<krpano><scene name="a"><image><cube url="%{"0" * 300_000}s.jpg"/></image></scene></krpano>'
+
+
+def long_address_of_tiles():
+    url = "x" * 1_000_000 + "%s"
+    return f'<krpano><scene name="a"><image><cube url="{url}" multires="1,64,64,64,64"/></image></scene></krpano>'
+
+
+def krpano_levels():
+    level = '<level tiledimagewidth="64"><cube url="%s_%v_%h.jpg"/></level>'
+    return f'<krpano><scene name="a"><image tilesize="1">{level * 20_000}</image></scene></krpano>'
+
+
+def multires():
+    scene = {
+        "type": "multires",
+        "multiRes": {"path": "%l%s%y%x", "cubeResolution": 2**15, "tileResolution": 512, "maxLevel": 16},
+    }
+    return json.dumps({"scenes": {str(number): scene for number in range(2000)}})
+
+
+def scenes_in_a_page():
+    return "{" * 1000 + "scenes: 1, " * 100_000
+
+
+def braces_in_a_page():
+    return "scenes: {" * 100_000
+
+
+def zind(count, vertices=0, doors=0):
+    def write():
+        layout = {"vertices": [[0.1, index] for index in range(vertices)], "doors": [[0, 0]] * doors}
+
+        def panorama(number):
+            at = {"rotation": 0, "scale": 1, "translation": [number / 1e6, 0]}
+            return {"image_path": "a.jpg", "floor_plan_transformation": at, "layout_raw": None if number else layout}
+
+        floor = {"room": {"part": {str(number): panorama(number) for number in range(count)}}}
+        return json.dumps({"merger": {"floor": floor}})
+
+    return write
+
+
+def panorama_of(data, name="a.png"):
+    """A case that cuts a view out of a panorama."""
+
+    def make(folder):
+        (folder / name).write_bytes(data())
+        (folder / "b.png").write_bytes(png(64, 32))
+        (folder / "links.csv").write_text(f"image,to,yaw\n{name},b.png,0\nb.png,{name},0\n")
+
+        def read():
+            images = [one.image for one in read_tour(folder).panoramas]
+            list(cut_views(images, np.zeros((2, 1)), size=(300, 400), field_of_view=90))
+
+        return read
+
+    return make
+
+
+def cube(side):
+    def make(folder):
+        (folder / "a.png").write_bytes(png(side, side))
+        scene = {"type": "cubemap", "cubeMap": ["a.png"] * 6}
+        (folder / "tour.json").write_text(json.dumps({"scenes": {"a": scene}}))
+        image = read_tour(folder).panoramas[0].image
+        return lambda: list(cut_views([image], np.zeros((1, 1)), size=(300, 400), field_of_view=90))
+
+    return make
+
+
+def photo(data):
+    def make(folder):
+        (folder / "a.png").write_bytes(data())
+        return lambda: list(encoded_photos([folder / "a.png"], 300, 400))
+
+    return make
+
+
+def small_photo(data):
+    def make(folder):
+        (folder / "a.png").write_bytes(data())
+        return lambda: read_photo(folder / "a.png")
+
+    return make
+
+
+def webp(width, height):
+    """The header of a WebP file that declares a canvas of this size."""
+    sides = struct.pack("<I", width - 1)[:3] + struct.pack("<I", height - 1)[:3]
+    chunk = b"VP8X" + struct.pack("<I", 10) + bytes(4) + sides
+    pixel = b"VP8L" + struct.pack("<I", 14) + bytes.fromhex("2f000000103f1111100a20d2ff88")
+    return b"RIFF" + struct.pack("<I", 4 + len(chunk + pixel)) + b"WEBP" + chunk + pixel
+
+
+def table(rows):
+    def make(folder):
+        (folder / "a.png").write_bytes(png(16, 12))
+        lines = (f"a.png,{place},{heading},{ord(place)},0,{ahead}" for place, heading, ahead in rows())
+        (folder / "states.csv").write_text("\n".join(["image,location,heading,x,z,ahead", *lines]))
+        return lambda: read_photos(folder)
+
+    return make
+
+
+def many_headings():
+    return ((place, heading / 100, "b" if place == "a" else "") for place in "ab" for heading in range(36_000))
+
+
+def sparse(name, read):
+    def make(folder):
+        (folder / name).touch()
+        os.truncate(folder / name, 2**40)
+        return lambda: read(folder)
+
+    return make
+
+
+def pipe(name, read):
+    def make(folder):
+        os.mkfifo(folder / name)
+        return lambda: read(folder)
+
+    return make
+
+
+def wad(folder):
+    (folder / "a.wad").write_bytes(struct.pack("<4sii", b"PWAD", 2**31 - 1, 12) + bytes(32))
+    return lambda: _check_map(folder / "a.wad", "map01")
+
+
+def frames_map(folder):
+    """5 MB of zeros that unpack to 5.4 GB, as a map has them."""
+    with zipfile.ZipFile(folder / "a.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with archive.open("frames.npy", "w", force_zip64=True) as stream:
+            about = {"descr": "|u1", "fortran_order": False, "shape": (60_000, 120, 250, 3)}
+            np.lib.format.write_array_header_1_0(stream, about)
+            for _ in range(600):
+                stream.write(bytes(100 * 120 * 250 * 3))
+        for name, value in {"shortcuts": np.zeros((0, 2), np.int64), "field_of_view": np.float64(65)}.items():
+            with archive.open(f"{name}.npy", "w") as stream:
+                np.lib.format.write_array(stream, np.asarray(value))
+    return lambda: load_frames_map(folder / "a.npz")
+
+
+def header_of_a_map(folder):
+    """A header of an array that is not in the file."""
+    with zipfile.ZipFile(folder / "a.npz", "w") as archive:
+        for name in ("frames", "shortcuts", "field_of_view"):
+            with archive.open(f"{name}.npy", "w") as stream:
+                about = {"descr": "|u1", "fortran_order": False, "shape": (2**33,)}
+                np.lib.format.write_array_header_1_0(stream, about)
+    return lambda: load_frames_map(folder / "a.npz")
+
+
+def recording(shape, chunks):
+    def make(folder):
+        with h5py.File(folder / "a.h5", "w") as file:
+            stored = file.create_dataset("images", shape, np.uint8, chunks=chunks, compression="gzip")
+            packed = zlib.compress(bytes(int(np.prod(chunks))), 9)
+            for at in np.ndindex(*(-(-length // chunk) for length, chunk in zip(shape, chunks, strict=True))):
+                stored.id.write_direct_chunk([step * chunk for step, chunk in zip(at, chunks, strict=True)], packed)
+        return lambda: unpack_recording(folder / "a.h5", folder / "out", images="images", axes=["x", "z", "heading"])
+
+    return make
+
+
+def description(text):
+    def make(folder):
+        (folder / "a.toml").write_text(text())
+        return lambda: read_description(folder / "a.toml")
+
+    return make
+
+
+CASES = {
+    "a data.js of comments": tour("data.js")(comments),
+    "a page of a comment without end": tour("index.html")(lambda: "scenes: " + comments_that_do_not_end()),
+    "tiles of one pixel": tour("data.js")(one_pixel_tiles),
+    "an address with 300,000 zeros": tour("tour.xml")(zeros),
+    "a long address of tiles": tour("tour.xml")(long_address_of_tiles),
+    "20,000 levels": tour("tour.xml")(krpano_levels),
+    "5 million elements": tour("tour.xml")(lambda: f"<krpano>{'<a/>' * 1_500_000}</krpano>"),
+    "2,000 cubes of 64 tiles a side": tour("tour.json")(multires),
+    "a page of scenes": tour("index.html")(scenes_in_a_page),
+    "a page of braces": tour("index.html")(braces_in_a_page),
+    "ZInD: 20,000 panoramas": tour("zind_data.json")(zind(20_000)),
+    "ZInD: walls": tour("zind_data.json")(zind(1_999, 20_000, 20_000)),
+    "a large panorama": panorama_of(lambda: png(28_000, 14_000)),
+    "a panorama as large as may be": panorama_of(lambda: png(19_998, 9_999, colour=2)),
+    "a large face of a cube": cube(16_384),
+    "a face of a cube as large as may be": cube(11_584),
+    "a large photograph": photo(lambda: png(16_384, 16_384, colour=6)),
+    "a photograph as large as may be": photo(lambda: png(15_000, 13_300, colour=6)),
+    "a large canvas of WebP": photo(lambda: webp(16_383, 16_383)),
+    "a large photo to go to": small_photo(lambda: png(16_384, 16_384, colour=6)),
+    "a photo of one row": small_photo(lambda: png(60_000, 1)),
+    "36,000 headings": table(many_headings),
+    "a sparse states.csv": sparse("states.csv", read_photos),
+    "a sparse collection": sparse(INDEX, read_collection),
+    "a pipe for states.csv": pipe("states.csv", read_photos),
+    "a pipe for links.csv": pipe("links.csv", lambda folder: read_tour(folder / "links.csv")),
+    "a pipe for tour.json": pipe("tour.json", read_tour),
+    "a pipe for a collection": pipe(INDEX, read_collection),
+    "a pipe for a room": pipe("a.toml", lambda folder: read_description(folder / "a.toml")),
+    "a WAD of 44 bytes": wad,
+    "a map of 5.4 GB": frames_map,
+    "a header of a map": header_of_a_map,
+    "a recording of large images": recording((1, 2, 8, 5_000, 5_000, 3), (1, 1, 1, 5_000, 5_000, 3)),
+    "a recording of 90,000 places": recording((300, 300, 4, 1, 1, 3), (300, 300, 4, 1, 1, 3)),
+    "a description of tables": description(lambda: "a = " + "[" * 100_000),
+    "a description of dots": description(lambda: "a" + ".a" * 100_000 + " = 1"),
+}
+"""Each writes its file into a folder and returns what reads it."""
+
+SLOW = ("as large as may be", "a map of", "ZInD", "a recording of", "a large photo to go to", "a photo of one row")
+"""In the names of cases that take seconds or gigabytes."""
+
+
+def memory(name):
+    """``VmRSS`` (memory now) or ``VmHWM`` (at its most) of this process, gigabytes."""
+    return int(Path("/proc/self/status").read_text().split(f"{name}:")[1].split()[0]) / 2**20
+
+
+def try_case(make, folder):
+    """What came of reading a file in a fork, seconds of the processor and gigabytes."""
+    read = make(folder)
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        signal.alarm(10 * SECONDS)  # of one that waits
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS + 1, SECONDS + 1))
+        resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        Path("/proc/self/clear_refs").write_text("5")  # the most so far is forgotten
+        before = memory("VmRSS")
+        try:
+            read()
+            said = "read"
+        except ValueError as error:
+            said = "one line" if "\n" not in str(error) and len(str(error)) < 2000 else "MORE THAN ONE LINE"
+            said += f": {str(error)[-120:]}"
+        except BaseException as error:
+            said = f"TRACEBACK: {type(error).__name__}: {str(error)[:100]}"
+        os.write(writing, f"{memory('VmHWM') - before} {said}".encode())
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as stream:
+        used, _, said = stream.read().partition(" ")
+    _, status, usage = os.wait4(child, 0)
+    seconds, more = usage.ru_utime + usage.ru_stime, float(used or "nan")
+    if status:
+        said = f"HANG OR CRASH by signal {os.WTERMSIG(status)}"
+    elif seconds > SECONDS or more > MEMORY:
+        said = f"TOO MUCH: {said}"
+    return said, seconds, more
+
+
+def failed(said):
+    """Whether a case did not end as it should."""
+    return not said.startswith(("read", "one line"))
+
+
+def main(*names):
+    """Try the cases of these names, or all; 1 if one failed."""
+    bad, quick = 0, [name for name in CASES if not any(slow in name for slow in SLOW)]
+    names = quick if names == ("quick",) else names or [*CASES]
+    for name in names:
+        with tempfile.TemporaryDirectory() as folder:
+            said, seconds, more = try_case(CASES[name], Path(folder))
+        bad += failed(said)
+        print(f"{name} | {seconds:.1f} s | {more:.2f} GB | {said}", flush=True)
+    print(f"\n{len(names)} cases, {bad} failed")
+    return bool(bad)
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

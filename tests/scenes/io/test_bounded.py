@@ -1,0 +1,50 @@
+"""Readers with a bound: what is inside a folder, and archives that declare more than they hold."""
+
+import os
+
+import numpy as np
+import pytest
+
+from dirl.scenes import SceneError
+from dirl.scenes.io.bounded import read_arrays, read_bytes
+from dirl.scenes.io.checked import inside
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/abs/secret.png", "a/../../secret.png", "C:\\secret", "link.png"])
+def test_what_leads_out_of_a_folder_is_not_inside(tmp_path, name):
+    (tmp_path / "secret.png").touch()
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "link.png").symlink_to(tmp_path / "secret.png")
+    with pytest.raises(SceneError, match=r"^table: line 1: '.*' (lies outside of|is a link that leads out of) "):
+        inside(folder, name, "table: line 1")
+
+
+def test_links_within_a_folder_and_a_folder_that_is_a_link_are_inside(tmp_path, monkeypatch):
+    folder = tmp_path / "folder"
+    (folder / "a").mkdir(parents=True)
+    (folder / "a" / "b.png").touch()
+    (folder / "c.png").symlink_to("a/b.png")
+    (tmp_path / "other").symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    for where in (folder, tmp_path / "other", folder.relative_to(tmp_path)):
+        assert inside(where, "c.png", "") == where / "c.png"
+        assert inside(where, "a\\b.png", "") == where / "a" / "b.png"
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "links.csv")
+    with pytest.raises(ValueError, match=r"links\.csv: is no regular file"):
+        read_bytes(tmp_path / "links.csv")
+
+
+def test_arrays_are_read_unless_they_unpack_to_far_more_than_they_are(tmp_path, monkeypatch):
+    file = tmp_path / "a.npz"
+    np.savez_compressed(file, values=np.arange(6).reshape(2, 3), zeros=np.zeros(100_000))
+    assert read_arrays(file)["values"].tolist() == [[0, 1, 2], [3, 4, 5]]
+    monkeypatch.setattr("dirl.scenes.io.bounded.FREELY_UNPACKED", 2**19)
+    with pytest.raises(ValueError, match=r"a\.npz: .* bytes would unpack to 800\d\d\d"):
+        read_arrays(file)
+    file.write_bytes(file.read_bytes()[:-30])
+    with pytest.raises(ValueError, match=r"a\.npz: is no file of arrays that can be read"):
+        read_arrays(file)
