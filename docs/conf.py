@@ -5,10 +5,12 @@ import importlib.metadata
 import inspect
 import sys
 import tomllib
+from itertools import zip_longest
 from pathlib import Path
 from typing import get_origin
 from urllib.request import urlopen
 
+from bs4 import BeautifulSoup  # which comes with furo
 from docutils import nodes
 from latex2mathml.converter import convert
 from sphinx.transforms import SphinxTransform
@@ -53,6 +55,9 @@ if repository and "example.org" not in repository:  # links to the repository, a
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"  # written into the pages: MathJax would come from another host
+
+PHONE = 44
+"""Characters that a table has room for on a phone."""
 
 MANUALS = {
     "torchrl": "https://docs.pytorch.org/rl/stable/",
@@ -150,8 +155,27 @@ def write_demo(app, folder, page):
         page.write_text(text)
 
 
+def stack_tables(app, pagename, templatename, context, doctree):
+    """Give the cells of a table that is wider than a phone their headings, under which site.css stacks them there."""
+    if "<table" not in context.get("body", ""):
+        return
+    soup = BeautifulSoup(context["body"], "html.parser")
+    for table in soup.find_all("table", class_="docutils"):
+        rows = [[cell.get_text(" ", strip=True) for cell in row.find_all(["th", "td"])] for row in table.find_all("tr")]
+        columns = zip_longest(*rows, fillvalue="")
+        longest = [max(max(map(len, text.split()), default=0) for text in column) for column in columns]
+        if "rows" in table["class"] or not table.thead or sum(longest) + 2 * len(longest) < PHONE:
+            continue
+        table["class"].append("stacked")
+        for row in table.tbody.find_all("tr"):
+            for heading, cell in zip(rows[0], row.find_all(["th", "td"]), strict=False):
+                cell["data-heading"] = heading
+    context["body"] = str(soup)
+
+
 def setup(app):
-    """Write the page of options, render equations as MathML, show SVG, and name classes as manuals do."""
+    """Write the page of options, render equations as MathML, show SVG, name classes as manuals do, stack tables."""
+    app.connect("html-page-context", stack_tables)
     app.add_transform(VectorFigures)
     app.connect("autodoc-process-bases", _bases)
     app.connect("autodoc-process-signature", _signature)

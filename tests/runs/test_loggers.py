@@ -9,7 +9,7 @@ from PIL import Image
 
 from dirl.config.saved import config_text
 from dirl.config.schemas import ConfigError
-from dirl.runs.loggers import make_logger
+from dirl.runs.loggers import check_logger, make_logger
 
 SUMMARY = {"frames": 600, "scene": "bathroom_02", "greedy": {"spl": 0.25, "atl": math.nan}}
 
@@ -44,13 +44,28 @@ def test_csv_is_no_logger(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["wandb", "tensorboard"])
-def test_a_missing_package_is_told_with_what_to_install(tmp_path, name, monkeypatch):
-    module = {"wandb": "wandb", "tensorboard": "torch.utils.tensorboard"}[name]
-    monkeypatch.setitem(sys.modules, module, None)
+def test_a_missing_package_is_told_with_what_to_install(name, monkeypatch):
+    monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(
         ConfigError, match="pip install wandb" if name == "wandb" else r"pip install 'dirl\[tensorboard\]'"
     ):
-        make_logger(train_config(f"logger={name}"), tmp_path)
+        check_logger(train_config(f"logger={name}"))
+
+
+def test_wandb_online_needs_a_login_and_says_so_in_one_line(folder, monkeypatch):
+    monkeypatch.setenv("WANDB_MODE", "online")
+    with pytest.raises(ConfigError, match="WANDB_MODE=online: nobody is logged in; run: wandb login") as caught:
+        make_logger(train_config("scene=bathroom_02", "logger=wandb"), folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_id_that_an_agent_of_a_sweep_gives_is_the_one_stored(folder, monkeypatch, capfd):
+    monkeypatch.setenv("WANDB_RUN_ID", "ofthesweep")
+    log_a_run(folder, "logger=wandb")
+    assert (folder / "wandb_id.txt").read_text() == "ofthesweep"
+    said = capfd.readouterr()
+    assert "upload it by: wandb sync" in said.out
+    assert not said.err  # the last line of a run is its own
 
 
 def test_wandb_gets_everything_and_goes_on_as_the_same_run(folder):

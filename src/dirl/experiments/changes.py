@@ -119,7 +119,7 @@ def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path)
             lines.append((way, "0.6", CONTROLS[way], spl))
         else:
             lines.append((f"{Path(agent).name}: {way}", colors[index % len(colors)], "o-", spl))
-    draw_spl(lines, [Path(one).name for one in collections], out, "changes")
+    draw_spl(lines, [Path(one).name for one in collections], out, "changes", apart=0.04)
     note = (
         "Of a collection the test rooms, **synthetic, not AI2-THOR**, which no training saw, of another folder all "
         "scenes; three starts for every eighth state as the goal, 100 steps. Interquartile mean over rooms and, in "

@@ -36,6 +36,21 @@ def interval_row(axes: Axes, place: float, values: Sequence[float], color: str) 
     axes.plot(iqm(values), place, "o", color=color)
 
 
+WORDS = {
+    "rooms_2cm": "2 cm",
+    "rooms_5cm": "5 cm",
+    "rooms_10cm": "10 cm",
+    "later_lit": "relit",
+    "later_moved": "refurnished",
+    "later_height": "seen from\nhigher up",
+    "later_all": "all changes",
+    "ncc": "the paper's correlation",
+    "patches": "untrained patches",
+    "learned, localising": "trained recogniser, Bayes filter",
+    "image graph, ncc": "topological map by correlation",
+}
+"""What figures say instead of the names of collections and of ways to recognise."""
+
 Line = tuple[str, str, str, Mapping[str, Sequence[Sequence[float]]]]
 """Label, colour, marker, and by the way goals are shown SPL in each room of each collection."""
 
@@ -53,10 +68,12 @@ def draw_spl(lines: Sequence[Line], names: Sequence[str], out: Path, name: str, 
             low, high = np.array([bootstrap_interval(rooms) for rooms in spl[view]]).T
             x = np.arange(len(names)) + apart * (step - (len(lines) - 1) / 2)
             error = np.maximum(0.0, [means - low, high - means])
-            named = label if view == views[0] else None
+            agent, _, way = label.rpartition(": ")
+            shown = ": ".join(filter(None, [agent, WORDS.get(way, way).replace(", told", ", told where to stop")]))
+            named = shown if view == views[0] else None
             axes.errorbar(x, means, error, fmt=marker, color=color, markersize=3.5, capsize=2, label=named)
         turned: dict[str, Any] = {"rotation": 30, "ha": "right"} if len(names) > 3 else {}
-        axes.set_xticks(range(len(names)), names, **turned)
+        axes.set_xticks(range(len(names)), [WORDS.get(name, name.replace("_", " ")) for name in names], **turned)
         axes.set(title=view, ylim=(-0.03, 1.03), ylabel="SPL" if view == views[0] else None)
         axes.tick_params(axis="x", labelsize="small")
     figure.legend(

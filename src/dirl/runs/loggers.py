@@ -8,6 +8,7 @@ import math
 import os
 import secrets
 from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -20,27 +21,37 @@ from dirl.config.schemas import ConfigError, LoggerName, TrainConfig
 from dirl.config.values import leaves, plain
 from dirl.scenes.io.atomic import write_text
 
+PACKAGES = {
+    LoggerName.wandb: ("wandb", "pip install wandb"),
+    LoggerName.tensorboard: ("tensorboard", "pip install 'dirl[tensorboard]'"),
+}
+"""What loggers need, and how it is installed."""
+
+
+def check_logger(config: TrainConfig) -> None:
+    """Raise `ConfigError` if the package that a run's logger needs is not installed; loads nothing."""
+    package, hint = PACKAGES.get(config.logger.name, ("", ""))
+    if package and find_spec(package) is None:
+        raise ConfigError(f"logger={config.logger.name} needs a package that is not installed: {hint}")
+
 
 def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> "Logger | None":
     """The logger that the configuration of a run names, which continues at ``frames``; None for ``csv``.
 
     Raises:
-        ConfigError: the package it needs is not installed.
+        ConfigError: the package it needs is not installed, or the service refuses the run.
     """
     name = config.logger.name
     if name == LoggerName.csv:
         return None
-    try:
-        return WandbLogger(config, folder) if name == LoggerName.wandb else TensorBoardLogger(config, folder, frames)
-    except ImportError as error:
-        hint = "pip install wandb" if name == LoggerName.wandb else f"pip install 'dirl[{name}]'"
-        raise ConfigError(f"logger={name} needs a package that is not installed ({error}): {hint}") from None
+    check_logger(config)
+    return WandbLogger(config, folder) if name == LoggerName.wandb else TensorBoardLogger(config, folder, frames)
 
 
 class WandbLogger:
     """A run in Weights & Biases, offline if nobody is logged in; a resumed run continues there too.
 
-    The run's folder stores its random id in the service.
+    The run's folder stores its id in the service: a random one, or that which an agent of a sweep gives it.
     """
 
     def __init__(self, config: TrainConfig, folder: Path) -> None:
@@ -48,20 +59,27 @@ class WandbLogger:
 
         options, known = config.logger, folder / "wandb_id.txt"
         if not known.exists():
-            write_text(known, secrets.token_hex(8))
+            write_text(known, os.environ.get("WANDB_RUN_ID") or secrets.token_hex(8))
         scenes = config.scene if isinstance(config.scene, list) else [config.scene]
         tags = [*options.tags, config.system, config.preset, *(Path(str(scene)).stem for scene in scenes)]
-        self.run = wandb.init(
-            project=options.project,
-            group=options.group or folder.resolve().parent.name,
-            tags=[tag[:64] for tag in dict.fromkeys(tags)],  # the service takes no longer ones
-            name=folder.name,
-            id=known.read_text(encoding="utf-8").strip(),
-            resume="allow",
-            config=plain(config),
-            dir=str(folder),
-            mode=_wandb_mode(),
-        )
+        try:
+            self.run = wandb.init(
+                project=options.project,
+                group=options.group or folder.resolve().parent.name,
+                tags=[tag[:64] for tag in dict.fromkeys(tags)],  # the service takes no longer ones
+                name=folder.name,
+                id=known.read_text(encoding="utf-8").strip(),
+                resume="allow",
+                config=plain(config),
+                dir=str(folder),
+                mode=_wandb_mode(),
+                settings=wandb.Settings(silent=True),  # the last line of a run is its own: how to resume it
+            )
+        except wandb.errors.Error as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"logger=wandb: {reason}; or log offline: WANDB_MODE=offline") from None
+        sync = f"offline; upload it by: wandb sync {Path(self.run.dir).parent}"
+        print(f"Weights & Biases: {sync if self.run.offline else self.run.url}")
         self._stages: set[str] = set()
 
     def log(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
@@ -117,15 +135,23 @@ class TensorBoardLogger:
 
 
 def _wandb_mode() -> Any:
-    """``WANDB_MODE`` if it is set; else ``offline`` where nobody is logged in or the service is away."""
+    """``WANDB_MODE`` if it is set; else ``offline`` where nobody is logged in or the service is away.
+
+    Raises:
+        ConfigError: the mode is ``online``, and nobody is logged in.
+    """
     import wandb
 
-    if "WANDB_MODE" in os.environ:
-        return os.environ["WANDB_MODE"]  # which the package itself reads only once a process
+    asked = os.environ.get("WANDB_MODE")  # which the package itself reads only once a process
+    if asked not in (None, "online"):
+        return asked
     try:
-        return "online" if wandb.login(prompt=False) else "offline"
+        known = wandb.login(prompt=False)
     except wandb.errors.Error:  # there is a key, but the service is away or refuses it
-        return "offline"
+        known = False
+    if asked == "online" and not known:
+        raise ConfigError("WANDB_MODE=online: nobody is logged in; run: wandb login, or leave WANDB_MODE out")
+    return "online" if known else "offline"
 
 
 def _finite(row: Mapping[str, Any]) -> dict[str, float | int]:
