@@ -1,8 +1,10 @@
 import copy
+import pickle
 import shutil
 import subprocess
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -627,3 +629,23 @@ def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp
 def test_the_package_shows_its_navigator():
     assert "Navigator" in dir(dirl)
     assert dirl.Navigator is Navigator
+
+
+def test_threads_that_share_a_navigator_take_turns(run, world):
+    navigator, goal = load(run, world, episodic_memory="counts"), world.goals[0]
+    navigator.reset(images_of(world.surrounding[goal]))
+    seen = images_of(world.surrounding[0])
+    with ThreadPoolExecutor(4) as threads:
+        assert len([*threads.map(navigator.act, [seen] * 40)]) == 40
+    assert len(navigator.act(seen)) == 3
+
+
+def test_a_navigator_and_its_episode_can_be_pickled():
+    navigator = Navigator.from_pretrained("general", "resnet50_small")
+    images = np.random.default_rng(0).integers(0, 256, (3, 4, 60, 80, 3), np.uint8)
+    navigator.reset(images[0])
+    navigator.act(images[1])
+    other = pickle.loads(pickle.dumps(navigator))
+    here, there = navigator.act(images[2]), other.act(images[2])
+    assert (here.action, here.stop) == (there.action, there.stop)
+    assert torch.equal(here.scores.probabilities, there.scores.probabilities)

@@ -2,6 +2,9 @@
 
 import os
 import signal
+import subprocess
+import sys
+from contextlib import suppress
 from ctypes.util import find_library
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,12 +12,22 @@ from pathlib import Path
 import pytest
 from commands import run_recipe, wait_until
 
-from dirl.sources.vizdoom import process_of
+
+def process_of(name):
+    """The number of the process that has a word among its arguments; None if there is none."""
+    for arguments in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):  # of a process that has just ended
+            if name.encode() in arguments.read_bytes().split(b"\0"):
+                return int(arguments.parent.name)
+    return None
+
 
 MORTAL = """
 import os, signal
 
-from dirl.sources.vizdoom import VizDoom, process_of
+from test_failures import process_of
+
+from dirl.sources.vizdoom import VizDoom
 
 
 class Mortal(VizDoom):
@@ -29,7 +42,7 @@ class Mortal(VizDoom):
         if not self.left:
             name = self._game.get_instance_id()
             print(name, flush=True)
-            os.kill(os.getpid() if self.own else int(process_of(name)), signal.SIGKILL)
+            os.kill(os.getpid() if self.own else process_of(name), signal.SIGKILL)
         return super().look(heading)
 """
 
@@ -80,7 +93,7 @@ def doom(tmp_path, monkeypatch):
     """Write the file of a VizDoom that is killed before a view."""
     pytest.importorskip("vizdoom", reason="the extra vizdoom is not installed")
     (tmp_path / "mortal.py").write_text(MORTAL)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{Path(__file__).parent}", prepend=os.pathsep)
 
     def write(last):
         (tmp_path / "doom.yaml").write_text(f"_target_: mortal.Mortal\nname: map01\nlast: {last}\n")
@@ -136,8 +149,44 @@ def test_no_doom_outlives_a_program_that_is_killed(doom, tmp_path):
     status, printed, _ = run_recipe(tmp_path, "scenes", *DUMP, "out=doom.h5", "encoder=null")
     assert status == -signal.SIGKILL
     wait_until(lambda: not list(Path("/dev/shm").glob(f"ViZDoom*{printed.strip()}")))
-    with pytest.raises(RuntimeError, match="its process is not there"):
-        process_of(printed.strip())
+    assert process_of(printed.strip()) is None
+
+
+BEGUN = """
+import os, signal, threading
+from pathlib import Path
+from test_failures import process_of
+from dirl.sources.vizdoom import VizDoom
+
+
+def watch():
+    while not (doom := process_of("+viz_instance_id")):
+        pass
+    words = Path(f"/proc/{doom}/cmdline").read_text().split("\\0")
+    print(words[words.index("+viz_instance_id") + 1], flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+threading.Thread(target=watch).start()
+VizDoom("map01")
+"""
+
+
+def test_no_doom_outlives_a_program_that_is_killed_while_it_starts(tmp_path):
+    pytest.importorskip("vizdoom", reason="the extra vizdoom is not installed")
+    if process_of("+viz_instance_id"):
+        pytest.skip("somebody else plays")
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", BEGUN],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    name = done.stdout.strip()
+    wait_until(lambda: process_of(name) is None and not list(Path("/dev/shm").glob(f"ViZDoom*{name}")))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +138,7 @@ def image_encoder(
             f"'{saved['extractor']}'; if they are the same, confirm it with extractor=...",
             stacklevel=3,
         )
-    return lambda images: torch.cat([_both(loaded, part) for part in images.split(BATCH)])
+    return partial(_in_batches, loaded)
 
 
 def _check_extractor(saved: Mapping[str, Any], extractor: str, origin: str, hint: str = "") -> None:
@@ -177,6 +178,10 @@ def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origi
     except ConfigError as error:
         raise NavigatorError(str(error)) from None
     return policy.requires_grad_(False)
+
+
+def _in_batches(encoder: ViewEncoder, images: Tensor) -> Tensor:
+    return torch.cat([_both(encoder, part) for part in images.split(BATCH)])
 
 
 def _both(encoder: ViewEncoder, images: Tensor) -> Tensor:

@@ -1,9 +1,11 @@
 """A trained policy on a robot: from camera images to actions."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from threading import RLock
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 import torch
@@ -28,12 +30,29 @@ from dirl.perception.virtual import VirtualCameras
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
 
+Given, Result = ParamSpec("Given"), TypeVar("Result")
+
+
+def one_at_a_time(
+    method: Callable[Concatenate["Navigator", Given], Result],
+) -> Callable[Concatenate["Navigator", Given], Result]:
+    """Let the calls of a navigator's method wait for each other."""
+
+    @wraps(method)
+    def locked(self: "Navigator", /, *args: Given.args, **options: Given.kwargs) -> Result:
+        with self._lock:
+            return method(self, *args, **options)
+
+    return locked
+
 
 class Navigator:
     """An agent that is given images of its goal once, and then images of each step, for which it chooses an action.
 
     `Navigator.load` makes one. A policy of surrounding views takes four images a step: ahead, right, back and left.
-    A policy of sequential views takes one image a step, and the navigator keeps the last four.
+    A policy of sequential views takes one image a step, and the navigator keeps the last four. It holds one episode, or
+    one batch of them: threads that share a navigator take turns, and each that walks for itself needs its own. It can
+    be pickled if its encoder can; those of dirl can.
 
     Args:
         policy: see `FeaturePolicy`.
@@ -77,6 +96,15 @@ class Navigator:
         self.agent = Agent()
         self._goal: Goal | None = None
         self._seen: Views | None = None
+        self._lock = RLock()  # of an episode: calls of several threads wait for each other
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the lock, which belongs to a process."""
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over what another process had."""
+        vars(self).update(state, _lock=RLock())
 
     @classmethod
     def load(
@@ -161,6 +189,7 @@ class Navigator:
         return self.policy.table.inputs
 
     @torch.no_grad()
+    @one_at_a_time
     def reset(
         self,
         goal_images: Images,
@@ -205,6 +234,7 @@ class Navigator:
         self._goal, self._seen = goal, None
 
     @torch.no_grad()
+    @one_at_a_time
     def act(
         self,
         images: Images,
@@ -271,6 +301,7 @@ class Navigator:
         return Explorer(self._visit, walked, self.facts["extractor"], self.recogniser)
 
     @torch.no_grad()
+    @one_at_a_time
     def _visit(self, images: Images) -> Tensor:
         """The described views of one walker, float32 ``[4, F]``."""
         views, batched = self._encode(images, "images")

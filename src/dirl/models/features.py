@@ -58,7 +58,7 @@ class FeatureTable(nn.Module):
         self.register_buffer("patches", patches, persistent=False)
         self.register_buffer("table", None, persistent=False)
         self.refresh()
-        self.register_load_state_dict_post_hook(lambda table, _: table.refresh())
+        self.register_load_state_dict_post_hook(_refresh)
 
     mean: Tensor
     std: Tensor
@@ -160,3 +160,8 @@ def whitening(features: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """
     mean, axes = principal_components(features[:: math.ceil(len(features) / SAMPLED)], count)
     return mean, torch.ones_like(mean), axes
+
+
+def _refresh(table: FeatureTable, _: object) -> None:
+    """Of a hook that can be pickled with the module."""
+    table.refresh()

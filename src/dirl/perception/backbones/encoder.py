@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -53,25 +54,39 @@ def staged_encoder(
 ) -> ViewEncoder:
     """An encoder whose features and patches come from one map: ``inner`` makes it, ``pool`` and ``projection`` use it.
 
-    At most ``few`` views go through the network at a time; without a projection there are no patches.
+    At most ``few`` views go through the network at a time; without a projection there are no patches. It can be
+    pickled if all of these can.
     """
-
-    def stages(views: Tensor) -> Iterator[Tensor]:
-        return map(inner, views.split(few or len(views) or 1))
-
-    @torch.inference_mode()
-    def forward(views: Tensor) -> Tensor:
-        return torch.cat([pool(stage).float() for stage in stages(views)])
-
+    forward = partial(_pooled, inner, pool, few)
     if projection is None:
         return ViewEncoder(forward, attributes)
+    return ViewEncoder(
+        forward, attributes, partial(_with_patches, inner, pool, projection, few), patch_attributes or {}
+    )
 
-    @torch.inference_mode()
-    def forward_patches(views: Tensor) -> tuple[Tensor, Tensor]:
-        pooled, parts = zip(*((pool(stage).float(), projection(stage)) for stage in stages(views)), strict=True)
-        return torch.cat(pooled), torch.cat(parts)
 
-    return ViewEncoder(forward, attributes, forward_patches, patch_attributes or {})
+def _stages(inner: Callable[[Tensor], Tensor], few: int | None, views: Tensor) -> Iterator[Tensor]:
+    return map(inner, views.split(few or len(views) or 1))
+
+
+@torch.inference_mode()
+def _pooled(
+    inner: Callable[[Tensor], Tensor], pool: Callable[[Tensor], Tensor], few: int | None, views: Tensor
+) -> Tensor:
+    return torch.cat([pool(stage).float() for stage in _stages(inner, few, views)])
+
+
+@torch.inference_mode()
+def _with_patches(
+    inner: Callable[[Tensor], Tensor],
+    pool: Callable[[Tensor], Tensor],
+    projection: Callable[[Tensor], Tensor],
+    few: int | None,
+    views: Tensor,
+) -> tuple[Tensor, Tensor]:
+    both = ((pool(stage).float(), projection(stage)) for stage in _stages(inner, few, views))
+    pooled, parts = zip(*both, strict=True)
+    return torch.cat(pooled), torch.cat(parts)
 
 
 def weights_hash(parameters: Mapping[str, Tensor]) -> str:

@@ -3,6 +3,8 @@
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -48,12 +50,7 @@ def huggingface_encoder(name: str, device: str | torch.device) -> ViewEncoder:
         raise EncoderError(f"encoder={name}: '{random[0]}' is missing in its weights, which would be random there")
     model = model.to(device).eval().requires_grad_(False)
 
-    @torch.no_grad()
-    def forward(views: Tensor) -> Tensor:
-        images = processor(list(views.cpu().numpy()), return_tensors="pt", input_data_format="channels_last")
-        hidden = model(pixel_values=images["pixel_values"].to(device)).last_hidden_state
-        return hidden.flatten(2).mean(2) if hidden.ndim == 4 else hidden.mean(1)
-
+    forward = partial(_mean_state, model, processor, device)
     settings = {key: value for key, value in processor.to_dict().items() if key in SETTINGS}
     # One grey image is tried, so that an unsuitable model is detected before the work begins.
     try:
@@ -69,6 +66,13 @@ def huggingface_encoder(name: str, device: str | torch.device) -> ViewEncoder:
         "weights": weights_hash(used),
     }
     return ViewEncoder(forward, attributes)
+
+
+@torch.no_grad()
+def _mean_state(model: Any, processor: Any, device: str | torch.device, views: Tensor) -> Tensor:
+    images = processor(list(views.cpu().numpy()), return_tensors="pt", input_data_format="channels_last")
+    hidden = model(pixel_values=images["pixel_values"].to(device)).last_hidden_state
+    return hidden.flatten(2).mean(2) if hidden.ndim == 4 else hidden.mean(1)
 
 
 @contextmanager

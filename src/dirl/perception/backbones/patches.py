@@ -8,6 +8,7 @@ virtual views, 48 each, by which photos of another camera are recognised (`with_
 """
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -37,11 +38,11 @@ def load_projection(
     """
     stored = torch.load(file, map_location=device, weights_only=True)
     mean, components = stored["mean"].float(), stored["components"].float()
+    return partial(_projected, mean, components, cells)
 
-    def project(third_stage: Tensor) -> Tensor:
-        return (cells_of(third_stage, cells) - mean) @ components
 
-    return project
+def _projected(mean: Tensor, components: Tensor, cells: tuple[int, int], third_stage: Tensor) -> Tensor:
+    return (cells_of(third_stage, cells) - mean) @ components
 
 
 def cells_of(third_stage: Tensor, cells: tuple[int, int] = CELLS) -> Tensor:

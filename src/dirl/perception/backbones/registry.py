@@ -2,9 +2,10 @@
 
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -218,10 +219,7 @@ def _resnet(
         "weights": weights_hash(parameters),
     }
     quick = fused(backbone).to(device, dtype).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-    def third_stage(views: Tensor) -> Tensor:
-        return quick.third_stage(preprocess(views, size).to(device, dtype, memory_format=torch.channels_last))
-
+    third_stage = partial(_third_stage, quick, size, device, dtype)
     attributes |= {"provenance": provenance} if provenance else {}
     if cells is not None and size == PATCH_SIZE:
         projection = load_projection(device, cells=cells)
@@ -234,12 +232,23 @@ def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype
     """An encoder that also returns patches, from a second network."""
     second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, cells=CELLS)
     assert second.forward_patches is not None
-    of_patches = second.forward_patches
     return replace(
         encoder,
-        forward_patches=lambda views: (encoder(views), of_patches(views)[1]),
+        forward_patches=partial(_both, encoder, second.forward_patches),
         patch_attributes=second.patch_attributes,
     )
+
+
+def _third_stage(
+    network: ResNet50, size: tuple[int, int], device: str | torch.device, dtype: torch.dtype, views: Tensor
+) -> Tensor:
+    return network.third_stage(preprocess(views, size).to(device, dtype, memory_format=torch.channels_last))
+
+
+def _both(
+    encoder: ViewEncoder, of_patches: Callable[[Tensor], tuple[Tensor, Tensor]], views: Tensor
+) -> tuple[Tensor, Tensor]:
+    return encoder(views), of_patches(views)[1]
 
 
 def _torchvision_backbone() -> ResNet50:
