@@ -1,17 +1,22 @@
-"""The page of all options, from the types in `dirl.config` and the values and comments in conf/."""
+"""The page of all options, from the types and meanings in `dirl.config` and the recipes, and the values in conf/."""
 
+import importlib
+import sys
 from dataclasses import fields, is_dataclass
 from enum import EnumMeta
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
 import yaml
+from omegaconf import OmegaConf
 
+from dirl.cli.help import shown
 from dirl.config.components import GROUPS, TARGET, class_parameters, find_class
-from dirl.config.conf_schemas import SCHEMAS
-from dirl.config.meanings import entries
+from dirl.config.options import MISSING, comments, meanings, option_types
 from dirl.config.schemas import Schedule, TrainConfig, Weight
-from dirl.config.values import option_types
+from dirl.config.values import leaves
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))
 
 CHOICES = ("system", "preset", "goal_view", "source", "logger")
 """The folders of conf/ that hold files to choose from, besides those of components."""
@@ -31,14 +36,8 @@ COMPONENTS = (
 )
 """The folders of conf/ whose files name a class and its options."""
 
-RECIPES = {
-    "recipes/evaluate.py": "evaluate/evaluate.yaml",
-    "recipes/report.py": "report/report.yaml",
-    "recipes/map.py": "map/map.yaml",
-    "recipes/go.py": "go/go.yaml",
-    "recipes/benchmark.py": "benchmark.yaml",
-}
-"""The recipes without groups, and the files of their options."""
+RECIPES = ("evaluate", "report", "map", "go", "benchmark")
+"""The recipes whose options are in one dataclass each."""
 
 DEFAULTS = ("source/rooms", "objective/a2c", "system/dirl", "logger/csv")
 """Chosen where nothing is said, besides preset/fast, which has a word of its own in the table."""
@@ -100,18 +99,26 @@ def groups(schema: type) -> dict[str, tuple[str, dict[str, str]]]:
     return found
 
 
-def table(options: dict[str, str], files: dict[str, list[Path]]) -> list[str]:
-    """A Markdown table, a row an option; ``files`` set values, under a word to tell them by ("" for plain ones)."""
-    read = {word: {k: v for file in of_word for k, v in entries(file).items()} for word, of_word in files.items()}
+def table(options: dict[str, str], values: dict[str, dict[str, Any]], meaning: dict[str, str]) -> list[str]:
+    """A Markdown table, a row an option, with values under a word to tell them by ("" for plain ones)."""
     lines = [ROWS, "| option | value | meaning |", "|---|---|---|"]
     for name, kind in options.items():
-        here = {word: of_word[name] for word, of_word in read.items() if name in of_word}
-        values = [f"{word} `{value}`".strip() for word, (value, _) in here.items()]
-        meaning = next((comment for _, comment in here.values() if comment), "")
-        told = all(choice in meaning for choice in kind.split(" / "))  # a comment that lists the choices says it all
-        cells = [f"`{name}`" if told else f"`{name}` <small>{kind}</small>", "<br>".join(values), meaning]
+        here = [f"{word} `{shown(of_word[name])}`".strip() for word, of_word in values.items() if name in of_word]
+        told = all(choice in meaning[name] for choice in kind.split(" / "))  # a meaning that lists the choices
+        cells = [f"`{name}`" if told else f"`{name}` <small>{kind}</small>", "<br>".join(here), meaning[name]]
         lines.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
     return [*lines, ""]
+
+
+def file_values(file: Path) -> dict[str, Any]:
+    """The values that a file of conf/ sets, by dotted name; those of a group by that of the group."""
+    text = file.read_text()
+    values = yaml.safe_load(text) or {}
+    found = leaves({key: value for key, value in values.items() if key not in ("defaults", "hydra")})
+    for name in [name.removesuffix(".start") for name in found if name.endswith(".start")]:
+        found[name] = f"{{start:{found[f'{name}.start']},end:{found[f'{name}.end']}}}"
+    in_group = file.parent.name != "conf" and "@package _global_" not in text
+    return {f"{file.parent.name}.{name}": value for name, value in found.items()} if in_group else found
 
 
 def choices(conf: Path) -> list[str]:
@@ -120,7 +127,7 @@ def choices(conf: Path) -> list[str]:
     for group in CHOICES:
         for file in sorted((conf / group).glob("*.yaml")):
             if group != "preset":
-                values = [f"`{name}={value}`" for name, (value, _) in entries(file).items()]
+                values = [f"`{name}={shown(value)}`" for name, value in file_values(file).items()]
                 lines.append(f"| `{group}={file.stem}` | {', '.join(values)} |")
     return [*lines, ""]
 
@@ -148,13 +155,13 @@ def component_rows(file: Path, group: str, name: str, options: dict[str, Any]) -
         return []
     full = f"losses.{name}" if name else group
     kinds = {name: kind for name, (kind, _) in class_parameters(find_class(full, target)).items()}
-    comments = {option.rpartition(".")[2]: comment for option, (_, comment) in entries(file).items()}
+    told = comments(file)
     lines = []
     for option, value in options.items():
         if option != TARGET:
             kind = "number" if option == "weight" else annotated(kinds.get(option, Any))
             cells = [f"`{full}.{option}` <small>{kind}</small>", f"`{shown(value)}`"]
-            lines.append("| " + " | ".join([*cells, comments.get(option) or MEANINGS.get(option, "")]) + " |")
+            lines.append("| " + " | ".join([*cells, told.get(option) or MEANINGS.get(option, "")]) + " |")
     return [ROWS, "| option | value | meaning |", "|---|---|---|", *lines, ""] if lines else []
 
 
@@ -166,34 +173,33 @@ def annotated(kind: Any) -> str:
     return ", ".join([text, *map(str, bounds)])
 
 
-def shown(value: Any) -> str:
-    """A value as it is written on a command line."""
-    return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def recipe_table(file: Path) -> list[str]:
-    """The table of options that are all in one file."""
-    options = groups(SCHEMAS[file.stem])[""][1]
-    return table({name: options[name] for name in entries(file) if name in options}, {"": [file]})
+def recipe_table(schema: type) -> list[str]:
+    """The table of the options of a recipe, or of a command."""
+    kinds = option_types(schema)
+    plain = {name: words(kind) for name, kind in kinds.items() if not is_dataclass(kind)}
+    values = leaves(OmegaConf.to_container(OmegaConf.structured(schema), enum_to_str=True))
+    given = {name: value for name, value in values.items() if value != MISSING}
+    return table(plain, {"": given}, meanings(schema))
 
 
 def write_page(conf: Path, page: Path) -> None:
     """Write the page, if it would change."""
     common = [conf / "train.yaml", *(conf / f"{name}.yaml" for name in DEFAULTS)]
     files = {"": common, "fast": [conf / "preset/fast.yaml"], "paper": [conf / "preset/paper.yaml"]}
+    values = {word: {k: v for file in of_word for k, v in file_values(file).items()} for word, of_word in files.items()}
     lines = ["# Every option", "", INTRODUCTION, "## recipes/train.py", ""]
     for group, (meaning, options) in groups(TrainConfig).items():
         if group:
             meaning = meaning[0].lower() + meaning[1:]
             lines += [f"### {group}" if meaning == f"the {group}" else f"### {group}: {meaning}", ""]
-        lines += table(options, files)
+        lines += table(options, values, meanings(TrainConfig))
     lines += ["### What a choice sets", "", *choices(conf)]
     lines += ["## Components", "", COMPONENTS_TEXT, *component_tables(conf)]
-    for recipe, file in RECIPES.items():
-        lines += [f"## {recipe}", "", *recipe_table(conf / file)]
+    for recipe in RECIPES:
+        lines += [f"## recipes/{recipe}.py", "", *recipe_table(importlib.import_module(recipe).Options)]
     lines += ["## recipes/scenes.py", ""]
-    for file in sorted((conf / "scenes").glob("*.yaml")):
-        lines += [f"### {file.stem}", "", *recipe_table(file)]
+    for command, schema in importlib.import_module("scenes").OPTIONS.items():
+        lines += [f"### {command}", "", *recipe_table(schema)]
     text = "\n".join(lines)
     if not page.exists() or page.read_text() != text:
         page.write_text(text)

@@ -5,13 +5,32 @@
 
 Training is ``reinforce`` of recipes/train.py unchanged. It is compared with the loops of dirl.experiments.other_loops:
 stock TorchRL and Stable-Baselines3. All run alternately, so that other load on the machine affects all; medians are
-shown. The limit is the machine's throughput of float32 matrix products. All options: conf/benchmark.yaml.
+shown. The limit is the machine's throughput of float32 matrix products. All options: `Options` below.
 """
 
-from dirl.cli.start import run_recipe, start
+from dataclasses import dataclass
+from typing import Any
+
+from dirl.cli.start import run, start
+from dirl.config.options import option
+from dirl.config.schemas import ConfigError, Frames, Positive, TrainConfig
+
+
+@dataclass
+class Options:
+    """Measure the speed of training and evaluation on this machine."""
+
+    worlds: list[Any] = option("scenes of recipes/train.py; what is measured in each", ["bathroom_02", "all"])
+    frames_per_scene: Frames = option("how long each loop trains", 20_000)
+    repeats: Positive = option("the loops take turns; medians are reported", 3)
+    sb3: bool = option("also time Stable-Baselines3: pip install 'dirl[bench]'", False)
+    learning: bool = option("also train to the end, once: when is it stable?", True)
+    train: list[str] = option("options of train.yaml, e.g. [reinforcement.agents_per_scene=400]", [])
+    out: str | None = option("write the result to this file as JSON", None)
+
 
 if __name__ == "__main__":
-    start("benchmark")  # answers help and refuses options, before the imports below take their time
+    options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
 import statistics
 import sys
@@ -23,15 +42,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from hydra import compose
 from torch.utils.flop_counter import FlopCounterMode
 from tqdm import tqdm
 from train import reinforce, train
 
-from dirl.cli.command_line import prepare
+from dirl.cli.output import new_file
+from dirl.cli.parsing import compose_training
 from dirl.config.components import check_components
-from dirl.config.places import CONF
-from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.values import typed
 from dirl.experiments.other_loops import stable_baselines3, stock_torchrl
 from dirl.experiments.results import Table
@@ -51,8 +68,9 @@ SMALL = 256
 """Rows and columns of a small matrix."""
 
 
-def main(options: Any) -> None:
+def main(options: Options) -> None:
     """Measure, print the tables, write the file."""
+    out = None if options.out is None else new_file(options.out, ending="")
     fixed = [f"reinforcement.frames_per_scene={options.frames_per_scene}", *options.train]
     asked = [train_config([f"scene={_text(scene)}", *fixed]) for scene in options.worlds]
     for config in asked:
@@ -66,11 +84,11 @@ def main(options: Any) -> None:
     ]
     result["peak_memory_mb"] = peak_memory_mb()
     print(tables(result))
-    if options.out is not None:
-        write_json(Path(options.out), result)
+    if out is not None:
+        write_json(out, result)
 
 
-def compare(name: str, config: TrainConfig, options: Any, limit: float) -> dict[str, Any]:
+def compare(name: str, config: TrainConfig, options: Options, limit: float) -> dict[str, Any]:
     """One row: our loop and the others in one world, and how long it takes to learn it."""
     scenes = len(build_world(config).scenes)
     updates = config.reinforcement.frames_per_scene // (
@@ -119,7 +137,7 @@ def matrix_product_rate(dtype: torch.dtype, size: int = 2048, repeats: int = 10)
 def train_config(overrides: Sequence[str]) -> TrainConfig:
     """A configuration of recipes/train.py in which nothing but training takes time."""
     quiet = ["evaluation.times=0", "checkpoint.every_seconds=1e9"]
-    config: TrainConfig = typed(compose("train", prepare(TrainConfig, [*quiet, *overrides], CONF)))
+    config: TrainConfig = typed(compose_training([*quiet, *overrides]))
     return config
 
 
@@ -212,4 +230,4 @@ def _text(scene: Any) -> str:
 
 
 if __name__ == "__main__":
-    run_recipe("benchmark", main)
+    run(lambda: main(options))

@@ -6,26 +6,126 @@
     python recipes/evaluate.py checkpoint=... viewer=true              # a web page to step through episodes
     python recipes/evaluate.py checkpoint=... video=true               # an MP4 of greedy episodes
 
-All options with their values: conf/evaluate/evaluate.yaml.
+All options: `Options` below.
 """
 
-from dirl.cli.start import run_recipe, start
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from dirl.cli.start import run, start
+from dirl.config.bounds import Bounds
+from dirl.config.options import option
+from dirl.config.schemas import (
+    ConfigError,
+    Correlation,
+    Device,
+    Episodes,
+    GoalView,
+    HeldOut,
+    Match,
+    Positive,
+    Seed,
+    Split,
+    Starts,
+    Stop,
+)
+
+
+@dataclass
+class Options:
+    """Evaluate trained weights. Null keeps the value of the run's own evaluation."""
+
+    checkpoint: str = option("the folder of a run, or a .pt file in one")
+    out: str | None = option("write the result to this file as JSON", None)
+    trust: list[str] = option("packages whose classes the checkpoint's configuration may name, besides dirl's own", [])
+    map: Annotated[float, Bounds(0, 100)] | None = option(
+        "a topological map: walk once through each scene, 2 = twice as many steps as it has states, and go by the map; "
+        "with episodic_memory=localising a map of places",
+        None,
+    )
+    last_steps: Annotated[int, Bounds(0, 10**6)] | None = option(
+        "with map: so near the goal the policy decides; null = 3, 0 = the map leads to the end; not with localising",
+        None,
+    )
+    panorama: bool = option(
+        "true: the agent sees the views of all headings of its place, not only four of them; with "
+        "episodic_memory=planning; not in the viewer, in videos, nor live",
+        False,
+    )
+    arrows: bool = option(
+        "true: the agent sees which moves are possible where it is, as visitors of a tour see its arrows; not in the "
+        "viewer, in videos, nor live",
+        False,
+    )
+    viewer: bool = option(
+        "write viewer_<scene>.html into the run's folder: step through episodes, walk the room", False
+    )
+    beside: str | None = option("with viewer=true: another checkpoint, whose agent can be shown beside this one", None)
+    video: bool = option(
+        "write episodes_<scene>.mp4 into the run's folder: greedy episodes from far starts of up to five goals",
+        False,
+    )
+    simulator: str | None = option(
+        "live, the navigator in place of the tables: a YAML file with a simulator's class, or dump: its pictures",
+        None,
+    )
+    slip: HeldOut = option("live only: the probability that an action has no effect", 0.0)
+    turn_error: Annotated[float, Bounds(0, 90)] = option("live only: standard deviation of each turn, degrees", 0.0)
+    scene: Any = option(
+        "scenes to evaluate in: a dump that has moved, or other scenes with features of the same extractor", None
+    )
+    split: Split | None = option("of a collection: train | validation | test", None)
+    rooms: Positive | None = option("of a collection: the number of rooms, the first ones", None)
+    goals: Any = option(
+        "goal states, also ones it was not trained for: [51] for one scene, {bathroom_02: [51]} for several, or all; "
+        "each of them is evaluated",
+        None,
+    )
+    starts: Starts | None = option(
+        "every: each state that reaches the goal (exact) | sampled: random states; null = those of the training, or "
+        "sampled above 20,000 episodes",
+        None,
+    )
+    episodes_per_goal: Episodes | None = option("how many starts are sampled (sampled only)", None)
+    max_steps: Episodes | None = option("after so many steps an episode has failed", None)
+    stop: Stop | None = option(
+        "goal: the environment stops the agent at the goal | match: template matching does", None
+    )
+    threshold: Correlation | None = option("match above this correlation", None)
+    match: Match | None = option("views: all four | front: only the view ahead", None)
+    goal_view: GoalView | None = option(
+        "surrounding: four views of the goal | front: one photo, matched with the view ahead above 0.95", None
+    )
+    recogniser: str | None = option(
+        "ncc: correlation, as in the paper | patches, learned: for places that change | a YAML file of your own; "
+        "null = that of the training",
+        None,
+    )
+    episodic_memory: str | None = option(
+        "none | counts: what was done is less likely to be done again | planning: a path to the best exit not tried | "
+        "localising: a filter over places that change, with recogniser=learned | a YAML file",
+        None,
+    )
+    seed: Seed | None = option("of sampled starts and actions", None)
+    device: Device | None = option("cpu | cuda", None)
+    root: str | None = option("the folder of the published dumps, if it has moved since (source=thor)", None)
+
 
 if __name__ == "__main__":
-    start("evaluate")  # answers help and refuses options, before the imports below take their time
+    options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
+import importlib.util
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
 from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
+from dirl.cli.output import new_file
 from dirl.config.choices import goal_view_options, group_options, load_simulator
-from dirl.config.schemas import GoalView
 from dirl.evaluation.episodes import Episodes, sampled_starts, shortest_episodes
 from dirl.evaluation.experts import SeesArrows
 from dirl.evaluation.live import Remembered, evaluate_live
@@ -57,8 +157,9 @@ CHANGING = (
 )
 
 
-def main(options: Any) -> None:
+def main(options: Options) -> None:
     """Read the checkpoint, run the episodes, print the tables."""
+    check(options)
     saved = load_checkpoint(options.checkpoint)
     changes = {
         "scene": options.scene,
@@ -108,6 +209,27 @@ def main(options: Any) -> None:
         print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
 
 
+def check(options: Options) -> None:
+    """Refuse options that need others or exclude them, and what cannot be written, before anything takes time."""
+    if options.last_steps is not None and options.map is None:
+        raise ConfigError(f"last_steps={options.last_steps}: only where a map leads; give map=2 too")
+    if options.simulator is None and (options.slip or options.turn_error):
+        raise ConfigError("slip, turn_error: only in a live world; give simulator=dump or a YAML file too")
+    if options.simulator is not None and (options.viewer or options.video or options.map is not None):
+        raise ConfigError("simulator: a live world has no viewer, no video and no map; leave them out")
+    shown = options.simulator is not None or options.viewer or options.video
+    if shown and (options.arrows or options.panorama):
+        raise ConfigError(
+            "arrows, panorama: agents see them in evaluation alone; leave out simulator, viewer and video"
+        )
+    if options.video and importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise ConfigError("video=true needs a package that is not installed: pip install imageio-ffmpeg")
+    if options.out is not None:
+        new_file(options.out, ending="")
+    if options.beside is not None and not options.viewer:
+        raise ConfigError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
+
+
 def shown_more(trained: Trained, *, arrows: bool, panorama: bool) -> Trained:
     """The same agent, which sees the arrows of a tour, or all headings of its place."""
     if panorama:
@@ -138,7 +260,7 @@ def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
     return replace(protocol, starts=sampled_starts(protocol.world, each, protocol.seed))
 
 
-def walk_live(trained: Trained, options: Any) -> dict[str, Any]:
+def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     """Measures of a navigator in a live world, by policy; each image is encoded when it is first seen."""
     config, policy, protocol = trained
     if len(protocol.world.scenes) > 1:
@@ -215,7 +337,7 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
     return trained._replace(protocol=replace(protocol, maps=maps))
 
 
-def beside(options: Any, trained: Trained, changes: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+def beside(options: Options, trained: Trained, changes: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     """The agent of a second checkpoint in the scenes and for the goals of the first, by its name."""
     if options.beside is None:
         return {}
@@ -263,4 +385,4 @@ def run_folder(checkpoint: str) -> Path:
 
 
 if __name__ == "__main__":
-    run_recipe("evaluate", main)
+    run(lambda: main(options))

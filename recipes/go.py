@@ -2,21 +2,34 @@
 
     python recipes/go.py map=walk.npz photo=goal.jpg start=here.jpg out=way.png
 
-All options with their values: conf/go/go.yaml.
+All options: `Options` below.
 """
 
-from dirl.cli.start import run_recipe, start
+from dataclasses import dataclass
+
+from dirl.cli.start import run, start
+from dirl.config.options import option
+
+
+@dataclass
+class Options:
+    """Find the path to a photo by the map of a video."""
+
+    map: str = option("a map that recipes/map.py made")
+    photo: str = option("of the goal")
+    start: str | None = option("a photo of where one is; null = where the recording begins", None)
+    out: str = option("a new file for the picture of the path", "way.png")
+
 
 if __name__ == "__main__":
-    start("go")  # answers help and refuses options, before the imports below take their time
+    options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dirl.agent.mapping.frames import KNOWN, fits, load_frames_map
+from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
 from dirl.reporting.strips import draw_strip
 from dirl.sources.video import read_photo
@@ -25,8 +38,9 @@ SHOWN = 16
 """Frames of the path in the picture, at most."""
 
 
-def main(options: Any) -> None:
+def main(options: Options) -> None:
     """Locate the photos, and draw the path between them."""
+    out = new_file(options.out, ending=".png")
     graph = load_frames_map(options.map)
     height = graph.frames.shape[1]
     goal = read_photo(options.photo, height)
@@ -47,9 +61,9 @@ def main(options: Any) -> None:
     print(f"path: {len(path)} frames, {jumps} shortcuts")
     shown = [path[place] for place in np.unique(np.linspace(0, len(path) - 1, SHOWN).round().astype(int))]
     pictures = [("here", here), *((f"frame {node}", graph.frames[node]) for node in shown), ("goal", goal)]
-    draw_strip(pictures, Path(options.out))
+    draw_strip(pictures, out)
     print(f"picture: {options.out}")
 
 
 if __name__ == "__main__":
-    run_recipe("go", main)
+    run(lambda: main(options))

@@ -6,22 +6,56 @@
     python recipes/report.py experiment=changes 'collections=[rooms_2cm,rooms_5cm]'    # of agents instead of runs
 
 A report is a folder: README.md with the tables, CSV files with the value of every run, figures as PNG and SVG.
-All options with their values: conf/report/report.yaml.
+All options: `Options` below.
 """
 
-from dirl.cli.start import run_recipe, start
+from dataclasses import dataclass
+from typing import Annotated
+
+from dirl.cli.start import run, start
+from dirl.config.bounds import Bounds
+from dirl.config.options import option
+from dirl.config.schemas import ConfigError, ExperimentName, Positive, Split, TrainConfig
+
+
+@dataclass
+class Options:
+    """Write a table or figure of the paper from finished runs, or measure agents."""
+
+    experiment: ExperimentName = option(
+        "of runs: table1 | table2 | fig4 | fig5 | fig6 | fig7 | fig8 | stop | any_goal | unseen_rooms; of agents: "
+        "image_graph | changes | walked_once | other_worlds | sptm"
+    )
+    runs: str = option("the folder that recipes/train.py -m experiment=... wrote its runs to", "runs/experiments")
+    preset: str = option("of the runs", "fast")
+    out: str | None = option("a folder for the result; null = reports/<preset>/<experiment>", None)
+    scene: str = option("fig6 and stop look at one scene only", "bathroom_02")
+    goal: Annotated[int, Bounds(0)] = option("the new goal of fig6, a state of the scene", 51)
+    starts: Positive = option("of each new goal of fig5", 500)
+    encoder: str = option(
+        "stop: what made the scene's features: resnet50 (of the built-in rooms) | weights of one (.pth) | ...",
+        "resnet50",
+    )
+    agents: list[str] = option(
+        "of agents: checkpoints, or agents of the package; several for changes, [] for image_graph without one",
+        ["general"],
+    )
+    collections: list[str] = option("of agents: where; folders made by scenes.py sample, for other_worlds files", [])
+    folder: str | None = option("sptm: what github.com/nsavinov/SPTM was cloned to", None)
+    trials: Positive = option("sptm: of each start and goal", 6)
+    validation: bool = option("sptm: its three validation mazes instead of the seven for tests", False)
+    workers: Positive | None = option("sptm: processes; null = all cores", None)
+    rooms: Positive | None = option("image_graph: the first so many of the test rooms; null = all", None)
+
 
 if __name__ == "__main__":
-    start("report")  # answers help and refuses options, before the imports below take their time
+    options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
 from pathlib import Path
-from typing import Any
 
 from omegaconf import OmegaConf
 
-from dirl.cli.refusals import OF_AGENTS, reported_runs
-from dirl.config.places import CONF
-from dirl.config.schemas import ExperimentName, Split, TrainConfig
+from dirl.config.folders import CONF, command
 from dirl.experiments.any_goal import report_any_goal
 from dirl.experiments.changes import report_changes
 from dirl.experiments.efficiency import report_efficiency
@@ -37,24 +71,46 @@ from dirl.experiments.walked_once import report_walked_once
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import load_encoder
 from dirl.reporting.tables import scene_names
-from dirl.runs.paths import RunError
+from dirl.runs.paths import RunError, find_checkpoint
+
+OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "changes", "walked_once", "other_worlds", "sptm")]
+"""The experiments on agents instead of runs."""
 
 
-def main(options: Any) -> None:
+def main(options: Options) -> None:
     """Read the runs, measure what they did not, write the report."""
     out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
     of_agents = options.experiment in OF_AGENTS
+    if of_agents:
+        check(options)
     print(write_of_agents(options, out) if of_agents else write(options, chosen(options), out))
     print(f"report: {out}")
 
 
-def chosen(options: Any) -> list[Result]:
+def check(options: Options) -> None:
+    """Refuse an experiment on agents without these, or without somewhere to test them, before anything takes time."""
+    if options.experiment == ExperimentName.sptm:
+        if options.folder is None or not (Path(options.folder) / "data").is_dir():
+            raise ConfigError(f"folder={options.folder}: name a folder that github.com/nsavinov/SPTM was cloned to")
+        return
+    if not options.collections or (options.experiment == "image_graph" and len(options.collections) > 1):
+        wanted = "files of scenes" if options.experiment == "other_worlds" else "folders made by scenes.py sample"
+        raise ConfigError(f"collections={options.collections}: say where; {wanted}, of image_graph one")
+    several = {"changes": range(1, 100), "image_graph": range(2)}.get(options.experiment, range(1, 2))
+    if len(options.agents) not in several:
+        raise ConfigError(f"agents={options.agents}: must be one; several for changes, [] for image_graph without one")
+    for agent in options.agents:
+        find_checkpoint(agent)
+
+
+def chosen(options: Options) -> list[Result]:
     """The finished runs that an experiment is about, of all experiments' runs.
 
     Raises:
         RunError: there is none.
     """
-    folder, hint = reported_runs(options)
+    folder = Path(options.runs) / options.preset
+    hint = f"{command('train')} -m experiment={options.experiment} preset={options.preset}"
     usual = OmegaConf.load(CONF / "preset" / f"{options.preset}.yaml").imitation
     runs = finished_runs(folder, hint)
     found = [run for run in runs if belongs(run.config, options.experiment, (usual.fraction, usual.rule))]
@@ -87,7 +143,7 @@ def belongs(config: TrainConfig, experiment: ExperimentName, usual: tuple[float,
     return as_usual
 
 
-def write(options: Any, runs: list[Result], out: Path) -> str:
+def write(options: Options, runs: list[Result], out: Path) -> str:
     """Write the report of an experiment into a folder; returns its text."""
     name, note = options.experiment, describe_runs(runs)
     out.mkdir(parents=True, exist_ok=True)
@@ -107,7 +163,7 @@ def write(options: Any, runs: list[Result], out: Path) -> str:
     return report_stopping(runs, out, note, options.scene, load_encoder(options.encoder))
 
 
-def write_of_agents(options: Any, out: Path) -> str:
+def write_of_agents(options: Options, out: Path) -> str:
     """Write the report of an experiment on agents into a folder; returns its text."""
     agents, collections = options.agents, options.collections
     match options.experiment:
@@ -136,4 +192,4 @@ def describe_runs(runs: list[Result]) -> str:
 
 
 if __name__ == "__main__":
-    run_recipe("report", main)
+    run(lambda: main(options))

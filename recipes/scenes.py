@@ -13,13 +13,432 @@
     python recipes/scenes.py import scene=data/bathroom_02.h5 source=thor out=bathroom_02.h5
     python recipes/scenes.py inspect scene=bathroom_02 out=pictures
 
-All options of each command with their values: conf/scenes/<command>.yaml.
+The options of each command stand in its dataclass below, whose docstring is its help.
 """
 
-from dirl.cli.start import run_recipe, start
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated
+
+from dirl.cli.start import run, start
+from dirl.config.bounds import Bounds
+from dirl.config.options import option
+from dirl.config.schemas import Correlation, Device, Fraction, Match, NotNegative, Positive, Precision, Seed
+
+Layout = StrEnum("Layout", ["icra17"])
+Pixels = Annotated[int, Bounds(16, 4096)]
+Degrees = Annotated[float, Bounds(0, 180)]
+FieldOfView = Annotated[float, Bounds(10, 150)]
+Step = Annotated[float, Bounds(0.05, 10)]
+Turn = Annotated[float, Bounds(1, 360)]
+Places = Annotated[int, Bounds(2)]
+Looks = Annotated[int, Bounds(0, 1000)]
+
+DUMP = "the dump to write (.h5)"
+STEP = "metres between neighbouring places"
+TURN = "degrees of a turn: 90, 45 or 30"
+PLACES = "at most so many places, the nearest to the start; null = all that can be walked to and fro"
+OF_VIEW = "of a view, pixels"
+LOOKS = (
+    "further looks of each state, as visits that differ a little show it; only their features are stored; see changes"
+)
+CHANGES = "by how much, in standard deviations; all views from a place share the error of a visit"
+FINER = "false: coarser light and textures, for a first look"
+
+
+@dataclass
+class Encoded:
+    """The encoder of a command that makes features."""
+
+    encoder: str | None = option("what makes the features, see encode; null = none yet", "resnet50")
+    device: Device = option("cpu | cuda, of the encoder", Device.cpu)
+
+
+@dataclass
+class EncodedPatches(Encoded):
+    """The encoder of a command that makes features of the parts of views too."""
+
+    patches: bool = option(
+        "also features of the parts of each view, as `general` reads them and recogniser=learned and =patches compare "
+        "them; with encoder=resnet50_small",
+        False,
+    )
+    fine_patches: bool = option(
+        "six times as many, by which recogniser=learned compares single photos; with encoder=resnet50_small", False
+    )
+
+
+@dataclass
+class VisitChanges:
+    """How visits of a place differ."""
+
+    position: NotNegative = option("metres, along each axis; less where the agent cannot stand", 0.1)
+    heading: NotNegative = option("degrees", 5.0)
+    exposure: NotNegative = option("of the logarithm of the brightness: 0.05 is about 5 %", 0.15)
+
+
+@dataclass
+class WiderVisitChanges(VisitChanges):
+    """How visits of a place differ in VizDoom, where a metre is less."""
+
+    position: NotNegative = option("metres, along each axis; less where the agent cannot stand", 0.2)
+
+
+@dataclass
+class ThorOptions(Encoded):
+    """Take a scene dump from live AI2-THOR: four headings at every position that can be walked to and fro.
+
+    Examples:
+        python recipes/scenes.py thor scene=FloorPlan401 out=dumps/FloorPlan401.h5
+        python recipes/scenes.py thor scene=FloorPlan201 out=living.h5 headless=true step=0.25
+    docs/howto/make_scenes.md tells more.
+    """
+
+    scene: str = option("e.g. FloorPlan401; list: https://ai2thor.allenai.org/ithor/documentation/scenes")
+    out: str = option(DUMP)
+    step: Step = option(STEP, 0.5)
+    height: Pixels = option(OF_VIEW, 300)
+    width: Pixels = option(OF_VIEW, 400)
+    field_of_view: FieldOfView = option("vertical, degrees", 90)
+    headless: bool = option("true: without a display (AI2-THOR's CloudRendering platform, which needs Vulkan)", False)
+
+
+@dataclass
+class VizdoomOptions(EncodedPatches):
+    """Take a scene dump from a map of VizDoom, without monsters and things to take. No display is needed.
+
+    Examples:
+        python recipes/scenes.py vizdoom map=map01 out=freedoom_01.h5
+        python recipes/scenes.py vizdoom map=E1M1 out=e1m1.h5 turn=45 places=100
+    docs/howto/simulators.md tells more.
+    """
+
+    map: str = option("map01 to map32 of Freedoom 2, E1M1 to E4M9 of Freedoom 1, or one of the file wad")
+    wad: str | None = option("a file with other maps (.wad); null = Freedoom, which comes with VizDoom", None)
+    out: str = option(DUMP)
+    step: Step = option(f"{STEP}; 32 units of a map are a metre", 2.0)
+    turn: Turn = option(TURN, 90)
+    places: Places | None = option(PLACES, None)
+    height: Pixels = option(f"{OF_VIEW}; views are rendered at 240 x 320 and scaled", 120)
+    width: Pixels = option(OF_VIEW, 160)
+    looks: Looks = option(LOOKS, 0)
+    changes: WiderVisitChanges = option(CHANGES, WiderVisitChanges)
+
+
+@dataclass
+class MiniworldOptions(EncodedPatches):
+    """Take a scene dump from an environment of MiniWorld. No display is needed, but EGL.
+
+    Examples:
+        python recipes/scenes.py miniworld env=FourRooms out=four_rooms.h5
+        python recipes/scenes.py miniworld env=MazeS3 seed=7 out=maze.h5 turn=30
+    docs/howto/simulators.md tells more.
+    """
+
+    env: str = option("e.g. FourRooms, which is MiniWorld-FourRooms-v0; a wrong name lists all")
+    seed: Seed = option("of walls, things, and where the agent stands first", 0)
+    out: str = option(DUMP)
+    step: Step = option(STEP, 1.0)
+    turn: Turn = option(TURN, 90)
+    places: Places | None = option(PLACES, None)
+    height: Pixels = option(OF_VIEW, 120)
+    width: Pixels = option(OF_VIEW, 160)
+    field_of_view: FieldOfView = option("vertical, degrees", 60)
+    looks: Looks = option(LOOKS, 0)
+    changes: VisitChanges = option(CHANGES, VisitChanges)
+
+
+@dataclass
+class SimulatorOptions(EncodedPatches):
+    """Take a scene dump from a simulator of your own.
+
+    Examples:
+        python recipes/scenes.py simulator simulator=my_simulator.yaml out=my_world.h5
+    docs/howto/simulators.md tells more.
+    """
+
+    simulator: str = option("a YAML file: _target_, the class, and its arguments")
+    out: str = option(DUMP)
+    step: Step = option(STEP, 1.0)
+    turn: Turn = option(TURN, 90)
+    places: Places | None = option(PLACES, None)
+    looks: Looks = option(LOOKS, 0)
+    changes: VisitChanges = option(CHANGES, VisitChanges)
+
+
+@dataclass
+class PhotosOptions(EncodedPatches):
+    """Make a scene dump from photographs: a folder of images with states.csv, which says where each was taken.
+
+    states.csv has a row for each image: image,location,heading,x,z,ahead (and back,goal,shot if needed).
+
+    Examples:
+        python recipes/scenes.py photos folder=my_office out=my_office.h5
+        python recipes/scenes.py photos folder=my_office out=my_office.h5 height=224 width=224
+    docs/howto/make_scenes.md tells more.
+    """
+
+    folder: str = option("holds states.csv and the images that it names")
+    out: str = option(DUMP)
+    name: str | None = option("name of the scene; null = the folder's name", None)
+    height: Pixels = option("pixels; images are cropped at the centre to this aspect ratio and scaled", 300)
+    width: Pixels = option("likewise", 400)
+
+
+@dataclass
+class RecordingOptions:
+    """Unpack the recording of a robot, HDF5, into a folder of photographs: one of each place, heading and shot.
+
+    Examples:
+        python recipes/scenes.py recording file=robot.h5 positions=positions out=my_corridor
+        python recipes/scenes.py recording file=robot.h5 images=frames 'axes=[x,z,heading,shot]' out=my_corridor
+        python recipes/scenes.py photos folder=my_corridor out=my_corridor.h5
+    docs/howto/make_scenes.md tells more.
+    """
+
+    file: str = option("HDF5")
+    out: str = option("a new folder for states.csv and the images, which photos reads")
+    images: str = option("the dataset: uint8, one dimension for each axis, then height, width and 3", "images")
+    axes: list[str] = option(
+        "what the first dimensions are: heading, and place or x and z; shot where places were visited several times",
+        ["place", "heading", "shot"],
+    )
+    positions: str | None = option("with place: the dataset of the places' x and z, metres", None)
+    step: Step | None = option("metres between neighbours; null = the smallest distance (place), 1 (x and z)", None)
+    first_heading: float = option("degrees clockwise from z; the others follow evenly", 0.0)
+    clockwise: bool = option("whether the headings do", True)
+
+
+@dataclass
+class TourOptions(EncodedPatches):
+    """Make a scene dump from a 360-degree tour: Marzipano, krpano, Pannellum, panoramas with links.csv, ZInD.
+
+    Examples:
+        python recipes/scenes.py tour path=my_tour out=my_tour.h5
+        python recipes/scenes.py tour path=panoramas out=office.h5 headings=12
+    docs/howto/tours.md tells more.
+    """
+
+    path: str = option(
+        "the folder of the tour, or its data.js, tour.xml, links.csv, zind_data.json or configuration of Pannellum "
+        "(JSON, JavaScript, HTML)"
+    )
+    out: str = option(DUMP)
+    name: str | None = option("name of the scene; null = the tour's", None)
+    skip: list[str] = option("panoramas that are left out, by name: [hall, stairs]", [])
+    headings: Annotated[int, Bounds(4, 36)] = option(
+        "of each panorama, a multiple of 4: 4, 8 and 12 are turns of 90, 45 and 30 degrees", 8
+    )
+    compare_images: bool = option(
+        "headings that links do not give, or contradict, come from what the panoramas show", True
+    )
+    tolerance: Degrees = option("degrees between a heading and the link that a move follows, at most", 90)
+    step: Step = option("metres of a link on the map, where the tour gives no positions", 2.0)
+    reach: Annotated[float, Bounds(0.1, 100)] = option(
+        "metres between linked panoramas of the Zillow dataset, whose files have no links", 3.0
+    )
+    height: Pixels = option(OF_VIEW, 300)
+    width: Pixels = option(OF_VIEW, 400)
+    field_of_view: FieldOfView = option("horizontal, degrees", 90)
+    pitch: Annotated[float, Bounds(-80, 80)] = option("degrees that a view looks up, down if negative", 0)
+
+
+@dataclass
+class BuildOptions(Encoded):
+    """Build a synthetic room from its description: light it, take the view of every state, write a dump.
+
+    Examples:
+        python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
+        python recipes/scenes.py build description=my_room.toml out=my_room.h5 height=75 width=100 fine=false
+        python recipes/scenes.py build description=kitchen_02 turn=30 out=kitchen_30.h5
+    docs/howto/rooms.md tells more.
+    """
+
+    description: str = option("bathroom_02 | bedroom_04 | kitchen_02 | living_room_08, or a .toml file")
+    out: str = option(DUMP)
+    height: Pixels = option(OF_VIEW, 300)
+    width: Pixels = option(OF_VIEW, 400)
+    turn: Turn = option(TURN, 90)
+    fine: bool = option(FINER, True)
+    quality: Annotated[int, Bounds(0, 100)] = option("of the stored WebP views", 72)
+    workers: Positive | None = option("processes that render views; null = up to one for each core", None)
+    provenance: str | None = option("origin of the weights, stored in the file; resnet50 knows its own", None)
+
+
+@dataclass
+class LookChanges:
+    """How looks of a built room differ."""
+
+    position: NotNegative = option("metres, along each axis", 0.05)
+    heading: NotNegative = option("degrees", 5.0)
+    exposure: NotNegative = option("of the logarithm of the brightness: 0.05 is about 5 %", 0.15)
+    white_balance: NotNegative = option("of the logarithm of red and of blue", 0.0)
+    camera_height: NotNegative = option("metres", 0.0)
+    lamps: Fraction = option(
+        "probability that the lamps of one kind are off; this and the next three are sampled once for a look", 0.0
+    )
+    daylight: NotNegative = option("of the logarithm of the light through each window", 0.0)
+    furniture: NotNegative = option(
+        "of how far chairs and the like are moved, metres; the places to stand at stay free", 0.0
+    )
+    objects: Fraction = option("probability that a small thing, such as a vase or a picture, is gone", 0.0)
+    vary: Fraction = option(
+        "each look has all of these times a factor sampled from 1 - vary to 1 + vary; for rooms to train in", 0.0
+    )
+
+
+@dataclass
+class PhotoLooks:
+    """The camera of looks."""
+
+    aside: NotNegative = option("degrees that it is turned to one side or the other", 0.0)
+    fov: NotNegative = option("its horizontal field of view, degrees; 0 = that of the agent's, 75", 0.0)
+    tilt: NotNegative = option("degrees that it is rolled to one side or the other", 0.0)
+    portrait: bool = option("held upright", False)
+    jpeg: Annotated[int, Bounds(0, 100)] = option("compressed with this quality; 0 = not", 0)
+    warmth: float = option("of the light: logarithm of more red, and less blue", 0.0)
+    corrected: bool = option(
+        "field of view and tilt are known: scaled and rotated to what the agent's camera would see", False
+    )
+
+
+@dataclass
+class VirtualLooks:
+    """Virtual cameras."""
+
+    fov: NotNegative = option("their horizontal field of view, degrees; 0 = none", 0.0)
+    yaws: list[float] = option(
+        "degrees that they are turned to the right of each view", [0.0, -15.0, 15.0, -30.0, 30.0, 45.0]
+    )
+
+
+@dataclass
+class SampleOptions(EncodedPatches):
+    """Furnish random rooms and build them. Each passes the checks of the built-in rooms.
+
+    Examples:
+        python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
+        python recipes/scenes.py sample kind=all count=8 out=many height=48 width=64 fine=false
+        python recipes/scenes.py sample kind=all seed=30000 count=50 out=rooms encoder=resnet50_small patches=true
+    docs/howto/rooms.md tells more.
+    """
+
+    kind: str = option("bathroom | bedroom | kitchen | living_room | all")
+    seed: Seed = option(
+        "kind and seed determine the room; from 10000 test, from 20000 validation, from 30000 training rooms", 0
+    )
+    count: Positive = option("rooms of each kind, with this seed and those after it", 1)
+    out: str = option(
+        "the collection: a dump (.h5) and a description (.toml) for each room, and an index; existing rooms are kept"
+    )
+    height: Pixels = option(OF_VIEW, 300)
+    width: Pixels = option(OF_VIEW, 400)
+    turn: Turn = option(TURN, 90)
+    fine: bool = option(FINER, True)
+    workers: Positive | None = option("processes, one room each; null = all cores", None)
+    precision: Precision = option(
+        "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", Precision.float32
+    )
+    looks: Looks = option(f"{LOOKS} and photo", 0)
+    changes: LookChanges = option(CHANGES, LookChanges)
+    photo: PhotoLooks = option("the camera of the looks, for photos as goals", PhotoLooks)
+    virtual: VirtualLooks = option(
+        "cameras at the agent's place, made of its four views, by which photos of other cameras are found", VirtualLooks
+    )
+    sheet: bool = option("draw a contact sheet, rooms.png, of 32 rooms at most", True)
+
+
+@dataclass
+class EncodeOptions(EncodedPatches):
+    """Compute the features of a dump anew, from its stored views, with another encoder.
+
+    Examples:
+        python recipes/scenes.py encode scene=room.h5 out=room_resnet.h5
+        python recipes/scenes.py encode scene=bathroom_02 encoder=facebook/dinov2-small out=bathroom_dino.h5
+    docs/howto/make_scenes.md tells more.
+    """
+
+    scene: str = option("a dump (.h5) with views, or a built-in room")
+    out: str = option("the dump to write: the same one with new features (.h5)")
+    encoder: str | None = option(
+        "resnet50 (as the built-in rooms) | resnet50_small (96x128 pixels) | efficientnet_lite0 (Apache 2.0) | "
+        "weights of a ResNet-50 (.pth) | torchvision | a Hugging Face model, name or folder",
+        "resnet50",
+    )
+    precision: Precision = option(
+        "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", Precision.float32
+    )
+
+
+@dataclass
+class ExportOptions:
+    """Write a scene in the layout that other navigation code reads: raw views, float32 features, -1 marks.
+
+    Examples:
+        python recipes/scenes.py export scene=bathroom_02 out=icra17/bathroom_02.h5
+        python recipes/scenes.py export scene=my_office.h5 layout=icra17 out=my_office_icra17.h5
+    docs/howto/make_scenes.md tells more.
+    """
+
+    scene: str = option("a dump (.h5), or a built-in room")
+    out: str = option("the file to write (.h5)")
+    layout: Layout = option("that of the published target-driven navigation code", Layout.icra17)
+
+
+@dataclass
+class ImportOptions:
+    """Take over a dump in the published layout; graph, features and views stay exactly what they are.
+
+    Examples:
+        python recipes/scenes.py import scene=data/bathroom_02.h5 out=bathroom_02.h5 source=thor 'goals=[26,37]'
+    docs/howto/make_scenes.md tells more.
+    """
+
+    scene: str = option("a dump (.h5) in the published layout")
+    out: str = option("the dump to write in ours (.h5): smaller, with losslessly compressed views")
+    name: str | None = option("name of the scene; null = as in the file, else the file's name", None)
+    source: str | None = option("origin, e.g. thor; null = as in the file", None)
+    goals: list[int] | None = option("goal states to store, e.g. [26,37]; null = as in the file", None)
+
+
+@dataclass
+class InspectOptions:
+    """Look at a scene and check it: tables, map, contact sheet, distances, ambiguous states, false stops.
+
+    Examples:
+        python recipes/scenes.py inspect scene=bathroom_02
+        python recipes/scenes.py inspect scene=rooms_5cm/kitchen_10100.h5 recogniser=learned match=front
+        python recipes/scenes.py inspect scene=my_office.h5 out=my_office_pictures threshold=0.8
+    docs/howto/make_scenes.md tells more.
+    """
+
+    scene: str = option("a dump (.h5), or a built-in room")
+    out: str | None = option("a new folder for the pictures; null = only print the tables", None)
+    threshold: Correlation = option("of ncc: pairs of states that match better are ambiguous", 0.9)
+    recogniser: str = option(
+        "ncc: correlation | patches, learned, with thresholds of their own | a YAML file of your own", "ncc"
+    )
+    match: Match = option("views: all four | front: only the view ahead", Match.views)
+
+
+OPTIONS: dict[str, type] = {
+    "thor": ThorOptions,
+    "vizdoom": VizdoomOptions,
+    "miniworld": MiniworldOptions,
+    "simulator": SimulatorOptions,
+    "photos": PhotosOptions,
+    "recording": RecordingOptions,
+    "tour": TourOptions,
+    "build": BuildOptions,
+    "sample": SampleOptions,
+    "encode": EncodeOptions,
+    "export": ExportOptions,
+    "import": ImportOptions,
+    "inspect": InspectOptions,
+}
 
 if __name__ == "__main__":
-    command = start("scenes", __doc__)  # answers help and refuses options, before the imports below take their time
+    options = start(__doc__, OPTIONS)  # "loading ...", or help; the imports below take their time
 
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -29,8 +448,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from dirl.cli.output import check_writable, new_file
 from dirl.config.choices import load_simulator
-from dirl.config.places import command as command_of
+from dirl.config.folders import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import Inspection, inspect_scene
@@ -38,6 +458,7 @@ from dirl.perception.virtual import VirtualCameras
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
+from dirl.scenes.io.checked import check_choice
 from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.live import Simulator
@@ -65,9 +486,9 @@ SHEET = 32
 """Random rooms that are shown on one contact sheet at most; a room takes as long as some ten of its views."""
 
 
-def thor(options: Any) -> None:
+def thor(options: ThorOptions) -> None:
     """Take a scene from live AI2-THOR, by way of a folder that a stopped run can continue from."""
-    out = Path(options.out)
+    out = new_file(options.out)
     encoder = chosen_encoder(options)
     settings = {name: getattr(options, name) for name in ("scene", "step", "height", "width", "field_of_view")}
     folder = out.with_suffix(".taken")
@@ -78,45 +499,47 @@ def thor(options: Any) -> None:
     print(f"{folder} is no longer needed")
 
 
-def vizdoom(options: Any) -> None:
+def vizdoom(options: VizdoomOptions) -> None:
     """Take a scene from a map of VizDoom."""
     settings = {"wad": options.wad, "height": options.height, "width": options.width}
     write_simulated(lambda: VizDoom(options.map, **settings), options, "vizdoom")
 
 
-def miniworld(options: Any) -> None:
+def miniworld(options: MiniworldOptions) -> None:
     """Take a scene from an environment of MiniWorld."""
     camera = {name: getattr(options, name) for name in ("seed", "height", "width", "field_of_view")}
     write_simulated(lambda: MiniWorld(options.env, **camera), options, "miniworld")
 
 
-def simulator(options: Any) -> None:
+def simulator(options: SimulatorOptions) -> None:
     """Take a scene from a simulator of the user's own."""
     write_simulated(lambda: load_simulator(options.simulator), options, "simulator")
 
 
-def write_simulated(begin: Callable[[], Simulator], options: Any, source: str) -> None:
+def write_simulated(
+    begin: Callable[[], Simulator], options: VizdoomOptions | MiniworldOptions | SimulatorOptions, source: str
+) -> None:
     """A dump of the scene that a simulator starts with."""
-    if options.looks < 0 or (options.looks and options.encoder is None):
-        raise SceneError(f"looks={options.looks}: at least 0; their views are encoded and not stored: give an encoder")
-    simulator, encoder = begin(), chosen_encoder(options)
+    if options.looks and options.encoder is None:
+        raise SceneError(f"looks={options.looks}: their views are encoded and not stored: give an encoder")
+    out, simulator, encoder = new_file(options.out), begin(), chosen_encoder(options)
     scene, views = take_scene(simulator, source=source, step=options.step, turn=options.turn, most=options.places)
     for seed in tqdm(range(options.looks), desc="looks", disable=None):
         views += take_look(simulator, scene, seed, **vars(options.changes))
-    write_encoded(Path(options.out), scene, views, encoder)
+    write_encoded(out, scene, views, encoder)
 
 
-def photos(options: Any) -> None:
+def photos(options: PhotosOptions) -> None:
     """Make a dump from photographs."""
     shape = (options.height, options.width)
-    write_photos(Path(options.folder), Path(options.out), options.name, "photos", shape, chosen_encoder(options))
+    write_photos(Path(options.folder), new_file(options.out), options.name, "photos", shape, chosen_encoder(options))
 
 
-def recording(options: Any) -> None:
+def recording(options: RecordingOptions) -> None:
     """Unpack a robot's recording into a folder of photographs."""
     names = ("images", "positions", "step", "first_heading", "clockwise")
     chosen = {name: getattr(options, name) for name in names}
-    folder = Path(options.out)
+    folder = new_file(options.out, ending="")
     print(unpack_recording(options.file, folder, axes=list(options.axes), **chosen))
     print(f"go on with: {command_of('scenes')} photos folder={folder} out={folder}.h5")
 
@@ -132,9 +555,9 @@ def write_photos(
     write_encoded(out, scene, views, encoder)
 
 
-def tour(options: Any) -> None:
+def tour(options: TourOptions) -> None:
     """Make a dump from a 360-degree tour."""
-    out = Path(options.out)
+    out = new_file(options.out)
     found = read_tour(options.path, reach=options.reach, skip=options.skip)
     chosen = {name: getattr(options, name) for name in ("headings", "compare_images", "tolerance", "step", "name")}
     made = tour_scene(found, **chosen)
@@ -182,9 +605,9 @@ def _looks(values: np.ndarray, states: int) -> np.ndarray | None:
     return values[states:].reshape(-1, states, *values.shape[1:]) if len(values) > states else None
 
 
-def build(options: Any) -> None:
+def build(options: BuildOptions) -> None:
     """Build a synthetic room from its description."""
-    out = Path(options.out)
+    out = new_file(options.out)
     problems = build_room(
         options.description,
         out,
@@ -201,8 +624,11 @@ def build(options: Any) -> None:
     print("\n".join(["problems:", *(f"- {problem}" for problem in problems)] if problems else ["no problems found"]))
 
 
-def sample(options: Any) -> None:
+def sample(options: SampleOptions) -> None:
     """Furnish random rooms and build them into a collection, each with its description; those that are there stay."""
+    if options.kind != "all":
+        check_choice(options.kind, KINDS, "kind")
+    check_writable(options.out)
     folder, kinds = Path(options.out), [kind for kind in KINDS if options.kind in (kind, "all")]
     values = {field.name: getattr(options, field.name) for field in fields(RoomSettings)}
     values |= {"changes": Changes(**vars(options.changes)), "photo": PhotoCamera(**vars(options.photo))}
@@ -246,12 +672,13 @@ def sampled(entry: Entry) -> list[str]:
     ]
 
 
-def encode(options: Any) -> None:
+def encode(options: EncodeOptions) -> None:
     """Compute the features of a dump anew, from its stored views."""
-    out = Path(options.out)
-    scene = load_scenes(options.scene)[0]
+    out = new_file(options.out)
+    scene = one_scene(options.scene)
     encoder = chosen_encoder(options)
-    assert encoder is not None
+    if encoder is None:
+        raise SceneError("encoder=null: encode needs one")
     features, patches = encode_scene(scene, encoder)
     assert scene.views is not None
     replace_features(scene.views.path, out, features, encoder.attributes, patches, encoder.patch_attributes)
@@ -259,18 +686,18 @@ def encode(options: Any) -> None:
     print(f"{out}: {len(scene)} states, {of_each}\nextractor: {encoder.extractor}")
 
 
-def export(options: Any) -> None:
+def export(options: ExportOptions) -> None:
     """Write a scene in the layout of other navigation code."""
-    out = Path(options.out)
-    scene = load_scenes(options.scene)[0]
+    out = new_file(options.out)
+    scene = one_scene(options.scene)
     export_icra17(scene, out)
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
 
 
-def take_over(options: Any) -> None:
+def take_over(options: ImportOptions) -> None:
     """Take over a dump in the published layout."""
-    out = Path(options.out)
-    scene = load_scenes(options.scene)[0]
+    out = new_file(options.out)
+    scene = one_scene(options.scene)
     goals = scene.goals if options.goals is None else tuple(options.goals)
     scene = replace(scene, name=options.name or scene.name, source=options.source or scene.source, goals=goals)
     views = scene.views
@@ -279,9 +706,10 @@ def take_over(options: Any) -> None:
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
 
 
-def inspect(options: Any) -> None:
+def inspect(options: InspectOptions) -> None:
     """Look at a scene and check it."""
-    scene = load_scenes(options.scene)[0]
+    folder = None if options.out is None else new_file(options.out, ending="")
+    scene = one_scene(options.scene)
     stop = chosen_stop(options.recogniser, options.threshold, options.match)
     found = inspect_scene(scene, stop)
     print(
@@ -299,8 +727,8 @@ def inspect(options: Any) -> None:
             cells = ("-" if one is None else f"{one[index]:.4%}" for one in found.errors.values())
             print(f"| {found.thresholds[index]:.2f} |", *(f"{cell} |" for cell in cells))
     print("\n".join(["", "problems:" if found.problems else "no problems found", *(f"- {p}" for p in found.problems)]))
-    if options.out is not None:
-        draw_inspection(scene, found, Path(options.out), stop.threshold)
+    if folder is not None:
+        draw_inspection(scene, found, folder, stop.threshold)
 
 
 def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: float) -> None:
@@ -315,7 +743,14 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     print(f"\npictures: {folder}")
 
 
-def chosen_encoder(options: Any) -> ViewEncoder | None:
+def one_scene(name: str) -> Scene:
+    """The scene that an option names."""
+    if name == "all":
+        raise SceneError("scene=all: one scene at a time")
+    return load_scenes(name)[0]
+
+
+def chosen_encoder(options: Encoded) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names, as far as the command's other options describe it."""
     if options.encoder is None:
         return None
@@ -323,23 +758,23 @@ def chosen_encoder(options: Any) -> ViewEncoder | None:
     return load_encoder(options.encoder, options.device, **{name: getattr(options, name) for name in others})
 
 
-COMMANDS: dict[str, Callable[[Any], None]] = {
-    "thor": thor,
-    "vizdoom": vizdoom,
-    "miniworld": miniworld,
-    "simulator": simulator,
-    "photos": photos,
-    "recording": recording,
-    "tour": tour,
-    "build": build,
-    "sample": sample,
-    "encode": encode,
-    "export": export,
-    "import": take_over,
-    "inspect": inspect,
+COMMANDS: dict[type, Callable[[Any], None]] = {
+    ThorOptions: thor,
+    VizdoomOptions: vizdoom,
+    MiniworldOptions: miniworld,
+    SimulatorOptions: simulator,
+    PhotosOptions: photos,
+    RecordingOptions: recording,
+    TourOptions: tour,
+    BuildOptions: build,
+    SampleOptions: sample,
+    EncodeOptions: encode,
+    ExportOptions: export,
+    ImportOptions: take_over,
+    InspectOptions: inspect,
 }
-"""The function that does it, with its configuration."""
+"""What each command does, by the class of its options."""
 
 
 if __name__ == "__main__":
-    run_recipe("scenes", COMMANDS[command], command)
+    run(lambda: COMMANDS[type(options)](options))

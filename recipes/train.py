@@ -7,14 +7,14 @@
     python recipes/train.py -m experiment=fig8
     python recipes/train.py resume=runs/dirl_bathroom_02/2026-01-31_12-00-00
 
-All options: conf/train.yaml and the groups beside it. What a run needs besides its training is in `dirl.training.job`;
-progress, checkpoints and interrupts are in `dirl.training.loops`.
+Values of all options: conf/train.yaml and the groups beside it; what they mean: --help. What a run needs besides its
+training is in `dirl.training.job`; progress, checkpoints and interrupts are in `dirl.training.loops`.
 """
 
-from dirl.cli.start import run_main, start
+from dirl.cli.start import run, start
 
 if __name__ == "__main__":
-    start("train")  # answers help and refuses options, before the imports below take their time
+    start(__doc__)  # "loading ...", or help; the imports below take their time
 
 from typing import Any
 
@@ -22,7 +22,7 @@ import hydra
 import torch
 from omegaconf import DictConfig
 
-from dirl.config.places import CONF
+from dirl.config.folders import CONF
 from dirl.config.schemas import TrainConfig
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import caching, noisy
@@ -112,4 +112,4 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
 
 
 if __name__ == "__main__":
-    run_main(main)
+    run(main)

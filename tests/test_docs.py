@@ -21,7 +21,7 @@ from commands import ROOT, TINY
 from forks import empty_file, leave_empty, quick_hydra
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from dirl.config.places import VARIABLE
+from dirl.config.folders import VARIABLE
 from dirl.reporting import pictures
 
 DOCS = ROOT / "docs"

@@ -1,4 +1,4 @@
-"""Types and bounds of options, and the options of scenes.py that conf/ lists."""
+"""Types and bounds of options."""
 
 import math
 from typing import Annotated, Any, Literal
@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from dirl.config.bounds import Bounds
-from dirl.config.conf_schemas import SCHEMAS, TYPES
+from dirl.config.options import option_types
 from dirl.config.schemas import ConfigError, Device, TrainConfig
-from dirl.config.values import check_choice, check_value, misfit, option_types
+from dirl.config.values import check_choice, check_value, misfit
 
 Count = Annotated[int, Bounds(0, 9)]
 
@@ -75,12 +75,3 @@ def test_what_there_is_not_is_told_its_neighbour():
 def test_annotations_hold_the_bounds():
     assert option_types(TrainConfig)["reinforcement.gamma"] is float
     assert option_types(TrainConfig, bounds=True)["reinforcement.gamma"].__metadata__ == (Bounds(0, 1),)
-
-
-def test_options_of_scenes_are_those_of_conf():
-    options = option_types(SCHEMAS["sample"])
-    assert list(options)[:3] == ["kind", "seed", "count"]
-    assert (options["workers"], options["encoder"], options["out"]) == (int | None, str | None, str)
-    assert options["changes.position"] is float
-    named = {(recipe, name) for recipe, schema in SCHEMAS.items() for name in option_types(schema) if recipe != "train"}
-    assert set(TYPES) <= {name.split(".")[-1] for _, name in named} | {f"{recipe}.{name}" for recipe, name in named}

@@ -6,12 +6,10 @@ import sys
 import time
 
 from fork_server import Started as start_recipe
-from forks import ROOT, copies, keep_compositions, recipe_file
-from hydra import compose, initialize_config_dir
+from forks import copies, keep_compositions, recipe_file
 from rooms import grid_scene
 
-from dirl.cli.command_line import parsed, prepare, register
-from dirl.config.schemas import TrainConfig
+from dirl.cli.parsing import compose_training, parsed
 from dirl.config.values import typed
 from dirl.scenes import write_dump
 
@@ -65,7 +63,7 @@ def run_program(folder, name, *arguments):
         timeout=3600,
         check=False,
     )
-    return done.returncode, done.stdout, done.stderr
+    return done.returncode, done.stdout, done.stderr.removeprefix("loading ...\n")
 
 
 def room_file(folder, **options):
@@ -73,10 +71,6 @@ def room_file(folder, **options):
     file = folder / "room.h5"
     write_dump(file, grid_scene(goals=(0, 13), feature_width=32, **options))
     return file
-
-
-registered = functools.cache(register)
-"""Gives Hydra the types, once."""
 
 
 def train_config(*options):
@@ -92,7 +86,5 @@ def train_config(*options):
 @functools.cache
 def _composed(options):
     """What Hydra makes of options without a scene, which are often asked for again."""
-    registered()
     keep_compositions()
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return copies(compose("train", prepare(TrainConfig, options, ROOT / "conf")))
+    return copies(compose_training(options))

@@ -58,7 +58,7 @@ def _server(imported):
 def _serve(imported):
     if imported == "start":
         quick_hydra()
-        importlib.import_module("dirl.cli.start")
+        importlib.import_module("dirl.cli.help")
     else:
         warm_up("train", "evaluate", "report", "scenes", "benchmark")
         reading_in_process().start()

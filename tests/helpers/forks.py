@@ -93,7 +93,7 @@ class Child:
         texts = []
         for file in self.files:
             file.seek(0)
-            texts.append(file.read().decode(errors="replace"))
+            texts.append(file.read().decode(errors="replace").removeprefix("loading ...\n"))
             file.close()
         return texts
 
@@ -111,11 +111,11 @@ def quick_hydra():
     from hydra.core.utils import JobRuntime
     from omegaconf import open_dict
 
-    from dirl.cli import start
+    from dirl.cli import parsing
 
     yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     Hydra.get_mode = lambda *arguments, **named: None
-    start.register = functools.cache(start.register)
+    parsing.register = functools.cache(parsing.register)
     keep_compositions()
     compose, composed = ConfigLoaderImpl.load_configuration, {}
 
@@ -194,16 +194,12 @@ def keep_compositions():
 
 def compose_ahead(name, arguments):
     """Compose what a recipe will, so that forks find it kept; what is wrong with it the recipe tells."""
-    from hydra import compose, initialize_config_dir
+    from dirl.cli.parsing import compose_training
 
-    from dirl.cli.start import configuration, register
-
-    register()
-    conf = ROOT / "conf"
-    folder, _, config = configuration(name, arguments[0] if name == "scenes" and arguments else name).rpartition("/")
-    chosen = [argument for argument in arguments if (conf / argument.partition("=")[0]).is_dir()]
-    with suppress(Exception), initialize_config_dir(str(conf / folder), version_base="1.3"):
-        compose(config, chosen)
+    chosen = [argument for argument in arguments if (ROOT / "conf" / argument.partition("=")[0]).is_dir()]
+    if name == "train":
+        with suppress(Exception):
+            compose_training(chosen)
 
 
 def warm_up(*names):

@@ -1,15 +1,22 @@
 """Options as users mistype them, drawn from the schemas and the groups of ``conf/``; by a random number generator."""
 
+import importlib
 import types
 from enum import Enum
 from typing import get_args
 
 from forks import ROOT
 
-from dirl.config.conf_schemas import SCHEMAS
-from dirl.config.values import option_types
+from dirl.config.options import option_types
+from dirl.config.schemas import TrainConfig
 
 CONF = ROOT / "conf"
+
+RECIPES = {name: importlib.import_module(name) for name in ("evaluate", "report", "map", "go", "benchmark", "scenes")}
+
+SCHEMAS = {"train": TrainConfig} | RECIPES["scenes"].OPTIONS
+SCHEMAS |= {name: recipe.Options for name, recipe in RECIPES.items() if name != "scenes"}
+"""The options of every recipe, and of every command of ``recipes/scenes.py``."""
 
 NOT_FINITE = ("nan", "inf", "-inf", "1e400", "-1e400")
 NUMBERS = (*NOT_FINITE, "-1", "0", "1", "2", "0.5", "-0.0", "1e-320", "1e15", "9" * 19, "9" * 40, "01", "0x10", "1_0")
@@ -165,7 +172,7 @@ def _component(rng, recipe):
 
 
 def _choice(rng, recipe):
-    groups = {path.parent.name for path in CONF.glob("*/*.yaml")} - {"scenes", "evaluate", "report"}
+    groups = {path.parent.name for path in CONF.glob("*/*.yaml")}
     group = rng.choice(sorted(groups))
     known = sorted(path.stem for path in (CONF / group).glob("*.yaml"))
     return f"{group}={rng.choice([*known, *known, f'[{known[0]}]', *rng.sample(VALUES, 2)])}"

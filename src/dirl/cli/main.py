@@ -1,6 +1,6 @@
 """The command ``dirl``, which runs the recipes from wherever the package is installed.
 
-Nothing here imports torch, nor does `dirl.cli.start`: help, refused options and shell completion answer at once.
+Nothing here imports torch, nor does `dirl.cli.start`: help and shell completion answer at once.
 """
 
 import importlib.metadata
@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from dirl.config.places import CONF, HOME, RECIPES, VARIABLE
+from dirl.config.folders import HOME, RECIPES, VARIABLE
 
 OTHERS = {
     "copy": "copy a recipe into a file of your own: dirl copy train my_train.py",
@@ -48,10 +48,7 @@ def main() -> None:
     elif name == "copy":
         copy(arguments)
     elif name in RECIPES:
-        script = HOME / RECIPES[name][0]
-        sys.argv = [str(script), *arguments]
-        sys.path.insert(0, str(script.parent))  # as Python does for a script
-        runpy.run_path(str(script), run_name="__main__")
+        run(name, arguments)
     else:
         from dirl.config.values import check_choice
         from dirl.runs.errors import one_line_exits
@@ -60,32 +57,25 @@ def main() -> None:
             check_choice(f"command '{name}'", name, [*RECIPES, *OTHERS])
 
 
-def show(name: str, arguments: Sequence[str]) -> None:
-    """Let Hydra answer a shell that completes the options of a recipe."""
-    from dirl.cli.command_line import register
-    from dirl.cli.start import configuration, shown
-
-    register()
-    sys.argv[0] = "dirl"  # the command that Hydra's script completes
-    chosen, options = (arguments[0], arguments[1:]) if name == "scenes" else (name, arguments)
-    print(shown(configuration(name, chosen), options), end="")
+def run(name: str, arguments: Sequence[str]) -> None:
+    """Run a recipe as Python runs a script."""
+    script = HOME / RECIPES[name][0]
+    sys.argv = [str(script), *arguments]
+    sys.path.insert(0, str(script.parent))
+    runpy.run_path(str(script), run_name="__main__")
 
 
 def complete(arguments: Sequence[str]) -> None:
     """Install shell completion, or answer the shell that has it: commands first, then a command's options."""
-    line = os.environ.get("COMP_LINE", "")
-    before, *words = line.split(" ") if line else ["dirl"]
-    query = any(argument.startswith("query=") for argument in arguments)
-    if not query:
-        show("train", arguments)
+    before, *words = os.environ.get("COMP_LINE", "").split(" ")
+    if not any(argument.startswith("query=") for argument in arguments):
+        run("train", arguments)
     elif len(words) == 1:
         print(" ".join(name for name in [*RECIPES, *OTHERS] if name.startswith(words[0])))
-    elif words[0] == "scenes" and len(words) == 2:
-        print(" ".join(sorted(file.stem for file in (CONF / "scenes").glob(f"{words[1]}*.yaml"))))
     elif words and words[0] in RECIPES:
-        named = 2 if words[0] == "scenes" else 1
-        os.environ["COMP_LINE"] = " ".join([before, *words[named:]])
-        show(words[0], [*words[1:named], *arguments])
+        if words[0] == "train":
+            os.environ["COMP_LINE"] = " ".join([before, *words[1:]])  # as Hydra's script of one command has it
+        run(words[0], arguments)
 
 
 def versions() -> None:

@@ -8,7 +8,7 @@ import yaml  # PyYAML comes with OmegaConf
 from omegaconf import OmegaConf
 
 from dirl.config.components import TARGET, make
-from dirl.config.places import CONF
+from dirl.config.folders import CONF
 from dirl.config.saved import MAX_CHARACTERS, plain_mapping
 from dirl.config.schemas import ConfigError
 from dirl.config.values import leaves

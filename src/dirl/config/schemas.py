@@ -1,12 +1,11 @@
-"""The options with their types and bounds; the values are in ``conf/``. The package else takes plain arguments."""
+"""The options of a training, with types, bounds and meanings; the values are in ``conf/``."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any
 
-from omegaconf import MISSING
-
 from dirl.config.bounds import Bounds
+from dirl.config.options import option
 
 Device = StrEnum("Device", ["cpu", "cuda"])
 Axes = StrEnum("Axes", ["features", "principal"])
@@ -48,11 +47,11 @@ class ConfigError(ValueError):
 class Schedule:
     """A coefficient that changes linearly from the first frame to the last; constant if both are equal."""
 
-    start: float = MISSING
-    end: float = MISSING
+    start: float = option("at the first frame")
+    end: float = option("at the last")
 
     def __call__(self, left: float) -> float:
-        """The value when a fraction ``left`` of the training, 1 to 0, remains."""
+        """Return the value when a fraction ``left`` of the training, 1 to 0, remains."""
         return self.end + (self.start - self.end) * left
 
 
@@ -60,147 +59,193 @@ class Schedule:
 class Weight(Schedule):
     """A schedule that is never negative."""
 
-    start: NotNegative = MISSING
-    end: NotNegative = MISSING
+    start: NotNegative = option("at the first frame")
+    end: NotNegative = option("at the last")
 
 
 @dataclass
 class NetworkConfig:
     """How the network sees features."""
 
-    standardise: bool = MISSING
-    cache: Cache = MISSING
-    axes: Axes = MISSING
-    components: Annotated[int, Bounds(1, 65_536)] | None = None
+    standardise: bool = option("each feature to mean 0 and deviation 1 over the states of the world")
+    cache: Cache = option(
+        "auto: embed each distinct observation once, if the encoder offers embed and fuse | off, then axes=features too"
+    )
+    axes: Axes = option(
+        "principal: learn the embedding in the span of the observations, far fewer operations | features"
+    )
+    components: Annotated[int, Bounds(1, 65_536)] | None = option(
+        "principal components of a view's features, scaled to deviation 1, that are read; null = features", None
+    )
 
 
 @dataclass
 class ImitationConfig:
     """Behaviour cloning."""
 
-    fraction: Fraction = MISSING
-    rule: Rule = MISSING
-    lr: NotNegative = MISSING
-    max_steps: Positive = MISSING
-    loss_threshold: NotNegative = MISSING
-    bc_coef: Weight = field(default_factory=Weight)
-    batch_size: Positive | None = None
-    sampled: bool = False
-    goals: str | None = None
-    scenes_at_once: Positive | None = None
-    front_only: Fraction = 0.0
-    noise: Annotated[float, Bounds(0, 100)] = 0.0
-    lr_decay: bool = False
-    rounds: Annotated[int, Bounds(0)] = MISSING
-    walk_steps: Positive = MISSING
+    fraction: Fraction = option("fraction of the states that the expert demonstrates, for every goal")
+    rule: Rule = option("random | interval (every k-th state id, as the paper says) | interval_pos (whole places)")
+    lr: NotNegative = option("Adam's")
+    max_steps: Positive = option("at most so many optimiser steps")
+    loss_threshold: NotNegative = option("stop below this loss")
+    bc_coef: Weight = option("weight of the imitation loss during reinforcement; 0 = only before it", Weight)
+    batch_size: Positive | None = option(
+        "demonstrations sampled for each step; null = all of them, or 512 where there are more than 20,000", None
+    )
+    sampled: bool = option(
+        "false: a table of what the expert shows | true: pairs of a state and a goal, sampled for each step", False
+    )
+    goals: str | None = option(
+        "of sampled pairs: all | every:4 | fraction:0.75, less what is held out; null = the run's", None
+    )
+    scenes_at_once: Positive | None = option(
+        "number of scenes, sampled for each step, that its pairs come from; null = all", None
+    )
+    front_only: Fraction = option(
+        "fraction of sampled pairs whose goal is given by its front view alone (single-view goals)", 0.0
+    )
+    noise: Annotated[float, Bounds(0, 100)] = option(
+        "deviation of the Gaussian noise on the views that are learned from", 0.0
+    )
+    lr_decay: bool = option("true: the learning rate falls linearly to zero", False)
+    rounds: Annotated[int, Bounds(0)] = option(
+        "of DAgger: the learner walks, the expert labels the states it visits, and all labels are cloned"
+    )
+    walk_steps: Positive = option("steps of every agent in a round")
 
 
 @dataclass
 class ReinforcementConfig:
     """Actor-critic training."""
 
-    frames_per_scene: Frames = MISSING
-    until: Until = Until.frames
-    agents_per_scene: Agents = MISSING
-    workers: Annotated[int, Bounds(1, 1024)] = MISSING
-    n_steps: Agents = MISSING
-    max_steps: Positive = MISSING
-    epochs: Positive = MISSING
-    minibatches: Positive = MISSING
-    gamma: Fraction = MISSING
-    lmbda: Fraction = MISSING
-    entropy_coef: Schedule = field(default_factory=Schedule)
-    critic_coef: float = MISSING
-    reduction: Reduction = MISSING
-    max_grad_norm: NotNegative = MISSING
-    clip_per_variable: bool = MISSING
+    frames_per_scene: Frames = option()
+    until: Until = option(
+        "frames: all of frames_per_scene | stable: end when an evaluation finds every goal stable (bathroom_02: a "
+        "fifth of the frames, greedy SR .97 to 1, SPL .87 to .94 instead of .99)",
+        Until.frames,
+    )
+    agents_per_scene: Agents = option("in one batch")
+    workers: Annotated[int, Bounds(1, 1024)] = option(
+        "1: rollouts and updates alternate | more: processes that update shared weights without a lock"
+    )
+    n_steps: Agents = option("of every agent between two updates (the paper's t_max)")
+    max_steps: Positive = option("an episode is truncated here (and bootstrapped; not a failure)")
+    epochs: Positive = option("passes over each rollout")
+    minibatches: Positive = option("updates per pass")
+    gamma: Fraction = option("discount of a reward one step later")
+    lmbda: Fraction = option("of generalised advantage estimation; 1 = the paper's n-step return")
+    entropy_coef: Schedule = option("weight of the entropy bonus", Schedule)
+    critic_coef: float = option("weight of the squared error of the value")
+    reduction: Reduction = option("mean | sum: of the losses over the frames of an update")
+    max_grad_norm: NotNegative = option("larger gradients are scaled down to this norm")
+    clip_per_variable: bool = option("false: the norm of all variables together | true: of each variable")
 
 
 @dataclass
 class RewardConfig:
-    """The reward of a step."""
+    """The reward of a step (paper section 4.2)."""
 
-    goal: Reward = MISSING
-    step: Reward = MISSING
-    collision: Reward = MISSING
-    scale: Reward = MISSING
+    goal: Reward = option("stopped at the goal")
+    step: Reward = option("any other step")
+    collision: Reward = option("a blocked move, instead of step")
+    scale: Reward = option("the reward is multiplied by this for learning")
 
 
 @dataclass
 class StopConfig:
     """What decides that the goal has been reached."""
 
-    training: Stop = MISSING
-    evaluation: Stop = MISSING
-    threshold: Correlation = MISSING
-    match: Match = MISSING
+    training: Stop = option("goal: the environment stops the agent at the goal | match: template matching does")
+    evaluation: Stop = option("the same for evaluation")
+    threshold: Correlation = option("match above this correlation (paper section 3.4)")
+    match: Match = option("views: all four | front: only the view ahead")
 
 
 @dataclass
 class EvaluationConfig:
     """How a policy is evaluated."""
 
-    goals: Positive | None = None
-    starts: Starts = MISSING
-    episodes_per_goal: Episodes = MISSING
-    max_steps: Episodes = MISSING
-    times: Annotated[int, Bounds(0, 10**6)] = MISSING
-    live_episodes: Positive = 100
+    goals: Positive | None = option("number of goals of each scene, sampled with the seed; null = all", None)
+    starts: Starts = option("every: each state that reaches the goal (exact) | sampled: random states")
+    episodes_per_goal: Episodes = option("how many starts are sampled (sampled only)")
+    max_steps: Episodes = option("after so many steps an episode has failed")
+    times: Annotated[int, Bounds(0, 10**6)] = option("evaluations during training, evenly spaced (greedy policy)")
+    live_episodes: Positive = option("of each evaluation in the simulator, evenly over goals (env=live only)", 100)
 
 
 @dataclass
 class CheckpointConfig:
     """When the state of a run is saved."""
 
-    every_seconds: NotNegative = MISSING
-    keep: Positive = MISSING
+    every_seconds: NotNegative = option("seconds between two checkpoints")
+    keep: Positive = option("number of checkpoints that are kept")
 
 
 @dataclass
 class LoggerConfig:
     """Where metrics are sent besides the CSV files of the run folder."""
 
-    name: LoggerName = MISSING
-    project: str = MISSING
-    group: str | None = None
-    tags: list[str] = field(default_factory=list)
+    name: LoggerName = option("csv (the files that every run writes, nothing else) | tensorboard | wandb")
+    project: str = option("only Weights & Biases has projects")
+    group: str | None = option("of runs that belong together; null = the parent of the run's folder", None)
+    tags: list[str] = option("tags besides system, preset and scenes", [])
 
 
 @dataclass
 class TrainConfig:
     """Everything ``recipes/train.py`` takes."""
 
-    scene: Any = None
-    split: Split | None = None
-    rooms: Positive | None = None
-    goals: Any = None
-    hold_out: HeldOut = 0.0
-    seed: Seed = MISSING
-    device: Device = MISSING
-    precision: Precision = MISSING
-    init: str | None = None
-    resume: str | None = None
-    existing: Existing = MISSING
-    trust: list[str] | None = None
-    system: str = MISSING
-    preset: str = MISSING
-    observation: Any = MISSING
-    encoder: Any = MISSING
-    memory: Any = MISSING
-    heads: Any = MISSING
-    policy: Any = MISSING
+    scene: Any = option(
+        "a name, a list of names, all (the paper's four), the path of a dump (.h5), or collection:<folder> (scenes.py "
+        "sample)",
+        None,
+    )
+    split: Split | None = option("of a collection: train | validation | test; null = all its rooms", None)
+    rooms: Positive | None = option("of a collection: the number of rooms, the first ones; null = all", None)
+    goals: Any = option(
+        "goal states: [26,37] for one scene, {bathroom_02: [26]} for several; null = those of the scene; or a rule, "
+        "alone or by scene: all | every:4 (every 4th state) | fraction:0.75 (of the places, sampled)",
+        None,
+    )
+    hold_out: HeldOut = option(
+        "fraction of the places, sampled with the seed, that are never goals in training and are evaluated separately; "
+        "0 = none",
+        0.0,
+    )
+    seed: Seed = option("determines everything: weights, demonstrations, starts, actions")
+    device: Device = option("cpu | cuda")
+    precision: Precision = option("float32 | bfloat16: of the matrix products in reinforcement learning")
+    init: str | None = option(
+        "weights to begin with: a run's folder or .pt file, or the agent of the package, general", None
+    )
+    resume: str | None = option(
+        "the folder of a stopped run, which continues to the same result; allows no other option but trust", None
+    )
+    existing: Existing = option(
+        "refuse | keep: if the folder holds this run already, an error | leave a finished run, resume an unfinished one"
+    )
+    trust: list[str] | None = option(
+        "packages whose classes may be used besides dirl's: null = any, but none for resume; e.g. [my_package]", None
+    )
+    system: str = option()
+    preset: str = option("fast | paper: which constants")
+    observation: Any = option()
+    encoder: Any = option()
+    memory: Any = option()
+    heads: Any = option()
+    policy: Any = option()
     episodic_memory: Any = field(default_factory=lambda: {"_target_": None})
     recogniser: Any = field(default_factory=lambda: {"_target_": "dirl.perception.recognition.NCC"})
-    expert: Any = MISSING
-    losses: Any = MISSING
-    optimiser: Any = MISSING
+    expert: Any = option()
+    losses: Any = option()
+    optimiser: Any = option()
     source: Any = field(default_factory=lambda: {"_target_": "dirl.scenes.catalogue.Rooms"})
     env: Any = field(default_factory=lambda: {"_target_": "dirl.envs.NavigationEnv"})
-    network: NetworkConfig = field(default_factory=NetworkConfig)
-    imitation: ImitationConfig = field(default_factory=ImitationConfig)
-    reinforcement: ReinforcementConfig = field(default_factory=ReinforcementConfig)
-    reward: RewardConfig = field(default_factory=RewardConfig)
-    stop: StopConfig = field(default_factory=StopConfig)
-    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
-    logger: LoggerConfig = field(default_factory=LoggerConfig)
+    network: NetworkConfig = option("", NetworkConfig)
+    imitation: ImitationConfig = option("", ImitationConfig)
+    reinforcement: ReinforcementConfig = option("", ReinforcementConfig)
+    reward: RewardConfig = option("", RewardConfig)
+    stop: StopConfig = option("", StopConfig)
+    evaluation: EvaluationConfig = option("", EvaluationConfig)
+    checkpoint: CheckpointConfig = option("", CheckpointConfig)
+    logger: LoggerConfig = option("", LoggerConfig)

@@ -3,27 +3,17 @@
 import difflib
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import is_dataclass
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config.bounds import Bounds
+from dirl.config.options import option_types
 from dirl.config.schemas import ConfigError
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
-
-
-def option_types(schema: type, prefix: str = "", *, bounds: bool = False) -> dict[str, Any]:
-    """The types of all options of a configuration, by their dotted names; with ``bounds`` as they are annotated."""
-    found: dict[str, Any] = {}
-    for name, kind in get_type_hints(schema, include_extras=bounds).items():
-        found[prefix + name] = kind
-        if is_dataclass(kind):
-            found |= option_types(kind, f"{prefix}{name}.", bounds=bounds)  # type: ignore[arg-type]
-    return found
 
 
 def typed(config: DictConfig) -> Any:

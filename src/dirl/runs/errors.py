@@ -14,8 +14,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
-from hydra.errors import HydraException
-
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 MEMORY, FILES, PIPE = 71, 74, 128 + 13
 """Exit statuses; the first two as in ``sysexits.h``."""
@@ -67,7 +65,7 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
     try:
         with _signals(_raising()):
             yield
-    except (ValueError, HydraException) as error:
+    except ValueError as error:
         if folder is not None:
             with contextlib.suppress(OSError):
                 os.removedirs(folder)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dirl.config.components import packages_to_trust
-from dirl.config.places import command
+from dirl.config.folders import command
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig
 from dirl.config.values import leaves, plain

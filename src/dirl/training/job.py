@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from torch import nn
 
 from dirl.config.components import check_components, packages_to_trust
-from dirl.config.places import command
+from dirl.config.folders import command
 from dirl.config.schemas import Device, TrainConfig
 from dirl.config.values import typed
 from dirl.evaluation.protocol import EvaluationProtocol, assess, mean_shortest
@@ -94,7 +94,7 @@ def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
 
 def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool) -> dict[str, Any]:
     """Build the components before anything is written; then run the stages."""
-    # Beside that of `run_main`, outside of Hydra: before it Hydra would say something of its own about an error.
+    # Beside that of `dirl.cli.start.run`, outside of Hydra: before it Hydra would say something of its own about an error.
     with one_line_exits(folder=folder) if alone else nullcontext():
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dirl.cli.refusals import new_file
+from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from dirl.config.places import CONF, HOME, VARIABLE, command
+from dirl.config.folders import CONF, HOME, VARIABLE, command
 
 
 def test_the_repository_holds_recipes_and_configuration():

@@ -1,0 +1,33 @@
+"""Files and folders that a command is to write: refused before its work where they cannot be."""
+
+import os
+import tempfile
+from pathlib import Path
+
+from dirl.config.schemas import ConfigError
+
+
+def new_file(name: str, ending: str = ".h5") -> Path:
+    """Return where to write.
+
+    Raises:
+        ConfigError: it has another ending, is there already, or nothing can be written there.
+    """
+    path = Path(name)
+    if ending and path.suffix != ending:
+        raise ConfigError(f"out={name}: the name must end in {ending}")
+    if os.path.exists(name):  # of a name that is too long a Path would raise
+        raise ConfigError(f"out={name}: this file exists already; it is not overwritten")
+    check_writable(name)
+    return path
+
+
+def check_writable(name: str) -> None:
+    """Raise `ConfigError` for what cannot be made, and for a folder in which nothing can be."""
+    path = Path(name).absolute()
+    try:
+        above = path if path.is_dir() else next(folder for folder in path.parents if folder.exists())
+        with tempfile.TemporaryFile(dir=above):
+            pass
+    except OSError as error:
+        raise ConfigError(f"out={name}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,175 @@
+"""Command lines of ``name=value``, read by Hydra's grammar; errors of Hydra and OmegaConf in one line."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import is_dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from hydra import compose, initialize_config_dir
+from hydra._internal.utils import get_args_parser
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep, Override, QuotedString, Sweep
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from dirl.config.components import GROUPS
+from dirl.config.folders import CONF
+from dirl.config.options import meanings, option_types
+from dirl.config.schemas import ConfigError, Schedule, TrainConfig, Weight
+from dirl.config.values import check_choice, typed
+
+EXTRAS = {"joblib": "sweeps", "optuna": "optuna", "ray": "ray", "submitit_local": "slurm", "submitit_slurm": "slurm"}
+"""Of dirl, by the launcher or sweeper of Hydra that they bring."""
+
+
+def register() -> None:
+    """Give Hydra the types of a training's options, and the resolver that names a run's folder."""
+    ConfigStore.instance().store("train_schema", TrainConfig)
+    OmegaConf.register_new_resolver("run_folder", _run_folder, replace=True)
+
+
+def _run_folder(resume: str | None, system: str, scene: Any, time: str) -> str:
+    """Return the folder to resume, or ``runs/dirl_bathroom_02/<time>`` (several scenes joined by +, files by stems)."""
+    scenes = list(map(str, scene)) if OmegaConf.is_list(scene) else [str(scene or "nowhere")]
+    return resume or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """Within this context an error of Hydra or OmegaConf is a `ConfigError` of one line: what it says, and its cause.
+
+    Where they looked, and where to read on, is left out.
+    """
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        said = [str(one) for one in (error, error.__cause__) if one is not None]
+        ends = r"\n\s*(?:full_key|object_type|Config search path|See https|Set the env)|\s*\nDid you mean"
+        text = ": ".join(" ".join(re.split(ends, one)[0].split()) for one in said).removeprefix(
+            "Error merging override "
+        )
+        for plugin in set(re.findall(r"'hydra/(?:launcher|sweeper)/(\w+)'", text)) & set(EXTRAS):
+            text = f"Hydra's {plugin} is not installed: pip install 'dirl[{EXTRAS[plugin]}]'"
+        raise ConfigError(text) from None
+
+
+def parse(schema: type, arguments: Sequence[str]) -> Any:
+    """Return the dataclass of a recipe's options, or of a command's of ``recipes/scenes.py``.
+
+    Raises:
+        ConfigError: there is no such option, its value is of another type or out of bounds, or one is missing.
+    """
+    with one_line_errors():
+        config = OmegaConf.structured(schema)
+        known = option_types(schema)
+        for text in arguments:
+            override = parsed(text)
+            name = override.key_or_group
+            check_option(name, known)
+            if override.is_delete() or override.is_sweep_override():
+                raise ConfigError(f"{text}: must be one value; a list is written as '{name}=[a,b]'")
+            if is_dataclass(known[name]):
+                raise ConfigError(f"{text}: {name} is a group of options; choose one of it, {name}.<option>=...")
+            with _told_of(text):
+                OmegaConf.update(config, name, override.value())
+        for name in map(str, config):
+            if OmegaConf.is_missing(config, name):
+                raise ConfigError(f"{name} must be given: {meanings(schema)[name]}")
+        return typed(config)
+
+
+@contextmanager
+def _told_of(text: str) -> Iterator[None]:
+    """Within this context an error names the argument."""
+    try:
+        yield
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{text}: {str(error).splitlines()[0]}") from None
+
+
+def parsed(text: str) -> Override:
+    """Return an argument ``name=value`` as Hydra understands it.
+
+    Raises:
+        ConfigError: it has another form.
+    """
+    if not re.match(r"~|[^=]+=", text):
+        raise ConfigError(f"{text or 'an empty text'}: is not of the form name=value")
+    try:
+        return OverridesParser.create().parse_override(text)
+    except HydraException as error:
+        place = str(error).splitlines()[0].partition(" expecting ")[0]
+        raise ConfigError(
+            f"{text}: is not of the form name=value ({place}); quote a text with such signs: 'name=\"...\"'"
+        ) from None
+
+
+def check_option(name: str, known: Mapping[str, Any]) -> None:
+    """Raise `ConfigError` unless there is such an option; the last part of its name may be that of another group."""
+    near = [other for other in known if other.rpartition(".")[2] == name.rpartition(".")[2]]
+    if near and name not in known:
+        raise ConfigError(f"there is no option '{name}'; did you mean {' or '.join(near)}?")
+    check_choice(f"option '{name}'", name, known)
+
+
+def check_flags(arguments: Sequence[str]) -> None:
+    """Raise `ConfigError` unless Hydra knows all flags of a training; itself it would print several lines."""
+
+    def refuse(message: str) -> NoReturn:
+        raise ConfigError(f"{message}; flags come before options: --hydra-help tells them")
+
+    parser = get_args_parser()
+    parser.error = refuse  # type: ignore[method-assign]
+    parser.parse_args(list(arguments))
+
+
+def prepare(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments of a training as Hydra takes them.
+
+    Options of components get the ``++`` by which Hydra takes what the class has and its YAML does not list; they are
+    checked against the constructor of the class (`dirl.config.components`). A number given for a schedule is constant.
+
+    Raises:
+        ConfigError: an argument has another form, or there is no such option.
+    """
+    known = option_types(TrainConfig)
+    prepared, skip = [], False
+    for text in arguments:
+        if skip or text.startswith("-"):  # flags, and the folder that follows one
+            prepared.append(text)
+            skip = text in ("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--cfg", "-c")
+            continue
+        override = parsed(text)
+        name = override.key_or_group
+        group = re.split(r"[/.]", name)[0]
+        if group == "hydra" or "@" in text.partition("=")[0] or (CONF / name).is_dir():
+            prepared.append(text)
+        elif "." in name and group in GROUPS:
+            prepared.append(text if text.startswith(("+", "~")) else f"++{text}")
+        else:
+            check_option(name, known)
+            prepared.append(_constant(name, override) if known[name] in (Schedule, Weight) else text)
+    return prepared
+
+
+def _constant(name: str, override: Override) -> str:
+    """Return a number given for a schedule as a constant schedule; any other argument unchanged."""
+    value = None if override.is_delete() else override.value()
+    values = value.list if isinstance(value, ChoiceSweep) else [value]
+    plain = [one.text if isinstance(one, QuotedString) else one for one in values]
+    if isinstance(value, Sweep) and not isinstance(value, ChoiceSweep):
+        return str(override.input_line)
+    if any(not isinstance(one, int | float) or isinstance(one, bool) for one in plain):
+        return str(override.input_line)
+    return f"{name}=" + ",".join(f"{{start:{one},end:{one}}}" for one in plain)
+
+
+def compose_training(arguments: Sequence[str], **kwargs: Any) -> DictConfig:
+    """Return what Hydra makes of a training's arguments, without flags; ``kwargs`` are those of ``hydra.compose``."""
+    register()
+    with one_line_errors(), initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("train", prepare(arguments), **kwargs)
