@@ -94,7 +94,7 @@ def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
 
 def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool) -> dict[str, Any]:
     """Build the components before anything is written; then run the stages."""
-    # Beside that of `dirl.cli.start.run`, outside of Hydra: before it Hydra would say something of its own about an error.
+    # Hydra would say something of its own about an error before `dirl.cli.start.run` does.
     with one_line_exits(folder=folder) if alone else nullcontext():
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
