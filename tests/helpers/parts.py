@@ -51,7 +51,6 @@ def train_in(folder, parts):
         if len(parts.demos):
             imitate(run, parts.policy, parts.demos)
         result = reinforce(run, state, parts.protocol)
-    parts.policy.restore()
     run.finish({"frames": result["frames"], "network": plain_weights(parts.policy)}, {})
     return result
 

@@ -54,7 +54,7 @@ def test_torchrls_operators_compute_what_the_network_computes(policy, cached):
         torch.testing.assert_close(out[key], expected[key])
     chosen = expected["logits"].log_softmax(-1).gather(-1, out["action"].unsqueeze(-1)).squeeze(-1)
     torch.testing.assert_close(out["action_log_prob"], chosen)
-    assert len(calls) == 1
+    assert len(calls) == 2  # once for observations, once for goals
 
 
 @pytest.mark.parametrize("cached", [False, True])
@@ -89,26 +89,29 @@ def test_shared_heads_are_one_scenes_heads():
 def test_frozen_parameters_are_not_counted(policy):
     before = count_parameters(policy)
     policy.encoder.fusion.weight.requires_grad_(False)
-    assert count_parameters(policy) == before - 2 * WIDTH * WIDTH
+    assert count_parameters(policy) == before - WIDTH * WIDTH
 
 
 def test_weights_and_biases_start_within_one_over_the_root_of_fan_in():
     made = make_policy(torch.zeros(1, 64), SCENES, width=64)
     layers = [module for module in made.modules() if isinstance(module, nn.Linear)]
-    assert len(layers) == 2 + 3 * len(SCENES)
-    for layer in layers:
-        bound = 1 / math.sqrt(layer.in_features)
-        for values in (layer.weight, layer.bias):
-            assert values.abs().max() <= bound
-        assert layer.weight.abs().max() > 0.9 * bound
-    biases = torch.cat([layer.bias * math.sqrt(layer.in_features) for layer in layers])
+    assert len(layers) == 3 + 3 * len(SCENES)
+    fan_in = {layer: layer.in_features for layer in layers}
+    for half in (made.encoder.fusion, made.encoder.goal_fusion):
+        fan_in[half] *= 2
+    biases = []
+    for layer, inputs in fan_in.items():
+        bound = 1 / math.sqrt(inputs)
+        assert 0.9 * bound < layer.weight.abs().max() <= bound
+        biases += [] if layer.bias is None else [layer.bias / bound]
+    biases = torch.cat(biases)
+    assert biases.abs().max() <= 1
     assert biases.abs().max() > 0.9
 
 
-@pytest.mark.parametrize("principal", [False, True])
-def test_its_plain_weights_are_those_without_what_makes_it_fast(policy, principal):
+def test_its_plain_weights_are_those_without_what_makes_it_fast(policy):
     expected = {name: value.clone() for name, value in policy.state_dict().items()}
-    policy.cache(SURROUNDING, principal=principal)
+    policy.cache(SURROUNDING)
     found = plain_weights(policy)
     assert found.keys() == expected.keys()
     torch.testing.assert_close(found, expected)

@@ -1,8 +1,8 @@
 import pytest
 import torch
-from networks import SCENES, batch_of, make_policy, seen, standardised_policy
+from networks import FEATURES, SCENES, SURROUNDING, batch_of, make_policy, seen, standardised_policy
 
-from dirl.models import FeatureTable, feature_statistics, whitening
+from dirl.models import FeatureTable, ObservationTable, feature_statistics, whitening
 
 
 def test_features_are_standardised_dimension_by_dimension():
@@ -67,3 +67,44 @@ def test_many_states_are_standardised_in_blocks_and_sampled_for_their_components
     monkeypatch.setattr("dirl.models.features.SAMPLED", 17)
     monkeypatch.setattr("dirl.models.features.ROWS_AT_ONCE", 7)
     torch.testing.assert_close(FeatureTable(pooled, *whitening(pooled, 2), patches=patches).table, whole)
+
+
+FEW = torch.tensor([[0, 1, 2, 0], [1, 2, 0, 1], [2, 0, 1, 2]])
+"""What surrounds each of three states."""
+
+
+def rotated(surrounding, states=3):
+    features = torch.randn(states, FEATURES, generator=torch.Generator().manual_seed(2))
+    return ObservationTable(features, *feature_statistics(features), None, surrounding, 4)
+
+
+@pytest.mark.parametrize(("surrounding", "states", "columns"), [(FEW, 3, 2), (None, 3, 2), (SURROUNDING, 30, 28)])
+def test_observations_have_no_more_coordinates_than_they_span(surrounding, states, columns):
+    # Standardised, three states span two dimensions; 30 states span all 4 x 7 of their observations.
+    assert rotated(surrounding, states).width == columns
+
+
+@pytest.mark.parametrize("surrounding", [FEW, None], ids=["surrounding", "sequential"])
+def test_a_layer_does_the_same_to_coordinates_as_to_features(surrounding):
+    table, weight = rotated(surrounding), torch.randn(5, 4 * FEATURES)
+    views = FEW if surrounding is not None else FEW.flip(0).roll(1, 1)
+    features, coordinates = table.table[views].flatten(1), table(views).flatten(1)
+    torch.testing.assert_close(coordinates @ table.narrow(weight).T, features @ weight.T)
+    narrow = torch.randn(5, coordinates.shape[1])
+    torch.testing.assert_close(features @ table.widen(narrow).T, coordinates @ narrow.T)
+    torch.testing.assert_close(table.narrow(table.widen(narrow)), narrow)
+
+
+def test_a_view_that_is_not_shown_is_zero_in_coordinates_too():
+    hidden = torch.where(torch.arange(4) == 3, 3, FEW)
+    table, weight = rotated(hidden), torch.randn(5, 4 * FEATURES)
+    torch.testing.assert_close(
+        table(hidden).flatten(1) @ table.narrow(weight).T, table.table[hidden].flatten(1) @ weight.T
+    )
+
+
+def test_a_training_goes_on_in_the_axes_that_it_began_in():
+    table, other = rotated(FEW), rotated(FEW)
+    other.coordinates.neg_()  # as another machine might find them
+    other.load_state_dict(table.state_dict())
+    assert torch.equal(other(FEW), table(FEW))

@@ -18,16 +18,16 @@ def observations(*shape):
 
 def test_four_views_are_embedded_together_and_both_embeddings_fused():
     made, (observation, goal_observation) = encoder(), observations(9)
-    rows = []
+    rows, fusion = [], torch.cat([made.fusion.weight, made.goal_fusion.weight], 1)
     for views, goal_views in zip(observation, goal_observation, strict=True):
         both = [(made.embedding.weight @ torch.cat(list(four)) + made.embedding.bias) for four in (views, goal_views)]
-        rows.append((made.fusion.weight @ torch.cat(both).relu() + made.fusion.bias).relu())
+        rows.append((fusion @ torch.cat(both).relu() + made.fusion.bias).relu())
     torch.testing.assert_close(made(observation, goal_observation), torch.stack(rows))
 
 
 def test_it_fuses_what_it_embeds():
     made, (observation, goal_observation) = encoder(), observations(9)
-    fused = made.fuse(made.embed(observation), made.embed(goal_observation))
+    fused = made.fuse(made.embed(observation), made.embed_goal(goal_observation))
     torch.testing.assert_close(made(observation, goal_observation), fused)
 
 
@@ -35,10 +35,12 @@ def test_observation_and_goal_are_embedded_by_the_same_weights():
     made, (observation, goal_observation) = encoder(), observations(9)
     swapped = copy.deepcopy(made)
     with torch.no_grad():
-        swapped.fusion.weight.copy_(made.fusion.weight.roll(WIDTH, 1))
+        swapped.fusion.weight.copy_(made.goal_fusion.weight)
+        swapped.goal_fusion.weight.copy_(made.fusion.weight)
     torch.testing.assert_close(swapped(goal_observation, observation), made(observation, goal_observation))
     assert [name for name, _ in swapped.named_parameters()] == [
-        "embedding.weight", "embedding.bias", "fusion.weight", "fusion.bias"
+        "embedding.weight", "embedding.bias", "fusion.weight", "fusion.bias",
+        "goal_fusion.weight",
     ]  # fmt: skip
 
 
@@ -49,6 +51,8 @@ def test_any_dimensions_may_lead():
     torch.testing.assert_close(fused.flatten(0, 1), made(*both.flatten(1, 2)))
 
 
-def test_its_layers_are_two():
+def test_its_layers_are_two_the_second_in_halves():
     layers = [module for module in encoder().modules() if isinstance(module, nn.Linear)]
-    assert [(layer.in_features, layer.out_features) for layer in layers] == [(4 * FEATURES, WIDTH), (2 * WIDTH, WIDTH)]
+    assert [(layer.in_features, layer.out_features) for layer in layers] == [
+        (4 * FEATURES, WIDTH), (WIDTH, WIDTH), (WIDTH, WIDTH)
+    ]  # fmt: skip

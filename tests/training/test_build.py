@@ -11,9 +11,8 @@ from rooms import grid_scene
 from torch import nn
 
 from dirl.config.schemas import ConfigError
-from dirl.models import FeatureTable, plain_weights, recurrent_keys
+from dirl.models import FeatureTable, ObservationTable, plain_weights, recurrent_keys
 from dirl.models.build import build_policy
-from dirl.models.fast.siamese import CachedSiamese
 from dirl.models.weights import load_weights
 from dirl.scenes import SceneError, write_dump
 from dirl.training.build import build_env, build_goals, build_world
@@ -93,8 +92,7 @@ def test_principal_axes_are_used_where_there_are_no_more_states_than_features(
     policy = make_parts(
         f"scene={tmp_path / 'room.h5'}", *SMALL, f"network.axes={axes}", f"observation={observation}"
     ).policy
-    assert type(policy.cached) is CachedSiamese
-    assert (policy.cached.axes is not None) == principal
+    assert isinstance(policy.features, ObservationTable) == principal
     assert (policy.cached.surrounding is not None) == (observation == "surrounding")
 
 

@@ -9,8 +9,7 @@ from torchrl.envs import Compose, StepCounter, TransformedEnv
 from torchrl.modules import ProbabilisticActor
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
-from dirl.models import heads
-from dirl.models.fast import caching
+from dirl.models import distinct, heads
 from dirl.scenes import make_world
 from dirl.training.rollout import INTERMEDIATE, collect
 
@@ -128,14 +127,14 @@ class Questions(TorchDispatchMode):
 
 def cached_policy(world):
     policy = make_policy(world.features, world.names, width=8)
-    policy.cache(world.surrounding, principal=True)
+    policy.cache(world.surrounding)
     return policy
 
 
 def test_a_rollout_makes_no_host_device_synchronisation(world, monkeypatch):
     """A GPU would have to finish its work before it answers; what an agent does is decided without."""
-    for module in (heads, caching):
-        monkeypatch.setattr(module, "avoid_host_sync", lambda tensor: True)
+    for module in (heads, distinct):
+        monkeypatch.setattr(module, "reading_waits", lambda tensor: True)
     env, policy = make_env(world), cached_policy(world)
     operator = policy.operator()
     with policy.cached.caching():
@@ -159,6 +158,6 @@ def test_what_a_gpu_computes_is_the_same(world, monkeypatch):
         return [*outputs, *(weight.grad.clone() for weight in policy.parameters())]
 
     here = outputs_and_gradients()
-    for module in (heads, caching):
-        monkeypatch.setattr(module, "avoid_host_sync", lambda tensor: True)
+    for module in (heads, distinct):
+        monkeypatch.setattr(module, "reading_waits", lambda tensor: True)
     torch.testing.assert_close(outputs_and_gradients(), here)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from dirl.envs import SurroundingViews
 from dirl.models import frozen, initial_state, recurrent_keys
-from dirl.models.fast.caching import EmbeddingCache, Keys
+from dirl.models.distinct import EmbeddingCache, Keys
 from dirl.perception.recognition.matching import Arrived
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World

@@ -14,7 +14,7 @@ from dirl.models.actor_critic import (
 )
 from dirl.models.comparing import ComparingEncoder
 from dirl.models.episodic import EpisodicMemory, Trace
-from dirl.models.features import FeatureTable, feature_statistics, whitening
+from dirl.models.features import FeatureTable, ObservationTable, feature_statistics, whitening
 from dirl.models.heads import ActorCriticHeads
 from dirl.models.localising import LocalisingMemory
 from dirl.models.planning import PlanningMemory, Walked
@@ -28,6 +28,7 @@ __all__ = [
     "FeatureTable",
     "KeyedModule",
     "LocalisingMemory",
+    "ObservationTable",
     "PlanningMemory",
     "SiameseEncoder",
     "Trace",

@@ -14,11 +14,9 @@ from torchrl.envs import TensorDictPrimer
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
 
 from dirl.envs.transforms import VIEWS
-from dirl.models.fast.caching import Cacheable, CachedEncoder
-from dirl.models.fast.siamese import CachedSiamese
-from dirl.models.features import FeatureTable
-from dirl.models.heads import ActorCriticHeads
-from dirl.models.siamese import SiameseEncoder
+from dirl.models.distinct import Cacheable, CachedEncoder
+from dirl.models.features import FeatureTable, ObservationTable
+from dirl.models.heads import ActorCriticHeads, SceneTrunks
 
 VIEW_IDS = ("view_ids", "goal_view_ids")
 OBSERVATIONS = ("observation", "goal_observation")
@@ -80,49 +78,16 @@ class ActorCritic(TensorDictModuleBase):
             self.in_keys += [key for key in memory.in_keys if key != "fused"]
             self.out_keys += [key for key in memory.out_keys if key != "memory"]
 
-    def cache(
-        self,
-        surrounding: Tensor | None,
-        *,
-        views: int = VIEWS,
-        front: bool = False,
-        noisy: bool = False,
-        principal: bool = False,
-    ) -> None:
-        """Embed each distinct observation once, if the encoder can be cached; for the arguments see `CachedEncoder`.
+    def cache(self, surrounding: Tensor | None, *, views: int = VIEWS, front: bool = False) -> None:
+        """From now on embed each distinct observation once, see `CachedEncoder`; faster, but not for ``torch.vmap``.
 
-        With ``noisy`` views are read with noise, which the specialised form of a Siamese encoder would draw twice. With
-        ``principal`` the embedding is learned in principal axes, see `CachedSiamese`; an optimiser is made afterwards.
+        An encoder without `Cacheable`'s parts embeds every row as before.
         """
-        read: dict[str, Any] = {"views": views, "front": front}
-        # A subclass may embed or fuse otherwise, which the specialised form would not know.
-        if type(self.encoder) is SiameseEncoder and not noisy:
-            self.cached = CachedSiamese(self.encoder, self.features, surrounding, principal=principal, **read)
-        elif isinstance(self.encoder, Cacheable) and self._is_its_parts(views):
-            self.cached = CachedEncoder(self.encoder, self.features, surrounding, **read)
-
-    @torch.no_grad()
-    def _is_its_parts(self, views: int) -> bool:
-        """Whether the encoder is what `Cacheable` says; one that overrides ``forward`` may not."""
-        encoder: Any = self.encoder
-        device = self.features.table.device
-        drawn = torch.randn(2, 3, views, self.features.width, generator=torch.Generator().manual_seed(0)).to(device)
-        with torch.random.fork_rng(devices=[]):
-            embed_goal = getattr(encoder, "embed_goal", encoder.embed)
-            whole, parts = encoder(*drawn), encoder.fuse(encoder.embed(drawn[0]), embed_goal(drawn[1]))
-        return whole.shape == parts.shape and torch.allclose(whole, parts, rtol=1e-4, atol=1e-5)
-
-    def restore(self) -> None:
-        """Convert the embedding back to a layer on features if it was learned in principal axes."""
-        if isinstance(self.cached, CachedSiamese):
-            self.cached.restore()
-
-    def plain_state_dict(self) -> dict[str, Tensor]:
-        """The state_dict of the network without `cache`; any other instance can load it."""
-        state = {name: value for name, value in self.state_dict().items() if not name.startswith("cached.")}
-        if isinstance(self.cached, CachedSiamese):
-            state["encoder.embedding.weight"] = self.cached.weight_on_features()
-        return state
+        if isinstance(self.encoder, Cacheable):
+            self.cached = CachedEncoder(self.encoder, self.features, surrounding, views=views, front=front)
+        for module in self.heads.modules():
+            if isinstance(module, SceneTrunks):
+                module.sorts = True
 
     def trunk(self) -> TensorDictSequential:
         """From view ids to ``hidden``."""
@@ -184,8 +149,15 @@ def noisy(policy: nn.Module, deviation: float) -> AbstractContextManager[None]:
 
 
 def plain_weights(policy: nn.Module) -> dict[str, Tensor]:
-    """A policy's state_dict, in the form that it has without a cache."""
-    return getattr(policy, "plain_state_dict", policy.state_dict)()
+    """A policy's weights as a layer on features has them, also those that are learned on coordinates."""
+    weights = dict(policy.state_dict())
+    table = getattr(policy, "features", None)
+    if isinstance(table, ObservationTable):
+        del weights["features.coordinates"]
+        for layer in policy.encoder.linear:  # type: ignore[union-attr]
+            name = f"encoder.{layer}.weight"
+            weights[name] = table.widen(weights[name])
+    return weights
 
 
 def recurrent_keys(policy: nn.Module) -> list[str]:

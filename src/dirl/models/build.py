@@ -13,7 +13,7 @@ from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.trials import tried
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, feature_statistics, initial_state, recurrent_keys, whitening
+from dirl.models import FeatureTable, ObservationTable, feature_statistics, initial_state, recurrent_keys, whitening
 from dirl.perception.backbones.patches import PATCH_SHAPE, coarse
 from dirl.scenes import ACTIONS, World
 
@@ -33,13 +33,12 @@ def build_policy(
     Raises:
         ConfigError: components that do not fit together.
     """
-    trust, width = config.trust, features.width
+    trust = config.trust
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        # Patches have one shape wherever they are computed, see dirl.perception.backbones.patches.
-        read = {"num_features": width, "num_views": views, "patch_shape": PATCH_SHAPE}
-        encoder = make("encoder", config.encoder, trust, **read)
-        fused = _output_width("encoder", encoder, lambda: encoder(*torch.zeros(2, 1, views, width)), [1, views, width])
+        encoder = _encoder(config, features, views)
+        shape = [1, features.slots if isinstance(features, ObservationTable) else views, features.width]
+        fused = _output_width("encoder", encoder, lambda: encoder(*torch.zeros(2, *shape)), shape)
         memory = make("memory", config.memory, trust, input_size=fused, in_key="fused", out_key="memory")
         encoded = fused
         if memory is not None:
@@ -57,6 +56,24 @@ def build_policy(
             with tried("policy", policy, f", on view ids {[1, views]}"), torch.no_grad():
                 _act(policy, views, features.table.device)
     return policy
+
+
+def _encoder(config: TrainConfig, features: FeatureTable, views: int) -> nn.Module:
+    """The encoder of a policy; of coordinates with the weights that it would begin with on features."""
+    # Patches have one shape wherever they are computed, see dirl.perception.backbones.patches.
+    read = {"num_features": features.table.shape[1], "num_views": views, "patch_shape": PATCH_SHAPE}
+    encoder: Any = make("encoder", config.encoder, config.trust, **read)
+    if not isinstance(features, ObservationTable):
+        return encoder  # type: ignore[no-any-return]
+    weights = encoder.state_dict()
+    for layer in encoder.linear:
+        name = f"{layer}.weight"
+        weights[name] = features.narrow(weights[name].to(features.table.device))
+    with torch.random.fork_rng(devices=[]):
+        read |= {"num_features": features.width, "num_views": features.slots}
+        narrow: nn.Module = make("encoder", config.encoder, config.trust, **read)
+    narrow.load_state_dict(weights)
+    return narrow
 
 
 def _output_width(name: str, made: Any, call: Any, shape: list[int]) -> int:
@@ -161,6 +178,11 @@ def saved_statistics(weights: Mapping[str, Tensor], origin: str) -> tuple[Tensor
                 f"{origin}: the weights' features.{name} has the shape {list(value.shape)}, for {width} features"
             )
     return mean, std, axes
+
+
+def reads_linearly(config: TrainConfig) -> bool:
+    """True if the encoder itself says which of its layers read a whole observation; what it inherits may not hold."""
+    return "linear" in vars(find_class("encoder", config.encoder[TARGET], config.trust))
 
 
 def reads_patches(config: TrainConfig) -> bool:

@@ -17,6 +17,9 @@ SAMPLED = 30_000
 FEW = 5000
 """States of whose features an update reads most."""
 
+DEPENDENT = 1e-9
+"""An axis with less than this fraction of the first one's variance holds nothing but rounding errors."""
+
 NOISE_ROWS = 1024
 """Of noise that more states share in an update; to draw normal numbers takes longer than anything else of a reading."""
 
@@ -142,6 +145,78 @@ class FeatureTable(nn.Module):
             yield
         finally:
             self._perturbed = self._noise = None
+
+
+class ObservationTable(FeatureTable):
+    """All observations of a world, rotated once into the principal axes of their span.
+
+    The N states of a world give N observations of 4 x D features, if all that is seen depends on the state alone. They
+    span at most N dimensions. In coordinates of these a linear layer computes exactly what it does on features, but
+    has at most N columns instead of 4 x D: fewer operations by far. With views of the past any four states can be seen
+    together: then each view has coordinates of its own.
+
+    Weights on coordinates are as good as weights on features, see `widen`: a checkpoint holds the latter, so that they
+    serve in other worlds as well.
+
+    Args:
+        features, mean, std, axes: see `FeatureTable`.
+        surrounding: the four states seen from each state, int64 ``[N, 4]``, if they are all that is ever seen there;
+            None if any four states can be seen. View id N is a view that is not shown.
+        views: how many an observation has.
+    """
+
+    def __init__(
+        self,
+        features: Tensor,
+        mean: Tensor | None,
+        std: Tensor | None,
+        axes: Tensor | None,
+        surrounding: Tensor | None,
+        views: int,
+    ) -> None:
+        super().__init__(features, mean, std, axes)
+        self.register_buffer("surrounding", surrounding, persistent=False)
+        self.slots = views if surrounding is None else 1
+        # The singular value decomposition of the observations X = U L V', by way of X X' = U L^2 U'.
+        rows = self.table.double()
+        products = rows @ rows.T
+        if surrounding is None:
+            products = products[:-1, :-1]
+        else:
+            products = torch.stack([products[views][:, views] for views in surrounding.unbind(1)]).sum(0)
+        variance, left = torch.linalg.eigh(products)
+        kept = variance > DEPENDENT * variance[-1]
+        # In the state_dict, because another machine finds other axes where two are nearly equally long.
+        self.register_buffer("coordinates", (left[:, kept] * variance[kept].sqrt()).to(features.dtype))
+
+    surrounding: Tensor | None
+    coordinates: Tensor
+    """X V = U L: of each observation, or of each view if any four can be seen, float32 ``[N, R]``."""
+
+    @property
+    def width(self) -> int:
+        """The number of coordinates in a slot."""
+        return self.coordinates.shape[1]
+
+    def forward(self, view_ids: Tensor) -> Tensor:
+        """The coordinates of observations, int64 ``[..., 4]`` to float32 ``[..., slots, R]``."""
+        return self.coordinates[view_ids[..., : self.slots]]
+
+    def narrow(self, weight: Tensor) -> Tensor:
+        """A layer's weight on features, float32 ``[F, 4 * D]``, as weight on coordinates, ``[F, slots * R]``."""
+        return (weight.unflatten(1, (self.slots, -1)) @ self._axes()).flatten(1)
+
+    def widen(self, weight: Tensor) -> Tensor:
+        """A weight on coordinates, float32 ``[F, slots * R]``, as weight on features, ``[F, 4 * D]``.
+
+        It does the same to every observation of the world, and nothing to what the world never shows.
+        """
+        return (weight.unflatten(1, (self.slots, -1)) @ self._axes().T).flatten(1)
+
+    def _axes(self) -> Tensor:
+        """The axes V, as columns, float32 ``[4 * D, R]`` or ``[D, R]``."""
+        rows = self.known if self.surrounding is None else self.table[self.surrounding].flatten(-2)
+        return rows.T @ (self.coordinates / self.coordinates.square().sum(0))
 
 
 def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:

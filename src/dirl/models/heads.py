@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.config.bounds import Bounds
-from dirl.models.fast.caching import avoid_host_sync
+from dirl.models.distinct import reading_waits
 
 
 class ActorCriticHeads(nn.Module):
@@ -41,9 +41,10 @@ class ActorCriticHeads(nn.Module):
 class SceneTrunks(nn.Module):
     """One module for each scene; each row is passed through the module of its scene.
 
-    Rows are sorted by scene, split, and put back. On a GPU and in ``torch.vmap`` every layer is applied to all of them:
-    counting the rows of each scene would be a host-device synchronisation, and ``vmap`` allows none. (A stacked
-    parameter would lose the scenes' names in the state_dict, and with them adding or freezing a scene.)
+    Every layer is applied to all rows, and each row takes what its scene's has made of it: plain, also for
+    ``torch.vmap`` and `torch.func`. With ``sorts`` rows are sorted by scene, split, and put back, a fraction of the
+    work; but not on a GPU, for which the CPU would have to wait to count the rows of each scene. (A stacked parameter
+    would lose the scenes' names in the state_dict, and with them adding or freezing a scene.)
 
     Args:
         scenes: the scenes' names, in the order of the world; a single name serves every scene.
@@ -56,13 +57,14 @@ class SceneTrunks(nn.Module):
     def __init__(self, scenes: Sequence[str], make: Callable[[], nn.Module]) -> None:
         super().__init__()
         self.scenes = _by_name(scenes, make)
+        self.sorts = False
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
         """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
         layers = list(self.scenes.values())
         if len(layers) == 1:
             return layers[0](rows)
-        if avoid_host_sync(scene):
+        if not self.sorts or reading_waits(scene):
             return _pick(torch.stack([layer(rows) for layer in layers], -2), scene)
         flat = scene.flatten()
         sizes = torch.bincount(flat, minlength=len(layers)).tolist()

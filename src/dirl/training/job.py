@@ -189,8 +189,6 @@ def _conclude_untrained(
 
 def _conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> dict[str, Any]:
     """Evaluate, write the summary, show it as a table and in pictures."""
-    if hasattr(policy, "restore"):
-        policy.restore()
     measures = assess(policy, protocol)
     summary = summary | {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()} | measures
     run.finish({"frames": summary["frames"], "network": plain_weights(policy)}, summary)

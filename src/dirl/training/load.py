@@ -12,7 +12,8 @@ from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SequentialViews, SurroundingViews
 from dirl.envs.transforms import front_only
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models.build import build_policy, feature_table
+from dirl.models import ObservationTable
+from dirl.models.build import build_policy, feature_table, reads_linearly
 from dirl.models.weights import check_extractor, load_weights, tell_of_turns, turns_of_training
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import ARCHITECTURE, initial_weights_file
@@ -78,43 +79,35 @@ def learning_policy(
 ) -> nn.Module:
     """The policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
 
-    It begins with the weights ``initial``, see `initial_weights`, or with some sampled with the seed.
+    It begins with the weights ``initial``, see `initial_weights`, or with some sampled with the seed; then it can learn
+    in the principal axes of the observations.
     """
     everywhere = world
     if held_out := build_goals(config, world.scenes).held_out:  # a policy that knows the world walks to all goals
         trained = {name: world.local_goals(index).tolist() for index, name in enumerate(world.names)}
         everywhere = world.with_goals({name: (*trained[name], *held_out[name]) for name in world.names})
+    views = len(observation.order)
     live = config.env.get("simulator") is not None  # then more views are seen than those of the world
     table = feature_table(config, world, initial, str(config.init), room=config.env["views"] if live else 0)
-    views = len(observation.order)
+    noisy = config.imitation.noise > 0
+    surrounding, front = (None, False) if live else _seen_of_each(observation, front=config.imitation.front_only > 0)
+    if (
+        config.network.axes == Axes.principal
+        and config.network.cache == Cache.auto
+        and reads_linearly(config)
+        and initial is None  # given weights would change in the last digit
+        and not noisy  # which is added to features
+        and not live
+        and not front
+        and (surrounding is not None or type(observation) is SequentialViews)  # one's own may hide views at any time
+        and len(world) <= world.features.shape[1]  # with more states there is next to nothing to save
+    ):
+        table = ObservationTable(table.features, table.mean, table.std, table.axes, surrounding, views)
     policy = build_policy(config, table, world.names, world=everywhere, views=views)
     if initial is not None:
         load_weights(policy, initial, str(config.init), world.names)
-    noisy, front = config.imitation.noise > 0, config.imitation.front_only > 0
-    # In principal axes a run that goes on from a checkpoint could not have the given weights to the last digit.
-    principal = config.network.axes == Axes.principal and not noisy and initial is None
-    return cached(policy, config, world, observation, front=front, noisy=noisy, principal=principal, live=live)
-
-
-def cached(
-    policy: Any,
-    config: TrainConfig,
-    world: World,
-    observation: SurroundingViews,
-    *,
-    front: bool = False,
-    noisy: bool = False,
-    principal: bool = False,
-    live: bool = False,
-) -> nn.Module:
-    """The policy, with cached embeddings if ``network.cache`` is ``auto``."""
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
-        surrounding, fronts = (None, front) if live else _seen_of_each(observation, front=front)
-        # With more states than features of a view there is next to nothing to save by principal axes. A history of
-        # one's own may hide views at any time.
-        known = surrounding is not None or type(observation) is SequentialViews
-        principal = principal and known and not live and not fronts and len(world) <= world.features.shape[1]
-        policy.cache(surrounding, views=len(observation.order), front=fronts, noisy=noisy, principal=principal)
+        policy.cache(surrounding, views=views, front=front)
     return policy
 
 
@@ -150,7 +143,10 @@ def trained_policy(
     table, views = feature_table(config, world, saved["network"], origin), len(observation.order)
     policy = build_policy(config, table, names, world=world, views=views)
     load_weights(policy, saved["network"], origin, names)
-    return cached(policy, config, world, observation)
+    if config.network.cache == Cache.auto and hasattr(policy, "cache"):
+        surrounding, front = _seen_of_each(observation, front=False)
+        policy.cache(surrounding, views=views, front=front)
+    return policy
 
 
 def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:

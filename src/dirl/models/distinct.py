@@ -1,7 +1,8 @@
 """Embed each distinct observation once: many agents share a state, and many frames share a goal.
 
-A batch holds far fewer distinct observations than frames, and the embedding, 4 x 2048 -> 512, is most of the arithmetic
-of the network. `CachedEncoder` works with any encoder whose ``forward(o, g)`` is ``fuse(embed(o), embed(g))``.
+A batch holds far fewer distinct observations than frames, and the embedding is most of the arithmetic of the network.
+`CachedEncoder` works with any encoder whose ``forward(o, g)`` is ``fuse(embed(o), embed(g))``. What a rollout has
+embedded is not computed again for the loss: it is computed with its graph, which the loss goes back through.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,15 +11,14 @@ from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
-from torch._C._functorch import is_batchedtensor  # tensordict hands it on up to 0.14 only; nothing public says it
 
 from dirl.envs.transforms import VIEWS, front_only
 from dirl.models.features import FeatureTable
 
 
-def avoid_host_sync(tensor: Tensor) -> bool:
-    """Whether reading a tensor's values would synchronise with a device, or is impossible (in ``vmap``)."""
-    return tensor.is_cuda or is_batchedtensor(tensor)
+def reading_waits(tensor: Tensor) -> bool:
+    """True if the CPU, to read a tensor's values, would have to wait for the device that computes them."""
+    return tensor.is_cuda
 
 
 class EmbeddingCache:
@@ -120,6 +120,33 @@ class Cacheable(Protocol):
         """As of every module."""
 
 
+class Embeddings:
+    """The embeddings of the observations that have been asked for, with the graph that leads to them.
+
+    Args:
+        embed: from keys of observations, int64 ``[K]``, to ``[K, E]``.
+        every: see `EmbeddingCache`.
+        learns: True if the graph is needed.
+    """
+
+    def __init__(self, embed: Callable[[Tensor], Tensor], every: int | None, *, learns: bool) -> None:
+        self.embed, self.learns = embed, learns
+        self.cache = EmbeddingCache(every)
+        self.parts: list[Tensor] = []
+        """The rows of the cache with their graph, part by part as they were computed."""
+
+    def __call__(self, keys: Tensor) -> Tensor:
+        """The embedding of each key, int64 ``[K]`` to ``[K, E]``."""
+        place = self.cache.places(keys, self._compute)
+        rows = torch.cat(self.parts) if torch.is_grad_enabled() else self.cache.rows[0]
+        return rows.index_select(0, place)
+
+    def _compute(self, keys: Tensor) -> tuple[Tensor]:
+        with torch.set_grad_enabled(self.learns):
+            self.parts.append(self.embed(keys))
+        return (self.parts[-1].detach(),)
+
+
 class CachedEncoder(nn.Module):
     """An encoder that takes view ids instead of features, and embeds each distinct observation once.
 
@@ -150,8 +177,8 @@ class CachedEncoder(nn.Module):
         if front and surrounding is not None:
             surrounding = torch.cat([surrounding, front_only(surrounding, len(table))])
         self.register_buffer("surrounding", surrounding, persistent=False)
-        self._keeps = False
-        self._cache: Any = None
+        self._keeps = self._learns = False
+        self._kept: tuple[Embeddings, Embeddings] | None = None
         self._versions: list[int] = []
 
     surrounding: Tensor | None
@@ -162,25 +189,14 @@ class CachedEncoder(nn.Module):
         if not self._keeps:
             self.keys.forget()
         keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
-        known, goals = (None, None) if torch.is_grad_enabled() else self._valid_cache()
-        if hasattr(encoder, "embed_goal"):
-            seen, shown = self._rows(keys, encoder.embed, known), self._rows(goal_keys, encoder.embed_goal, goals)
+        observed, wanted = self._valid()
+        if torch.is_grad_enabled():
+            self._kept = None  # a graph is gone back through once
+        if wanted is observed:
+            seen, shown = observed(torch.cat([keys, goal_keys])).split(len(keys))
         else:
-            seen, shown = self._rows(torch.cat([keys, goal_keys]), encoder.embed, known).split(len(keys))
+            seen, shown = observed(keys), wanted(goal_keys)
         return encoder.fuse(seen, shown)
-
-    def _rows(self, keys: Tensor, embed: Callable[[Tensor], Tensor], cache: EmbeddingCache | None) -> Tensor:
-        """The embedding of each key, int64 ``[K]`` to ``[K, E]``; every distinct one is computed once."""
-        table = self._wrapped[1]
-
-        def compute(distinct: Tensor) -> tuple[Tensor]:
-            return (embed(table(self._views(distinct))),)
-
-        if cache is None:
-            distinct, place = torch.unique(keys, return_inverse=True)
-            return compute(distinct)[0][place]
-        place = cache.places(keys, compute)
-        return cache.rows[0][place]
 
     def _pack(self, view_ids: Tensor) -> Tensor:
         """A key for each observation, int64 ``[B, 4]`` to ``[B]``."""
@@ -193,26 +209,40 @@ class CachedEncoder(nn.Module):
         """The view ids of keys, int64 ``[R]`` to ``[R, 4]``."""
         return self.keys.unpack(keys) if self.surrounding is None else self.surrounding[keys]
 
-    def _valid_cache(self) -> Any:
-        """The cache, a new one if the weights have changed: each in-place change counts a tensor's version up."""
-        versions = [parameter._version for parameter in self._wrapped[0].parameters()]
-        if self._cache is None or not self._keeps or versions != self._versions:
-            known = self.surrounding is not None and avoid_host_sync(self._wrapped[1].table)
-            every = len(self.surrounding) if known else None  # type: ignore[arg-type]
-            # For observations, and for goals that are embedded otherwise.
-            self._cache, self._versions = (EmbeddingCache(every), EmbeddingCache(every)), versions
-        return self._cache
+    def _valid(self) -> tuple[Embeddings, Embeddings]:
+        """The embeddings of observations and of goals, new ones if the weights have changed.
+
+        Each change in place counts a tensor's version up.
+        """
+        encoder, table = self._wrapped
+        learns = torch.is_grad_enabled() or self._learns
+        versions = [parameter._version for parameter in encoder.parameters()]
+        if self._kept is None or not self._keeps or versions != self._versions or learns > self._kept[0].learns:
+            # To find what is distinct, the CPU would wait for a GPU: there all observations are embedded at once.
+            known = self.surrounding if reading_waits(table.table) else None
+            every = None if known is None else len(known)
+
+            def embeddings(embed: Callable[[Tensor], Tensor]) -> Embeddings:
+                return Embeddings(lambda keys: embed(table(self._views(keys))), every, learns=learns)
+
+            observed = embeddings(encoder.embed)
+            wanted = embeddings(encoder.embed_goal) if hasattr(encoder, "embed_goal") else observed
+            self._kept, self._versions = (observed, wanted), versions
+        return self._kept
 
     @contextmanager
-    def caching(self) -> Iterator[None]:
-        """A context in which embeddings computed without gradients are kept until the weights change."""
-        self._keeps, self._cache = True, None
+    def _keeping(self, *, learns: bool) -> Iterator[None]:
+        self._keeps, self._learns, self._kept = True, learns, None
         self.keys.forget()
         try:
             yield
         finally:
-            self._keeps, self._cache = False, None
+            self._keeps, self._learns, self._kept = False, False, None
+
+    def caching(self) -> AbstractContextManager[None]:
+        """A context for learning, in which embeddings are kept until the weights change or a loss has read them."""
+        return self._keeping(learns=True)
 
     def frozen(self) -> AbstractContextManager[None]:
         """A context for evaluation, in which the weights must not change."""
-        return self.caching()
+        return self._keeping(learns=False)

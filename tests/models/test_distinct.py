@@ -1,4 +1,4 @@
-"""Embedding once what many frames share, with encoders of any kind; `dirl.models.fast.siamese` has tests of its own."""
+"""Embedding once what many frames share, with encoders of any kind."""
 
 import copy
 from contextlib import nullcontext
@@ -12,10 +12,8 @@ from networks import SURROUNDING, batch_of, gradients, plain, seen, standardised
 from torch import nn
 
 from dirl.envs.transforms import front_only
-from dirl.models import ComparingEncoder, SiameseEncoder
-from dirl.models.fast import caching
-from dirl.models.fast.caching import CachedEncoder, EmbeddingCache, Keys
-from dirl.models.fast.siamese import CachedSiamese
+from dirl.models import ComparingEncoder, SiameseEncoder, distinct
+from dirl.models.distinct import CachedEncoder, EmbeddingCache, Keys
 from dirl.models.features import FeatureTable
 from dirl.training.objectives import TFRMSprop
 
@@ -119,14 +117,7 @@ class Whole(nn.Module):
         return self.layer(observation.flatten(1), goal_observation.flatten(1))
 
 
-class Crossed(SiameseEncoder):
-    """A Siamese encoder whose ``forward`` is not its parts."""
-
-    def forward(self, observation, goal_observation):
-        return super().forward(observation - goal_observation, goal_observation)
-
-
-OWN = pytest.mark.parametrize("encoder", [Attention, Gated, Comparing])
+OWN = pytest.mark.parametrize("encoder", [SiameseEncoder, Attention, Gated, Comparing])
 SEEN = pytest.mark.parametrize("surrounding", [SURROUNDING, None], ids=["surrounding", "sequential"])
 
 
@@ -146,7 +137,7 @@ def cached_and_plain(encoder, surrounding):
 @SEEN
 @pytest.mark.parametrize("late", [False, True], ids=["as on a CPU", "as on a GPU"])
 def test_an_encoder_of_ones_own_computes_the_same_cached(encoder, surrounding, late, monkeypatch):
-    monkeypatch.setattr(caching, "avoid_host_sync", lambda tensor: late)
+    monkeypatch.setattr(distinct, "reading_waits", lambda tensor: late)
     policy, expected = cached_and_plain(encoder, surrounding)
     assert type(policy.cached) is CachedEncoder
     views, goal_views, _ = (of_world(surrounding, ids) for ids in seen())
@@ -162,7 +153,7 @@ def test_an_encoder_of_ones_own_computes_the_same_cached(encoder, surrounding, l
 @pytest.mark.parametrize("encoder", [SiameseEncoder, Attention, Comparing])
 @pytest.mark.parametrize("late", [False, True], ids=["as on a CPU", "as on a GPU"])
 def test_goals_may_be_given_by_their_front_view(encoder, late, monkeypatch):
-    monkeypatch.setattr(caching, "avoid_host_sync", lambda tensor: late)
+    monkeypatch.setattr(distinct, "reading_waits", lambda tensor: late)
     expected = standardised_policy(encoder=encoder)
     policy = copy.deepcopy(expected)
     policy.cache(SURROUNDING, front=True)
@@ -177,29 +168,39 @@ def test_goals_may_be_given_by_their_front_view(encoder, late, monkeypatch):
         torch.testing.assert_close(policy.cached(views, goal_views), wanted.detach())
 
 
-@OWN
-def test_principal_axes_are_for_the_siamese_encoder_itself(encoder):
-    policy = standardised_policy(encoder=encoder)
-    before = {name: value.clone() for name, value in policy.state_dict().items()}
-    policy.cache(SURROUNDING, principal=True)
-    assert not isinstance(policy.cached, CachedSiamese)
-    policy.restore()
-    torch.testing.assert_close(policy.state_dict(), before)
-    torch.testing.assert_close(policy.plain_state_dict(), before)
-
-
 def test_every_distinct_observation_is_embedded_once():
     policy, _ = cached_and_plain(Attention, SURROUNDING)
     views, goal_views, _ = seen()
     distinct = len(torch.cat([views, goal_views]).unique(dim=0))
-    policy.encoder.rows.clear()  # `cache` has tried the encoder
     policy.cached(views, goal_views)
     assert policy.encoder.rows == [distinct]
     with policy.cached.caching(), torch.no_grad():
         policy.cached(views[:9], goal_views[:9])
         policy.cached(views, goal_views)
         policy.cached(goal_views, views)
-    assert sum(policy.encoder.rows) == 2 * distinct
+        assert sum(policy.encoder.rows) == 2 * distinct
+    with policy.cached.caching():
+        with torch.no_grad():
+            policy.cached(views[:9], goal_views[:9])
+        policy.cached(views, goal_views)  # a loss goes back through what the rollout embedded
+        assert sum(policy.encoder.rows) == 3 * distinct
+
+
+def test_a_loss_gets_the_gradients_of_what_a_rollout_embedded():
+    policy, expected = cached_and_plain(SiameseEncoder, SURROUNDING)
+    (views, goal_views, _), (more_views, more_goal_views, _) = seen(), seen(seed=1)
+    everything = torch.cat([views, more_views]), torch.cat([goal_views, more_goal_views])
+    wanted = gradients(expected.encoder, plain(expected, *everything))
+    with policy.cached.caching():
+        for _ in range(2):  # a graph is gone back through once
+            with torch.no_grad():
+                for half in (slice(40), slice(40, None)):
+                    policy.cached(views[half], goal_views[half])
+            torch.testing.assert_close(gradients(policy.encoder, policy.cached(*everything)), wanted)
+    with policy.cached.frozen():
+        with torch.no_grad():
+            policy.cached(views, goal_views)
+        torch.testing.assert_close(gradients(policy.encoder, policy.cached(*everything)), wanted)
 
 
 @pytest.mark.parametrize("optimiser", [torch.optim.Adam, TFRMSprop])
@@ -227,9 +228,8 @@ def test_after_the_context_nothing_is_kept(context):
         torch.testing.assert_close(policy.cached(views, goal_views), plain(policy, views, goal_views))
 
 
-@pytest.mark.parametrize("encoder", [Whole, Crossed])
-def test_an_encoder_without_parts_or_that_is_not_its_parts_trains_on_features(encoder):
-    policy, expected = cached_and_plain(encoder, SURROUNDING)
+def test_an_encoder_without_parts_trains_on_features():
+    policy, expected = cached_and_plain(Whole, SURROUNDING)
     assert policy.cached is None
     rows = batch_of(*seen())
     (fused, logits), wanted = (policy.trunk()(rows.copy())[key] for key in ("fused", "hidden")), expected(rows.copy())

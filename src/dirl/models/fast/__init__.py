@@ -1,1 +1,0 @@
-"""Faster equivalents of the plain modules; a test compares each with its plain form."""
