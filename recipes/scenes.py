@@ -85,8 +85,20 @@ class WiderVisitChanges(VisitChanges):
 
 
 @dataclass
-class ThorOptions(Encoded):
-    """Take a scene dump from live AI2-THOR: four headings at every position that can be walked to and fro.
+class SimulatedOptions(EncodedPatches):
+    """The options of every command that takes a scene from a simulator."""
+
+    out: str = option(DUMP)
+    step: Step = option(STEP, 1.0)
+    turn: Turn = option(TURN, 90)
+    places: Places | None = option(PLACES, None)
+    looks: Looks = option(LOOKS, 0)
+    changes: VisitChanges = option(CHANGES, VisitChanges)
+
+
+@dataclass
+class ThorOptions(SimulatedOptions):
+    """Take a scene dump from live AI2-THOR.
 
     Examples:
         python recipes/scenes.py thor scene=FloorPlan401 out=dumps/FloorPlan401.h5
@@ -95,7 +107,6 @@ class ThorOptions(Encoded):
     """
 
     scene: str = option("e.g. FloorPlan401; list: https://ai2thor.allenai.org/ithor/documentation/scenes")
-    out: str = option(DUMP)
     step: Step = option(STEP, 0.5)
     height: Pixels = option(OF_VIEW, 300)
     width: Pixels = option(OF_VIEW, 400)
@@ -104,7 +115,7 @@ class ThorOptions(Encoded):
 
 
 @dataclass
-class VizdoomOptions(EncodedPatches):
+class VizdoomOptions(SimulatedOptions):
     """Take a scene dump from a map of VizDoom, without monsters and things to take. No display is needed.
 
     Examples:
@@ -115,18 +126,14 @@ class VizdoomOptions(EncodedPatches):
 
     map: str = option("map01 to map32 of Freedoom 2, E1M1 to E4M9 of Freedoom 1, or one of the file wad")
     wad: str | None = option("a file with other maps (.wad); null = Freedoom, which comes with VizDoom", None)
-    out: str = option(DUMP)
     step: Step = option(f"{STEP}; 32 units of a map are a metre", 2.0)
-    turn: Turn = option(TURN, 90)
-    places: Places | None = option(PLACES, None)
     height: Pixels = option(f"{OF_VIEW}; views are rendered at 240 x 320 and scaled", 120)
     width: Pixels = option(OF_VIEW, 160)
-    looks: Looks = option(LOOKS, 0)
-    changes: WiderVisitChanges = option(CHANGES, WiderVisitChanges)
+    changes: VisitChanges = option(CHANGES, WiderVisitChanges)
 
 
 @dataclass
-class MiniworldOptions(EncodedPatches):
+class MiniworldOptions(SimulatedOptions):
     """Take a scene dump from an environment of MiniWorld. No display is needed, but EGL.
 
     Examples:
@@ -137,19 +144,13 @@ class MiniworldOptions(EncodedPatches):
 
     env: str = option("e.g. FourRooms, which is MiniWorld-FourRooms-v0; a wrong name lists all")
     seed: Seed = option("of walls, things, and where the agent stands first", 0)
-    out: str = option(DUMP)
-    step: Step = option(STEP, 1.0)
-    turn: Turn = option(TURN, 90)
-    places: Places | None = option(PLACES, None)
     height: Pixels = option(OF_VIEW, 120)
     width: Pixels = option(OF_VIEW, 160)
     field_of_view: FieldOfView = option("vertical, degrees", 60)
-    looks: Looks = option(LOOKS, 0)
-    changes: VisitChanges = option(CHANGES, VisitChanges)
 
 
 @dataclass
-class SimulatorOptions(EncodedPatches):
+class SimulatorOptions(SimulatedOptions):
     """Take a scene dump from a simulator of your own.
 
     Examples:
@@ -158,12 +159,6 @@ class SimulatorOptions(EncodedPatches):
     """
 
     simulator: str = option("a YAML file: _target_, the class, and its arguments")
-    out: str = option(DUMP)
-    step: Step = option(STEP, 1.0)
-    turn: Turn = option(TURN, 90)
-    places: Places | None = option(PLACES, None)
-    looks: Looks = option(LOOKS, 0)
-    changes: VisitChanges = option(CHANGES, VisitChanges)
 
 
 @dataclass
@@ -473,7 +468,7 @@ from dirl.sources.rooms.looks import Changes, PhotoCamera
 from dirl.sources.rooms.sampling import KINDS
 from dirl.sources.rooms.sheet import draw_sheet, preview
 from dirl.sources.simulators import take_look, take_scene
-from dirl.sources.thor import start_simulator, take_views
+from dirl.sources.thor import Thor, start_controller
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.images import cut_views
 from dirl.sources.tours.moves import tour_scene
@@ -487,16 +482,11 @@ SHEET = 32
 
 
 def thor(options: ThorOptions) -> None:
-    """Take a scene from live AI2-THOR, by way of a folder that a stopped run can continue from."""
-    out = new_file(options.out)
-    encoder = chosen_encoder(options)
-    settings = {name: getattr(options, name) for name in ("scene", "step", "height", "width", "field_of_view")}
-    folder = out.with_suffix(".taken")
-    simulator = start_simulator(**settings, headless=options.headless)
-    for problem in take_views(simulator, folder, settings=settings):
-        print(f"left out: {problem}")
-    write_photos(folder, out, options.scene, "thor", (options.height, options.width), encoder)
-    print(f"{folder} is no longer needed")
+    """Take a scene from live AI2-THOR."""
+    settings = {
+        name: getattr(options, name) for name in ("scene", "step", "height", "width", "field_of_view", "headless")
+    }
+    write_simulated(lambda: Thor(start_controller(**settings), options.scene), options, "thor")
 
 
 def vizdoom(options: VizdoomOptions) -> None:
@@ -516,9 +506,7 @@ def simulator(options: SimulatorOptions) -> None:
     write_simulated(lambda: load_simulator(options.simulator), options, "simulator")
 
 
-def write_simulated(
-    begin: Callable[[], Simulator], options: VizdoomOptions | MiniworldOptions | SimulatorOptions, source: str
-) -> None:
+def write_simulated(begin: Callable[[], Simulator], options: SimulatedOptions, source: str) -> None:
     """A dump of the scene that a simulator starts with."""
     if options.looks and options.encoder is None:
         raise SceneError(f"looks={options.looks}: their views are encoded and not stored: give an encoder")
@@ -530,9 +518,14 @@ def write_simulated(
 
 
 def photos(options: PhotosOptions) -> None:
-    """Make a dump from photographs."""
-    shape = (options.height, options.width)
-    write_photos(Path(options.folder), new_file(options.out), options.name, "photos", shape, chosen_encoder(options))
+    """Make a dump from photographs: a folder with ``states.csv``, with features if there is an encoder."""
+    out, encoder = new_file(options.out), chosen_encoder(options)
+    scene, images = read_photos(Path(options.folder), name=options.name, source="photos")
+    if len(images) > len(scene) and encoder is None:
+        raise SceneError(f"{options.folder}: of further shots only features are stored; give an encoder")
+    encoded = encoded_photos(images, options.height, options.width)
+    views = list(tqdm(encoded, total=len(images), desc="images", disable=None))
+    write_encoded(out, scene, views, encoder)
 
 
 def recording(options: RecordingOptions) -> None:
@@ -542,17 +535,6 @@ def recording(options: RecordingOptions) -> None:
     folder = new_file(options.out, ending="")
     print(unpack_recording(options.file, folder, axes=list(options.axes), **chosen))
     print(f"go on with: {command_of('scenes')} photos folder={folder} out={folder}.h5")
-
-
-def write_photos(
-    folder: Path, out: Path, name: str | None, source: str, shape: tuple[int, int], encoder: ViewEncoder | None
-) -> None:
-    """A dump from a folder with ``states.csv``, with features if there is an encoder."""
-    scene, images = read_photos(folder, name=name, source=source)
-    if len(images) > len(scene) and encoder is None:
-        raise SceneError(f"{folder}: of further shots only features are stored; give an encoder")
-    views = list(tqdm(encoded_photos(images, *shape), total=len(images), desc="images", disable=None))
-    write_encoded(out, scene, views, encoder)
 
 
 def tour(options: TourOptions) -> None:

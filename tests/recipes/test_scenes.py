@@ -170,11 +170,10 @@ def test_a_tour_becomes_a_dump(here, capsys):
 
 
 def test_live_thor_becomes_a_dump(here, monkeypatch, capsys):
-    simulator = Simulator([(0, 0), (1, 0), (1, 1)], nowhere=[(1, 1)], shape=(60, 80))
-    monkeypatch.setattr(sys.modules["scenes"], "start_simulator", lambda scene, **asked: simulator)
+    simulator = Simulator([(0, 0), (1, 0)], shape=(60, 80))
+    monkeypatch.setattr(sys.modules["scenes"], "start_controller", lambda **asked: simulator)
     run("thor scene=FloorPlan401 out=dumps/401.h5 height=60 width=80")  # with the encoder that comes along
     printed = capsys.readouterr().out
-    assert "left out: 0.50_0.50: Collided with: Sink_3." in printed
     assert "dumps/401.h5: 8 states (source: thor)" in printed
     scene = read_dump("dumps/401.h5")
     assert (scene.name, scene.source) == ("FloorPlan401", "thor")
