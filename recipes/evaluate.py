@@ -47,15 +47,15 @@ class Options:
         "with map: so near the goal the policy decides; null = 3, 0 = the map leads to the end; not with localising",
         None,
     )
-    panorama: bool = option(
-        "true: the agent sees the views of all headings of its place, not only four of them; with "
-        "episodic_memory=planning; not in the viewer, in videos, nor live",
-        False,
+    panorama: bool | None = option(
+        "true: the agent sees the views of all headings of its place, not only four of them; null = in tours; with "
+        "episodic_memory=planning, not live",
+        None,
     )
-    arrows: bool = option(
-        "true: the agent sees which moves are possible where it is, as visitors of a tour see its arrows; not in the "
-        "viewer, in videos, nor live",
-        False,
+    arrows: bool | None = option(
+        "true: the agent sees which moves are possible where it is, as visitors of a tour see its arrows; null = in "
+        "tours; not live",
+        None,
     )
     viewer: bool = option(
         "write viewer_<scene>.html into the run's folder: step through episodes, walk the room", False
@@ -127,7 +127,6 @@ from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.cli.output import new_file
 from dirl.config.choices import goal_view_options, group_options, load_simulator
 from dirl.evaluation.episodes import Episodes, sampled_starts, shortest_episodes
-from dirl.evaluation.experts import SeesArrows
 from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
@@ -183,7 +182,7 @@ def main(options: Options) -> None:
     trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
     if options.starts is None:
         trained = trained._replace(protocol=few_enough(trained.protocol))
-    trained = shown_more(trained, arrows=options.arrows, panorama=options.panorama)
+    trained = as_visitors_see(trained, arrows=options.arrows, panorama=options.panorama)
     if options.map is not None:
         trained = with_map(trained, options.map, options.last_steps)
     if options.threshold is not None and build_recogniser(trained.config, "cpu").thresholds is not None:
@@ -217,11 +216,8 @@ def check(options: Options) -> None:
         raise ConfigError("slip, turn_error: only in a live world; give simulator=dump or a YAML file too")
     if options.simulator is not None and (options.viewer or options.video or options.map is not None):
         raise ConfigError("simulator: a live world has no viewer, no video and no map; leave them out")
-    shown = options.simulator is not None or options.viewer or options.video
-    if shown and (options.arrows or options.panorama):
-        raise ConfigError(
-            "arrows, panorama: agents see them in evaluation alone; leave out simulator, viewer and video"
-        )
+    if options.simulator is not None and (options.arrows or options.panorama):
+        raise ConfigError("arrows, panorama: a live world shows neither; leave them out")
     if options.video and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise ConfigError("video=true needs a package that is not installed: pip install imageio-ffmpeg")
     if options.out is not None:
@@ -230,18 +226,20 @@ def check(options: Options) -> None:
         raise ConfigError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
 
 
-def shown_more(trained: Trained, *, arrows: bool, panorama: bool) -> Trained:
-    """The same agent, which sees the arrows of a tour, or all headings of its place."""
-    if panorama:
-        if not isinstance(trained.protocol.memory, PlanningMemory):
-            raise RunError("panorama: only episodic_memory=planning plans with all headings; give that too")
-        protocol = replace(trained.protocol, panorama=True)
-        if protocol.held_out is not None:
-            protocol = replace(protocol, held_out=replace(protocol.held_out, panorama=True))
-        trained = trained._replace(protocol=protocol)
-    if arrows:
-        trained = trained._replace(policy=SeesArrows(trained.policy, trained.protocol.world))
-    return trained
+def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:
+    """The same agent, which sees the arrows and all headings of its place: if nothing else is asked for, in tours."""
+    protocol = trained.protocol
+    tour = all(scene.source.startswith("tour") for scene in protocol.world.scenes)
+    plans = isinstance(protocol.memory, PlanningMemory)
+    if panorama and not plans:
+        raise RunError("panorama: only episodic_memory=planning plans with all headings; give that too")
+    seen: dict[str, Any] = {
+        "arrows": tour if arrows is None else arrows,
+        "panorama": tour and plans if panorama is None else panorama,
+    }
+    if protocol.held_out is not None:
+        seen["held_out"] = replace(protocol.held_out, **seen)
+    return trained._replace(protocol=replace(protocol, **seen))
 
 
 def misses_arrivals(trained: Trained) -> bool:

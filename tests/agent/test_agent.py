@@ -2,7 +2,7 @@ import math
 
 import torch
 
-from dirl.agent.agent import Planning
+from dirl.agent.agent import IMPOSSIBLE, Planning, arrow_costs, likeness
 from dirl.agent.cameras import compare
 from dirl.models import PlanningMemory
 from dirl.perception.recognition.recogniser import NCC
@@ -10,6 +10,8 @@ from dirl.perception.recognition.recogniser import NCC
 
 class Seen:
     """A visit whose policy answers always the same."""
+
+    arrows = None
 
     def __init__(self, visit):
         self.visit = visit
@@ -34,3 +36,25 @@ def test_what_looks_like_a_later_look_of_a_place_but_not_like_the_first_is_anoth
         assert agent.past.here.tolist() == [node]
         assert planned.isfinite().all()
         agent.action = torch.zeros_like(action)
+
+
+def test_likeness_is_of_what_differs_within_the_place():
+    """Views of one place share most of their features; centred, only the view that shows the goal is like it."""
+    generator = torch.Generator().manual_seed(0)
+    place = 5 * torch.randn(64, generator=generator)
+    views = place + torch.randn(1, 8, 64, generator=generator)
+    goal = (views[:, 2] + 0.1 * torch.randn(1, 64, generator=generator)).unsqueeze(1)
+    found = likeness(views, goal, views.mean(1))[0]
+    assert found[[1, 2, 3]].min() > 0.9  # the view itself, and the two beside it, which overlap it
+    assert found[[0, 4, 5, 6, 7]].max() < 0.5
+    assert not likeness(views, goal[:, :0], views.mean(1)).any()
+
+
+def test_a_move_along_an_arrow_costs_less_where_the_goal_is_likely_forwards_and_backwards():
+    arrows = torch.zeros(1, 4, 4, dtype=torch.bool)
+    arrows[..., 1:3] = True  # turns
+    arrows[0, 1, 0] = arrows[0, 3, 3] = arrows[0, 0, 0] = True  # a link to the right, and one ahead
+    cost = arrow_costs(torch.tensor([[0.1, 0.9, 0.0, 0.0]]), arrows)[0]
+    assert cost[1, 0] == cost[3, 3] < cost[0, 0]
+    assert (cost[:, 1:3] == 1).all()
+    assert (cost[2, [0, 3]] == IMPOSSIBLE).all()

@@ -1,3 +1,6 @@
+from dataclasses import replace
+from itertools import pairwise
+
 import pytest
 import torch
 from networks import make_policy
@@ -11,7 +14,7 @@ from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation import episodes as episodes_module
 from dirl.evaluation.episodes import every_start, sampled_starts, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
-from dirl.evaluation.protocol import action_values, metrics
+from dirl.evaluation.protocol import EvaluationProtocol, action_values, metrics
 from dirl.models import EpisodicMemory, PlanningMemory, initial_state, recurrent_keys
 
 KINDS = (SurroundingViews, SequentialViews)
@@ -292,3 +295,23 @@ def test_a_policy_may_be_shown_another_goal(world):
     )
     assert same.success.all()
     assert torch.equal(same.steps, same.shortest)
+
+
+def test_who_sees_arrows_makes_no_blocked_move(world):
+    starts = torch.zeros(11, dtype=torch.int64), torch.arange(1, 12)
+    protocol = EvaluationProtocol(world, SurroundingViews(world), starts, max_steps=9, arrows=True)
+    for memory in (None, PlanningMemory()):
+        _, paths = replace(protocol, memory=memory).trajectories(RandomPolicy(), starts, greedy=memory is not None)
+        assert all(one != next_one for path in paths for one, next_one in pairwise(path))
+        assert sum(map(len, paths)) > 50
+
+
+def test_a_sweep_ignores_the_goal_that_it_is_shown(world):
+    """The expert's goal changes nothing: the same starts are left by the same paths until the goal is beside."""
+    starts = torch.tensor([0, 1]), torch.tensor([4, 4])
+    protocol = EvaluationProtocol(
+        world, SurroundingViews(world), starts, max_steps=30, memory=PlanningMemory(), arrows=True
+    )
+    _, (one, other) = protocol.trajectories(RandomPolicy(), starts)
+    assert one[:3] == other[:3]
+    assert protocol.run_sweep().success.all()

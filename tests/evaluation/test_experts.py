@@ -1,5 +1,4 @@
 from collections import deque
-from itertools import pairwise
 
 import pytest
 import torch
@@ -11,7 +10,6 @@ from dirl.evaluation.experts import (
     DEMONSTRATED,
     RULES,
     RandomPolicy,
-    SeesArrows,
     ShortestPathExpert,
     ShortestPathPolicy,
     demonstration_states,
@@ -20,7 +18,6 @@ from dirl.evaluation.experts import (
     merge_demonstrations,
     optimal_actions,
 )
-from dirl.evaluation.protocol import EvaluationProtocol
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
 
@@ -250,21 +247,3 @@ def test_the_same_state_is_kept_twice_where_it_was_observed_otherwise(world):
     other = one.clone()
     other["view_ids"] = torch.tensor([[4, 4, 4, 5]])
     assert len(merge_demonstrations(one, other, one)) == 2
-
-
-def test_who_sees_arrows_makes_no_blocked_move_and_is_as_before_elsewhere(world):
-    state = torch.arange(len(world))
-    logits = torch.randn(len(world), 4, generator=torch.Generator().manual_seed(0))
-    policy = TensorDictModule(lambda state: logits[state], in_keys=["state"], out_keys=["logits"])
-    seen = SeesArrows(policy, world)(TensorDict({"state": state}, [len(state)]))["logits"]
-    blocked = world.graph == state[:, None]
-    assert 0 < blocked.float().mean() < 1
-    assert torch.equal(seen[~blocked], logits[~blocked])
-    assert (seen[blocked] < logits.min() - 10).all()
-    starts, passed = (torch.zeros(11, dtype=torch.int64), torch.arange(1, 12)), 0
-    walk = EvaluationProtocol(world, SurroundingViews(world), starts, max_steps=9)
-    for start, path in enumerate(walk.trajectories(SeesArrows(RandomPolicy(), world), starts, greedy=False)[1], 1):
-        assert path[0] == start
-        assert all(one != next_one for one, next_one in pairwise(path))
-        passed += len(path)
-    assert passed > 50

@@ -12,8 +12,10 @@ QUARTERS = torch.tensor([4])
 """Turns in a full circle of one agent."""
 
 NOWHERE = torch.zeros(1, 4, dtype=torch.bool)
-LIKES_ROOM = torch.tensor([[[4.0, 0.0, 0.0, 1.0], [3.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 4.0], [0.0, 0.0, 0.0, 3.0]]])
-"""Of one agent, facing each of four views: the first way is best, then the one on the right."""
+LIKES_ROOM = -torch.tensor(
+    [[[4.0, 0.0, 0.0, 1.0], [3.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 4.0], [0.0, 0.0, 0.0, 3.0]]]
+).log_softmax(-1)
+"""Costs of one agent, facing each of four views: the first way is best, then the one on the right."""
 
 
 def at(walked, node=None):
@@ -50,7 +52,7 @@ def cheapest(walked, memory, start, limit=7):
 def test_at_first_the_plan_is_the_policy_but_for_turns_that_lead_to_a_better_one():
     memory = PlanningMemory()
     walked = walk(memory)
-    p = LIKES_ROOM[0].log_softmax(-1)
+    p = -LIKES_ROOM[0]
     plan = memory.plan(walked)[0]
     assert plan[AHEAD] == p[0, AHEAD]
     assert plan[BACK] == p[0, BACK]
@@ -118,7 +120,7 @@ def test_where_all_was_tried_the_policy_decides():
     memory = PlanningMemory()
     walked = walk(memory)
     walked.after[:] = torch.arange(4).view(1, 4, 1)
-    assert torch.allclose(memory.plan(walked), LIKES_ROOM[:, 0].log_softmax(-1))
+    assert torch.allclose(memory.plan(walked), -LIKES_ROOM[:, 0])
 
 
 def test_a_step_to_a_known_place_adds_none():

@@ -82,11 +82,7 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
         (["beside=run"], "beside=run: only the viewer shows two agents; give viewer=true too"),
         (["slip=0.1"], "slip, turn_error: only in a live world; give simulator=dump"),
         (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer, no video and no map"),
-        (
-            ["arrows=true", "viewer=true"],
-            "arrows: agents see it in evaluation alone; leave out simulator, viewer",
-        ),
-        (["panorama=true", "video=true"], "panorama: agents see it in evaluation alone; leave out simulator, viewer"),
+        (["arrows=true", "simulator=dump"], "arrows, panorama: a live world shows neither; leave them out"),
         (["panorama=true"], "panorama: only episodic_memory=planning plans with all headings; give that too"),
         (["simulator=nope.yaml"], "simulator=nope.yaml: there is no such file"),
     ):

@@ -4,20 +4,30 @@ A decision is written here once. An `Observed` says where the answers of policy 
 worlds look them up (`dirl.agent.decisions.Walk`), those with cameras compute them (`dirl.agent.cameras.Views`).
 """
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from dirl.agent.mapping.places import PlaceMap
 from dirl.agent.mapping.policy import Guide
 from dirl.envs.transforms import VIEWS
 from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory
+from dirl.scenes import ACTIONS
+from dirl.scenes.graph import AHEAD, BACK
 
 Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
 
 NEVER = -20.0
 """Logit of a move that is not possible."""
+
+SAVED = 8.0
+"""Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
+
+IMPOSSIBLE = 1000.0
+"""Cost of a move that is not possible, in actions."""
 
 MANY = 50_000
 """Agents for more than which actions are sampled by one random number each, where `torch.multinomial` draws four."""
@@ -32,6 +42,18 @@ class Observed(Protocol):
 
         ``[B, K, ...]``: K is four, ahead, right, back and left; or in a panorama the number of turns in a full circle.
         """
+
+    @property
+    def arrows(self) -> Tensor | None:
+        """Which moves are possible facing each view, as visitors of a tour see, bool ``[B, K, 4]``; None = not told."""
+
+    @property
+    def pooled(self) -> Tensor:
+        """Pooled features of the views around the agents, float32 ``[B, K, D]``."""
+
+    @property
+    def goal_pooled(self) -> Tensor:
+        """Those of the goals' views, float32 ``[B, V, D]``: V is four, one of a photo, zero where goals are ignored."""
 
     def alike(self, seen: Tensor) -> Tensor:
         """How much it looks like earlier visits, ``[B, T, K, ...]``, facing each of their views; ``[B, T, K]``."""
@@ -99,6 +121,10 @@ class Remembering(Agent):
         self.seen: Tensor | None = None
         self.past: Any = None
         """What the memory says of all visits: a `Trace`, `Walked` or `Places`; None before the first."""
+        self.total: Tensor | None = None
+        """Where agents see arrows, the sum of the pooled features of all views so far, float32 ``[B, D]``."""
+        self.views = 0
+        """How many those are."""
 
     def remember(self, now: Observed) -> Tensor:
         """How much the visit looks like each node so far, float32 ``[B, T, K]``; it becomes the next."""
@@ -107,10 +133,27 @@ class Remembering(Agent):
         self.seen = torch.cat([seen, visit], 1)
         return now.alike(seen) if seen.shape[1] else torch.zeros(seen.shape[:3], device=visit.device)
 
+    def costs(self, now: Observed) -> Callable[[Tensor], Tensor]:
+        """Return what is asked at new places: the cost of trying each action facing each view, float32 ``[B, K, 4]``.
+
+        Costs are ``-log p`` of the policy. Where arrows are seen, the next panorama lies metres away, and the policy
+        knows less than it thinks: it is worse than a sweep that ignores the goal. There costs are numbers of actions,
+        and the move along an arrow is the cheaper the more its view looks like the goal.
+        """
+        if now.arrows is None:
+            return lambda chosen: -now.facing(chosen).log_softmax(-1)
+        views, goal = now.pooled, now.goal_pooled
+        self.total = views.sum(1) if self.total is None else self.total + views.sum(1)
+        self.views += views.shape[1]
+        mean = (self.total + goal.sum(1)) / (self.views + goal.shape[1])
+        cost = arrow_costs(likeness(views, goal, mean), now.arrows)
+        return lambda chosen: cost
+
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents."""
         assert self.seen is not None
         self.action, self.seen, self.past = self.action[chosen], self.seen[chosen], self.past.select(chosen)
+        self.total = None if self.total is None else self.total[chosen]
 
 
 class Counting(Remembering):
@@ -145,8 +188,8 @@ class Planning(Remembering):
             self.past.action = self.action
         same = alike & self.past.used
         new = ~same.any(1)
-        self.past = self.memory.arrive(self.past, same, now.facing(new), now.goal_around(new))
-        return self.memory.plan(self.past)
+        self.past = self.memory.arrive(self.past, same, self.costs(now)(new), now.goal_around(new))
+        return self.memory.plan(self.past, steps=now.arrows is not None)
 
 
 class Localising(Remembering):
@@ -167,7 +210,7 @@ class Localising(Remembering):
             self.seen = self.known.seen.to(device)
             self.past = self.known.begin(now.goal_odds(self.seen.expand(agents, *self.seen.shape[1:])))
         odds = now.goal_odds(now.visit[:, None])[:, 0]
-        self.past = self.memory.arrive(self.past, self.remember(now), odds, now.facing)
+        self.past = self.memory.arrive(self.past, self.remember(now), odds, self.costs(now))
         return self.memory.stops(self.past)
 
     def logits(self, now: Observed) -> Tensor:
@@ -184,6 +227,41 @@ def make_agent(
     if isinstance(memory, PlanningMemory):
         return Planning(memory, turns, guide)
     return Agent(guide) if memory is None else Counting(memory, guide=guide)
+
+
+def likeness(views: Tensor, goal: Tensor, mean: Tensor) -> Tensor:
+    """Return how much what lies in the direction of each view looks like the goal.
+
+    Cosines of features that are not centred tell views of one place from those of another. Without the mean of the
+    place they tell what differs within it. A view counts as the best of itself and the two beside it, which overlap it.
+
+    Args:
+        views: pooled features of the K views around the agents, clockwise, float32 ``[B, K, D]``.
+        goal: of the goals' views, float32 ``[B, V, D]``.
+        mean: of what was seen of the place, float32 ``[B, D]``.
+
+    Returns:
+        float32 ``[B, K]``, in [-1, 1]; zero without views of the goal.
+    """
+    if not goal.shape[1]:
+        return views.new_zeros(views.shape[:2])
+    centred, wanted = (F.normalize(features - mean.unsqueeze(1), dim=-1) for features in (views, goal))
+    best = (centred @ wanted.mT).amax(-1)
+    return torch.stack([best, best.roll(1, 1), best.roll(-1, 1)]).amax(0)
+
+
+def arrow_costs(along: Tensor, arrows: Tensor) -> Tensor:
+    """Return what agents that see arrows expect of trying each action facing each view, float32 ``[B, K, 4]``.
+
+    Args:
+        along: what is promised in the direction of each view, see `likeness`, float32 ``[B, K]``.
+        arrows: which moves are possible facing each view, bool ``[B, K, 4]``.
+    """
+    cost = along.new_ones(*along.shape, len(ACTIONS))
+    further = SAVED * (1 - along)
+    cost[..., AHEAD] += further
+    cost[..., BACK] += further.roll(-along.shape[1] // 2, 1)  # along the view behind
+    return cost.masked_fill(~arrows, IMPOSSIBLE)
 
 
 def four_of(views: Tensor) -> Tensor:

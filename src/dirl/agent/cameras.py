@@ -198,12 +198,24 @@ class Views:
         possible: Tensor | None = None,
     ) -> None:
         self.goal, self.features, self.threshold, self.state = goal, features, threshold, state
-        self.blocked = features.new_zeros(1, 1, 1, dtype=torch.bool) if possible is None else ~possible
+        self.arrows = None if possible is None else possible.expand(*features.shape[:2], -1)
 
     @cached_property
     def visit(self) -> Tensor:
         """The described views, float32 ``[B, K, F]``."""
         return self.goal.policy.describe(self.features, self.goal.recogniser)
+
+    @property
+    def pooled(self) -> Tensor:
+        """Pooled features of the views, float32 ``[B, K, D]``."""
+        return self.features[..., : len(self.goal.policy.table.mean)]
+
+    @property
+    def goal_pooled(self) -> Tensor:
+        """Those of the goals, ``[B, 4, D]``, or of photos ``[B, 1, D]``."""
+        views = 1 if self.goal.photo else VIEWS
+        goal = self.goal.features[:, :views, : self.pooled.shape[-1]]
+        return goal.expand(len(self.features), -1, -1)
 
     @cached_property
     def matching(self) -> Tensor:
@@ -220,7 +232,7 @@ class Views:
         state = self.state or initial_state(policy.policy, len(self.features), self.features.device).values()
         logits, _, *after = policy.decide(four_of(self.features), wanted, *state)
         self.state = tuple(after)
-        return logits.masked_fill(self.blocked[:, 0], NEVER)
+        return logits if self.arrows is None else logits.masked_fill(~self.arrows[:, 0], NEVER)
 
     def facing(self, chosen: Tensor) -> Tensor:
         """The policy's logits facing each view; of agents that are not chosen zero."""
@@ -229,8 +241,7 @@ class Views:
         if chosen.any():
             views = each_heading(self.features[chosen])
             asked = self.goal.policy.decide(views, self.goal.wanted(self.goal.features, len(views), chosen))[0]
-            blocked = self.blocked.expand_as(logits)[chosen]
-            logits[chosen] = asked.unflatten(0, (-1, headings)).masked_fill(blocked, NEVER)
+            logits[chosen] = asked.unflatten(0, (-1, headings))
         return logits
 
     def at_goal(self) -> Tensor:

@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
+from dirl.agent.agent import NEVER
 from dirl.envs import SurroundingViews
 from dirl.models import frozen, initial_state, recurrent_keys
 from dirl.models.distinct import EmbeddingCache, Keys
@@ -142,6 +143,10 @@ class Known:
     """The goal that is shown to the policy in the place of each, int64 ``[G]``."""
     around: Tensor | None = None
     """The states that are seen from each, clockwise, int64 ``[N, K]``; None = `World.surrounding`."""
+    possible: Tensor | None = None
+    """Which moves are possible in each state, where agents see arrows, bool ``[N, 4]``."""
+    sweeps: bool = False
+    """Whether the agents ignore their goals, as a control."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,15 +189,37 @@ class Walk:
         goals = len(self.known.shown)
         return self.known.shown[self.wanted % goals] + self.wanted // goals * goals
 
-    def alike(self, seen: Tensor) -> Tensor:
+    @property
+    def arrows(self) -> Tensor | None:
         """See `dirl.agent.agent.Observed`, as all below."""
+        possible = self.known.possible
+        return None if possible is None else possible[self.visit % len(possible)]
+
+    @property
+    def pooled(self) -> Tensor:
+        """Pooled features of the views around the agents."""
+        return self.known.world.features[self.visit]
+
+    @property
+    def goal_pooled(self) -> Tensor:
+        """Those of the goals that are shown."""
+        world, observation = self.known.world, self.known.observation
+        if self.known.sweeps:
+            return world.features[self.visit[:, :0]]
+        look, goal = self.shown // len(world.goals), self.shown % len(world.goals)
+        views = observation.of_goal(world.goals[goal] + look * len(world))
+        return world.features[views[:, views[0] < len(world.features)]]  # of a photo the others are unknown
+
+    def alike(self, seen: Tensor) -> Tensor:
+        """How much the visit looks like earlier ones."""
         assert self.known.scores is not None
         return self.known.scores.of_visits(seen, self.visit)
 
     def logits(self) -> Tensor:
-        """Those of the policy."""
+        """Those of the policy, which makes no blocked move where it sees arrows."""
         assert self.known.decide is not None
-        return self.known.decide(self.episode, self.ahead, self.view_ids, self.shown)
+        logits = self.known.decide(self.episode, self.ahead, self.view_ids, self.shown)
+        return logits if self.arrows is None else logits.masked_fill(~self.arrows[:, 0], NEVER)
 
     def facing(self, chosen: Tensor) -> Tensor:
         """The policy's logits facing each view; of agents that are not chosen zero."""

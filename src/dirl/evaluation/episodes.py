@@ -107,6 +107,8 @@ class EvaluationProtocol:
     """The goal of the same scene that is shown in the place of each, int64 ``[G]``, for controls; None = itself."""
     panorama: bool = False
     """Agents with a `PlanningMemory` see all headings of their place, as in a panorama, not only four."""
+    arrows: bool = False
+    """Agents see which moves are possible where they are, as visitors of a tour do."""
     live: Callable[..., Episodes] | None = None
     """``live(policy, told=False)``: episodes in the simulator that it was trained in, if any; see `evaluate_live`."""
     held_out: "EvaluationProtocol | None" = None
@@ -119,6 +121,10 @@ class EvaluationProtocol:
     def run_random(self) -> Episodes:
         """The same for random actions. The environment stops the agent, so that it makes no false stops."""
         return replace(self, stop=None, memory=None, maps=None, panorama=False).run(RandomPolicy(), greedy=False)
+
+    def run_sweep(self) -> Episodes:
+        """The same for a sweep that ignores the goal: no policy, but the same memory, stop, panorama and arrows."""
+        return self.run(RandomPolicy())
 
     def trajectories(
         self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
@@ -179,7 +185,10 @@ def run_episodes(
         at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
         decide = None if at_random else deciding(policy, world, observation, len(start))
         around = world.panoramas() if protocol.panorama else None
-        known = Known(world, observation, decide, _arrived(world, protocol.stop), scores, protocol.shown, around)
+        possible = world.graph != torch.arange(len(world), device=world.device)[:, None] if protocol.arrows else None
+        sweeps = isinstance(policy, RandomPolicy)
+        arrived = _arrived(world, protocol.stop)
+        known = Known(world, observation, decide, arrived, scores, protocol.shown, around, possible, sweeps)
 
         def ahead_in(state: Tensor, goals: Tensor) -> Tensor:
             besides = None if photos else goals // len(world.goals)

@@ -1,13 +1,12 @@
 """Experts, the demonstrations taken from them, and policies that learn nothing (paper sections 3.3 and 4.2)."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from dirl.agent.agent import NEVER
 from dirl.envs import SurroundingViews
 from dirl.scenes import ACTIONS, World
 from dirl.scenes.graph import places
@@ -71,28 +70,6 @@ class RandomPolicy(TensorDictModuleBase):
         """Write ``logits``."""
         state = tensordict["state"]
         return tensordict.set("logits", torch.zeros((*state.shape, len(ACTIONS)), device=state.device))
-
-
-class SeesArrows(TensorDictModuleBase):
-    """A policy that sees which moves are possible, as a visitor of a tour sees its arrows, and makes no others.
-
-    Args:
-        policy: reads a tensordict, and writes ``logits``.
-        world: where; a blocked move leads back to its state.
-    """
-
-    def __init__(self, policy: Any, world: World) -> None:
-        super().__init__()
-        self.policy, self.graph = policy, world.graph
-        self.in_keys, self.out_keys = [*policy.in_keys], [*policy.out_keys]
-        self.cached = getattr(policy, "cached", None)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``logits``."""
-        state = tensordict["state"]
-        blocked = self.graph[state] == state.unsqueeze(-1)
-        decided: TensorDictBase = self.policy(tensordict)
-        return decided.set("logits", decided["logits"].masked_fill(blocked, NEVER))
 
 
 def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:

@@ -12,18 +12,21 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, shortest_episodes
 from dirl.evaluation.episodes import EvaluationProtocol as EvaluationProtocol
 from dirl.evaluation.experts import RandomPolicy
+from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.scenes import World
 
 
 def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[str, Any]]:
     """The metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
 
+    Where the policy has a memory that plans, ``sweep`` is what the same memory finds without a policy: a control.
+
     A policy without parameters has a single result: that of random actions or of the shortest path. Held-out goals are
     evaluated separately, under ``held_out``.
     """
     if protocol.held_out is not None:
         apart = assess(policy, protocol.held_out)
-        held_out = {key: apart[key] for key in ("greedy", "sampled", "random")}
+        held_out = {key: apart[key] for key in ("greedy", "sampled", "random", "sweep") if key in apart}
         return {**assess(policy, replace(protocol, held_out=None)), "held_out": held_out}
     world = protocol.world
     baselines = {
@@ -37,6 +40,8 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
         "greedy": report(protocol.run(policy), world),
         "sampled": report(protocol.run(policy, greedy=False), world),
     }
+    if isinstance(protocol.memory, PlanningMemory | LocalisingMemory) and protocol.maps is None:
+        found["sweep"] = report(protocol.run_sweep(), world)
     return found if protocol.live is None else found | assess_live(policy, protocol.live)
 
 

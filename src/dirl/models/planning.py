@@ -112,22 +112,22 @@ class PlanningMemory(nn.Module):
             next_view=turns == views,
         )
 
-    def arrive(self, walked: Walked, same: Tensor, logits: Tensor, goal: Tensor) -> Walked:
+    def arrive(self, walked: Walked, same: Tensor, cost: Tensor, goal: Tensor) -> Walked:
         """Add where the agents are now, and what their last action led to.
 
         Args:
             walked: so far, N nodes.
             same: whether each used node looks like where the agent is, bool ``[B, N]``.
-            logits: of the policy facing each of the K views around the agent, float32 ``[B, K, 4]``; those of agents at
-                known nodes are not used.
+            cost: of trying each action facing each of the K views around the agent, float32 ``[B, K, 4]``; those of
+                agents at known nodes are not used.
             goal: whether it looks like the goal facing there, bool ``[B, K]``.
         """
         agents, nodes = same.shape
-        device, views = same.device, logits.shape[1]
+        device, views = same.device, cost.shape[1]
         known = same.any(1)
         new = nodes + torch.arange(views, device=device)
         here = torch.where(known, same.int().argmax(1) if nodes else nodes, nodes)
-        cost = torch.where(known[:, None, None], math.inf, -logits.log_softmax(-1))
+        cost = torch.where(known[:, None, None], math.inf, cost)
         ring = torch.full((agents, views, len(ACTIONS)), -1, device=device)
         ring[:, :, RIGHT], ring[:, :, LEFT] = new.roll(-1), new.roll(1)
         after = torch.where(walked.next_view[:, None, None], ring, -1)
@@ -147,14 +147,18 @@ class PlanningMemory(nn.Module):
             _connect_turns(made, walked.here)
         return made
 
-    def plan(self, walked: Walked) -> Tensor:
-        """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
+    def plan(self, walked: Walked, *, steps: bool = False) -> Tensor:
+        """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried.
+
+        Costs are in nats, or with ``steps`` in actions, so that one whose outcome is known costs 1.
+        """
         seen = walked.goal.any(1)[:, None, None]
         # To a goal that was seen there is a path: at its place the agent turns until it faces it.
         after = torch.where(seen & (walked.after < 0), walked.ring, walked.after)
         known = after >= 0
         more = torch.tensor([self.repeated, self.turn, self.turn, self.repeated], device=walked.cost.device)
-        step = torch.where(seen, torch.where(known, SURE, math.inf), walked.cost + more * known)
+        again = torch.ones_like(walked.cost) if steps else walked.cost + more
+        step = torch.where(seen, torch.where(known, SURE, math.inf), torch.where(known, again, walked.cost))
         found = cheapest(step, after, walked.goal, walked.here)
         at = torch.arange(len(walked.here), device=walked.here.device)
         return -torch.where(found.isinf().all(-1, keepdim=True), walked.cost[at, walked.here], found)

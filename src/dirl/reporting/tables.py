@@ -29,6 +29,7 @@ COLUMNS = 80
 SECTIONS = {
     "shortest path": "shortest_path",
     "random": "random",
+    "sweep, ignores the goal": "sweep",
     "greedy": "greedy",
     "sampled": "sampled",
     "live": "live",
