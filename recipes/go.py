@@ -1,4 +1,4 @@
-"""Find the path to a photo by the map of a video.
+"""Find the way to a photo by the map of a video.
 
     python recipes/go.py map=walk.npz photo=goal.jpg start=here.jpg out=way.png
 
@@ -6,6 +6,7 @@ All options: `Options` below.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 from dirl.cli.start import run, start
 from dirl.config.options import option
@@ -13,56 +14,114 @@ from dirl.config.options import option
 
 @dataclass
 class Options:
-    """Find the path to a photo by the map of a video."""
+    """Find the way to a photo by the map of a video, or say that it was taken elsewhere."""
 
     map: str = option("a map that recipes/map.py made")
-    photo: str = option("of the goal")
-    start: str | None = option("a photo of where one is; null = where the recording begins", None)
-    out: str = option("a new file for the picture of the path", "way.png")
+    photo: Any = option("of the goal; several in a row, [1.jpg,2.jpg,3.jpg], or a short video find it more surely")
+    start: Any = option("likewise, of where one is; null = where the recording begins", None)
+    out: str = option("a new file for the picture of the way; its moves are written beside it, as JSON", "way.png")
+    page: str | None = option("a new file (.html): the map, and where the photo was found", None)
+    mcap: str | None = option("a new file (.mcap): pictures and moves of the way, for Foxglove or Rerun", None)
 
 
 if __name__ == "__main__":
     options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
-from dirl.agent.mapping.frames import KNOWN, fits, load_frames_map
+from dirl.agent.mapping.frames import Found, FrameMap, load_frames_map
+from dirl.agent.mapping.moves import Move, moves_along
 from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
+from dirl.perception.matching import Matcher
 from dirl.reporting.strips import draw_strip
-from dirl.sources.video import read_photo
+from dirl.reporting.walks import write_mcap, write_page
+from dirl.scenes.io.atomic import write_json
+from dirl.sources.video import Recording, read_photo
 
 SHOWN = 16
 """Frames of the path in the picture, at most."""
 
+MOST = 30
+"""Frames of a short video that are looked for, at most."""
+
 
 def main(options: Options) -> None:
-    """Locate the photos, and draw the path between them."""
-    out = new_file(options.out, ending=".png")
+    """Locate the photos, tell the moves between them, and draw the way."""
+    for file, ending in ((options.out, ".png"), (options.page, ".html"), (options.mcap, ".mcap")):
+        if file is not None:
+            new_file(file, ending=ending)
     graph = load_frames_map(options.map)
-    height = graph.frames.shape[1]
-    goal = read_photo(options.photo, height)
-    here = graph.frames[0] if options.start is None else read_photo(options.start, height)
-    ends = []
-    print("| photo | frame | correlation | |\n|---|--:|--:|---|")
-    for name, photo in ((options.start or "the first frame", here), (options.photo, goal)):
-        found = fits(graph, photo)
-        ends.append(int(found.argmax()))
-        print(f"| {name} | {ends[-1]} | {found.max():.2f} | {'' if found.max() >= KNOWN else 'uncertain'} |")
-    far, following = graph.distances_to(np.array(ends[1:]))
-    if not np.isfinite(far[ends[0]]):
-        raise ConfigError(f"photo={options.photo}: no path leads there; the recording shows it only before the start")
-    path = [ends[0]]
-    while far[path[-1]] > 0:
-        path.append(int(following[path[-1]]))
+    matcher = Matcher(graph.kind)
+    here = None if options.start is None else locate(graph, matcher, "start", options.start)
+    goal = locate(graph, matcher, "photo", options.photo)
+    print("| photo | frame | second | points that agree | |\n|---|--:|--:|--:|---|")
+    for name, found in ((options.start or "the first frame", here), (options.photo, goal)):
+        frame = 0 if found is None else found.frame
+        told = "| |" if found is None else f"{found.scores.max():.0f} | {found.answer} ({found.probability:.2f}) |"
+        print(f"| {name} | {frame} | {graph.times[frame]:.0f} | {told}")
+    for name, found in (("start", here), ("photo", goal)):
+        if found is not None and found.answer == "not here":
+            raise ConfigError(
+                f"{name}={getattr(options, name)}: was not taken where the map was recorded; the most similar frame is "
+                f"{found.frame}"
+            )
+    start = 0 if here is None else here.frame
+    path = graph.path(start, goal.frame)
+    if not path:
+        raise ConfigError(f"photo={options.photo}: nothing links its recording with that of the start")
+    moves = moves_along(graph, matcher, path)
     jumps = sum(abs(after - before) > 1 for before, after in pairwise(path))
-    print(f"path: {len(path)} frames, {jumps} shortcuts")
+    print(f"\nway: {len(path)} frames, {jumps} links\n\n| move | until frame |\n|---|--:|")
+    for move in moves:
+        print(f"| {move} | {move.frame} |")
     shown = [path[place] for place in np.unique(np.linspace(0, len(path) - 1, SHOWN).round().astype(int))]
-    pictures = [("here", here), *((f"frame {node}", graph.frames[node]) for node in shown), ("goal", goal)]
-    draw_strip(pictures, out)
+    draw_strip([(f"frame {node}", graph.picture(node)) for node in shown], Path(options.out))
     print(f"picture: {options.out}")
+    told = Path(options.out).with_suffix(".json")
+    write_json(told, describe_way(graph, path, moves, goal, here))
+    print(f"moves: {told}")
+    if options.page is not None:
+        write_page(graph, Path(options.page), path, goal)
+        print(f"page: {options.page}")
+    if options.mcap is not None:
+        texts = {move.frame: str(move) for move in reversed(moves)}
+        seconds = np.arange(len(path)) * graph.spacing
+        told_with = [texts.get(frame, "") for frame in path]
+        pictures = zip(seconds.tolist(), map(graph.picture, path), told_with, strict=True)
+        write_mcap(Path(options.mcap), pictures)
+        print(f"mcap: {options.mcap}")
+
+
+def locate(graph: FrameMap, matcher: Matcher, option: str, sources: Any) -> Found:
+    """Where a photo, several or a short video were taken."""
+    names = [sources] if isinstance(sources, str) else list(sources)
+    if len(names) == 1 and Path(names[0]).suffix.lower() not in (".jpg", ".jpeg", ".png", ".webp"):
+        frames = list(Recording(Path(names[0]), graph.spacing))
+        if len(frames) > MOST:
+            raise ConfigError(f"{option}={names[0]}: {frames[-1].time:.0f} s; {MOST * graph.spacing:.0f} s are enough")
+        return graph.find(matcher, matcher.describe(frame.image for frame in frames), [frame.time for frame in frames])
+    return graph.find(matcher, matcher.describe(read_photo(name) for name in names))
+
+
+def describe_way(
+    graph: FrameMap, path: list[int], moves: list[Move], goal: Found, here: Found | None
+) -> dict[str, object]:
+    """The way as JSON has it."""
+    ends = {"start": here, "goal": goal}
+    return {
+        name: {"frame": found.frame, "answer": found.answer, "probability": found.probability}
+        for name, found in ends.items()
+        if found is not None
+    } | {
+        "path": [{"frame": frame, "seconds": float(graph.times[frame])} for frame in path],
+        "moves": [
+            {"turn_left_degrees": move.turn, "ahead_seconds": move.ahead, "until_frame": move.frame} for move in moves
+        ],
+    }
 
 
 if __name__ == "__main__":

@@ -1,76 +1,323 @@
-"""First-person recordings: the frames of a video, or of a folder of images."""
+"""First-person recordings: the frames of a video, of a folder of images, or of a bag of ROS, one after the other."""
 
+import re
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
-from tqdm import tqdm
 
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import ImageError, open_image
 
-HEIGHT = 120
-"""Of the frames that are kept, pixels."""
+SIDE = 480
+"""Pixels of the longer side of frames as they are compared."""
 
 MAX_PIXELS = 2**28
 
-SUFFIXES = {".jpg", ".jpeg", ".png", ".webp"}
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 """Of the images of a folder."""
 
+OTHER_PICTURES = (".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".jp2", ".jxl", ".pgm", ".ppm")
+"""Suffixes of pictures that are not read: a recording in which they were left out would have holes."""
 
-def read_frames(source: str | Path, every: int = 1, height: int = HEIGHT) -> NDArray[np.uint8]:
-    """Frames of a recording, RGB, uint8 ``[N, height, W, 3]``.
+FORMATS = "mov,matroska,avi,mpeg,mpegts,asf,flv,ogg"
+"""Demuxers of ffmpeg that read videos alone. Others turn texts into pictures, or open files that a list names."""
+
+BAGS = (".bag", ".mcap", ".db3")
+
+ENCODINGS = {
+    "rgb8": ("RGB", "RGB", 3),
+    "bgr8": ("RGB", "BGR", 3),
+    "rgba8": ("RGB", "RGBX", 4),
+    "bgra8": ("RGB", "BGRX", 4),
+    "mono8": ("L", "L", 1),
+}
+"""Of raw images of a bag: Pillow's mode, how the bytes lie, and bytes of a pixel."""
+
+STAMP = re.compile(r"\] n: *\d+ pts:.*? pts_time:([-\d.]+)")
+
+MATTERS = re.compile(r"\[(?:error|fatal|panic)\] *(.*)")
+
+
+class Frame(NamedTuple):
+    """A frame of a recording."""
+
+    image: NDArray[np.uint8]
+    """RGB, ``[H, W, 3]``, its longer side `SIDE` pixels or less."""
+    time: float
+    """Seconds from the beginning."""
+    place: tuple[float, float, float] | None = None
+    """x, y (metres) and heading (degrees, to the left) by the odometry of a bag; None without one."""
+
+
+@dataclass
+class Recording:
+    """A recording that was looked into, but not decoded yet; iterate over it for its frames.
 
     Args:
-        source: a video that ffmpeg reads, or a folder of images, in the order of their names.
-        every: so many frames there is one that is kept.
-        height: pixels; the width keeps the shape.
+        source: a video, a folder of images, or a bag.
+        every: seconds between frames that are kept. Of a folder each image is kept, and they are taken to be so many
+            seconds apart: it holds no times.
+        topic: of the images of a bag; may be left out if there is one.
+        odometry: topic of ``nav_msgs/Odometry`` of a bag; may be left out if there is one.
 
     Raises:
-        SceneError: there is no such video or folder, it has fewer than two frames, or it cannot be decoded.
+        SceneError: it is no recording, or one that cannot be read; the message says what to do.
     """
-    path = Path(source)
-    if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)[::every]
-        frames = [read_photo(file, height) for file in tqdm(files, desc="frames", unit="", disable=None)]
-        if len({frame.shape for frame in frames}) > 1:
-            raise SceneError(f"{source}: the images are of different shapes; a recording is of one camera")
-    elif path.is_file():
-        frames = _decoded(path, every, height)
-    else:
-        raise SceneError(f"{source}: there is no such video or folder of images")
-    if len(frames) < 2:
-        raise SceneError(f"{source}: has {len(frames)} frames to keep; at least two are needed")
-    return np.stack(frames)
+
+    source: Path
+    every: float = 1.0
+    topic: str | None = None
+    odometry: str | None = None
+
+    def __post_init__(self) -> None:
+        self.files: list[Path] = []
+        self.left_out: list[str] = []
+        self.field_of_view: float | None = None
+        """Degrees from left to right, where the first image of a folder tells the focal length of 35 mm film."""
+        if self.source.is_dir() and not (self.source / "metadata.yaml").is_file():
+            self._list_images()
+            self.count = len(self.files)
+        elif not self.source.exists():
+            raise SceneError(f"{self.source}: there is no such video, folder of images or bag")
+        else:
+            duration = _bag_duration(self.source) if self.is_bag else _video_duration(self.source)
+            self.count = int(duration / self.every) + 1
+            """Frames that will be kept, about."""
+
+    @property
+    def is_bag(self) -> bool:
+        """True for a bag of ROS 1 or 2."""
+        return self.source.is_dir() or self.source.suffix in BAGS
+
+    def __iter__(self) -> Iterator[Frame]:
+        if self.files:
+            frames = (Frame(read_photo(file), number * self.every) for number, file in enumerate(self.files))
+        else:
+            frames = self._bag_frames() if self.is_bag else _video_frames(self.source, self.every)
+        shape = None
+        for frame in frames:
+            if shape is not None and frame.image.shape != shape:
+                raise SceneError(f"{self.source}: its images are of different shapes; a recording is of one camera")
+            shape = frame.image.shape
+            yield frame
+
+    def _list_images(self) -> None:
+        names = [file for file in self.source.iterdir() if file.is_file() and not file.name.startswith(".")]
+        if others := sorted(file.name for file in names if file.suffix.lower() in OTHER_PICTURES):
+            raise SceneError(
+                f"{self.source}: {others[0]} ({len(others)} of this kind): pictures that are not read; convert them to "
+                "JPEG, or the recording would have holes"
+            )
+        self.files = sorted((file for file in names if file.suffix.lower() in SUFFIXES), key=natural_order)
+        self.left_out = sorted(file.name for file in names if file not in set(self.files))
+        if not self.files:
+            raise SceneError(f"{self.source}: holds no images ({', '.join(SUFFIXES)})")
+        self.field_of_view = photo_field_of_view(self.files[0])
+
+    def _bag_frames(self) -> Iterator[Frame]:
+        with _opened_bag(self.source) as reader:
+            images = _connections(self.source, reader, "topic", self.topic, ("Image", "CompressedImage"))
+            if not images:
+                raise SceneError(f"{self.source}: has no topic of images; it has {_topics(reader)}")
+            odometry = _connections(self.source, reader, "odometry", self.odometry, ("Odometry",))
+            place, start, last = None, None, -np.inf
+            try:
+                for connection, stamp, data in reader.messages(images + odometry):
+                    if connection in odometry:
+                        place = _pose(reader.deserialize(data, connection.msgtype))
+                        continue
+                    start = stamp if start is None else start
+                    time = (stamp - start) / 1e9
+                    if time - last >= 0.999 * self.every:
+                        last = time
+                        message = reader.deserialize(data, connection.msgtype)
+                        yield Frame(_message_image(self.source, message), time, place)
+            except SceneError:
+                raise
+            except Exception as error:  # each storage plugin raises its own
+                raise SceneError(f"{self.source}: is damaged ({type(error).__name__}: {_line(error)})") from None
 
 
-def read_photo(file: str | Path, height: int = HEIGHT) -> NDArray[np.uint8]:
-    """A photo, RGB, uint8 ``[height, W, 3]``; `SceneError` if it cannot be decoded."""
+def natural_order(file: Path) -> list[tuple[int, int | str]]:
+    """A key to sort names as people number them: 2.png before 10.png."""
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", file.name) if part]
+
+
+def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
+    """A photo, upright, RGB, uint8 ``[H, W, 3]``, its longer side ``side`` pixels or less.
+
+    Raises:
+        SceneError: it cannot be decoded, or has 16 bits.
+    """
     try:
-        image = ImageOps.exif_transpose(open_image(Path(file).read_bytes(), MAX_PIXELS))
+        image = open_image(Path(file).read_bytes(), MAX_PIXELS)
     except (OSError, ImageError) as error:
         raise SceneError(f"{file}: {getattr(error, 'strerror', None) or error}") from None
-    return _small(image, height)
+    return _small(file, ImageOps.exif_transpose(image), side)
 
 
-def _small(image: Image.Image, height: int) -> NDArray[np.uint8]:
-    size = max(1, round(image.width * height / image.height)), height
+def photo_field_of_view(file: str | Path) -> float | None:
+    """Degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none."""
+    try:
+        image = open_image(Path(file).read_bytes(), MAX_PIXELS, load=False)
+        focal = float(image.getexif().get_ifd(0x8769).get(0xA405) or 0)
+    except (OSError, ValueError, TypeError):
+        return None
+    upright = image.height > image.width
+    across = image.getexif().get(0x0112, 1) in (5, 6, 7, 8)  # turned when shown
+    return float(2 * np.degrees(np.arctan((12 if upright != across else 18) / focal))) if focal > 0 else None
+
+
+def _small(source: str | Path, image: Image.Image, side: int = SIDE) -> NDArray[np.uint8]:
+    if image.mode.startswith(("I", "F")):
+        raise SceneError(f"{source}: a picture of 16 bits or more, as of depth or heat; convert it to 8 bits")
+    scale = min(1.0, side / max(image.size))
+    size = max(1, round(image.width * scale)), max(1, round(image.height * scale))
     return np.asarray(image.convert("RGB").resize(size, Image.Resampling.BOX))
 
 
-def _decoded(file: Path, every: int, height: int) -> list[NDArray[np.uint8]]:
+def _ffmpeg(file: Path) -> str:
     try:
         import imageio_ffmpeg
     except ImportError:
         raise SceneError(f"{file}: a video needs a package that is not installed: pip install 'dirl[video]'") from None
-    frames = []
+    return str(imageio_ffmpeg.get_ffmpeg_exe())
+
+
+def _arguments(file: Path) -> list[str]:
+    """Ffmpeg with a video as input, which may open that file alone."""
+    only = ["-protocol_whitelist", "file", "-format_whitelist", FORMATS]
+    return [
+        _ffmpeg(file),
+        "-hide_banner",
+        "-nostdin",
+        "-loglevel",
+        "level+info",
+        *only,
+        "-i",
+        f"file:{file.absolute()}",
+    ]
+
+
+def _video_duration(file: Path) -> float:
+    """Seconds that a video says it takes."""
+    found = subprocess.run(_arguments(file), capture_output=True, check=False).stderr.decode(errors="replace")
+    duration = re.search(r"Duration: (\d+):(\d+):([\d.]+)", found)
+    if "Video:" not in found:
+        reason = next((line for line in MATTERS.findall(found) if "output file" not in line), "no video in it")
+        raise SceneError(f"{file}: is no video that is read ({reason.strip()[:120]})")
+    return (
+        sum(float(part) * unit for part, unit in zip(duration.groups(), (3600, 60, 1), strict=True))
+        if duration
+        else 0.0
+    )
+
+
+def _video_frames(file: Path, every: float) -> Iterator[Frame]:
+    """Frames by their time stamps: the first one, and each that is ``every`` seconds or more after the last."""
+    chosen = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t\\,{0.999 * every:.6f})'"
+    scaled = f"scale='if(gt(iw,ih),min({SIDE},iw),-2)':'if(gt(iw,ih),-2,min({SIDE},ih))':flags=area"
+    output = ["-map", "0:v:0", "-vf", f"{chosen},{scaled},showinfo", "-fps_mode", "passthrough"]
+    output += ["-f", "image2pipe", "-c:v", "ppm", "pipe:1"]
+    with tempfile.NamedTemporaryFile("wb") as log, open(log.name, errors="replace") as told:
+        process = subprocess.Popen([*_arguments(file), *output], stdout=subprocess.PIPE, stderr=log)
+        assert process.stdout is not None
+        stamps: list[float] = []
+        text, number = "", 0
+        try:
+            while image := _read_ppm(process.stdout):
+                # A frame is told of before it is written, so that its line is there by now.
+                text += told.read()
+                stamps += [float(stamp) for stamp in STAMP.findall(text)]
+                text = STAMP.sub("", text)
+                yield Frame(np.asarray(image), stamps[number] - stamps[0])
+                number += 1
+            process.wait()
+        finally:
+            process.kill()
+            process.wait()
+            process.stdout.close()
+        if wrong := MATTERS.findall(text + told.read()):
+            raise SceneError(f"{file}: is damaged after {number} frames ({wrong[0].strip()[:120]})")
+
+
+def _read_ppm(stream: IO[bytes]) -> Image.Image | None:
+    """The next picture of ffmpeg; None at the end."""
+    if stream.readline() != b"P6\n":
+        return None
+    width, height = map(int, stream.readline().split())
+    stream.readline()
+    data = stream.read(3 * width * height)
+    return Image.frombytes("RGB", (width, height), data) if len(data) == 3 * width * height else None
+
+
+def _opened_bag(source: Path) -> Any:
     try:
-        reader = imageio_ffmpeg.read_frames(str(file))
-        size = next(reader)["size"]
-        for number, data in enumerate(tqdm(reader, desc="frames", unit="", disable=None)):
-            if number % every == 0:
-                frames.append(_small(Image.frombytes("RGB", size, data), height))
-    except (OSError, RuntimeError, StopIteration, KeyError, ValueError) as error:
-        raise SceneError(f"{file}: is no video that ffmpeg reads ({type(error).__name__})") from None
-    return frames
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise SceneError(f"{source}: a bag needs a package that is not installed: pip install 'dirl[bags]'") from None
+    try:
+        # A bag without definitions of its own is of ROS 2; those of images and odometry are alike in all its versions.
+        reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except Exception as error:  # of the storage plugins, and struct.error of damaged files
+        raise SceneError(f"{source}: is no bag that is read ({type(error).__name__}: {_line(error)})") from None
+    return closing(reader)
+
+
+def _bag_duration(source: Path) -> float:
+    with _opened_bag(source) as reader:
+        return float(reader.duration / 1e9)
+
+
+def _connections(source: Path, reader: Any, option: str, topic: str | None, kinds: tuple[str, ...]) -> list[Any]:
+    """Connections of one topic of these kinds of messages; an empty list if there is none and none was asked for."""
+    found = [one for one in reader.connections if one.msgtype.rpartition("/")[2] in kinds]
+    names = sorted({one.topic for one in found})
+    if topic is None and len(names) > 1:
+        raise SceneError(f"{source}: choose {option}= of {', '.join(names)}")
+    if topic is not None and topic not in names:
+        raise SceneError(f"{source}: has no {option} {topic} of {' or '.join(kinds)}; it has {_topics(reader)}")
+    return [one for one in found if topic in (None, one.topic)]
+
+
+def _topics(reader: Any) -> str:
+    return ", ".join(sorted(f"{one.topic} ({one.msgtype})" for one in reader.connections)) or "none"
+
+
+def _pose(message: Any) -> tuple[float, float, float]:
+    """Where odometry is, metres, and its heading, degrees to the left."""
+    at, turn = message.pose.pose.position, message.pose.pose.orientation
+    heading = np.arctan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
+    return float(at.x), float(at.y), float(np.degrees(heading))
+
+
+def _message_image(source: Path, message: Any) -> NDArray[np.uint8]:
+    """The picture of a message ``Image`` or ``CompressedImage``."""
+    data = message.data.tobytes()
+    if not hasattr(message, "encoding"):
+        try:
+            return _small(source, open_image(data, MAX_PIXELS))
+        except ImageError as error:
+            raise SceneError(f"{source}: an image of format '{message.format}' is not read ({error})") from None
+    if message.encoding not in ENCODINGS:
+        raise SceneError(
+            f"{source}: images of encoding {message.encoding} are not read; expected {', '.join(ENCODINGS)}"
+        )
+    mode, raw, channels = ENCODINGS[message.encoding]
+    if len(data) < message.step * message.height or message.step < channels * message.width:
+        raise SceneError(f"{source}: an image of {message.width}x{message.height} has only {len(data)} bytes")
+    return _small(source, Image.frombytes(mode, (message.width, message.height), data, "raw", raw, message.step, 1))
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:120]

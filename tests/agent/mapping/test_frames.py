@@ -1,81 +1,112 @@
-"""Maps of first-person recordings, in a corridor whose walls change from place to place."""
+"""Maps of recordings: where photos are found, what is linked, and what is refused."""
 
 import numpy as np
 import pytest
-import torch
-import torch.nn.functional as F
+from hall import look, walk
 
 from dirl.agent.mapping import MapError
-from dirl.agent.mapping.frames import KNOWN, FrameMap, fits, load_frames_map
+from dirl.agent.mapping.frames import FrameMap, check_memory, find_links, load_frames_map, map_recordings
+from dirl.agent.mapping.moves import moves_along
+from dirl.perception.matching import Matcher
 
-DEGREE = 2
-"""Pixels of a panorama."""
+pytest.importorskip("cv2")
 
-EVERY = 6
-"""Steps, after which the walls are others altogether."""
-
-
-def painted(seed):
-    """A panorama of blots, float [60, 720, 3]."""
-    generator = torch.Generator().manual_seed(seed)
-    blots = torch.rand(1, 3, 12, 90, generator=generator)
-    return F.interpolate(blots, (60, 360 * DEGREE), mode="bilinear")[0].permute(1, 2, 0).numpy()
+ALONG = [(1 + x, 2.5, 0) for x in range(14)]
 
 
-PANORAMAS = [painted(seed) for seed in range(9)]
+@pytest.fixture(scope="module")
+def matcher():
+    return Matcher("sift")
 
 
-def view(step, heading=0.0):
-    """What is seen after so many steps, 90 degrees wide, uint8 [60, 80, 3]."""
-    before, part = divmod(step, EVERY)
-    around = PANORAMAS[before] * (1 - part / EVERY) + PANORAMAS[before + 1] * part / EVERY
-    bearing = np.degrees(np.arctan((np.arange(80) + 0.5) / 40 - 1)) + heading
-    return (255 * around[:, (bearing * DEGREE).astype(int) % (360 * DEGREE)]).astype(np.uint8)
+@pytest.fixture(scope="module")
+def graph(matcher):
+    """A walk along a hall, a turn to the left, and a walk on aside."""
+    turn = [(14.5, 2.5, 20 * part) for part in range(1, 5)]
+    return map_recordings([walk(ALONG + turn)], matcher, 65.0)
 
 
-def recording(steps):
-    return np.stack([view(step) for step in steps])
+def test_a_photo_is_found_where_it_was_taken(graph, matcher):
+    found = graph.find(matcher, matcher.describe([look(6.4, 2.3, 4)]))
+    assert abs(found.frame - 5) <= 1
+    assert found.answer != "not here"
 
 
-def test_where_a_recording_comes_by_again_there_is_a_shortcut():
-    twice = FrameMap(recording([*range(40), *range(10, 40)]))
-    assert len(twice.shortcuts)
-    assert all(abs(first - (second - 30)) <= 2 for first, second in twice.shortcuts)
-    far, following = twice.distances_to(np.array([25]))
-    assert (far[5], following[5]) == (20, 6)
-    assert far[45] < 20  # by a shortcut; without one no way leads back
-    assert len(FrameMap(recording(range(40))).shortcuts) == 0
+def test_a_photo_of_another_hall_was_not_taken_here(graph, matcher):
+    assert graph.find(matcher, matcher.describe([look(6.4, 2.3, 4, seed=9)])).answer == "not here"
 
 
-def test_a_photo_fits_best_where_it_was_taken():
-    graph = FrameMap(recording(range(48)))
-    found = fits(graph, view(30, heading=10))
-    assert abs(int(found.argmax()) - 30) <= 1
-    assert found.max() > KNOWN
-    assert int(fits(graph, view(7, heading=-15)).argmax()) == 7
+def test_a_short_film_is_found_in_both_directions(graph, matcher):
+    film = matcher.describe([look(x, 2.6, 0) for x in (4.2, 5.2, 6.2)])
+    assert abs(graph.find(matcher, film).frame - 4) <= 1
+    assert abs(graph.find(matcher, film[::-1]).frame - 4) <= 1
+    there = graph.find(matcher, film, times=[0.0, 1.0, 2.0])
+    assert there.probability == pytest.approx(graph.find(matcher, film).probability)
 
 
-def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path):
+def test_a_place_that_is_passed_twice_is_linked_and_one_of_another_hall_is_not(matcher):
+    again = [(1.3 + x, 2.4, 1) for x in range(14)]
+    graph = map_recordings([walk(ALONG), walk(again), walk(ALONG, seed=9)], matcher, 65.0)
+    links = find_links(graph, matcher)
+    assert len(links)
+    assert all(abs(first - (second - 14)) <= 3 for first, second in links)
+    assert not len(find_links(map_recordings([walk(ALONG)], Matcher("none"), 65.0), Matcher("none")))
+
+
+def test_a_full_turn_on_the_spot_closes(matcher):
+    around = [(9.0, 2.5, 24 * part) for part in range(18)]
+    links = find_links(map_recordings([walk(around)], matcher, 65.0), matcher)
+    assert len(links)
+    assert all(abs(second - first - 15) <= 1 for first, second in links)
+
+
+def test_a_path_is_told_as_moves(graph, matcher):
+    moves = moves_along(graph, matcher, graph.path(2, 17))
+    assert [str(move).split()[0] for move in moves] == ["ahead", "turn"]
+    assert moves[0].ahead == pytest.approx(12, abs=2)
+    assert moves[1].turn == pytest.approx(80, abs=12)
+    back = moves_along(graph, matcher, graph.path(12, 4))
+    assert [str(move) for move in back] == ["turn around", "ahead 8 s", "turn around"]
+
+
+def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, matcher):
     file = tmp_path / "walk.npz"
-    graph = FrameMap(recording([*range(40), *range(10, 40)]), field_of_view=80.0)
     graph.save(file)
     again = load_frames_map(file)
-    assert again.field_of_view == 80
-    assert np.array_equal(again.frames, graph.frames)
-    assert np.array_equal(again.shortcuts, graph.shortcuts)
-    file.write_bytes(file.read_bytes()[:1000])
+    assert again.pictures == graph.pictures
+    assert again.size == graph.size
+    assert np.array_equal(again.described.vectors, graph.described.vectors)
+    photo = matcher.describe([look(6.4, 2.3, 4)])
+    assert np.array_equal(again.find(matcher, photo).scores, graph.find(matcher, photo).scores)
+    with np.load(file) as stored:
+        arrays = dict(stored)
+    np.savez(file, **arrays | {"links": np.array([[0, 99]])})
+    with pytest.raises(MapError, match="damaged"):
+        load_frames_map(file)
+    np.savez(file, frames=np.zeros((2, 4, 4, 3), np.uint8))
+    with pytest.raises(MapError, match="another version"):
+        load_frames_map(file)
+    file.write_bytes(file.read_bytes()[:100])
     with pytest.raises(MapError, match="no map that can be read"):
         load_frames_map(file)
     with pytest.raises(MapError, match="no such map"):
         load_frames_map(tmp_path / "none.npz")
-    np.savez(file, frames=graph.frames, shortcuts=np.array([[0, 99]]), field_of_view=90.0)
-    with pytest.raises(MapError, match="damaged"):
-        load_frames_map(file)
-    np.savez(file, frames=np.array([object()]), shortcuts=graph.shortcuts, field_of_view=90.0)
-    with pytest.raises(MapError, match="no map that can be read"):
-        load_frames_map(file)
 
 
-def test_frames_of_another_form_are_refused():
-    with pytest.raises(MapError, match="two or more RGB frames"):
-        FrameMap(np.zeros((1, 60, 80, 3), np.uint8))
+def test_too_few_frames_other_shapes_and_too_many_frames_are_refused(matcher):
+    with pytest.raises(MapError, match="has 1 frames"):
+        map_recordings([walk(ALONG[:1])], matcher, 65.0)
+    with pytest.raises(MapError, match="expected RGB"):
+        map_recordings([[(np.zeros((60, 80)), 0.0, None)]], matcher, 65.0)
+    with pytest.raises(MapError, match="recording 2: 160x120 pixels, not 320x180"):
+        map_recordings([walk(ALONG[:2]), walk(ALONG[:2], size=(120, 160))], matcher, 65.0)
+    with pytest.raises(MapError, match="every="):
+        check_memory(10**9, 1.0)
+
+
+def test_odometry_that_begins_late_stands_still_until_then(matcher):
+    frames = walk(ALONG[:3])
+    frames[1:] = [(image, time, (time, 0.0, 90.0)) for image, time, _ in frames[1:]]
+    graph = map_recordings([frames], matcher, 65.0)
+    assert isinstance(graph, FrameMap)
+    assert graph.places.tolist() == [[1, 0, 90], [1, 0, 90], [2, 0, 90]]

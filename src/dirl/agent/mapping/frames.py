@@ -1,116 +1,241 @@
-"""A map of a first-person recording: its frames, what followed what, and shortcuts between frames of one place.
+"""A map of recordings: their frames, what followed what, and links between frames of one place.
 
-Unlike an `ImageGraph` it needs no grid of moves: turns are continuous, and only what lies ahead is seen. Two frames are
-compared as cylinders, small and without slow changes of light, shifted against each other: how well the best shift fits
-says whether both are of one place. Shortcuts are found as in SPTM (Savinov et al., ICLR 2018): a window of successive
-frames must fit.
+Unlike an `ImageGraph` it needs no grid of moves: turns are continuous, and only what lies ahead is seen. As in SPTM
+(Savinov et al., ICLR 2018) frames of one place that were taken at different times are linked, here where their points
+agree on one geometry, for a window of frames. A photo is found by `FrameMap.find`, which can also say that it was taken
+elsewhere.
 """
 
+import math
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from PIL import Image
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
-from torch import Tensor
+from tqdm import tqdm
 
 from dirl.agent.mapping.graph import MapError
+from dirl.perception.matching import SHORTLIST, Described, Matcher, Whitening
 from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.views import decode, encode
 
-COLUMNS, ROWS = 48, 12
-"""Of a frame as a cylinder."""
+SCHEMA = 2
 
-TALL = 0.45
-"""Tangent of the elevation of its upper edge."""
+NEIGHBOURS = 0.5
+"""What the frames before and after count, beside the frame itself: a place is seen from both."""
 
-ZOOMS = (1.0, 1.3, 1.7)
-"""A photo is compared as if it had been taken nearer, too."""
+LOOK = 20.0
+"""Points that a cosine of 1 between whole views counts as."""
 
-SHIFTS = 20
-"""Columns that frames are shifted at most."""
+APART = 6.0
+"""Seconds from which another frame is another place, unless links say that it is not."""
 
-COARSE = 24, 6
-"""Columns and rows for comparing all frames with all."""
+BACKWARDS = 2.0
+"""What going back along a recording by one frame costs; going on costs 1."""
 
-TURNED = 3
-"""Columns of these by which frames of one place may be turned."""
+PICTURE = 240
+"""Pixels of the longer side of the pictures that a map keeps to be shown."""
 
-WINDOW = 3
-"""Frames before and after that must fit too, for a shortcut."""
+BYTES = 50_000
+"""Of a frame in a map, about."""
 
-APART = 12
-"""Frames between the ends of a shortcut, at least."""
+LOOP_SHORTLIST = 8
+"""Frames whose points are compared with those of each new one, for links."""
 
-ALIKE = 0.6
-"""Mean correlation in the window, for a shortcut."""
+LINK = {"xfeat": 60.0, "sift": 30.0}
+"""Points that agree, for a link."""
 
-KNOWN = 0.28
-"""Least correlation of a frame with what is seen there."""
+WINDOW = 6
+"""Frames around the end of a link to which the other end is not linked, too."""
 
-BATCH = 100
+CERTAIN = 0.95
+"""Least probability of an answer that is called certain."""
+
+DECISION = {"xfeat": (4.2, 1.1, -7.5), "sift": (4.2, 1.1, -7.5), "none": (4.2, 1.1, -7.5)}
+"""Of a logistic regression of right answers: log ratio to the best other place, log score, constant."""
+
+HERE = {"xfeat": 66.0, "sift": 30.0, "none": 5.0}
+"""Least score of a photo that was taken here."""
+
+Certainty = Literal["certain", "uncertain", "not here"]
 
 
+class Found(NamedTuple):
+    """Where photos were taken."""
+
+    frame: int
+    """The one that fits the (middle) photo best."""
+    answer: Certainty
+    probability: float
+    """That the frame is right."""
+    scores: NDArray[np.float64]
+    """Of every frame: points that agree, ``[N]``."""
+
+
+@dataclass
 class FrameMap:
-    """Frames of a recording and the paths between them.
+    """Frames of recordings, in order of time, and the paths between them.
 
     Args:
-        frames: RGB, uint8 ``[N, H, W, 3]``, in order of time and near enough that neighbours overlap.
+        pictures: of the frames, small, as WebP.
+        times: seconds from the beginning of its recording, ``[N]``.
+        parts: number of the recording that a frame is of, int ``[N]``.
+        described: what frames are compared by.
+        links: pairs of frames of one place, the earlier one first, int ``[L, 2]``.
         field_of_view: of the camera from left to right, degrees.
-        shortcuts: pairs of frames of one place, int ``[S, 2]``; they are looked for if left out.
-
-    Raises:
-        MapError: fewer than two frames, or not of that form.
+        kind: of the `Matcher` that described the frames.
+        size: height and width of the frames as they were described, pixels.
+        places: x, y (metres) and heading (degrees to the left) by odometry, ``[N, 3]``; None without.
     """
 
-    def __init__(
-        self, frames: NDArray[np.uint8], field_of_view: float = 90.0, shortcuts: NDArray[np.int64] | None = None
-    ) -> None:
-        if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[-1] != 3 or len(frames) < 2:
-            raise MapError(f"frames: expected two or more RGB frames, uint8 [N, H, W, 3], not {frames.shape}")
-        self.frames, self.field_of_view = frames, field_of_view
-        self.views = self.describe(frames)
-        self.shortcuts = find_shortcuts(self.views) if shortcuts is None else shortcuts
-        count = len(frames)
-        first = np.concatenate([np.arange(count - 1), self.shortcuts[:, 0], self.shortcuts[:, 1]])
-        second = np.concatenate([np.arange(1, count), self.shortcuts[:, 1], self.shortcuts[:, 0]])
-        self._links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count)).tocsr()
+    pictures: Sequence[bytes]
+    times: NDArray[np.float64]
+    parts: NDArray[np.int64]
+    described: Described
+    links: NDArray[np.int64]
+    field_of_view: float
+    kind: str
+    size: tuple[int, int]
+    places: NDArray[np.float64] | None = None
 
-    def describe(self, frames: NDArray[np.uint8], zoom: float = 1.0) -> Tensor:
-        """What is compared of frames, float32 ``[N, COLUMNS, 3 ROWS]``."""
-        grid = _cylinder(self.field_of_view, zoom, frames.shape[1] / frames.shape[2])
-        images = torch.from_numpy(np.require(frames, requirements="W"))
-        return torch.cat([_local_contrast(part, grid) for part in images.split(BATCH)])
+    def __post_init__(self) -> None:
+        self.whitening = Whitening(self.described.looks)
+        count = len(self)
+        before = np.flatnonzero(self.parts[1:] == self.parts[:-1])
+        one, two = self.links.T
+        first = np.concatenate([before, before + 1, one, two])
+        second = np.concatenate([before + 1, before, two, one])
+        cost = np.concatenate([np.ones(len(before)), np.full(len(before), BACKWARDS), np.ones(2 * len(one))])
+        self.graph: csr_array = coo_array((cost, (first, second)), shape=(count, count)).tocsr()
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def picture(self, frame: int) -> NDArray[np.uint8]:
+        """A frame, small, RGB, uint8 ``[h, w, 3]``."""
+        return decode(self.pictures[frame])
 
     def distances_to(self, goals: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Links on the shortest path to any of these frames, infinite if there is none, and the frame that follows."""
-        far, following, _ = dijkstra(
-            self._links.T, indices=goals, return_predecessors=True, min_only=True, unweighted=True
-        )
+        """Cost of the cheapest path to any of these frames, infinite if there is none, and the frame that follows."""
+        far, following, _ = dijkstra(self.graph.T, indices=goals, return_predecessors=True, min_only=True)
         return far, following
+
+    def path(self, start: int, goal: int) -> list[int]:
+        """Frames from one to another; empty if nothing leads there."""
+        far, following = self.distances_to(np.array([goal]))
+        path = [start] if np.isfinite(far[start]) else []
+        while path and path[-1] != goal:
+            path.append(int(following[path[-1]]))
+        return path
+
+    def same_place(self, frame: int) -> NDArray[np.bool_]:
+        """The frames that may show the same place as one does, ``[N]``: near in time, or to those that are linked."""
+        linked = [frame, *self.links[self.links[:, 0] == frame, 1], *self.links[self.links[:, 1] == frame, 0]]
+        near = np.zeros(len(self), bool)
+        for one in linked:
+            near |= (np.abs(self.times - self.times[one]) <= APART) & (self.parts == self.parts[one])
+        return near
+
+    @property
+    def spacing(self) -> float:
+        """Seconds from one frame to the next, usually."""
+        steps = np.diff(self.times)[self.parts[1:] == self.parts[:-1]]
+        return float(np.median(steps)) or 1.0
+
+    def find(
+        self, matcher: Matcher, photos: Described, times: Sequence[float] | None = None, within: int = SHORTLIST
+    ) -> Found:
+        """Find where photos were taken, or say that it was not here.
+
+        Args:
+            matcher: of the kind that described the frames.
+            photos: one, or several in a row, as of a short video: those that a walk shows one after the other, in this
+                direction or the other, or that were taken at one place.
+            times: of the photos, seconds; the distance of the frames in the map if left out.
+            within: so many of the frames that are most alike have their points compared.
+        """
+        seconds = np.arange(len(photos)) * self.spacing if times is None else np.asarray(times, float)
+        offsets = np.rint((seconds - seconds[len(photos) // 2]) / self.spacing).astype(int)
+        each = [self.score(matcher, photos[number : number + 1], within) for number in range(len(photos))]
+        return self.combine(each, offsets)
+
+    def combine(self, each: Sequence[NDArray[np.float64]], offsets: Sequence[int] | NDArray[np.int64]) -> Found:
+        """Where photos were taken whose scores are known, so many frames after the middle one."""
+        frames, hypotheses = np.arange(len(self)), []
+        for direction in (1, -1, 0) if len(each) > 1 else (0,):
+            total = np.zeros(len(self))
+            for scores, offset in zip(each, offsets, strict=True):
+                at = np.clip(frames + direction * offset, 0, len(self) - 1)
+                total += np.where((self.parts[at] == self.parts) & (at == frames + direction * offset), scores[at], 0)
+            hypotheses.append(total)
+        scores = np.max(hypotheses, 0) / len(each)
+        frame = int(scores.argmax())
+        elsewhere = scores[~self.same_place(frame)]
+        return Found(frame, *decide(float(scores[frame]), float(elsewhere.max(initial=0)), self.kind), scores)
+
+    def score(self, matcher: Matcher, photo: Described, within: int = SHORTLIST) -> NDArray[np.float64]:
+        """How well each frame and its neighbours fit one photo, ``[N]``."""
+        likeness = self.whitening.likeness(photo.looks)[0]
+        agreeing = np.zeros(len(self))
+        if matcher.kind != "none":
+            shortlist = np.argsort(-likeness)[:within]
+            agreeing[shortlist] = matcher.agreements(photo, self.described, shortlist.tolist())
+        joined = self.parts[1:] == self.parts[:-1]
+        scores = agreeing.copy()
+        scores[1:] += NEIGHBOURS * agreeing[:-1] * joined
+        scores[:-1] += NEIGHBOURS * agreeing[1:] * joined
+        return np.asarray(scores + LOOK * likeness.clip(min=0))
 
     def save(self, file: str | Path) -> None:
         """Write the map, as an ``.npz`` file."""
+        lengths = np.array([len(picture) for picture in self.pictures])
+        arrays = {field.name: getattr(self.described, field.name) for field in fields(Described)}
+        arrays |= {"times": self.times, "parts": self.parts, "links": self.links, "lengths": lengths}
+        arrays |= {"pictures": np.frombuffer(b"".join(self.pictures), np.uint8)}
+        arrays |= {"schema": np.int64(SCHEMA), "field_of_view": np.float64(self.field_of_view)}
+        arrays |= {"kind": np.array(self.kind), "size": np.array(self.size)}
+        if self.places is not None:
+            arrays["places"] = self.places
         with atomic_path(Path(file)) as temporary, temporary.open("wb") as stream:
-            np.savez_compressed(
-                stream, frames=self.frames, shortcuts=self.shortcuts, field_of_view=np.float64(self.field_of_view)
-            )
+            np.savez(stream, **arrays)
 
 
 def load_frames_map(file: str | Path) -> FrameMap:
-    """The map that was saved in a file.
+    """Read a map that was saved.
 
     Raises:
         MapError: there is none, or it is damaged.
     """
     try:
         with Path(file).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            frames, shortcuts, angle = (stored[name] for name in ("frames", "shortcuts", "field_of_view"))
-        inside = shortcuts.ndim == 2 and shortcuts.shape[1] == 2 and shortcuts.dtype == np.int64
-        if not inside or (len(shortcuts) and not 0 <= shortcuts.min() <= shortcuts.max() < len(frames)):
-            raise MapError(f"{file}: is a damaged map (shortcuts)")
-        return FrameMap(frames, float(angle), shortcuts)
+            arrays = {name: stored[name] for name in stored.files}
+        if int(arrays.get("schema", 1)) != SCHEMA:
+            raise MapError(f"{file}: is a map of another version; make it anew with dirl map")
+        count, ends = len(arrays["times"]), np.cumsum(arrays["lengths"])
+        described = Described(*(arrays[field.name] for field in fields(Described)))
+        links, lengths = arrays["links"], {len(arrays["parts"]), len(ends)}
+        lengths |= {len(getattr(described, field.name)) for field in fields(Described)}
+        inside = links.ndim == 2 and links.shape[1] == 2 and links.dtype == np.int64
+        if lengths != {count} or not inside or (links.size and not 0 <= links.min() <= links.max() < count):
+            raise MapError(f"{file}: is a damaged map")
+        pictures = arrays["pictures"].tobytes()
+        return FrameMap(
+            [pictures[end - length : end] for end, length in zip(ends, arrays["lengths"], strict=True)],
+            arrays["times"],
+            arrays["parts"],
+            described,
+            links,
+            float(arrays["field_of_view"]),
+            str(arrays["kind"]),
+            (int(arrays["size"][0]), int(arrays["size"][1])),
+            arrays.get("places"),
+        )
     except FileNotFoundError:
         raise MapError(f"{file}: there is no such map") from None
     except MapError:
@@ -119,73 +244,155 @@ def load_frames_map(file: str | Path) -> FrameMap:
         raise MapError(f"{file}: is no map that can be read ({type(error).__name__})") from None
 
 
-def find_shortcuts(views: Tensor) -> NDArray[np.int64]:
-    """Pairs of frames of one place, of different times, in which `WINDOW` frames before and after fit too.
+class Growing:
+    """Arrays of one length that grow as frames are described, so that a long recording is held once."""
 
-    They are int64 ``[S, 2]``, the earlier first: of described frames, ``[N, COLUMNS, 3 ROWS]``, the best one among
-    neighbours for each.
+    def __init__(self, expected: int) -> None:
+        self.arrays: list[NDArray[Any]] = []
+        self.expected = max(expected, 2)
+        self.count = 0
+
+    def add(self, described: Described) -> None:
+        """Append one view."""
+        rows = [getattr(described, field.name) for field in fields(Described)]
+        if not self.arrays:
+            self.arrays = [np.empty((self.expected, *row.shape[1:]), row.dtype) for row in rows]
+        if self.count == len(self.arrays[0]):
+            self.arrays = [
+                np.concatenate([array, np.empty_like(array[: self.count // 8 + 1])]) for array in self.arrays
+            ]
+        for array, row in zip(self.arrays, rows, strict=True):
+            array[self.count] = row[0]
+        self.count += 1
+
+    def done(self) -> Described:
+        """All views so far."""
+        return Described(*(array[: self.count] for array in self.arrays))
+
+
+def check_memory(frames: int, every: float) -> None:
+    """Refuse a recording whose map would not fit into the memory that is free.
+
+    Raises:
+        MapError: it does not; says which ``every`` would do.
     """
-    turned = _turned(views)
-    alike_by = torch.stack([turned[TURNED] @ one.T for one in turned]).amax(0)
-    alike_by = torch.maximum(alike_by, alike_by.T)
-    kernel = torch.eye(2 * WINDOW + 1)[None, None] / (2 * WINDOW + 1)
-    smooth = F.conv2d(alike_by[None, None], kernel, padding=WINDOW)
-    best = F.max_pool2d(smooth, (1, 2 * WINDOW + 1), 1, (0, WINDOW))  # of a frame, one among neighbours
-    found = torch.nonzero(((smooth == best) & (smooth > ALIKE))[0, 0])
-    return found[found[:, 1] - found[:, 0] >= APART].numpy()
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    needed = BYTES * frames
+    if needed > free:
+        enough = every * needed / free
+        raise MapError(
+            f"{frames} frames need {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free: every={1.1 * enough:.2g} "
+            "or a shorter recording would do"
+        )
 
 
-def _turned(views: Tensor) -> Tensor:
-    """The middle of described frames, coarser and normalised, turned by up to `TURNED` columns: ``[turns, N, D]``."""
-    columns, rows = COARSE
-    small = F.adaptive_avg_pool2d(views.unflatten(2, (3, ROWS)).permute(0, 2, 3, 1), (rows, columns))
-    crops = [small[..., first : first + columns - 2 * TURNED].flatten(1) for first in range(2 * TURNED + 1)]
-    return F.normalize(torch.stack(crops), dim=2)
+def map_recordings(
+    recordings: Sequence[Iterable[tuple[NDArray[np.uint8], float, tuple[float, float, float] | None]]],
+    matcher: Matcher,
+    field_of_view: float,
+    expected: int = 0,
+    progress: bool = False,
+) -> FrameMap:
+    """Make a map of recordings, without links, one frame in memory at a time.
 
+    Args:
+        recordings: each of frames, RGB, uint8 ``[H, W, 3]``, with their times in seconds and odometry, or None.
+        matcher: describes the frames.
+        field_of_view: of the camera from left to right, degrees.
+        expected: frames altogether, about; for the bar, and to hold descriptions only once.
+        progress: show a bar with the time that is left.
 
-def _cylinder(field_of_view: float, zoom: float, aspect: float) -> Tensor:
-    """Where the points of the cylinder lie in a frame, as `torch.nn.functional.grid_sample` wants it."""
-    half = np.tan(np.radians(field_of_view / 2))
-    bearing = np.radians(((np.arange(COLUMNS) + 0.5) / COLUMNS - 0.5) * field_of_view / zoom)
-    slope = np.linspace(-TALL, TALL, ROWS) / zoom
-    across = np.broadcast_to(np.tan(bearing) / half, (ROWS, COLUMNS))
-    along = slope[:, None] / np.cos(bearing) / (half * aspect)
-    return torch.tensor(np.stack([across, along], -1), dtype=torch.float32)
-
-
-def _local_contrast(frames: Tensor, grid: Tensor) -> Tensor:
-    x = frames.permute(0, 3, 1, 2).float() / 255
-    x = F.avg_pool2d(x, max(1, frames.shape[2] // 60))
-    sampled = F.grid_sample(x, grid.expand(len(x), -1, -1, -1), padding_mode="border", align_corners=False)
-    sampled = sampled - F.avg_pool2d(F.pad(sampled, (8, 8, 4, 4), mode="replicate"), (9, 17), 1)
-    return sampled.permute(0, 3, 1, 2).flatten(2)
-
-
-def _bands() -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """For each shift the pairs of columns that meet, the overlap in both frames, and its weight."""
-    shift = torch.arange(-SHIFTS, SHIFTS + 1)
-    seen, other = torch.meshgrid(torch.arange(COLUMNS), torch.arange(COLUMNS), indexing="ij")
-    pairs = ((seen - other).flatten()[:, None] == shift).float()
-    first, last = shift.clamp(min=0), COLUMNS + shift.clamp(max=0)
-    return pairs, first, last, shift, ((COLUMNS - shift.abs()) / COLUMNS).sqrt()
-
-
-PAIRS, FIRST, LAST, SHIFT, WEIGHT = _bands()
-
-
-def _correlations(seen: Tensor, views: Tensor) -> Tensor:
-    """Of one described frame with others, by shift, ``[B, 2 SHIFTS + 1]``."""
-    product = torch.matmul(seen, views.transpose(1, 2)).flatten(1) @ PAIRS
-    own = F.pad(seen.square().sum(-1).cumsum(0), (1, 0))
-    others = F.pad(views.square().sum(-1).cumsum(1), (1, 0))
-    norms = (own[LAST] - own[FIRST]) * (others[:, LAST - SHIFT] - others[:, FIRST - SHIFT])
-    return product / norms.sqrt().clamp(min=1e-3) * WEIGHT
-
-
-def fits(graph: FrameMap, photo: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """How well each frame of a map fits a photo, uint8 ``[H, W, 3]``; ``[N]``.
-
-    It is the correlation at the best shift and zoom, less where little of both overlaps; 1 for the same frame.
+    Raises:
+        MapError: there are fewer than two frames, or they are of different shapes.
     """
-    seen = torch.cat([graph.describe(photo[None], zoom) for zoom in ZOOMS])
-    return torch.stack([_correlations(one, graph.views) for one in seen]).amax((0, 2)).double().numpy()
+    growing = Growing(expected)
+    pictures: list[bytes] = []
+    times: list[float] = []
+    parts: list[int] = []
+    places: list[tuple[float, float, float] | None] = []
+    size = (0, 0)
+    with tqdm(total=expected or None, desc="frames", unit="", disable=None if progress else True) as bar:
+        for part, recording in enumerate(recordings):
+            for image, time, place in recording:
+                if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+                    raise MapError(f"frames: expected RGB, uint8 [H, W, 3], not {image.dtype} {list(image.shape)}")
+                height, width = size = size if times else (image.shape[0], image.shape[1])
+                if image.shape[:2] != size:
+                    raise MapError(
+                        f"recording {part + 1}: {image.shape[1]}x{image.shape[0]} pixels, not {width}x{height}"
+                    )
+                growing.add(matcher.describe([image]))
+                small = Image.fromarray(image)
+                small.thumbnail((PICTURE, PICTURE))
+                pictures.append(encode(np.asarray(small), quality=70, method=2))
+                times.append(time)
+                parts.append(part)
+                places.append(place)
+                bar.update()
+    if len(times) < 2:
+        raise MapError(f"the recording has {len(times)} frames to keep; at least two are needed")
+    known = [place for place in places if place is not None]
+    return FrameMap(
+        pictures,
+        np.array(times),
+        np.array(parts),
+        growing.done(),
+        np.zeros((0, 2), np.int64),
+        field_of_view,
+        matcher.kind,
+        size,
+        # Odometry may begin later than the pictures.
+        np.array([place or known[0] for place in places]) if known else None,
+    )
+
+
+def find_links(graph: FrameMap, matcher: Matcher, *, progress: bool = False) -> NDArray[np.int64]:
+    """Pairs of frames of one place, seen at different times or in different recordings, int64 ``[L, 2]``.
+
+    Each frame is compared with those that are most alike as a whole. Two are linked if so many of their points agree,
+    and those of the frames before or after, too: places that only look alike seldom do so for long.
+    """
+    if matcher.kind == "none":
+        return np.zeros((0, 2), np.int64)
+    agreeing: dict[tuple[int, int], float] = {}
+    for frame in tqdm(range(1, len(graph)), desc="links", unit="", disable=None if progress else True):
+        likeness = (graph.whitening.looks[:frame] @ graph.whitening.looks[frame]).numpy()
+        apart = (graph.times[frame] - graph.times[:frame] > APART) | (graph.parts[frame] != graph.parts[:frame])
+        shortlist = np.flatnonzero(apart)[np.argsort(-likeness[apart])[:LOOP_SHORTLIST]]
+        found = matcher.agreements(graph.described[frame : frame + 1], graph.described, shortlist.tolist())
+        agreeing |= {(int(other), frame): float(value) for other, value in zip(shortlist, found, strict=True)}
+
+    def support(one: int, two: int) -> float:
+        """Of the best neighbours of a pair, in either direction of the second walk."""
+        around = [(one + first, two + second) for first in (-1, 0, 1) for second in (-1, 1)]
+        return max(agreeing.get(pair, 0.0) for pair in around)
+
+    least = LINK[matcher.kind]
+    links: list[tuple[int, int]] = []
+    # The best first; of frames that see each other from afar only the nearest pair is linked.
+    for pair in sorted(agreeing, key=lambda pair: -agreeing[pair]):
+        if agreeing[pair] < least:
+            break
+        beside = any(
+            (pair[0] == one and abs(pair[1] - two) <= WINDOW) or (pair[1] == two and abs(pair[0] - one) <= WINDOW)
+            for one, two in links
+        )
+        if not beside and support(*pair) >= least / 2:
+            links.append(pair)
+    return np.array(sorted(links), np.int64).reshape(-1, 2)
+
+
+def decide(best: float, other: float, kind: str) -> tuple[Certainty, float]:
+    """Decide whether an answer can be trusted; the probability is that it is right.
+
+    Args:
+        best: score of the best frame.
+        other: that of the best frame at another place.
+        kind: of the `Matcher`.
+    """
+    margin, points, offset = DECISION[kind]
+    logit = margin * math.log((best + 3) / (other + 3)) + points * math.log(best + 1) + offset
+    probability = 1 / (1 + math.exp(-logit))
+    if best < HERE[kind]:
+        return "not here", probability
+    return ("certain" if probability >= CERTAIN else "uncertain"), probability

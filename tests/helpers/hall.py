@@ -1,0 +1,52 @@
+"""A hall with painted walls, and what a camera sees in it: recordings for tests."""
+
+from functools import lru_cache
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+LENGTH, WIDTH, TALL = 24.0, 5.0, 2.6
+"""Metres."""
+
+PER_METRE = 40
+
+
+@lru_cache
+def walls(seed):
+    """Six textures, uint8 [6, 1040, 1040, 3], of blots of all sizes; a seed is a hall."""
+    generator = torch.Generator().manual_seed(seed)
+    total = 0
+    for cells in (8, 33, 130, 520):
+        noise = torch.rand(6, 3, cells, cells, generator=generator)
+        total = total + F.interpolate(noise, (1040, 1040), mode="nearest")
+    return (255 * (total / 4)).permute(0, 2, 3, 1).byte().numpy()
+
+
+def look(x, z, heading, seed=0, size=(180, 320), fov=65.0):
+    """What is seen at x along the hall and z across it, uint8 [*size, 3]; headings to the left, degrees, 0 along x."""
+    height, width = size
+    half = np.tan(np.radians(fov / 2))
+    across = ((np.arange(width) + 0.5) / width * 2 - 1) * half
+    down = ((np.arange(height) + 0.5) / height * 2 - 1) * half * height / width
+    right, below = np.meshgrid(across, down)
+    cos, sin = np.cos(np.radians(heading)), np.sin(np.radians(heading))
+    rays = np.stack([cos + right * sin, sin - right * cos, -below])
+    start, high = np.array([x, z, 1.4]), np.array([LENGTH, WIDTH, TALL])
+    image, nearest = np.zeros((height, width, 3), np.uint8), np.full((height, width), np.inf)
+    for axis in range(3):
+        for side in range(2):
+            with np.errstate(divide="ignore"):
+                far = (side * high[axis] - start[axis]) / rays[axis]
+            hit = (far > 1e-6) & (far < nearest)
+            at = start[:, None] + far[hit] * rays[:, hit]
+            one, two = (at[other] for other in range(3) if other != axis)
+            cells = [np.clip(part * PER_METRE, 0, 1039).astype(int) for part in (one, two)]
+            image[hit] = walls(seed)[2 * axis + side][cells[0], cells[1]]
+            nearest[hit] = far[hit]
+    return image
+
+
+def walk(steps, seed=0, **options):
+    """A recording, of places and headings (x, z, heading), one a second: image, time, no odometry."""
+    return [(look(*step, seed=seed, **options), float(second), None) for second, step in enumerate(steps)]

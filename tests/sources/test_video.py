@@ -1,0 +1,197 @@
+"""Recordings: their order, their times, and what is refused instead of left out."""
+
+import os
+import subprocess
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dirl.scenes.scene import SceneError
+from dirl.sources.video import Frame, Recording, photo_field_of_view, read_photo
+
+WIDE, HIGH = 64, 48
+
+
+def picture(value):
+    image = np.full((HIGH, WIDE, 3), value, np.uint8)
+    image[10:30, 10:20] = 255 - value
+    return image
+
+
+def write(folder, names):
+    folder.mkdir(exist_ok=True)
+    for number, name in enumerate(names):
+        Image.fromarray(picture(10 * number)).save(folder / name)
+    return folder
+
+
+def shades(frames):
+    return [int(frame.image[0, 0, 0]) for frame in frames]
+
+
+def test_images_are_in_the_order_in_which_people_number_them(tmp_path):
+    folder = write(tmp_path / "walk", [f"{number}.png" for number in range(12)])
+    (folder / "notes.txt").write_text("a walk")
+    recording = Recording(folder, every=0.5)
+    assert shades(recording) == [10 * number for number in range(12)]
+    assert [frame.time for frame in recording][:3] == [0.0, 0.5, 1.0]
+    assert (recording.count, recording.left_out) == (12, ["notes.txt"])
+
+
+def test_pictures_that_are_not_read_are_refused_and_not_left_out(tmp_path):
+    folder = write(tmp_path / "walk", ["0.png", "2.png"])
+    (folder / "1.heic").write_bytes(b"")
+    with pytest.raises(SceneError, match=r"1\.heic \(1 of this kind\)"):
+        Recording(folder)
+    (folder / "1.heic").unlink()
+    (folder / "1.png").write_bytes((folder / "0.png").read_bytes()[:60])
+    with pytest.raises(SceneError, match=r"1\.png: "):
+        list(Recording(folder))
+    Image.fromarray(np.full((HIGH, WIDE), 40000, np.uint16)).save(folder / "1.png")
+    with pytest.raises(SceneError, match="16 bits"):
+        list(Recording(folder))
+    Image.fromarray(np.zeros((8, 9, 3), np.uint8)).save(folder / "1.png")
+    with pytest.raises(SceneError, match="different shapes"):
+        list(Recording(folder))
+    with pytest.raises(SceneError, match="holds no images"):
+        Recording(tmp_path)
+    with pytest.raises(SceneError, match="there is no such"):
+        Recording(tmp_path / "none")
+
+
+def test_photos_are_upright_and_tell_their_field_of_view(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the camera stood upright
+    exif.get_ifd(0x8769)[0xA405] = 26
+    file = tmp_path / "photo.jpg"
+    Image.new("RGB", (800, 600)).save(file, exif=exif)
+    assert read_photo(file).shape == (480, 360, 3)
+    assert photo_field_of_view(file) == pytest.approx(49.6, abs=0.1)
+    Image.new("RGB", (800, 600)).save(file)
+    assert photo_field_of_view(file) is None
+
+
+@pytest.fixture(scope="module")
+def ffmpeg():
+    return pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+
+
+def make_video(ffmpeg, folder, name, *options):
+    write(folder, [f"{number:02d}.png" for number in range(20)])
+    source = ["-framerate", "5", "-i", str(folder / "%02d.png")]
+    subprocess.run([ffmpeg, "-v", "error", *source, *options, str(folder / name)], check=True)
+    return folder / name
+
+
+def test_frames_of_a_video_are_chosen_by_their_time_stamps(tmp_path, ffmpeg):
+    # Ten frames in two seconds, then one a second: nothing is repeated to fill the gaps.
+    slower = ["-vf", "setpts='if(lt(N,10),N/5,2+(N-10))/TB'", "-fps_mode", "passthrough"]
+    recording = Recording(make_video(ffmpeg, tmp_path, "walk.mkv", *slower), every=0.4)
+    frames = list(recording)
+    assert np.allclose([frame.time for frame in frames], [0, 0.4, 0.8, 1.2, 1.6, *range(2, 12)], atol=0.01)
+    assert isinstance(frames[0], Frame)
+    assert frames[0].image.shape == (HIGH, WIDE, 3)
+
+
+@pytest.mark.parametrize("name", ["walk.mp4", "walk.webm"])
+def test_a_video_that_is_cut_off_is_refused(tmp_path, ffmpeg, name):
+    file = make_video(ffmpeg, tmp_path, name)
+    assert 3 <= len(list(Recording(file, every=1.0))) <= 5
+    file.write_bytes(file.read_bytes()[: os.path.getsize(file) * 2 // 3])
+    with pytest.raises(SceneError, match=r"is damaged after|is no video that is read"):
+        list(Recording(file))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("notes.txt", "a text that ffmpeg would draw\n" * 40),
+        ("list.mp4", "ffconcat version 1.0\nfile walk.mp4\n"),
+        ("list.m3u8", "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nwalk.mp4\n#EXT-X-ENDLIST\n"),
+    ],
+)
+def test_texts_and_lists_of_other_files_are_no_videos(tmp_path, ffmpeg, name, text):
+    make_video(ffmpeg, tmp_path, "walk.mp4")
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SceneError, match="is no video that is read"):
+        Recording(tmp_path / name)
+
+
+@pytest.fixture(scope="module")
+def store():
+    typesys = pytest.importorskip("rosbags.typesys")
+    return {
+        version: typesys.get_typestore(version) for version in (typesys.Stores.ROS1_NOETIC, typesys.Stores.ROS2_HUMBLE)
+    }
+
+
+def write_bag(path, stores, kind, encoding="rgb8", second=False):
+    """A bag of ten images, half a second apart, and odometry that goes a metre with each."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores
+
+    first = kind == "bag"
+    store = stores[Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE]
+    of = store.types
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    writer = Writer1(path) if first else Writer2(path, version=9, storage_plugin=plugin)
+    with writer:
+        compressed = encoding == "jpeg"
+        image_type = "sensor_msgs/msg/CompressedImage" if compressed else "sensor_msgs/msg/Image"
+        types = {"/camera": image_type, "/odom": "nav_msgs/msg/Odometry"} | ({"/rear": image_type} if second else {})
+        connections = {topic: writer.add_connection(topic, name, typestore=store) for topic, name in types.items()}
+        for number in range(10):
+            stamp = of["builtin_interfaces/msg/Time"](number, 0)
+            header = of["std_msgs/msg/Header"](*([number] if first else []), stamp, "map")
+            point = of["geometry_msgs/msg/Point"](float(number), 2.0, 0.0)
+            turn = of["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+            pose = of["geometry_msgs/msg/PoseWithCovariance"](of["geometry_msgs/msg/Pose"](point, turn), np.zeros(36))
+            zero = of["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+            twist = of["geometry_msgs/msg/TwistWithCovariance"](of["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36))
+            pixels = picture(10 * number)
+            if compressed:
+                import io
+
+                buffer = io.BytesIO()
+                Image.fromarray(pixels).save(buffer, "JPEG")
+                image = of[image_type](header, "jpeg", np.frombuffer(buffer.getvalue(), np.uint8))
+            else:
+                data = pixels[..., ::-1] if encoding == "bgr8" else pixels
+                step = 3 * WIDE
+                image = of[image_type](header, HIGH, WIDE, encoding, 0, step, np.ascontiguousarray(data).reshape(-1))
+            odometry = of["nav_msgs/msg/Odometry"](header, "base", pose, twist)
+            for topic, message in (("/odom", odometry), ("/camera", image), ("/rear", image)):
+                if topic in connections:
+                    serialize = store.serialize_ros1 if first else store.serialize_cdr
+                    at = 10**9 + number * 5 * 10**8 - (topic == "/odom")
+                    writer.write(connections[topic], at, serialize(message, types[topic]))
+    return path
+
+
+@pytest.mark.parametrize(("kind", "encoding"), [("bag", "rgb8"), ("sqlite", "bgr8"), ("mcap", "jpeg"), ("bag", "jpeg")])
+def test_bags_of_ros_1_and_2_are_read_with_their_odometry(tmp_path, store, kind, encoding):
+    path = write_bag(tmp_path / ("walk.bag" if kind == "bag" else "walk"), store, kind, encoding)
+    paths = [path, *path.glob("*.mcap")] if path.is_dir() else [path]
+    for one in paths:
+        frames = list(Recording(one, every=1.0))
+        assert [frame.time for frame in frames] == [0, 1, 2, 3, 4]
+        assert abs(np.array(shades(frames)) - [0, 20, 40, 60, 80]).max() <= 3
+        assert np.allclose([frame.place for frame in frames], [(number, 2, 90) for number in (0, 2, 4, 6, 8)])
+
+
+def test_of_several_topics_one_is_chosen_and_what_is_no_bag_is_refused(tmp_path, store):
+    path = write_bag(tmp_path / "walk", store, "mcap", second=True)
+    with pytest.raises(SceneError, match="choose topic= of /camera, /rear"):
+        list(Recording(path))
+    assert len(list(Recording(path, topic="/rear"))) == 5
+    with pytest.raises(SceneError, match="has no topic /front of Image or CompressedImage; it has /camera"):
+        list(Recording(path, topic="/front"))
+    (tmp_path / "cut.mcap").write_bytes(next(path.glob("*.mcap")).read_bytes()[:500])
+    with pytest.raises(SceneError, match="is no bag that is read"):
+        Recording(tmp_path / "cut.mcap")
+    odd = write_bag(tmp_path / "odd", store, "sqlite", "32FC1")
+    with pytest.raises(SceneError, match="encoding 32FC1"):
+        list(Recording(odd))
