@@ -59,11 +59,11 @@ def main(
             lines.append(f"| {name}, {'a photo' if count == 1 else f'{count} photos'} | {text}")
             if name == "all":
                 curves[f"{count} photo{'s' * (count > 1)}"] = curve
-    for one in np.unique(level):
-        few = asked[(level[asked] == one)]
-        own = part_of(whole, kept[level[kept] == one])
-        found = [own.find(matcher, whole.described[frame : frame + 1]) for frame in tqdm(few, desc=one)]
-        lines.append(f"| {one} alone, a photo | {measures(whole, kept[level[kept] == one], few.tolist(), found)[0]}")
+    first = np.unique(level)[0]
+    own, few = kept[level[kept] == first], asked[level[asked] == first]
+    alone = part_of(whole, own)
+    found = [alone.find(matcher, whole.described[frame : frame + 1]) for frame in tqdm(few, desc=first)]
+    lines.append(f"| {first} alone, a photo | {measures(whole, own, few.tolist(), found)[0]}")
     absent: list[Found] = []
     for one in np.unique(level):
         others = part_of(whole, kept[level[kept] != one])

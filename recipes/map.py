@@ -37,6 +37,7 @@ if __name__ == "__main__":
     options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
 from pathlib import Path
+
 from dirl.agent.mapping.frames import check_memory, find_links, map_recordings
 from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
