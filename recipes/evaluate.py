@@ -117,6 +117,7 @@ if __name__ == "__main__":
 import importlib.util
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 from tqdm import tqdm
@@ -134,7 +135,8 @@ from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.perception.backbones.registry import packaged_encoder
 from dirl.perception.recognition.build import build_recogniser, matching
 from dirl.perception.recognition.recogniser import NCC
-from dirl.reporting import film_scene, run_title, summary_table, viewer_pages
+from dirl.reporting import draw_paths, film_scene, run_title, summary_table, viewer_pages, write_goals
+from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import RunError, packaged_agent
 from dirl.scenes.graph import turns_per_circle
@@ -147,6 +149,9 @@ from dirl.training.load import Trained, load_trained
 MOST_EPISODES = 20_000
 """Of an evaluation for which no starts are asked for."""
 
+DRAWN_SCENES = 8
+"""Of how many scenes there are pictures of paths."""
+
 LIVE_EPISODES = 100
 """Likewise, in a live world."""
 
@@ -157,7 +162,21 @@ CHANGING = (
 
 
 def main(options: Options) -> None:
-    """Read the checkpoint, run the episodes, print the tables."""
+    """Evaluate, and print the tables."""
+    result = evaluate(options)
+    print(summary_table(result))
+    print(*result.written, sep="\n", end="\n" if result.written else "")
+
+
+class Result(dict[str, Any]):
+    """What was measured."""
+
+    written: list[str]
+    """A line for each file that was written."""
+
+
+def evaluate(options: Options) -> Result:
+    """Read the checkpoint, run the episodes, write the files that were asked for."""
     check(options)
     saved = load_checkpoint(options.checkpoint)
     changes = {
@@ -195,17 +214,37 @@ def main(options: Options) -> None:
     pages = viewer(trained, facts, beside(options, trained, changes)) if options.viewer else {}
     live = options.simulator is not None
     measured = walk_live(trained, options) if live else assess(trained.policy, trained.protocol)
-    result = {"checkpoint": options.checkpoint, "frames": saved["frames"], **facts, **measured}
-    print(summary_table(result))
+    result = Result({"checkpoint": options.checkpoint, "frames": saved["frames"], **facts, **measured})
+    result.written = []
+    if packaged_agent(options.checkpoint) is not None and not live:
+        result.written += leave_pictures(trained, facts, result)
     if options.video:
-        film(trained, facts, run_folder(options.checkpoint))
+        result.written += film(trained, facts, run_folder(options.checkpoint))
     if options.out is not None:
         write_json(Path(options.out), result)
+        result.written.append(f"all measures: {options.out}")
     for name, page in pages.items():
         file = run_folder(options.checkpoint) / name
         replaced = " (in place of the one before)" if file.exists() else ""
         write_text(file, page)
-        print(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+        result.written.append(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
+    return result
+
+
+def leave_pictures(trained: Trained, facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
+    """A picture of paths in each scene, and a table of goals, in a new folder: an agent of the package has none."""
+    policy, protocol = trained.policy, trained.protocol
+    name = f"{facts['agent']}_{'+'.join(scene.name for scene in protocol.world.scenes[:DRAWN_SCENES])}"
+    folder = next(found for number in count(1) if not (found := Path("evaluations") / f"{name}_{number}").exists())
+    folder.mkdir(parents=True)
+    written = []
+    for index, scene in enumerate(protocol.world.scenes[:DRAWN_SCENES]):
+        file = folder / f"paths_{scene.name}.png"
+        draw_paths(policy, protocol, index, file, facts=facts)
+        written.append(f"paths: {file}")
+    write_goals(result["greedy"], folder / "goals.csv")
+    columns = [f"  {name:<18}{meaning}" for name, meaning in GOAL_COLUMNS.items()]
+    return [*written, f"greedy policy by goal: {folder / 'goals.csv'}, with the columns", *columns]
 
 
 def check(options: Options) -> None:
@@ -362,12 +401,14 @@ def viewer(trained: Trained, facts: Mapping[str, Any], others: Mapping[str, tupl
     )
 
 
-def film(trained: Trained, facts: Mapping[str, Any], folder: Path) -> None:
-    """Write a video of each scene, under the conditions of the evaluation."""
+def film(trained: Trained, facts: Mapping[str, Any], folder: Path) -> list[str]:
+    """Write a video of each scene, under the conditions of the evaluation; what was written."""
+    written = []
     for index, scene in enumerate(trained.protocol.world.scenes):
         file = folder / f"episodes_{scene.name}.mp4"
         film_scene(trained.policy, trained.protocol, index, file, facts=facts)
-        print(f"video: {file}, {file.stat().st_size / 1e6:.1f} MB")
+        written.append(f"video: {file}, {file.stat().st_size / 1e6:.1f} MB")
+    return written
 
 
 def agent_name(checkpoint: str) -> str:
@@ -383,4 +424,4 @@ def run_folder(checkpoint: str) -> Path:
 
 
 if __name__ == "__main__":
-    run(lambda: main(options))
+    run(lambda: main(options), options)

@@ -83,4 +83,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    run(lambda: main(options))
+    run(lambda: main(options), options)

@@ -192,4 +192,4 @@ def describe_runs(runs: list[Result]) -> str:
 
 
 if __name__ == "__main__":
-    run(lambda: main(options))
+    run(lambda: main(options), options)

@@ -3,6 +3,7 @@
     python recipes/scenes.py thor scene=FloorPlan401 out=dumps/FloorPlan401.h5
     python recipes/scenes.py vizdoom map=map01 out=freedoom_01.h5
     python recipes/scenes.py miniworld env=FourRooms out=four_rooms.h5
+    python recipes/scenes.py draft folder=my_office
     python recipes/scenes.py photos folder=my_office out=my_office.h5
     python recipes/scenes.py recording file=robot.h5 positions=positions out=my_corridor
     python recipes/scenes.py tour path=my_tour out=my_tour.h5
@@ -31,6 +32,7 @@ Degrees = Annotated[float, Bounds(0, 180)]
 FieldOfView = Annotated[float, Bounds(10, 150)]
 Step = Annotated[float, Bounds(0.05, 10)]
 Turn = Annotated[float, Bounds(1, 360)]
+Headings = Annotated[int, Bounds(4, 360)]
 Places = Annotated[int, Bounds(2)]
 Looks = Annotated[int, Bounds(0, 1000)]
 
@@ -162,6 +164,23 @@ class SimulatorOptions(SimulatedOptions):
 
 
 @dataclass
+class DraftOptions:
+    """Draft states.csv for a folder of photographs, by their names, and the times and compass in their EXIF.
+
+    What the camera did not write down is assumed: places in a straight row, each with the same number of photos. The
+    answer says what was assumed; correct the table, then make the scene by photos.
+
+    Examples:
+        python recipes/scenes.py draft folder=my_office
+        python recipes/scenes.py draft folder=my_office headings=8
+    docs/howto/make_scenes.md tells more.
+    """
+
+    folder: str = option("holds the images")
+    headings: Headings = option("photos of each place, all around: 4 of 90 degrees, 8 of 45, 12 of 30", 4)
+
+
+@dataclass
 class PhotosOptions(EncodedPatches):
     """Make a scene dump from photographs: a folder of images with states.csv, which says where each was taken.
 
@@ -178,6 +197,8 @@ class PhotosOptions(EncodedPatches):
     name: str | None = option("name of the scene; null = the folder's name", None)
     height: Pixels = option("pixels; images are cropped at the centre to this aspect ratio and scaled", 300)
     width: Pixels = option("likewise", 400)
+    encoder: str | None = option("what makes the features, see encode; null = none yet", "efficientnet_lite0")
+    patches: bool = option("also features of the parts of each view, as `general` reads them", True)
 
 
 @dataclass
@@ -421,6 +442,7 @@ OPTIONS: dict[str, type] = {
     "vizdoom": VizdoomOptions,
     "miniworld": MiniworldOptions,
     "simulator": SimulatorOptions,
+    "draft": DraftOptions,
     "photos": PhotosOptions,
     "recording": RecordingOptions,
     "tour": TourOptions,
@@ -435,8 +457,10 @@ OPTIONS: dict[str, type] = {
 if __name__ == "__main__":
     options = start(__doc__, OPTIONS)  # "loading ...", or help; the imports below take their time
 
+import textwrap
 from collections.abc import Callable
 from dataclasses import fields, replace
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -460,7 +484,7 @@ from dirl.scenes.live import Simulator
 from dirl.scenes.views import decode
 from dirl.scenes.views import encode as webp
 from dirl.sources.miniworld import MiniWorld
-from dirl.sources.photos import encoded_photos, read_photos
+from dirl.sources.photos import draft_table, encoded_photos, read_photos
 from dirl.sources.recordings import unpack_recording
 from dirl.sources.rooms import build_room, read_description
 from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
@@ -473,6 +497,9 @@ from dirl.sources.tours import read_tour
 from dirl.sources.tours.images import cut_views
 from dirl.sources.tours.moves import tour_scene
 from dirl.sources.vizdoom import VizDoom
+
+COLUMNS, KEY = 80, 13
+"""Of a terminal, and of the names of facts."""
 
 SHOWN_PAIRS = 10
 """Of the ambiguous ones."""
@@ -515,6 +542,13 @@ def write_simulated(begin: Callable[[], Simulator], options: SimulatedOptions, s
     for seed in tqdm(range(options.looks), desc="looks", disable=None):
         views += take_look(simulator, scene, seed, **vars(options.changes))
     write_encoded(out, scene, views, encoder)
+
+
+def draft(options: DraftOptions) -> None:
+    """Draft the table of a folder of photographs."""
+    print(draft_table(options.folder, options.headings))
+    out = f"{options.folder}.h5"
+    print(f"then go on with: {command_of('scenes')} photos folder={options.folder} out={out}")
 
 
 def photos(options: PhotosOptions) -> None:
@@ -694,9 +728,10 @@ def inspect(options: InspectOptions) -> None:
     scene = one_scene(options.scene)
     stop = chosen_stop(options.recogniser, options.threshold, options.match)
     found = inspect_scene(scene, stop)
-    print(
-        "\n".join([f"| {scene.name} | |", "|---|---|", *(f"| {key} | {text} |" for key, text in found.facts.items())])
-    )
+    print(f"| {scene.name} | |\n|---|---|")
+    for key, text in found.facts.items():
+        for shown, line in zip(chain([key], repeat("")), textwrap.wrap(text, COLUMNS - 7 - KEY) or [""], strict=False):
+            print(f"| {shown:<{KEY}} | {line} |")
     if found.ambiguous:
         print(f"\n{len(found.ambiguous)} ambiguous pairs (match={stop.match} above {stop.threshold:g}), the worst:")
         print("\n| state | state | matching | actions between |\n|--:|--:|--:|--:|")
@@ -708,7 +743,9 @@ def inspect(options: InspectOptions) -> None:
         for index in range(0, len(found.thresholds), 10):
             cells = ("-" if one is None else f"{one[index]:.4%}" for one in found.errors.values())
             print(f"| {found.thresholds[index]:.2f} |", *(f"{cell} |" for cell in cells))
-    print("\n".join(["", "problems:" if found.problems else "no problems found", *(f"- {p}" for p in found.problems)]))
+    print("\nproblems:" if found.problems else "\nno problems found")
+    for problem in found.problems:
+        print(textwrap.fill(problem, COLUMNS, initial_indent="- ", subsequent_indent="  "))
     if folder is not None:
         draw_inspection(scene, found, folder, stop.threshold)
 
@@ -745,6 +782,7 @@ COMMANDS: dict[type, Callable[[Any], None]] = {
     VizdoomOptions: vizdoom,
     MiniworldOptions: miniworld,
     SimulatorOptions: simulator,
+    DraftOptions: draft,
     PhotosOptions: photos,
     RecordingOptions: recording,
     TourOptions: tour,
@@ -759,4 +797,4 @@ COMMANDS: dict[type, Callable[[Any], None]] = {
 
 
 if __name__ == "__main__":
-    run(lambda: COMMANDS[type(options)](options))
+    run(lambda: COMMANDS[type(options)](options), options)

@@ -25,7 +25,17 @@ from dirl.config.folders import VARIABLE
 from dirl.reporting import pictures
 
 DOCS = ROOT / "docs"
-PAGES = [DOCS / "quickstart.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "howto").glob("*.md"))]
+PAGES = [
+    ROOT / "AGENT_GUIDE.md",
+    DOCS / "quickstart.md",
+    *sorted((DOCS / "tutorials").glob("*.md")),
+    *sorted((DOCS / "howto").glob("*.md")),
+]
+
+SMALL = (
+    """imitation={"max_steps": 5}, reinforcement={"frames_per_scene": 240}, evaluation={"times": 1, "max_steps": 10}"""
+)
+"""Within a training from Python."""
 
 QUICK = [option for option in TINY if not option.startswith("evaluation.max_steps")]
 QUICK = [option for option in QUICK if not option.startswith(("imitation.max_steps", "reinforcement.frames"))]
@@ -33,6 +43,9 @@ QUICK += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.fra
 """Behind every training of a page, but for the options that it gives itself."""
 
 SHORTER = {
+    "AGENT_GUIDE.md": {"seed=1)": f"seed=1, {SMALL})"},
+    "notebook.md": {"seed=0)": f"seed=0, {SMALL})"},
+    "quickstart.md": {"seed=0)": f"seed=0, {SMALL})"},
     "any_goal.md": {"imitation.max_steps=100": "imitation.max_steps=5", "evaluation.goals=20": "evaluation.goals=2"},
     "extend.md": {'("gru", "lstm")': '("lstm",)'},  # tests/deploy exports one with gru
     "many_goals.md": {
@@ -58,6 +71,7 @@ SHORTER = {
 """What makes the code of a page take seconds; it is otherwise run as it stands."""
 
 NOT_RUN = {
+    "notebook.md": ["Jupyter is a server that does not end"],
     "any_goal.md": ["takes hours"],
     "any_room.md": [
         "takes minutes",
@@ -125,6 +139,10 @@ def run_command(words, monkeypatch):
         monkeypatch.setattr(sys, "argv", words[2:])
         runpy.run_module(words[2], run_name="__main__")
         return
+    if words[0] == "dirl" and words[1] != "version":
+        words = ["python", f"recipes/{words[1]}.py", *words[2:]]
+    if words == ["dirl", "version"]:
+        return  # see tests/test_wheel.py
     assert words[0] == "python", f"how is this tested? {words}"
     if words[1].endswith("train.py") and not any(word.startswith("resume=") for word in words):
         given = {word.partition("=")[0] for word in words}
@@ -155,6 +173,21 @@ def few_threads():
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)
+
+
+def test_the_notebook_runs(tmp_path):
+    """Each cell, in a kernel of its own."""
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    notebook = nbformat.read(DOCS / "tutorials" / "notebook.ipynb", as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert "seed=0)" in code[0].source
+    code[0].source = code[0].source.replace("seed=0)", f"seed=0, {SMALL})")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT / "src"))
+        nbclient.NotebookClient(notebook, timeout=1800, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    shown = [kind for cell in code for output in cell.outputs for kind in output.get("data", {})]
+    assert shown.count("text/markdown") == 2  # the run, and an evaluation, as tables
+    assert shown.count("image/png") == 2
 
 
 @pytest.mark.usefixtures("few_threads")
@@ -194,6 +227,7 @@ def run_block(block, page, names, monkeypatch):
 
 SHELL_PAGES = [
     ROOT / "README.md",
+    ROOT / "AGENT_GUIDE.md",
     ROOT / "CONTRIBUTING.md",
     *(page for page in DOCS.rglob("*.md") if not {"_build", "_cache"} & {*page.parts}),
 ]

@@ -107,7 +107,7 @@ def test_an_empty_folder_is_enough_to_train_evaluate_and_inspect(dirl):
     assert "pictures, metrics and weights: run" in dirl("train", *TINY)
     assert json.loads((dirl.folder / "run" / "summary.json").read_text())["frames"] == 400
     assert "greedy" in dirl("evaluate", "checkpoint=run", "max_steps=20")
-    assert "| states | 180 |" in dirl("scenes", "inspect", "scene=bathroom_02")
+    assert "| states        | 180 |" in dirl("scenes", "inspect", "scene=bathroom_02")
 
 
 def test_a_copied_recipe_runs(dirl):

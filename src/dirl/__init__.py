@@ -6,8 +6,9 @@ import gymnasium
 
 if TYPE_CHECKING:
     from dirl.agent.navigator import Navigator
+    from dirl.training.python import evaluate, train
 
-__all__ = ["Navigator", "__version__"]
+__all__ = ["Navigator", "__version__", "evaluate", "train"]
 
 # Entry points are strings, so that `import dirl` stays light.
 gymnasium.register(
@@ -28,6 +29,10 @@ def __getattr__(name: str) -> Any:
         from dirl.agent.navigator import Navigator
 
         return Navigator
+    if name in ("train", "evaluate"):
+        from dirl.training import python
+
+        return getattr(python, name)
     if name == "__version__":
         from importlib.metadata import version
 

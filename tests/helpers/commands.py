@@ -6,6 +6,7 @@ import sys
 import time
 
 from fork_server import Started as start_recipe
+from forks import ROOT as ROOT
 from forks import copies, keep_compositions, recipe_file
 from rooms import grid_scene
 

@@ -3,6 +3,7 @@
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from dirl.config.schemas import ConfigError
 
@@ -31,3 +32,11 @@ def check_writable(name: str) -> None:
             pass
     except OSError as error:
         raise ConfigError(f"out={name}: cannot be written ({error.strerror})") from None
+
+
+def unwritten(options: Any) -> str:
+    """Return what an interrupted command has left of its ``out``, for the last line."""
+    out = getattr(options, "out", None)
+    if out is None or not os.path.exists(out):
+        return "nothing was written"
+    return f"{out} holds what was finished before" if os.path.isdir(out) else f"{out} was written"

@@ -27,15 +27,16 @@ EXTRAS = {"joblib": "sweeps", "optuna": "optuna", "ray": "ray", "submitit_local"
 
 
 def register() -> None:
-    """Give Hydra the types of a training's options, and the resolver that names a run's folder."""
+    """Give Hydra the types of a training's options, and the resolvers that name the folders of runs and sweeps."""
     ConfigStore.instance().store("train_schema", TrainConfig)
     OmegaConf.register_new_resolver("run_folder", _run_folder, replace=True)
+    OmegaConf.register_new_resolver("sweep_folder", lambda out, time: out or f"multirun/{time}", replace=True)
 
 
-def _run_folder(resume: str | None, system: str, scene: Any, time: str) -> str:
-    """Return the folder to resume, or ``runs/dirl_bathroom_02/<time>`` (several scenes joined by +, files by stems)."""
+def _run_folder(resume: str | None, out: str | None, system: str, scene: Any, time: str) -> str:
+    """Return the folder given, or ``runs/dirl_bathroom_02/<time>`` (several scenes joined by +, files by stems)."""
     scenes = list(map(str, scene)) if OmegaConf.is_list(scene) else [str(scene or "nowhere")]
-    return resume or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
+    return resume or out or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
 
 
 @contextmanager

@@ -62,17 +62,20 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
     return options
 
 
-def run(main: Callable[[], Any]) -> None:
-    """Run a recipe's function; a wrong input, or an error of the machine, ends it with one line.
+def run(main: Callable[[], Any], options: Any = None) -> None:
+    """Run a recipe's function; a wrong input, an interrupt or an error of the machine ends it with one line.
+
+    That of an interrupt says whether what ``options`` tell to write was written.
 
     Raises:
         SystemExit: see `dirl.runs.errors`.
     """
+    from dirl.cli.output import unwritten
     from dirl.cli.parsing import one_line_errors
     from dirl.runs.errors import one_line_exits
 
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells errors in many lines
     gc.freeze()  # what the imports made is not looked through again
     gc.enable()
-    with one_line_exits(), one_line_errors():
+    with one_line_exits(lambda: "" if options is None else unwritten(options)), one_line_errors():
         main()

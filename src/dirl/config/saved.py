@@ -23,7 +23,7 @@ MOVED = {
 
 
 def config_text(config: TrainConfig) -> str:
-    """A configuration as YAML, without interpolations and without what it was started with (``resume``, ``trust``)."""
+    """A configuration as YAML, without interpolations, and without ``out``, ``resume`` and ``trust``."""
     return OmegaConf.to_yaml(OmegaConf.create(plain(config)))
 
 

@@ -218,6 +218,7 @@ class TrainConfig:
     init: str | None = option(
         "weights to begin with: a run's folder or .pt file, or the agent of the package, general", None
     )
+    out: str | None = option("the folder of the run, or of a sweep; null = one named after scene and time", None)
     resume: str | None = option(
         "the folder of a stopped run, which continues to the same result; allows no other option but trust", None
     )

@@ -50,9 +50,9 @@ def check_choice(told: str, given: str, choices: Collection[str], prefix: str = 
 
 
 def plain(config: Any) -> dict[str, Any]:
-    """The values of a typed configuration, nested; without what it was started with (``resume``, ``trust``)."""
+    """The values of a typed configuration, nested; without what it was started with: ``out``, ``resume``, ``trust``."""
     values: Any = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
-    return {**values, "resume": None, "trust": None}
+    return {**values, "out": None, "resume": None, "trust": None}
 
 
 def leaves(config: Any, prefix: str = "") -> dict[str, Any]:

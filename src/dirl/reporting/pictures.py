@@ -37,17 +37,10 @@ def draw_scene(
         count: number of episodes in the picture.
     """
     world, scene = protocol.world, protocol.world.scenes[index]
-    goal_index, offset = world.goals_in(index)[0], world.offsets[index]
-    distances = world.block(world.distances, goal_index).long()
-    order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())] + offset
-    starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(count, len(order))).long()]
-    episodes, paths = protocol.trajectories(policy, (torch.full_like(starts, goal_index), starts))
-    goal = int(world.goals[goal_index]) - offset
-    title = f"{run_title({**facts, 'scene': scene.name, 'source': scene.source})}, goal {goal}"
-    walked = [[state - offset for state in path] for path in paths]
-    success = episodes.success.tolist()
-    draw_trajectories(scene, goal, walked, folder / f"trajectories_{scene.name}.png", success=success, title=title)
-    write_gif(scene, goal, walked[0], folder / f"episode_{scene.name}.gif", title=title, success=success[0])
+    goal_index = world.goals_in(index)[0]
+    file = folder / f"trajectories_{scene.name}.png"
+    goal, walked, success, title = draw_paths(policy, protocol, index, file, facts=facts, count=count)
+    write_gif(scene, goal, walked, folder / f"episode_{scene.name}.gif", title=title, success=success)
     probabilities, value = action_values(policy, world, protocol.observation, goal_index)
     draw_policy(
         scene,
@@ -59,6 +52,34 @@ def draw_scene(
         title=title,
         threshold=matching.threshold,
     )
+
+
+def draw_paths(
+    policy: nn.Module,
+    protocol: EvaluationProtocol,
+    index: int,
+    file: Path,
+    *,
+    facts: Mapping[str, Any],
+    count: int = 5,
+) -> tuple[int, list[int], bool, str]:
+    """Draw greedy episodes to a scene's first goal, as `draw_scene` does.
+
+    Returns:
+        The goal, the path from the farthest start, whether it succeeded, and a title.
+    """
+    world, scene = protocol.world, protocol.world.scenes[index]
+    goal_index, offset = world.goals_in(index)[0], world.offsets[index]
+    distances = world.block(world.distances, goal_index).long()
+    order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())] + offset
+    starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(count, len(order))).long()]
+    episodes, paths = protocol.trajectories(policy, (torch.full_like(starts, goal_index), starts))
+    goal = int(world.goals[goal_index]) - offset
+    title = f"{run_title({**facts, 'scene': scene.name, 'source': scene.source})}, goal {goal}"
+    walked = [[state - offset for state in path] for path in paths]
+    success = episodes.success.tolist()
+    draw_trajectories(scene, goal, walked, file, success=success, title=title)
+    return goal, walked[0], success[0], title
 
 
 def film_scene(

@@ -1,5 +1,6 @@
 """Results as Markdown tables that also read well in a terminal."""
 
+import csv
 import math
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.texts import read_rows
 
 # Heading, key in `dirl.evaluation.metrics`, decimals. With labels of 13 characters a table has 80 columns.
@@ -25,6 +27,20 @@ MEASURES = (
 
 COLUMNS = 80
 """Of a terminal."""
+
+GOAL_COLUMNS = {
+    "scene": "name",
+    "goal": "state",
+    "episodes": "number",
+    "sr": "success rate",
+    "spl": "success weighted by shortest path / steps",
+    "atl": "mean steps, a failure counts the limit",
+    "atl_success": "mean steps of successes",
+    "shortest": "mean steps of shortest paths",
+    "false_stop_rate": "fraction that stopped elsewhere",
+    "missed_stop_rate": "fraction that passed the goal unnoticed",
+}
+"""Of the table that `write_goals` writes, and what they mean."""
 
 SECTIONS = {
     "shortest path": "shortest_path",
@@ -155,3 +171,14 @@ def _duration(seconds: float) -> str:
         return f"{seconds:.1f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def write_goals(measures: Mapping[str, Any], file: Path) -> None:
+    """Write the measures of each goal, a row a goal, as `dirl.evaluation.protocol.report` gives them, as CSV."""
+    with atomic_path(file) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, list(GOAL_COLUMNS), extrasaction="ignore")
+        writer.writeheader()
+        for scene, found in measures["scenes"].items():
+            for goal, of in found["goals"].items():
+                shown = {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in of.items()}
+                writer.writerow({"scene": scene, "goal": goal, **shown})

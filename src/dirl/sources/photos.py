@@ -208,6 +208,8 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
         SceneError: there is a table already, there are no photos, one cannot be read, or they do not make whole places.
     """
     folder = Path(folder)
+    if headings % 4:
+        raise SceneError(f"headings={headings}: a place has a multiple of four, evenly spread")
     if (folder / TABLE).exists():
         raise SceneError(f"{folder / TABLE}: is there already; delete it to have it drafted anew")
     suffixes = {".jpg", ".jpeg", ".png", ".webp"}
@@ -255,10 +257,11 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
         )
     write_table(folder, rows)
     return (
-        f"{folder / TABLE}: {len(files)} photos of {len(order)} places\n"
+        f"{folder / TABLE}: {len(files)} photos, {headings} at each of {len(order)} places\n"
         f"- order: by {'the times in their EXIF' if timed else 'their names'}\n- headings: by {how}\n"
-        "- assumed: the places stand in a straight row, each one step ahead (heading 0) of the one before; correct the "
-        "column ahead where the way turns, branches or is blocked, and mark goals by yes in the column goal"
+        "- assumed: the places stand in a straight row, each one step ahead of the one\n"
+        "  before (heading 0); correct the column ahead where the way turns, branches or\n"
+        "  is blocked, and mark goals by yes in the column goal"
     )
 
 

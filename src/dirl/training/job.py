@@ -27,6 +27,7 @@ from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_t
 from dirl.runs.checkpoints import restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run
+from dirl.runs.loggers import check_logger
 from dirl.runs.memory import peak_memory_mb
 from dirl.runs.paths import RunError
 from dirl.scenes.live import SimulatorError
@@ -85,19 +86,25 @@ def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
     folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
     alone = hydra.mode.name != "MULTIRUN"
     try:
-        return _run(composed, folder, hydra.overrides.task, stages, alone=alone)
+        return run_one(composed, folder, hydra.overrides.task, stages, alone=alone)
     except Exception as error:
         if not alone:  # Hydra runs the other jobs, and says only at the end why the first of the failed ones failed
             print(f"failed: {folder}: {error}", file=sys.stderr, flush=True)
         raise
 
 
-def _run(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool) -> dict[str, Any]:
-    """Build the components before anything is written; then run the stages."""
+def run_one(
+    composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool = False
+) -> dict[str, Any]:
+    """Build the components before anything is written; then run the stages, and return the summary.
+
+    A run that is ``alone`` ends the program with one line if something is wrong; others raise.
+    """
     # Hydra would say something of its own about an error before `dirl.cli.start.run` does.
     with one_line_exits(folder=folder) if alone else nullcontext():
         config, initial = with_architecture(typed(composed), overrides)
         check_components(config, config.trust)
+        check_logger(config)
         run = open_run(config, folder, overrides)
         prepare_device(run.config.device)
         if run.finished:

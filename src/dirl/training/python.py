@@ -1,0 +1,175 @@
+"""Training and evaluation from Python, as the recipes do them: `dirl.train`."""
+
+import importlib.util
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any, overload
+
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import open_dict
+from PIL import Image
+
+from dirl.agent.navigator import Navigator
+from dirl.cli.parsing import compose_training, parse
+from dirl.config.folders import HOME, RECIPES
+from dirl.reporting import summary_table
+from dirl.runs.folder import Run
+from dirl.training.job import Components, run_one
+
+PICTURES = {"learning_curve": "learning_curve.png", "paths": "trajectories_*.png", "maps": "maps_*.png"}
+"""Of a run's folder, by what they show."""
+
+
+class Measures(dict[str, Any]):
+    """What an evaluation measured, as ``summary.json`` has it; shown as a table, also in notebooks."""
+
+    def __repr__(self) -> str:
+        return summary_table(self)
+
+    def _repr_markdown_(self) -> str:
+        return summary_table(self)
+
+
+@dataclass(frozen=True)
+class TrainedRun:
+    """A finished run: its folder, and what its summary says."""
+
+    folder: Path
+    summary: Measures
+
+    def evaluate(self, *overrides: str, **options: Any) -> Measures:
+        """Evaluate its weights, by the options of ``recipes/evaluate.py``, as ``goals=[51]`` or ``max_steps=500``."""
+        return evaluate(self.folder, *overrides, **options)
+
+    def plot(self, what: str = "learning_curve") -> Image.Image:
+        """Return a picture of it: ``learning_curve``; ``paths`` or ``maps`` of its first scene."""
+        files = sorted(self.folder.glob(PICTURES[what])) if what in PICTURES else []
+        if not files:
+            drawn = [name for name, pattern in PICTURES.items() if any(self.folder.glob(pattern))]
+            raise ValueError(f"{self.folder}: has no picture '{what}'; choose from {', '.join(drawn) or 'none'}")
+        with Image.open(files[0]) as image:
+            return image.convert("RGB")
+
+    def navigator(self, **options: Any) -> Navigator:
+        """Return its agent for camera images, see `dirl.Navigator.load`."""
+        return Navigator.load(self.folder, **options)
+
+    def __repr__(self) -> str:
+        return f"{self.summary}\n\nfolder: {self.folder}"
+
+    def _repr_markdown_(self) -> str:
+        return f"{self.summary}\n\nfolder: `{self.folder}`"
+
+
+@overload
+def train(*overrides: str, seeds: None = None, **options: Any) -> TrainedRun: ...
+@overload
+def train(*overrides: str, seeds: int | Sequence[int], **options: Any) -> list[TrainedRun]: ...
+def train(*overrides: str, seeds: int | Sequence[int] | None = None, **options: Any) -> TrainedRun | list[TrainedRun]:
+    """Train an agent, as ``dirl train`` does, and write the folder of its run.
+
+    Args:
+        overrides: options as on the command line, ``"preset=paper"`` or ``"imitation.fraction=0.1"``.
+        seeds: a number of seeds, 0 and up, or these seeds: a run for each, returned as a list.
+        options: the same by name: ``scene="bathroom_02"``, ``seed=0``, ``out="first"`` for the folder; a mapping gives
+            options of a group, ``imitation={"fraction": 0.1}``.
+
+    Raises:
+        ValueError: an option is wrong, or the run cannot be made; the message says why in one line.
+        KeyboardInterrupt: it was interrupted; what is safe and how to go on has been printed.
+
+    Example:
+        >>> run = dirl.train(scene="bathroom_02", seed=0)  # doctest: +SKIP
+        >>> run.evaluate(goals=[26])["greedy"]["spl"]  # doctest: +SKIP
+    """
+    if seeds is not None:
+        numbers = range(seeds) if isinstance(seeds, int) else seeds
+        return [train(*overrides, **{**options, "seed": seed}) for seed in numbers]
+    arguments = [*overrides, *as_arguments(options)]
+    with hydra_put_aside():
+        composed = compose_training(arguments, return_hydra_config=True)
+        folder = Path(composed.hydra.run.dir)
+        with open_dict(composed):
+            del composed["hydra"]
+    runs: list[Run] = []
+
+    def stages(run: Run, components: Components) -> dict[str, Any]:
+        runs.append(run)  # whose folder gets a number if another run has taken the same second
+        return recipe("train").train(run, components)
+
+    try:
+        summary = run_one(composed, folder, arguments, stages)
+    except SystemExit as error:
+        if error.code != 130:
+            raise
+        raise KeyboardInterrupt from None
+    return TrainedRun(runs[0].folder if runs else folder, Measures(summary))
+
+
+def evaluate(checkpoint: str | Path, *overrides: str, **options: Any) -> Measures:
+    """Evaluate a run, a checkpoint or an agent of the package, as ``dirl evaluate`` does.
+
+    Args:
+        checkpoint: the folder of a run, a ``.pt`` file in one, or ``general``.
+        overrides: options as on the command line.
+        options: the same by name: ``scene="kitchen_02"``, ``goals=[51]``, ``max_steps=500``.
+
+    Raises:
+        ValueError: an option is wrong; the message says why in one line.
+    """
+    module = recipe("evaluate")
+    arguments = [*as_arguments({"checkpoint": str(checkpoint)}), *overrides, *as_arguments(options)]
+    return Measures(module.evaluate(parse(module.Options, arguments)))
+
+
+@cache
+def recipe(name: str) -> ModuleType:
+    """Return a recipe as a module."""
+    spec = importlib.util.spec_from_file_location(f"dirl_recipe_{name}", HOME / RECIPES[name][0])
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where pickle and type hints look it up
+    spec.loader.exec_module(module)
+    return module
+
+
+def as_arguments(options: Mapping[str, Any], above: str = "") -> list[str]:
+    """Return options as on the command line: ``{"imitation": {"rounds": 2}}`` is ``imitation.rounds=2``."""
+    found = []
+    for name, value in options.items():
+        if isinstance(value, Mapping) and name != "goals":  # which are given by scene
+            found += as_arguments(value, f"{above}{name}.")
+        else:
+            found.append(f"{above}{name}={_written(value)}")
+    return found
+
+
+def _written(value: Any) -> str:
+    """Return a value in Hydra's grammar."""
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{key}:{_written(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list | tuple | range):
+        return f"[{','.join(map(_written, value))}]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, str | Path):
+        text = str(value).replace("\\", "\\\\").replace("'", "\\'")
+        return f"'{text}'"
+    return str(value)
+
+
+@contextmanager
+def hydra_put_aside() -> Iterator[None]:
+    """Within this context Hydra can compose, also inside another Hydra application, which gets its own state back."""
+    state = GlobalHydra.instance()
+    outer, state.hydra = state.hydra, None
+    try:
+        yield
+    finally:
+        state.hydra = outer

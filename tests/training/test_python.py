@@ -1,0 +1,85 @@
+"""Training and evaluation from Python."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from rooms import grid_scene
+
+import dirl
+from dirl.config.schemas import ConfigError
+from dirl.scenes import write_dump
+from dirl.training.python import as_arguments
+
+TINY = {
+    "encoder": {"width": 32},
+    "heads": {"width": 32},
+    "imitation": {"fraction": 0.2, "max_steps": 20},
+    "reinforcement": {"frames_per_scene": 300, "agents_per_scene": 6},
+    "evaluation": {"times": 1, "max_steps": 20},
+}
+
+
+@pytest.fixture
+def room(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_dump(tmp_path / "room.h5", grid_scene(name="room", goals=(3, 7)))
+    return "room.h5"
+
+
+def test_a_run_is_trained_evaluated_and_drawn(room):
+    run = dirl.train("network.components=8", scene=room, seed=4, out="first", **TINY)
+    assert run.folder.name == "first"
+    assert run.summary == json.loads((run.folder / "summary.json").read_text())
+    assert "| greedy" in repr(run)
+    assert run.plot().width > 100
+    measures = run.evaluate(goals=[5], max_steps=9)
+    assert list(measures["greedy"]["scenes"]["room"]["goals"]) == ["5"]
+    assert "| goal 5" in measures._repr_markdown_()
+    assert run.navigator(encoder=lambda images: images, extractor="random").view_order
+    with pytest.raises(ValueError, match="has no picture 'path'; choose from learning_curve"):
+        run.plot("path")
+
+
+def test_several_seeds_make_several_runs(room):
+    runs = dirl.train(scene=room, seeds=[5, 2], **TINY)
+    assert [run.summary["seed"] for run in runs] == [5, 2]
+    assert len({run.folder for run in runs}) == 2
+
+
+def test_what_is_wrong_is_an_error_of_one_line(room):
+    with pytest.raises(ConfigError, match="there is no option 'sed'"):
+        dirl.train(scene=room, sed=3)
+    with pytest.raises(ConfigError, match="there is no option 'goal'"):
+        dirl.evaluate("general", goal=3)
+
+
+def test_options_are_written_as_on_the_command_line():
+    options = {"goals": {"a b": [1, 2]}, "imitation": {"rounds": 2}, "scene": "it's", "init": None, "x": [True, 0.5]}
+    assert as_arguments(options) == [
+        "goals={a b:[1,2]}",
+        "imitation.rounds=2",
+        "scene='it\\'s'",
+        "init=null",
+        "x=[true,0.5]",
+    ]
+
+
+APPLICATION = f"""
+import hydra, dirl
+
+@hydra.main(version_base="1.3", config_path=None)
+def main(config):
+    run = dirl.train(scene="room.h5", out="inside", **{TINY})
+    print("trained", run.summary["frames"], hydra.core.hydra_config.HydraConfig.get().job.name)
+
+main()
+"""
+
+
+def test_it_trains_inside_another_hydra_application(room, tmp_path):
+    (tmp_path / "application.py").write_text(APPLICATION)
+    done = subprocess.run([sys.executable, "application.py"], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "trained 300 application"
