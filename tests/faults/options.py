@@ -36,7 +36,7 @@ SECONDS, PATIENCE, MEMORY = 6.0, 100, 8 * 2**30
 TINY = [*SHORT, "reinforcement.frames_per_scene=60", "imitation.max_steps=2", "evaluation.times=0"]
 
 RECIPES = ("train",) * 10 + ("evaluate",) * 4 + ("report",) * 2
-RECIPES += ("thor", "photos", "recording", "build", "sample", "encode", "export", "import", "inspect")
+RECIPES += ("thor", "draft", "photos", "recording", "build", "sample", "encode", "export", "import", "inspect")
 """From which a case draws."""
 
 LINE, ACCEPTED, STOPPED = "one line", "accepted, done", "accepted, stopped"

@@ -86,6 +86,7 @@ def base(recipe, files, tiny=()):
         "vizdoom": ["map=map01", "out=new.h5", "places=2", *small],
         "miniworld": ["env=OneRoom", "out=new.h5", "places=2", *small],
         "simulator": [f"simulator={simulator}", "out=new.h5", "places=2", "encoder=null"],
+        "draft": [f"folder={files / 'photos'}"],
         "photos": [f"folder={files / 'photos'}", "out=new.h5", *small],
         "recording": [f"file={files / 'robot.h5'}", "out=new", "axes=[x,z,heading]"],
         "tour": [f"path={files / 'tour'}", "out=new.h5", *small],
