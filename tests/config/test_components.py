@@ -86,6 +86,19 @@ def test_nothing_is_made_where_no_class_is_named():
     assert make("memory", {"_target_": None}) is None
 
 
+@pytest.mark.parametrize("group", ["policy", "observation", "optimiser", "env", "recogniser", "source"])
+def test_what_every_training_has_cannot_be_null(group):
+    config = train_config()
+    getattr(config, group)["_target_"] = None
+    assert refusal(components, config).startswith(f"{group}._target_=null: a training needs one")
+
+
+@pytest.mark.parametrize(("group", "method"), [("source", "load"), ("simulator", "place")])
+def test_a_class_without_the_methods_of_its_group_is_refused(group, method):
+    told = refusal(find_class, group, "dirl.runs.folder.Run", ())
+    assert told == f"{group}._target_=dirl.runs.folder.Run: has no method {method}, which every {group} has"
+
+
 def test_options_handed_on_are_those_of_the_base():
     assert list(class_parameters(Deeper)) == ["num_features", "depth", "rate", "kind", "name", "gated", "layers"]
     assert set(class_parameters(SiameseEncoder)) == {"num_features", "num_views", "width"}

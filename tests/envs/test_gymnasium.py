@@ -154,12 +154,25 @@ def test_wrong_actions_and_options_are_refused(room):
     single = gymnasium.make(NAME, **room).unwrapped
     vector = gymnasium.make_vec(NAME, num_envs=2, **room)
     vector.reset()
+    for early in (single.render, lambda: single.step(0)):
+        with pytest.raises(ValueError, match=r"there is no episode yet; call reset\(\) first"):
+            early()
     single.reset()
-    with pytest.raises(ValueError, match="action -1"):
-        single.step(-1)
+    for wrong in (-1, np.array([4]), np.array([0, 1]), 1.0, "ahead"):
+        with pytest.raises(ValueError, match=r"is not one of 0\.\.3"):
+            single.step(wrong)
+    single.step(np.array([1]))
     for actions in ([0, 4], [0], [0.0, 1.0]):
         with pytest.raises(ValueError, match="expected 2 integers"):
             vector.step(np.array(actions))
     for options in ({"state": 0}, {"goal": 5}, {"start": 1}):
         with pytest.raises(ValueError, match="reset"):
             single.reset(options=options)
+
+
+def test_the_vector_version_takes_a_seed_for_each_agent(room):
+    vector = gymnasium.make_vec(NAME, num_envs=4, **room)
+    seeds = ([1, 2, 3, 4], [1, 2, 3, 4], [5, 6, 7, 8])
+    first, again, other = (vector.reset(seed=seed)[1]["state"].tolist() for seed in seeds)
+    assert first == again
+    assert first != other

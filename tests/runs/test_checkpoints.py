@@ -124,3 +124,10 @@ def test_a_state_that_does_not_fit_is_one_line(tmp_path):
         optimiser.load_state_dict({"state": {}, "param_groups": []})
     assert str(caught.value).startswith(f"{tmp_path}: ")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("turns", [[0], [-4], 4, ["x"]])
+def test_turns_that_cannot_be_are_one_line(file, turns):
+    save_checkpoint(file, {**STATE, "turns": turns})
+    with pytest.raises(RunError, match="is no checkpoint of dirl: turns="):
+        load_checkpoint(file)

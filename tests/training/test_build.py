@@ -1,7 +1,9 @@
 """From a configuration to the parts of a run; what does not fit together is one line."""
 
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from commands import room_file, train_config
@@ -14,8 +16,9 @@ from dirl.config.schemas import ConfigError
 from dirl.models import FeatureTable, ObservationTable, plain_weights, recurrent_keys
 from dirl.models.build import build_policy
 from dirl.models.weights import load_weights
-from dirl.scenes import SceneError, write_dump
+from dirl.scenes import SceneError, make_world, write_dump
 from dirl.training.build import build_env, build_goals, build_world
+from dirl.training.job import tell_of_far_goals
 from dirl.training.load import trained_policy
 
 SMALL = ["encoder.width=8", "heads.width=8"]
@@ -168,3 +171,15 @@ def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path, options):
 def test_a_memory_that_localises_weighs_log_odds_for_its_stop(tmp_path, options, message):
     with pytest.raises(ConfigError, match=message):
         make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=localising", *options, *SMALL)
+
+
+def test_goals_that_few_states_reach_are_told(capsys):
+    room = grid_scene(goals=(0, 13))
+    graph = np.where(np.arange(len(room))[:, None] < 4, room.graph, np.where(room.graph < 4, -1, room.graph))
+    tell_of_far_goals(make_world([replace(room, graph=graph)]))
+    told = capsys.readouterr().out
+    assert told.startswith(
+        "grid: most states cannot reach 1 of 2 goals, the worst: 0 can be reached from 4 of 24 states"
+    )
+    tell_of_far_goals(make_world([room]))
+    assert not capsys.readouterr().out

@@ -56,10 +56,14 @@ BASES = {
     # Experts, sampled pairs, caches and matching ask a transform what is seen of a state, not the environment alone.
     "observation": "dirl.envs.transforms.SurroundingViews",
     "env": "dirl.envs.navigation.NavigationEnv",  # whose agents a checkpoint holds, and whose goals are counted
-    "simulator": "builtins.object",  # a protocol: `dirl.scenes.live.Simulator`
-    "source": "builtins.object",  # likewise: `dirl.scenes.catalogue.SceneSource`
 }
 """What the classes of a group are, if not a `MODULE`; by name, so that this module does not import torch."""
+
+METHODS = {"simulator": ("place", "push", "look"), "source": ("load",)}
+"""What the classes of other groups must have, `dirl.scenes.live.Simulator` and `dirl.scenes.catalogue.SceneSource`."""
+
+NONE = ("memory", "episodic_memory", "losses")
+"""Groups of which a policy may have none."""
 
 
 def components(config: Any) -> dict[str, dict[str, Any]]:
@@ -79,6 +83,8 @@ def components(config: Any) -> dict[str, dict[str, Any]]:
                 raise ConfigError(f"{full}: names no class; give it {full}.{TARGET}=package.module.Class")
             if options[TARGET] is not None:
                 found[full] = dict(options)
+            elif group not in NONE:
+                raise ConfigError(f"{full}.{TARGET}=null: a training needs one; leave it out, or name a class")
     return found
 
 
@@ -126,8 +132,11 @@ def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> 
         raise ConfigError(f"{where}: there is no such class ({error}); is its folder on PYTHONPATH?") from None
     if not inspect.isclass(found):
         raise ConfigError(f"{where}: is no class")
-    base = BASES.get(name.split(".")[0], MODULE)
-    if base not in {f"{one.__module__}.{one.__qualname__}" for one in found.__mro__}:
+    group = name.split(".")[0]
+    if missing := [method for method in METHODS.get(group, ()) if not callable(getattr(found, method, None))]:
+        raise ConfigError(f"{where}: has no method {missing[0]}, which every {group} has")
+    base = BASES.get(group, MODULE)
+    if group not in METHODS and base not in {f"{one.__module__}.{one.__qualname__}" for one in found.__mro__}:
         raise ConfigError(f"{where}: must be a subclass of {base}")
     # `dirl.envs.navigation.EnvBase` is a class that dirl only imports.
     if trust is not None and target not in PUBLIC and found.__module__.split(".")[0] != package:

@@ -4,6 +4,7 @@
 computes every transition once, and from then on a step is a look-up in NumPy arrays.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -189,7 +190,9 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         return self._seen(success=False, collision=False)
 
     def step(self, action: np.int64) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move; raises ValueError for an action that is not 0 to 3."""
+        """Move; raises ValueError for an action that is not 0 to 3, alone or as the one value of an array."""
+        self._check_begun("step")
+        action = np.asarray(action).reshape(()) if np.size(action) == 1 else action
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r} is not one of 0..{len(ACTIONS) - 1}: {', '.join(ACTIONS)}")
         before = self._goal, self._state, int(action)
@@ -206,9 +209,14 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """The view, the goal's view and the map (agent blue, goal a yellow star), uint8 ``[300, W, 3]``."""
+        self._check_begun("render")
         if self.render_mode is None:
             return None
         return self._painter.paint(int(self.task.goals[self._goal]), self._state)
+
+    def _check_begun(self, what: str) -> None:
+        if self._state < 0:
+            raise ValueError(f"{what}: there is no episode yet; call reset() first")
 
 
 class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
@@ -247,10 +255,16 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
         self._painter = Painter(self.task.scene, self.task.view)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode of every agent; one ``seed`` determines all draws. There are no ``options``."""
-        super().reset(seed=seed)
+        """Begin an episode of every agent; ``seed``, a number or one for each, determines all draws.
+
+        There are no ``options``.
+        """
+        if isinstance(seed, Sequence | np.ndarray):
+            self.np_random = np.random.default_rng([int(number) for number in seed])
+        else:
+            super().reset(seed=seed)
         if options:
             raise ValueError(f"reset of a vector environment has no options, found {sorted(options)}")
         self._begin(np.ones(self.num_envs, bool))

@@ -80,6 +80,8 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
     except OSError as error:
         leave(f"error: {_told(error)}", FILES, advice)
     except Exception as error:
+        if "shared memory(shm)" in str(error):
+            leave("error: shared memory ran out; enlarge /dev/shm, or take fewer workers", MEMORY, advice)
         if not _is_memory(error):
             raise
         leave("error: memory ran out; make the run smaller, or free some", MEMORY, advice)

@@ -28,4 +28,7 @@ def check_entries(state: Any, file: Path) -> dict[str, Any]:
         raise RunError(f"{file}: is no checkpoint of dirl: it lacks {', '.join(missing)}")
     if state["schema"] != SCHEMA:
         raise RunError(f"{file}: was written by another version of dirl (schema {state['schema']}, not {SCHEMA})")
+    turns = state.get("turns", [4])
+    if not isinstance(turns, list) or not all(type(number) is int and number > 0 for number in turns):
+        raise RunError(f"{file}: is no checkpoint of dirl: turns={turns!r:.50}")
     return dict(state)

@@ -120,7 +120,7 @@ def _own_scenes(source: SceneSource, names: list[str]) -> list[Scene]:
 
 
 def _is_file(name: str) -> bool:
-    return Path(name).suffix in (".h5", ".hdf5")
+    return Path(name).suffix.lower() in (".h5", ".hdf5")
 
 
 def find_rooms(scene: str | Sequence[str], split: str | None, rooms: int | None) -> Collection | None:

@@ -23,6 +23,9 @@ from dirl.scenes.views import Views
 LARGEST = 1e6
 """Metres of a position, degrees of a heading; what is beyond has been misread."""
 
+LARGEST_FEATURE = 1e9
+"""Squares of larger ones are no numbers in float32."""
+
 MAX_NAME = 100
 """Bytes of UTF-8; a file's name may have 255."""
 
@@ -87,12 +90,7 @@ class Scene:
         headings = self._array("rotation", self.headings, np.number, (states,)).astype(np.float64)
         arrays: dict[str, NDArray[Any]] = {"graph": graph, "positions": positions, "headings": headings}
         if self.features is not None:
-            features = np.asarray(self.features)
-            if np.issubdtype(features.dtype, np.floating):
-                with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
-                    kind = np.float16 if features.dtype == np.float16 else np.float32
-                    features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
-            arrays["features"] = self._array("resnet_feature", features, np.floating, (states, None))
+            arrays["features"] = self._checked_features(np.asarray(self.features), states)
         for name, values, unit in (("location", positions, "metres"), ("rotation", headings, "degrees")):
             far = np.flatnonzero((np.abs(values.reshape(states, -1)) > LARGEST).any(1))
             if len(far):
@@ -151,6 +149,17 @@ class Scene:
             raise SceneError(f"{self.origin}: goal {goal} is not a state; states are 0..{len(self) - 1}")
         if not self._entered[goal]:
             raise SceneError(f"{self.origin}: goal {goal} cannot be reached from any other state")
+
+    def _checked_features(self, features: NDArray[Any], states: int) -> NDArray[Any]:
+        if np.issubdtype(features.dtype, np.floating):
+            with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
+                kind = np.float16 if features.dtype == np.float16 else np.float32
+                features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
+        features = self._array("resnet_feature", features, np.floating, (states, None))
+        if features.size and max(float(features.max()), -float(features.min())) > LARGEST_FEATURE:
+            far = int(np.abs(features).max(1).argmax())
+            raise SceneError(f"{self.origin}: resnet_feature: state {far} has values above {LARGEST_FEATURE:g}")
+        return features
 
     def _array(self, name: str, value: Any, kind: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
         array = np.asarray(value)

@@ -30,6 +30,7 @@ from dirl.runs.folder import Run, open_run
 from dirl.runs.loggers import check_logger
 from dirl.runs.memory import peak_memory_mb
 from dirl.runs.paths import RunError
+from dirl.scenes import World
 from dirl.scenes.live import SimulatorError
 from dirl.training.build import (
     build_demonstrations,
@@ -150,11 +151,27 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Comp
     if state is not None and packages_to_trust(run.config):
         trial = build_losses(run.config, policy, world, demos)
         try_losses(run.config, policy, trial, state.agents)
+    tell_of_far_goals(world)
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
     before_reinforcement = run.saved is None or "imitation" in run.saved
     return Components(policy, demos, protocol, state, before_reinforcement)
+
+
+def tell_of_far_goals(world: World) -> None:
+    """Print a line for each scene with goals that most states cannot reach: their success rates say little."""
+    for index, scene in enumerate(world.scenes):
+        goals = zip(world.local_goals(index).tolist(), world.goals_in(index), strict=True)
+        reached = {goal: int((world.block(world.distances, number) >= 0).sum()) for goal, number in goals}
+        few = [goal for goal, count in reached.items() if 2 * count < len(scene)]
+        if few:
+            worst = min(few, key=reached.__getitem__)
+            print(
+                f"{scene.name}: most states cannot reach {len(few)} of {len(reached)} goals, the worst: {worst} can be "
+                f"reached from {reached[worst]} of {len(scene)} states; success rates count those alone",
+                flush=True,
+            )
 
 
 def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -> TrainState:

@@ -21,10 +21,11 @@ from dirl.perception.backbones import (
     encode_views,
     load_encoder,
     preprocess,
+    registry,
 )
 from dirl.perception.backbones.encoder import weights_hash
 from dirl.perception.backbones.patches import coarse
-from dirl.perception.backbones.registry import encode_all
+from dirl.perception.backbones.registry import encode_all, encoded_as
 from dirl.scenes import SceneError, make_world, read_dump, write_dump
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.views import encode as webp
@@ -302,3 +303,30 @@ def test_features_of_any_width_go_through_the_pipeline(tmp_path, width):
     policy = learning_policy(config, world, observation)
     assert policy.features.width == width
     assert metrics(build_protocol(config, world, observation).run(policy))["episodes"] == 23
+
+
+def test_kept_features_are_used_only_if_they_are_of_this_encoder(tmp_path, monkeypatch):
+    views = [webp(np.full((30, 40, 3), 9 * state, np.uint8)) for state in range(24)]
+    write_dump(tmp_path / "room.h5", grid_scene(), views)
+    scene, extractor = read_dump(tmp_path / "room.h5"), load_encoder("resnet50_small").extractor
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = encoded_as(scene, extractor, patches=False)
+    (kept,) = (tmp_path / "dirl").iterdir()
+    monkeypatch.setattr(registry, "encode_scene", lambda *_: pytest.fail("is not kept"))
+    assert np.array_equal(encoded_as(scene, extractor, patches=False).features, first.features)
+    replace_features(tmp_path / "room.h5", kept, first.features + 1, {"extractor": "another"})
+    with pytest.raises(pytest.fail.Exception, match="is not kept"):
+        encoded_as(scene, extractor, patches=False)
+
+
+def test_a_user_without_a_home_has_no_kept_features(tmp_path, monkeypatch, capsys):
+    views = [webp(np.full((30, 40, 3), 9 * state, np.uint8)) for state in range(24)]
+    write_dump(tmp_path / "room.h5", grid_scene(), views)
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.delenv("HOME")
+    monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)
+    monkeypatch.chdir(tmp_path)
+    extractor = load_encoder("resnet50_small").extractor
+    assert encoded_as(read_dump(tmp_path / "room.h5"), extractor, patches=False).extractor == extractor
+    assert "not kept: this user has no home directory" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["room.h5"]

@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 from rooms import grid_scene, published_dump, read_here, renumbered
 
-from dirl.scenes import ACTIONS, SceneWarning, make_world, read_dump, write_dump
+from dirl.scenes import ACTIONS, SceneError, SceneWarning, make_world, read_dump, write_dump
+from dirl.scenes.io.hdf5 import unreadable
 from dirl.scenes.views import encode
 
 
@@ -216,3 +217,34 @@ def test_the_extractor_is_told_by_the_attributes_of_the_features(dump):
     with h5py.File(dump, "a") as file:
         file["resnet_feature"].attrs.update({"weights": b"v2", "extractor": "ResNet-50"})
     assert read_here(dump).extractor == "ResNet-50; v2"
+
+
+@pytest.mark.parametrize("stem", ["a=b", "a#b", "a'b", "a%b", "%"])
+def test_a_file_may_have_any_name(dump, stem):
+    dump = dump.rename(dump.with_name(f"{stem}.h5"))
+    assert read_here(dump).name == ("a_b" if len(stem) > 1 else "scene")
+
+
+def test_features_that_come_before_the_crops_are_refused(scene, dump):
+    put(dump, resnet_feature=np.repeat(scene.features[:, :, None], 2, 2))
+    with pytest.raises(SceneError, match=rf"{scene.features.shape[1]} crops of 2 features; expected shape"):
+        read_here(dump)
+
+
+def test_features_whose_squares_are_no_numbers_are_refused(scene, dump):
+    put(dump, resnet_feature=np.where(np.arange(len(scene))[:, None] == 3, 1e38, scene.features).astype(np.float32))
+    with pytest.raises(SceneError, match="resnet_feature: state 3 has values above"):
+        read_here(dump)
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (BlockingIOError(11, "unable to lock file, errno = 11"), "HDF5_USE_FILE_LOCKING=FALSE"),
+        (OSError("Can't read data (memory allocation failed)"), "takes more memory than there is"),
+        (MemoryError(), "takes more memory than there is"),
+        (OSError("file signature not found"), "perhaps a broken download"),
+    ],
+)
+def test_why_a_file_cannot_be_read_is_told(error, told):
+    assert told in unreadable(error)

@@ -140,16 +140,18 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     if name is None:
         return scene
     wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dirl"
-    kept = folder / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
-    if kept.is_file():
-        with suppress(SceneError):  # a damaged one is made anew
-            found = read_dump(kept)
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # "~" itself where nobody has a home
+    kept = Path(home) / "dirl" / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
+    with suppress(SceneError, OSError):  # what is missing, damaged or of another encoder is made anew
+        found = read_dump(kept)
+        if found.extractor == extractor and len(found) == len(scene) and (found.patches is not None or not patches):
             return replace(scene, features=found.features, patches=found.patches, extractor=extractor)
     print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
     encoder = load_encoder(name, patches=patches)
     features, parts = encode_scene(scene, encoder)
     try:
+        if home.startswith("~"):
+            raise SceneError("this user has no home directory; XDG_CACHE_HOME names a folder")
         replace_features(scene.views.path, kept, features, encoder.attributes, parts, encoder.patch_attributes)
     except (SceneError, OSError) as error:
         print(f"not kept: {error}", flush=True)

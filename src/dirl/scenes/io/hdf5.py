@@ -60,11 +60,18 @@ def read_contents(path: str | Path, *, intact: bool = False) -> dict[str, Any]:
             return _read(file, Path(path), intact)
     except SceneError:
         raise
-    except MemoryError:
-        raise SceneError("takes more memory than a dump can need; it is damaged") from None
     except Exception as error:  # h5py raises nearly every kind for damaged files
-        reason = " ".join(str(error).split())[:200]
-        raise SceneError(f"not a readable HDF5 file, perhaps a broken download ({reason})") from None
+        raise SceneError(unreadable(error)) from None
+
+
+def unreadable(error: Exception) -> str:
+    """Return in one line why h5py cannot read a file, and what to do."""
+    reason = " ".join(str(error).split())[:200]
+    if isinstance(error, MemoryError) or "Cannot allocate memory" in reason or "memory allocation failed" in reason:
+        return "takes more memory than there is for a dump; it is damaged, or other programs need the memory"
+    if isinstance(error, BlockingIOError) or "unable to lock file" in reason:
+        return "another program has it open and locked; close it there, or set HDF5_USE_FILE_LOCKING=FALSE"
+    return f"not a readable HDF5 file, perhaps a broken download ({reason})"
 
 
 def extractor_text(attributes: Mapping[str, str]) -> str:
@@ -118,6 +125,11 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
     crops = len(own_dataset(file, "resnet_feature").shape or ()) == 3
     shape = (states, None, None) if crops else (states, None)
     dataset = open_dataset(file, "resnet_feature", kinds="f", shape=shape)
+    if crops and dataset.shape[1] > dataset.shape[2]:
+        raise SceneError(
+            f"resnet_feature: {dataset.shape[1]} crops of {dataset.shape[2]} features; expected shape (states, crops, "
+            "features); is it the other way round?"
+        )
     if 0 in dataset.shape or states * dataset.shape[-1] > MAX_FEATURE_VALUES:
         raise SceneError(
             f"resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "

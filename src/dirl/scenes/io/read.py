@@ -21,6 +21,7 @@ it is refused.
 """
 
 import hashlib
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -104,7 +105,8 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True, stacklevel: int 
 
 
 def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
-    name = dump.name or contents["name"] or dump.path.stem
+    # A file may have any name; that of a scene stands in paths, in pictures and on command lines.
+    name = dump.name or contents["name"] or re.sub(r"[^\w .,()+-]+", "_", dump.path.stem).strip("_ .,(+-") or "scene"
     check_name(name, str(dump.path))
     views = {key.removeprefix("view_"): contents.pop(key) for key in [*contents] if key.startswith("view_")}
     mapped: dict[str, Any] = {
