@@ -1,0 +1,213 @@
+"""DIRL on one page: sections 3.2 to 3.5 of the paper in plain torch, for one room. Nothing of the package is imported.
+
+    python recipes/one_page.py
+    python recipes/one_page.py --seed 1 --frames 60000 --room path/to/dump.h5
+
+The equations are numbered as in the paper; `docs/method.md` has them all. `recipes/train.py` is the same for several
+rooms, with modules to swap, checkpoints and measures; its constants (`conf/preset/fast.yaml`) are those of this page.
+"""
+
+import argparse
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import h5py
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from torch import Tensor, nn
+
+AGENTS, STEPS, LIMIT = 64, 5, 200  # that walk together; between two updates; of an episode
+GAMMA, LAMBDA, RATE = 0.95, 0.95, 1e-3
+SHOWN, WIDTH, THRESHOLD = 0.05, 512, 0.9  # of all states, by the expert; of the layers; of the stop
+
+
+class Room:
+    """A dump as tables: a state is a place and a heading, and all that happens to an agent is a look-up."""
+
+    def __init__(self, file: Path) -> None:
+        with h5py.File(file) as dump:
+            graph = torch.from_numpy(dump["graph"][:]).long()  # the next state by action: ahead, right, left, back
+            features = torch.from_numpy(dump["resnet_feature"][:, 0]).float()  # of the view ahead, [N, 2048]
+            self.goals = torch.from_numpy(dump.attrs["goals"][:]).long()
+        states = torch.arange(len(graph))
+        self.graph = torch.where(graph < 0, states[:, None], graph)  # a blocked move leads nowhere
+        # 3.5, surrounding views: those ahead, right, back and left of the heading, by turning right again and again.
+        right = self.graph[:, 1]
+        surrounding = torch.stack([states, right, right[right], right[right[right]]], 1)
+        mean, deviation = features.mean(0), features.std(0)
+        standardised = (features - mean) / torch.where(deviation > 1e-6, deviation, 1.0)
+        # N observations span at most N of 8192 dimensions: in coordinates of these, X V = U L, everything is the same.
+        left, length, axes = torch.linalg.svd(standardised[surrounding].flatten(1).double(), full_matrices=False)
+        kept = length > 3e-5 * length[0]
+        self.observations, self.axes = (left * length)[:, kept].float(), axes[kept].T.float()
+        # 3.4, template matching: the agent stops where its four views correlate with those of the goal.
+        template = features[surrounding].flatten(1)
+        template = F.normalize(template - template.mean(1, keepdim=True), dim=1)
+        self.stop = template @ template[self.goals].T > THRESHOLD  # [N, goals]
+        edges = (self.graph.flatten().numpy(), states.repeat_interleave(4).numpy())  # backwards, from after to before
+        back = csr_array((np.ones(graph.numel()), edges), shape=(len(states), len(states)))
+        self.distance = torch.from_numpy(dijkstra(back, unweighted=True, indices=self.goals.numpy()).T)  # [N, goals]
+        self.distance[self.distance.isinf()] = -1  # the goal cannot be reached
+
+    def starts(self, count: int) -> tuple[Tensor, Tensor]:
+        """Draw goals, and states that reach them."""
+        goal = torch.randint(len(self.goals), (count,))
+        return torch.multinomial((self.distance[:, goal] > 0).T.float(), 1).squeeze(1), goal
+
+
+class Policy(nn.Module):
+    """Figure 2: Siamese layers embed observation and goal by the same weights; two heads on what they become."""
+
+    def __init__(self, room: Room) -> None:
+        super().__init__()
+        self.room = room
+        on_features = nn.Linear(len(room.axes), WIDTH)  # as which the first layer begins
+        self.embedding = nn.Linear(room.axes.shape[1], WIDTH)
+        self.embedding.load_state_dict({"weight": on_features.weight @ room.axes, "bias": on_features.bias})
+        self.fusion, self.hidden = nn.Linear(2 * WIDTH, WIDTH), nn.Linear(WIDTH, WIDTH)
+        self.actor, self.critic = nn.Linear(WIDTH, 4), nn.Linear(WIDTH, 1)
+
+    def forward(self, state: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
+        """Give logits ``[B, 4]`` and values ``[B]``; many agents see the same, which is embedded once."""
+        distinct, place = torch.unique(torch.cat([state, self.room.goals[goal]]), return_inverse=True)
+        embedded = F.relu(self.embedding(self.room.observations[distinct]))[place]
+        hidden = F.relu(self.hidden(F.relu(self.fusion(torch.cat(embedded.chunk(2), 1)))))
+        return self.actor(hidden), self.critic(hidden).squeeze(1)
+
+
+def demonstrate(room: Room) -> tuple[Tensor, Tensor, Tensor]:
+    """3.3: the expert shows the first action of a shortest path, in a few states, for every goal."""
+    shown = torch.randperm(len(room.graph))[: round(SHOWN * len(room.graph))]
+    state, goal = torch.cartesian_prod(shown, torch.arange(len(room.goals))).T
+    state, goal = (rows[room.distance[state, goal] > 0] for rows in (state, goal))
+    nearer = room.distance[room.graph[state], goal[:, None]] == room.distance[state, goal][:, None] - 1
+    return state, goal, torch.multinomial(nearer.float(), 1).squeeze(1)
+
+
+def imitate(policy: Policy, shown: tuple[Tensor, Tensor, Tensor]) -> None:
+    """3.3: clone the expert, by the cross-entropy (12) of the softmax (11) of the logits."""
+    state, goal, action = shown
+    optimiser = torch.optim.Adam(policy.parameters(), lr=3e-4)
+    for _ in range(300):
+        loss = F.cross_entropy(policy(state, goal)[0], action)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        if loss < 0.01:
+            break
+
+
+@torch.no_grad()
+def walk(policy: Policy, state: Tensor, goal: Tensor, age: Tensor) -> tuple[dict[str, Tensor], tuple[Tensor, ...]]:
+    """3.2: let every agent take some steps; a new episode begins where one ends, at the goal or at the limit."""
+    room, steps = policy.room, []
+    for _ in range(STEPS):
+        action = torch.multinomial(policy(state, goal)[0].softmax(1), 1).squeeze(1)
+        after, age = room.graph[state, action], age + 1
+        arrived = after == room.goals[goal]
+        reward = torch.where(arrived, 10.0, torch.where(after == state, -0.1, -0.01)) * 0.1  # 4.2, scaled
+        cut = ~arrived & (age >= LIMIT)
+        over = arrived | cut
+        step = {"state": state, "goal": goal, "action": action, "after": after}
+        steps.append(step | {"reward": reward, "arrived": arrived, "over": over})
+        fresh, fresh_goal = room.starts(len(state))
+        state, goal = torch.where(over, fresh, after), torch.where(over, fresh_goal, goal)
+        age = torch.where(over, 0, age)
+    return {key: torch.stack([step[key] for step in steps]) for key in steps[0]}, (state, goal, age)
+
+
+@torch.no_grad()
+def advantages(policy: Policy, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """The error (6) of the values, and their targets (5); with LAMBDA < 1 averaged over all numbers of steps."""
+    goal, shape = batch["goal"].flatten(), batch["reward"].shape
+    value, following = (policy(batch[key].flatten(), goal)[1].view(shape) for key in ("state", "after"))
+    error = batch["reward"] + GAMMA * following * ~batch["arrived"] - value  # (4), less the value
+    advantage = torch.zeros(shape)
+    running = torch.zeros(shape[1])
+    for step in reversed(range(STEPS)):
+        running = error[step] + GAMMA * LAMBDA * running * ~batch["over"][step]
+        advantage[step] = running
+    return advantage.flatten(), (advantage + value).flatten()
+
+
+def losses(
+    policy: Policy, batch: dict[str, Tensor], shown: tuple[Tensor, Tensor, Tensor], left: float
+) -> dict[str, Tensor]:
+    """What is minimised while a fraction ``left`` of the training, 1 to 0, is still to come."""
+    advantage, target = advantages(policy, batch)
+    state, goal, action = shown
+    rows = len(advantage)
+    logits, value = policy(torch.cat([batch["state"].flatten(), state]), torch.cat([batch["goal"].flatten(), goal]))
+    log_chance = logits[:rows].log_softmax(1)
+    taken = log_chance.gather(1, batch["action"].flatten()[:, None]).squeeze(1)
+    return {
+        "objective": -(taken * advantage).mean(),  # (7), its first sum
+        "entropy": (0.01 + 0.01 * left) * (log_chance.exp() * log_chance).sum(1).mean(),  # (7), its second sum
+        "critic": F.mse_loss(value[:rows], target),  # (8)
+        "imitation": 0.3 * left * F.cross_entropy(logits[rows:], action),  # (12), less and less of it
+    }
+
+
+def reinforce(policy: Policy, shown: tuple[Tensor, Tensor, Tensor], total: int) -> None:
+    """3.2: walk, and improve actor and critic, again and again."""
+    optimiser = torch.optim.Adam(policy.parameters(), lr=RATE, eps=1e-5)
+    agents: tuple[Tensor, ...] = (*policy.room.starts(AGENTS), torch.zeros(AGENTS, dtype=torch.int64))
+    for frames in range(0, total, AGENTS * STEPS):
+        left = 1 - frames / total
+        optimiser.param_groups[0]["lr"] = RATE * left
+        batch, agents = walk(policy, *agents)
+        loss = sum(losses(policy, batch, shown, left).values(), torch.zeros(()))
+        optimiser.zero_grad()
+        loss.backward()  # (9) and (10)
+        nn.utils.clip_grad_norm_(policy.parameters(), 1.0)
+        optimiser.step()
+
+
+@torch.no_grad()
+def evaluate(policy: Policy) -> dict[str, float]:
+    """4.3: walk from every start to every goal, greedily, until template matching (3.4) says that it is there."""
+    room = policy.room
+    start, goal = torch.nonzero(room.distance > 0).T
+    state, steps = start.clone(), torch.full((len(start),), float(LIMIT))
+    found, walking = torch.zeros(len(start), dtype=torch.bool), torch.arange(len(start))
+    for step in range(1, LIMIT + 1):
+        at, to = state[walking], goal[walking]
+        at = room.graph[at, policy(at, to)[0].argmax(1)]
+        stops, right = room.stop[at, to], at == room.goals[to]
+        state[walking] = at
+        found[walking] = stops & right  # a stop anywhere else is a failure
+        steps[walking[stops & right]] = step
+        walking = walking[~stops]
+        if not len(walking):
+            break
+    shortest = room.distance[start, goal]
+    spl = found * shortest / torch.maximum(steps, shortest)
+    return {"sr": found.float().mean().item(), "spl": spl.mean().item(), "atl": steps.mean().item()}
+
+
+def train(file: Path, seed: int, frames: int) -> dict[str, float]:
+    """Imitation, then reinforcement (algorithm 1); returns the measures of the trained policy."""
+    torch.manual_seed(seed)
+    policy = Policy(Room(file))
+    shown = demonstrate(policy.room)
+    imitate(policy, shown)
+    reinforce(policy, shown, frames)
+    return evaluate(policy)
+
+
+if __name__ == "__main__":
+    package = find_spec("dirl")  # where the built-in rooms are, without an import of it
+    rooms = Path(package.origin).parent / "scenes" / "data" if package and package.origin else Path()
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("--room", type=Path, default=rooms / "bathroom_02.h5", help="a dump with features")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--frames", type=int, default=200_000)
+    options = parser.parse_args()
+    began = time.perf_counter()
+    measures = train(options.room, options.seed, options.frames)
+    shown_measures = ", ".join(f"{name.upper()} {value:.3f}" for name, value in measures.items())
+    print(f"{options.frames} frames, {time.perf_counter() - began:.0f} s: {shown_measures}")
