@@ -180,25 +180,25 @@ def test_a_stack_holds_the_views_of_the_last_steps_and_begins_anew_with_each_epi
 class Broken(SurroundingViews):
     """Fewer views than `order` names."""
 
-    def begin(self, picture):
-        return super().begin(picture)[..., :3]
+    def reset_view_ids(self, picture):
+        return super().reset_view_ids(picture)[..., :3]
 
 
 class Beyond(SurroundingViews):
-    def begin(self, picture):
-        return super().begin(picture) + 2
+    def reset_view_ids(self, picture):
+        return super().reset_view_ids(picture) + 2
 
 
 class Unsteady(SurroundingViews):
-    def begin(self, picture):
-        views = super().begin(picture)
+    def reset_view_ids(self, picture):
+        views = super().reset_view_ids(picture)
         return torch.where(torch.rand(views.shape) < 0.5, views, self.pictures)
 
 
 class Forgetful(SurroundingViews):
     """A history that does not say so."""
 
-    def follow(self, view_ids, picture):
+    def step_view_ids(self, view_ids, picture):
         return torch.cat([view_ids[..., 1:], picture.unsqueeze(-1)], -1)
 
 
@@ -211,18 +211,18 @@ class Apart(SurroundingViews):
 
 
 class Failing(SurroundingViews):
-    def begin(self, picture):
+    def reset_view_ids(self, picture):
         return self.nothing[picture]
 
 
 @pytest.mark.parametrize(
     ("made", "told"),
     [
-        (Broken, r"begin gives int64 \[24, 3\] for 24 pictures, and order names 4 views"),
-        (Beyond, "begin gives view ids from 2 to 25, where 24 denotes no view"),
-        (Unsteady, "begin or of_goal gives other views of a picture each time it is called"),
-        (Forgetful, "follow gives other views than begin, so set history = True"),
-        (Apart, "the transform writes other view ids than begin, follow and of_goal give"),
+        (Broken, r"reset_view_ids gives int64 \[24, 3\] for 24 pictures, and order names 4 views"),
+        (Beyond, "reset_view_ids gives view ids from 2 to 25, where 24 denotes no view"),
+        (Unsteady, "reset_view_ids or goal_view_ids gives other views of a picture each time it is called"),
+        (Forgetful, "step_view_ids gives other views than reset_view_ids, so set history = True"),
+        (Apart, "the transform writes other view ids than reset_view_ids, step_view_ids and goal_view_ids give"),
         (Failing, "cannot be asked what is seen: AttributeError: .*nothing.*"),
     ],
 )
@@ -235,8 +235,8 @@ def test_an_observation_that_does_not_keep_its_contract_is_refused(parts, monkey
 class HiddenGoals(SurroundingViews):
     """The goal's view behind is hidden, and the observation's is not."""
 
-    def of_goal(self, picture):
-        views = super().of_goal(picture).clone()
+    def goal_view_ids(self, picture):
+        views = super().goal_view_ids(picture).clone()
         views[..., 2] = self.pictures
         return views
 
@@ -244,8 +244,8 @@ class HiddenGoals(SurroundingViews):
 class Backwards(SurroundingViews):
     """The view ahead is hidden, the first by which a cache could know a state."""
 
-    def begin(self, picture):
-        views = super().begin(picture).clone()
+    def reset_view_ids(self, picture):
+        views = super().reset_view_ids(picture).clone()
         views[..., 0] = self.pictures
         return views
 

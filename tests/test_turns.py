@@ -58,7 +58,7 @@ def test_what_surrounds_a_state_is_three_turns_apart(trained):
     parts, _ = trained
     headings = parts.world.scenes[0].headings
     assert ((headings[parts.world.surrounding] - headings[:, None]) % 360 == [0, 90, 180, 270]).all()
-    assert parts.observation.begin(torch.tensor(GOAL)).tolist() == [19, 22, 13, 16]
+    assert parts.observation.reset_view_ids(torch.tensor(GOAL)).tolist() == [19, 22, 13, 16]
 
 
 def test_maps_paths_and_film_are_drawn(trained):

@@ -35,7 +35,7 @@ from dirl.scenes import make_world
 
 def answer(policy, world, observation, state, goal_index):
     """What a policy writes at the start of episodes."""
-    return policy(observe(world, observation, state, observation.begin(state), goal_index))
+    return policy(observe(world, observation, state, observation.reset_view_ids(state), goal_index))
 
 
 def load(folder, world, **options):
@@ -312,7 +312,7 @@ def test_the_checkpoint_alone_decides_threshold_and_scores(tmp_path, world, navi
 def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, observation):
     world = rooms()
     _, seen = trained(tmp_path, world, f"observation={observation}")
-    see = (lambda states: images_of(seen.begin(states))) if observation == "surrounding" else images_of
+    see = (lambda states: images_of(seen.reset_view_ids(states))) if observation == "surrounding" else images_of
     batch, alone = load(tmp_path, world), load(tmp_path, world)
     goals, walks = torch.tensor([0, 13, 0]), torch.tensor([[5, 6, 7, 8], [14, 13, 12, 1], [2, 1, 0, 3]])
     batch.reset(torch.from_numpy(see(goals).copy()))
@@ -510,7 +510,7 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, observation,
     assert len(labels["views"].split(",")) == 4
     for agents in (1, 2, 24):
         states, goal_index = torch.arange(24, 24 + agents), torch.full((agents,), 2)
-        seen, wanted = looks.begin(states), looks.begin(world.goals[goal_index])
+        seen, wanted = looks.reset_view_ids(states), looks.reset_view_ids(world.goals[goal_index])
         features = {"features": world.features[seen].numpy(), "goal_features": world.features[wanted].numpy()}
         logits, value, matching = session.run(["logits", "value", "matching"], features)
         with torch.no_grad():
@@ -532,7 +532,7 @@ def walk_with_memory(policy, world, observation, states, goal_index):
     """Logits of a policy with memory on ``[T, B]`` states, one step after the other."""
     found, state = [], None
     for step in states:
-        asked = observe(world, observation, step, observation.begin(step), goal_index)
+        asked = observe(world, observation, step, observation.reset_view_ids(step), goal_index)
         asked["is_init"] = torch.full((len(step), 1), state is None)
         if state is None:
             state = {key: torch.zeros(len(step), 1, 20) for key in recurrent_keys(policy)}
@@ -554,17 +554,17 @@ def test_a_policy_with_memory_remembers_until_the_next_reset(tmp_path):
     with torch.no_grad():
         expected = walk_with_memory(policy, world, observation, WALK, goal_index)
     for _ in range(2):
-        navigator.reset(images_of(observation.begin(world.goals[goal_index])))
+        navigator.reset(images_of(observation.reset_view_ids(world.goals[goal_index])))
         for states, logits in zip(WALK, expected, strict=True):
-            found = navigator.act(images_of(observation.begin(states))).scores.probabilities
+            found = navigator.act(images_of(observation.reset_view_ids(states))).scores.probabilities
             torch.testing.assert_close(found, logits.softmax(-1))
     with torch.no_grad():  # the memory matters
         first = walk_with_memory(policy, world, observation, WALK[-1:], goal_index)
     assert not torch.allclose(first[0], expected[-1])
-    navigator.reset(images_of(observation.begin(world.goals[[2]])))
-    navigator.act(images_of(observation.begin(WALK[0])))
+    navigator.reset(images_of(observation.reset_view_ids(world.goals[[2]])))
+    navigator.act(images_of(observation.reset_view_ids(WALK[0])))
     with pytest.raises(NavigatorError, match="2 agents after those of 3"):
-        navigator.act(images_of(observation.begin(WALK[1][:2])))
+        navigator.act(images_of(observation.reset_view_ids(WALK[1][:2])))
 
 
 def test_an_exported_policy_with_memory_takes_and_gives_its_state(tmp_path):
@@ -584,10 +584,10 @@ def test_an_exported_policy_with_memory_takes_and_gives_its_state(tmp_path):
         goal_index = torch.tensor([2, 3, 2])[:agents]
         with torch.no_grad():
             expected = walk_with_memory(policy, world, observation, WALK[:, :agents], goal_index)
-        goal = world.features[observation.begin(world.goals[goal_index])].numpy()
+        goal = world.features[observation.reset_view_ids(world.goals[goal_index])].numpy()
         state = {key: np.zeros((agents, 1, 20), np.float32) for key in keys}
         for states, logits in zip(WALK[:, :agents], expected, strict=True):
-            features = world.features[observation.begin(states)].numpy()
+            features = world.features[observation.reset_view_ids(states)].numpy()
             given = {"features": features, "goal_features": goal, **state}
             found = dict(zip(outputs, session.run(None, given), strict=True))
             np.testing.assert_allclose(found["logits"], logits, rtol=0, atol=1e-5)

@@ -133,7 +133,7 @@ def test_the_views_seen_longest_ago_are_forgotten():
     assert env.table.table[last["view_ids"]].abs().sum(-1).min() > 0
     before = env.table.table[last["view_ids"]]
     env.table.refresh()
-    assert torch.equal(env.table.table[env.again(last)["view_ids"]], before)
+    assert torch.equal(env.table.table[env.restore_agents(last)["view_ids"]], before)
 
 
 def test_a_simulator_that_dies_is_one_line():

@@ -30,12 +30,12 @@ def rollout(world, kind, seed=0):
     [(0, [0, 1, 2, 3]), (5, [5, 6, 7, 4]), (14, [14, 15, 12, 13]), (23, [23, 20, 21, 22]), (25, [25, 26, 27, 24])],
 )
 def test_surrounding_views_are_ahead_right_back_left_of_the_heading(world, state, views):
-    assert SurroundingViews(world).begin(torch.tensor(state)).tolist() == views
+    assert SurroundingViews(world).reset_view_ids(torch.tensor(state)).tolist() == views
 
 
 def test_surrounding_views_are_quarter_turns_apart_where_turns_are_smaller():
     world = make_world([grid_scene(2, 1, headings=12)])
-    assert SurroundingViews(world).begin(torch.tensor([2, 22])).tolist() == [[2, 5, 8, 11], [22, 13, 16, 19]]
+    assert SurroundingViews(world).reset_view_ids(torch.tensor([2, 22])).tolist() == [[2, 5, 8, 11], [22, 13, 16, 19]]
 
 
 def test_surrounding_views_depend_on_the_state_alone(world):
@@ -47,11 +47,11 @@ def test_surrounding_views_depend_on_the_state_alone(world):
 
 def test_sequential_views_begin_with_the_first_four_times_and_end_with_the_newest(world):
     observation = SequentialViews(world)
-    views = observation.begin(torch.tensor([7, 16]))
+    views = observation.reset_view_ids(torch.tensor([7, 16]))
     assert views.tolist() == [[7, 7, 7, 7], [16, 16, 16, 16]]
     seen = []
     for state in ([4, 17], [5, 18], [5, 19], [9, 16], [9, 12]):
-        views = observation.follow(views, torch.tensor(state))
+        views = observation.step_view_ids(views, torch.tensor(state))
         seen.append(views[0].tolist())
     assert seen == [[7, 7, 7, 4], [7, 7, 4, 5], [7, 4, 5, 5], [4, 5, 5, 9], [5, 5, 9, 9]]
     assert views[1].tolist() == [18, 19, 16, 12]
@@ -96,8 +96,8 @@ def test_views_made_by_a_replay_buffer_are_those_recorded_in_the_env(world, kind
 def test_what_begins_an_episode_is_what_is_recorded_at_its_begin(world, kind):
     env = TransformedEnv(NavigationEnv(world, AGENTS), kind(world))
     agents, observation = env.reset(), kind(world)
-    assert torch.equal(agents["view_ids"], observation.begin(agents["state"]))
-    assert torch.equal(agents["goal_view_ids"], observation.begin(agents["goal"]))
+    assert torch.equal(agents["view_ids"], observation.reset_view_ids(agents["state"]))
+    assert torch.equal(agents["goal_view_ids"], observation.reset_view_ids(agents["goal"]))
 
 
 @BOTH

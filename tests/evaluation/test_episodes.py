@@ -133,8 +133,8 @@ def by_the_env(policy, world, starts, observation, stop, max_steps):
     agents, memory = env.reset(), initial_state(policy, len(start), world.device)
     agents["is_init"] = torch.ones(len(start), 1, dtype=torch.bool)
     agents["state"], agents["goal"], agents["scene"] = start, world.goals[goal_index], world.scene_of[start]
-    agents["view_ids"] = observation.begin(start)
-    agents["goal_view_ids"] = observation.begin(world.goals[goal_index])
+    agents["view_ids"] = observation.reset_view_ids(start)
+    agents["goal_view_ids"] = observation.reset_view_ids(world.goals[goal_index])
     going = torch.ones_like(start, dtype=torch.bool)
     found = {key: torch.zeros_like(going) for key in ("success", "false_stop", "missed_stop")}
     found["steps"] = torch.full_like(start, max_steps)

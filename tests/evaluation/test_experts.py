@@ -177,8 +177,8 @@ def test_no_fraction_gives_no_demonstrations(world):
 @pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
 def test_a_demonstration_is_observed_as_the_start_of_an_episode(world, kind):
     shows = demonstrations(world, ShortestPathExpert(world), kind(world), 1)
-    assert torch.equal(shows["view_ids"], kind(world).begin(shows["state"]))
-    assert torch.equal(shows["goal_view_ids"], kind(world).begin(shows["goal"]))
+    assert torch.equal(shows["view_ids"], kind(world).reset_view_ids(shows["state"]))
+    assert torch.equal(shows["goal_view_ids"], kind(world).reset_view_ids(shows["goal"]))
 
 
 def test_without_a_way_or_at_the_goal_the_expert_has_no_advice_and_its_policy_no_preference(world):
@@ -211,7 +211,10 @@ def test_states_without_advice_are_not_demonstrated(world):
 
 def visited(world, goal_index, state, views=SurroundingViews):
     goal, observation = world.goals[torch.tensor(goal_index)], views(world)
-    seen = {"view_ids": observation.begin(torch.tensor(state)), "goal_view_ids": observation.begin(goal)}
+    seen = {
+        "view_ids": observation.reset_view_ids(torch.tensor(state)),
+        "goal_view_ids": observation.reset_view_ids(goal),
+    }
     rows = {"state": torch.tensor(state), "goal": goal, "scene": world.scene_of[goal]}
     return TensorDict({**rows, **seen}, [len(state)])
 

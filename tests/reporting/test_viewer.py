@@ -47,7 +47,9 @@ class Room:
         """What the policy writes in states on the way to a goal."""
         goals = torch.full_like(state, goal_index)
         with torch.no_grad():
-            return self.policy(observe(self.world, self.observation, state, self.observation.begin(state), goals))
+            return self.policy(
+                observe(self.world, self.observation, state, self.observation.reset_view_ids(state), goals)
+            )
 
 
 def room_of(config):

@@ -44,8 +44,8 @@ def test_a_policy_of_two_scenes_decides_by_the_layers_of_the_one_it_is_in(traine
 class OnlyAhead(SurroundingViews):
     """A transform of one's own that shows the view ahead, and hides the others."""
 
-    def begin(self, picture):
-        return front_only(super().begin(picture), self.pictures)
+    def reset_view_ids(self, picture):
+        return front_only(super().reset_view_ids(picture), self.pictures)
 
 
 @pytest.mark.parametrize("axes", ["principal", "features"])
@@ -58,7 +58,7 @@ def test_a_cached_policy_sees_what_the_observation_shows_and_nothing_else(tmp_pa
         observation = OnlyAhead(world)
         policy = learning_policy(config, world, observation)
         state, goal = torch.arange(24), torch.zeros(24, dtype=torch.int64)
-        found.append(policy(observe(world, observation, state, observation.begin(state), goal))["logits"])
+        found.append(policy(observe(world, observation, state, observation.reset_view_ids(state), goal))["logits"])
     torch.testing.assert_close(*found, atol=1e-5, rtol=0)
 
 

@@ -1,7 +1,7 @@
 """One agent for worlds and for images: what it observes becomes where it stops and what it does next.
 
 A decision is written here once. An `Observed` says where the answers of policy and recogniser come from: agents in
-worlds look them up (`dirl.agent.decisions.Walk`), those with cameras compute them (`dirl.agent.cameras.Views`).
+worlds look them up (`dirl.agent.decisions.AgentBatch`), those with cameras compute them (`dirl.agent.cameras.Views`).
 """
 
 from collections.abc import Callable

@@ -13,7 +13,7 @@ from dirl.agent.agent import NEVER
 from dirl.envs import SurroundingViews
 from dirl.models import frozen, initial_state, recurrent_keys
 from dirl.models.distinct import EmbeddingCache, Keys
-from dirl.perception.recognition.matching import Arrived
+from dirl.perception.recognition.matching import StopRule
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
 
@@ -89,7 +89,7 @@ def observe(world: World, observation: SurroundingViews, ahead: Tensor, view_ids
             "goal": goal,
             "scene": world.scene_of[goal],
             "view_ids": view_ids,
-            "goal_view_ids": observation.of_goal(goal + look * len(world)),
+            "goal_view_ids": observation.goal_view_ids(goal + look * len(world)),
         },
         batch_size=[len(ahead)],
     )
@@ -117,7 +117,7 @@ def answers(
         for first in range(0, len(goals), PAIRS_AT_ONCE):
             place = slice(first, first + PAIRS_AT_ONCE)
             state = states[place]
-            asked: Any = observe(world, observation, state, observation.begin(state), goals[place])
+            asked: Any = observe(world, observation, state, observation.reset_view_ids(state), goals[place])
             asked["is_init"] = torch.ones((len(state), 1), dtype=torch.bool, device=world.device)
             asked.update(initial_state(policy, len(state), world.device))
             answered = policy(asked)
@@ -128,15 +128,15 @@ def answers(
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class WorldTables:
     """What is looked up of a world: the answers of policy and recogniser."""
 
     world: World
     observation: SurroundingViews
     decide: Decide | None
     """None for agents that are not asked."""
-    arrived: Arrived
-    """Whether agents stop; with a `LocalisingMemory` the log odds, `dirl.perception.recognition.matching.Compared`."""
+    arrived: StopRule
+    """True where agents stop; with a `LocalisingMemory` the log odds, a `ScoreFunction`."""
     scores: VisitScores | None = None
     """By which a memory knows places."""
     shown: Tensor | None = None
@@ -150,10 +150,10 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
-class Walk:
+class AgentBatch:
     """Agents on their way through a world, the `dirl.agent.agent.Observed` that is looked up; all int64 ``[W]``."""
 
-    known: Known
+    known: WorldTables
     episode: Tensor
     wanted: Tensor
     """Their goals, see `Decide`."""
@@ -164,15 +164,15 @@ class Walk:
     view_ids: Tensor
     """What the policy observes, ``[W, 4]``."""
 
-    def after(self, state: Tensor, ahead: Tensor) -> "Walk":
+    def after(self, state: Tensor, ahead: Tensor) -> "AgentBatch":
         """The agents in their next states, with what they see ahead there."""
-        view_ids = self.known.observation.follow(self.view_ids, ahead)
-        return Walk(self.known, self.episode, self.wanted, state, ahead, view_ids)
+        view_ids = self.known.observation.step_view_ids(self.view_ids, ahead)
+        return AgentBatch(self.known, self.episode, self.wanted, state, ahead, view_ids)
 
-    def select(self, chosen: Tensor) -> "Walk":
+    def select(self, chosen: Tensor) -> "AgentBatch":
         """Some of the agents, by index."""
         rows = (self.episode, self.wanted, self.state, self.ahead, self.view_ids)
-        return Walk(self.known, *(row.index_select(0, chosen) for row in rows))
+        return AgentBatch(self.known, *(row.index_select(0, chosen) for row in rows))
 
     @cached_property
     def visit(self) -> Tensor:
@@ -207,7 +207,7 @@ class Walk:
         if self.known.sweeps:
             return world.features[self.visit[:, :0]]
         look, goal = self.shown // len(world.goals), self.shown % len(world.goals)
-        views = observation.of_goal(world.goals[goal] + look * len(world))
+        views = observation.goal_view_ids(world.goals[goal] + look * len(world))
         return world.features[views[:, views[0] < len(world.features)]]  # of a photo the others are unknown
 
     def alike(self, seen: Tensor) -> Tensor:
@@ -229,7 +229,7 @@ class Walk:
         if len(ahead):
             views = self.visit.shape[1]
             episode, shown = (rows[chosen].repeat_interleave(views) for rows in (self.episode, self.shown))
-            asked = self.known.decide(episode, ahead, self.known.observation.begin(ahead), shown)
+            asked = self.known.decide(episode, ahead, self.known.observation.reset_view_ids(ahead), shown)
             logits[chosen] = asked.view(-1, views, len(ACTIONS))
         return logits
 

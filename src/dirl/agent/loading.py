@@ -22,7 +22,7 @@ from dirl.models.weights import check_extractor, load_weights
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.registry import BATCH, packaged_encoder
-from dirl.perception.recognition.build import build_recogniser, suit
+from dirl.perception.recognition.build import build_recogniser, set_memory_threshold
 from dirl.perception.recognition.learned import Learned
 from dirl.perception.virtual import VirtualCameras
 
@@ -63,7 +63,7 @@ def load_parts(
     scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
     policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched_view(config, order))
     memory = make("episodic_memory", config.episodic_memory, trust)
-    suit(memory, recognises)
+    set_memory_threshold(memory, recognises)
     if virtual is not None and not learned:
         raise NavigatorError(f"{origin}: virtual cameras need recogniser='learned', and a policy that compares patches")
     if memory is not None and order[-1] == "now":

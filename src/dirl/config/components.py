@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from dirl.config.schemas import ConfigError, Schedule
-from dirl.config.trials import CODE, told
+from dirl.config.trials import CODE, describe_error
 from dirl.config.values import check_choice, check_value
 
 TARGET = "_target_"
@@ -240,4 +240,4 @@ def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = 
     except (TypeError, ValueError, AssertionError, IndexError, RuntimeError) as error:
         raise ConfigError(f"{name}: {cls.__name__} refuses its options: {error}") from None
     except CODE as error:
-        raise ConfigError(f"{name}: {cls.__name__} cannot be made: {told(error, cls)}") from None
+        raise ConfigError(f"{name}: {cls.__name__} cannot be made: {describe_error(error, cls)}") from None

@@ -30,10 +30,10 @@ def tried(name: str, made: Any, how: str = "") -> Iterator[None]:
     except ConfigError:
         raise
     except CODE as error:
-        raise ConfigError(f"{name}: cannot be called as it should{how}: {told(error, type(made))}") from None
+        raise ConfigError(f"{name}: cannot be called as it should{how}: {describe_error(error, type(made))}") from None
 
 
-def told(error: Exception, cls: type) -> str:
+def describe_error(error: Exception, cls: type) -> str:
     """What a class's code raised, in one line; with the place in the class's own file, as no traceback shows it."""
     says = " ".join(str(error.args[0] if isinstance(error, KeyError) and error.args else error).split())
     if not says or not isinstance(error, RuntimeError | ValueError):  # which say what is wrong by themselves

@@ -92,7 +92,7 @@ class LiveEnv(NavigationEnv):
         pose = self.places[agents["state"]]
         return agents.set("pose", pose).update(self._seen(pose, agents["goal"]))
 
-    def again(self, agents: TensorDictBase) -> TensorDictBase:
+    def restore_agents(self, agents: TensorDictBase) -> TensorDictBase:
         """The agents with what they see, which is encoded anew: no checkpoint holds it."""
         self.rows.clear()
         return agents.update(self._seen(agents["pose"], agents["goal"]))

@@ -125,7 +125,7 @@ class NavigationEnv(EnvBase):
     def _slipped(self) -> Tensor:
         return torch.rand(self.batch_size, generator=self.generator, device=self.device) < self.slip
 
-    def again(self, agents: TensorDictBase) -> TensorDictBase:
+    def restore_agents(self, agents: TensorDictBase) -> TensorDictBase:
         """The agents of a checkpoint, ``[B]``, as the environment goes on with them."""
         return agents
 

@@ -43,25 +43,25 @@ class SurroundingViews(Transform):
         by_look = [world.surrounding + look * len(world) for look in range(world.looks)]
         self.register_buffer("surrounding", torch.cat(by_look))
 
-    def begin(self, picture: Tensor) -> Tensor:
+    def reset_view_ids(self, picture: Tensor) -> Tensor:
         """The view ids at the start of an episode, int64 ``[...]`` to ``[..., 4]``.
 
         A picture is what is seen ahead, ``look * N + state``: the state itself in a world that never changes.
         """
         return self.surrounding[picture]
 
-    def of_goal(self, picture: Tensor) -> Tensor:
-        """The view ids of a goal, int64 ``[...]`` to ``[..., 4]``, see `begin`."""
-        views = self.begin(picture)
+    def goal_view_ids(self, picture: Tensor) -> Tensor:
+        """The view ids of a goal, int64 ``[...]`` to ``[..., 4]``, see `reset_view_ids`."""
+        views = self.reset_view_ids(picture)
         return views if self.goal_view == "surrounding" else front_only(views, self.pictures)
 
-    def follow(self, view_ids: Tensor, picture: Tensor) -> Tensor:
+    def step_view_ids(self, view_ids: Tensor, picture: Tensor) -> Tensor:
         """The view ids after a step to where ``picture`` is seen, int64 ``[...]``, given those before it."""
-        return self.begin(picture)
+        return self.reset_view_ids(picture)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        next_tensordict["view_ids"] = self.begin(self._picture(next_tensordict, "state", "look"))
-        next_tensordict["goal_view_ids"] = self.of_goal(self._picture(next_tensordict, "goal", "goal_look"))
+        next_tensordict["view_ids"] = self.reset_view_ids(self._picture(next_tensordict, "state", "look"))
+        next_tensordict["goal_view_ids"] = self.goal_view_ids(self._picture(next_tensordict, "goal", "goal_look"))
         return next_tensordict
 
     def _picture(self, tensordict: TensorDictBase, state: str, look: str) -> Tensor:
@@ -78,7 +78,7 @@ class SurroundingViews(Transform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         picture = self._picture(next_tensordict, "state", "look")
-        next_tensordict["view_ids"] = self.follow(tensordict["view_ids"], picture)
+        next_tensordict["view_ids"] = self.step_view_ids(tensordict["view_ids"], picture)
         next_tensordict["goal_view_ids"] = tensordict["goal_view_ids"]
         return next_tensordict
 
@@ -100,29 +100,29 @@ def front_only(views: Tensor, unknown: int) -> Tensor:
 def broken_promise(made: SurroundingViews) -> str | None:
     """Which part of the contract a transform of one's own does not keep, in words; None if it keeps all of it.
 
-    Demonstrations, caches and evaluation ask `begin`, `of_goal` and `follow` what is seen; the environment goes through
-    the transform. All of them must say the same, and `history` whether steps before matter.
+    Demonstrations, caches and evaluation ask `reset_view_ids`, `goal_view_ids` and `step_view_ids` what is seen; the
+    environment goes through the transform. All of them must say the same, and `history` whether steps before matter.
     """
     every = torch.arange(made.pictures, device=made.surrounding.device)
-    seen, goal = made.begin(every), made.of_goal(every)
-    for name, ids in (("begin", seen), ("of_goal", goal)):
+    seen, goal = made.reset_view_ids(every), made.goal_view_ids(every)
+    for name, ids in (("reset_view_ids", seen), ("goal_view_ids", goal)):
         if ids.dtype != torch.int64 or ids.shape != (len(every), len(made.order)):
             found = f"{str(ids.dtype).removeprefix('torch.')} {list(ids.shape)}"
             return f"{name} gives {found} for {len(every)} pictures, and order names {len(made.order)} views"
         if ids.min() < 0 or ids.max() > made.pictures:
             return f"{name} gives view ids from {ids.min()} to {ids.max()}, where {made.pictures} denotes no view"
-    if not (torch.equal(seen, made.begin(every)) and torch.equal(goal, made.of_goal(every))):
-        return "begin or of_goal gives other views of a picture each time it is called"
+    if not (torch.equal(seen, made.reset_view_ids(every)) and torch.equal(goal, made.goal_view_ids(every))):
+        return "reset_view_ids or goal_view_ids gives other views of a picture each time it is called"
     before = seen.roll(1, 0)
-    now = made.follow(before, every)
+    now = made.step_view_ids(before, every)
     if not made.history and not torch.equal(now, seen):
-        return "follow gives other views than begin, so set history = True"
+        return "step_view_ids gives other views than reset_view_ids, so set history = True"
     state, look = every % made.states, every // made.states
     at = TensorDict({"state": state, "goal": state, "look": look, "goal_look": look}, batch_size=[len(every)])
     left = TensorDict({"view_ids": before, "goal_view_ids": goal}, batch_size=[len(every)])
     for found, wanted in ((made._reset(at, at.clone()), seen), (made._step(left, at.clone()), now)):
         if not (torch.equal(found["view_ids"], wanted) and torch.equal(found["goal_view_ids"], goal)):
-            return "the transform writes other view ids than begin, follow and of_goal give"
+            return "the transform writes other view ids than reset_view_ids, step_view_ids and goal_view_ids give"
     return None
 
 
@@ -143,24 +143,24 @@ class SequentialViews(SurroundingViews):
 
     order = ("three steps ago", "two steps ago", "one step ago", "now")
 
-    def begin(self, picture: Tensor) -> Tensor:
+    def reset_view_ids(self, picture: Tensor) -> Tensor:
         """The picture four times, int64 ``[...]`` to ``[..., 4]``."""
         return picture.unsqueeze(-1).expand(*picture.shape, len(self.order)).clone()
 
-    def follow(self, view_ids: Tensor, picture: Tensor) -> Tensor:
+    def step_view_ids(self, view_ids: Tensor, picture: Tensor) -> Tensor:
         """``view_ids`` without the oldest, and the new picture, int64 ``[..., 4]``."""
         return torch.cat([view_ids[..., 1:], picture.unsqueeze(-1)], -1)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``view_ids`` and ``goal_view_ids`` of a replayed batch, see the class."""
         picture = self._picture(tensordict, "state", "look")
-        view_ids = self.begin(picture)
+        view_ids = self.reset_view_ids(picture)
         for time in range(1, picture.shape[-1]):
             begins = tensordict["next", "done"][..., time - 1, :]
-            longer = self.follow(view_ids[..., time - 1, :], picture[..., time])
+            longer = self.step_view_ids(view_ids[..., time - 1, :], picture[..., time])
             view_ids[..., time, :] = torch.where(begins, view_ids[..., time, :], longer)
         tensordict["view_ids"] = view_ids
-        tensordict["goal_view_ids"] = self.of_goal(self._picture(tensordict, "goal", "goal_look"))
+        tensordict["goal_view_ids"] = self.goal_view_ids(self._picture(tensordict, "goal", "goal_look"))
         return tensordict
 
 

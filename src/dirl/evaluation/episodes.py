@@ -9,12 +9,12 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from dirl.agent.agent import MANY, Memory, make_agent
-from dirl.agent.decisions import Known, Walk, deciding
+from dirl.agent.decisions import AgentBatch, WorldTables, deciding
 from dirl.agent.mapping.places import PlaceMap
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import RandomPolicy
 from dirl.models import frozen
-from dirl.perception.recognition.matching import Arrived
+from dirl.perception.recognition.matching import StopRule
 from dirl.perception.recognition.recogniser import NCC
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
@@ -86,9 +86,9 @@ class EvaluationProtocol:
     """What the policies observe."""
     starts: tuple[Tensor, Tensor]
     """Goal index and start state of each episode, int64 ``[E]`` each; see `dirl.evaluation.episodes.every_start`."""
-    stop: Tensor | Arrived | None = None
+    stop: Tensor | StopRule | None = None
     """Where an agent stops on its way to each goal, bool ``[P]``, see `World.pair`, or by what it sees; None = exactly
-    at the goal. With a `LocalisingMemory` its log odds, `dirl.perception.recognition.matching.Compared`."""
+    at the goal. With a `LocalisingMemory` its log odds, `dirl.perception.recognition.matching.ScoreFunction`."""
     max_steps: int = 200
     """An episode that has not arrived by then has failed."""
     seed: int = 0
@@ -188,7 +188,7 @@ def run_episodes(
         possible = world.graph != torch.arange(len(world), device=world.device)[:, None] if protocol.arrows else None
         sweeps = isinstance(policy, RandomPolicy)
         arrived = _arrived(world, protocol.stop)
-        known = Known(world, observation, decide, arrived, scores, protocol.shown, around, possible, sweeps)
+        known = WorldTables(world, observation, decide, arrived, scores, protocol.shown, around, possible, sweeps)
 
         def ahead_in(state: Tensor, goals: Tensor) -> Tensor:
             besides = None if photos else goals // len(world.goals)
@@ -197,7 +197,7 @@ def run_episodes(
         for walking in _together(start, world, memory is not None, maps is not None):
             here, goals = start[walking], wanted[walking]
             ahead = ahead_in(here, goals)
-            walk = Walk(known, walking, goals, here, ahead, observation.begin(ahead))
+            walk = AgentBatch(known, walking, goals, here, ahead, observation.reset_view_ids(ahead))
             scene = world.scene_of[here]
             map_of_scene = None if maps is None else maps[int(scene[0])]
             agent = make_agent(memory, world.turns[scene], map_of_scene)
@@ -222,7 +222,7 @@ def run_episodes(
     return episodes
 
 
-def _record(episodes: Episodes, walk: Walk, stopped: Tensor, step: int) -> None:
+def _record(episodes: Episodes, walk: AgentBatch, stopped: Tensor, step: int) -> None:
     """Note where the agents stopped, bool ``[W]``, or should have."""
     at_goal = walk.state == walk.known.world.goals[episodes.goal_index[walk.episode]]
     episodes.success[walk.episode] = stopped & at_goal
@@ -264,7 +264,7 @@ def drawn_looks(
     return index + count * look
 
 
-def _arrived(world: World, stop: Tensor | Arrived | None) -> Arrived:
+def _arrived(world: World, stop: Tensor | StopRule | None) -> StopRule:
     """Whether agents stop, by a table, a function, or exactly at the goal."""
     states, goals = len(world), len(world.goals)
     if stop is None:

@@ -11,7 +11,7 @@ from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transformed
 
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, GoalView, Starts, Stop, TrainConfig
-from dirl.config.trials import CODE, told
+from dirl.config.trials import CODE, describe_error
 from dirl.envs import Reward, SequentialViews, SurroundingViews
 from dirl.envs.transforms import VIEWS, broken_promise
 from dirl.evaluation.episodes import every_start, sampled_starts
@@ -20,8 +20,8 @@ from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys, state_primer
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import encoded_as
-from dirl.perception.recognition.build import build_recogniser, matching, suit
-from dirl.perception.recognition.matching import Arrived, Compared
+from dirl.perception.recognition.build import build_recogniser, matching, set_memory_threshold
+from dirl.perception.recognition.matching import ScoreFunction, StopRule
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.goals import ChosenGoals, choose_goals
@@ -73,7 +73,7 @@ def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
         try:
             broken = broken_promise(made)
         except CODE as error:
-            broken = f"cannot be asked what is seen: {told(error, type(made))}"
+            broken = f"cannot be asked what is seen: {describe_error(error, type(made))}"
         if broken:
             raise ConfigError(f"observation: {kind}: {broken}")
     return made
@@ -218,8 +218,8 @@ def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | 
     return make("optimiser", config.optimiser, config.trust, params=trained_parameters(policy, losses))
 
 
-def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | Arrived | None:
-    """Where an agent stops on its way to each goal, bool ``[P]``, or in a world that changes `Arrived`; None: at it."""
+def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | StopRule | None:
+    """Where an agent stops on its way to each goal, bool ``[P]``, in a world that changes a `StopRule`; None: at it."""
     if rule == Stop.goal:
         return None
     stop = matching(config, world.device)
@@ -237,7 +237,7 @@ def build_protocol(
     options = config.evaluation
     memory = make("episodic_memory", config.episodic_memory, config.trust)
     recogniser = build_recogniser(config, world.device)
-    suit(memory, recogniser)
+    set_memory_threshold(memory, recogniser)
     if isinstance(memory, PlanningMemory | LocalisingMemory) and (observation.history or config.memory[TARGET]):
         raise ConfigError(
             f"episodic_memory: {type(memory).__name__} asks the policy what it would do facing the other views; with "
@@ -254,7 +254,7 @@ def build_protocol(
             )
         if config.stop.evaluation == Stop.goal:
             raise ConfigError("stop.evaluation=goal: a LocalisingMemory stops by what it sees; use matching")
-        stop: Tensor | Arrived | Compared | None = matching(config, world.device).compared(world)
+        stop: Tensor | StopRule | ScoreFunction | None = matching(config, world.device).compared(world)
     else:
         stop = stop_table(config, config.stop.evaluation, world)
     return EvaluationProtocol(

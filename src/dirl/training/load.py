@@ -119,7 +119,7 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
     see `DrawnPairs`.
     """
     every = torch.arange(observation.pictures, device=observation.surrounding.device)
-    seen, goal = observation.begin(every), observation.of_goal(every)
+    seen, goal = observation.reset_view_ids(every), observation.goal_view_ids(every)
     alone = not torch.equal(goal, seen)
     fronts = front or alone
     told = torch.equal(seen[:, 0], every) and not (alone and not torch.equal(goal, front_only(seen, len(every))))

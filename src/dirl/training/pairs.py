@@ -63,7 +63,10 @@ class DrawnPairs:
         state = self.states[self.first[scene] + (torch.rand(len(goal), device=device) * self.count[scene]).long()]
         shown = drawn_looks(goal, len(world), world)
         picture = drawn_looks(state, len(world), world, besides=shown // len(world))
-        seen = {"view_ids": self.observation.begin(picture), "goal_view_ids": self.observation.of_goal(shown)}
+        seen = {
+            "view_ids": self.observation.reset_view_ids(picture),
+            "goal_view_ids": self.observation.goal_view_ids(shown),
+        }
         rows = TensorDict({"state": state, "goal": goal, "scene": scene, **seen}, batch_size=[len(goal)])
         rows = label(self.expert, rows)
         if self.visited is not None:

@@ -82,7 +82,7 @@ class TrainState:
         self.losses.load_state_dict({**self.losses.state_dict(), **state["losses"]})
         self.optimiser.load_state_dict(state["optimiser"])
         agents = TensorDict(state["agents"], batch_size=self.env.batch_size, device=self.env.device)
-        self.agents = self.env.base_env.again(agents)
+        self.agents = self.env.base_env.restore_agents(agents)
         self.meter.load_state_dict(state["meter"])
         self.env.base_env.generator.set_state(state["random"]["env"])
         restore_random_state(state["random"])

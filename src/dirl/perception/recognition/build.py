@@ -46,7 +46,7 @@ def recogniser_name(recogniser: Recogniser) -> str:
     return f"{kind.__module__}.{kind.__qualname__} sha256:{digest.hexdigest()[:16]}"
 
 
-def suit(memory: nn.Module | None, recogniser: Recogniser) -> None:
+def set_memory_threshold(memory: nn.Module | None, recogniser: Recogniser) -> None:
     """Give an episodic memory the threshold of its recogniser; one without a threshold weighs log odds itself.
 
     Raises:

@@ -15,11 +15,11 @@ __all__ = ["FRONT_THRESHOLD", "TemplateStop", "ncc", "normal_vectors", "template
 FRONT_THRESHOLD = 0.95
 """Above which one photo matches: other places are more like a goal in one view than in four, see docs/decisions.md."""
 
-Arrived = Callable[[Tensor, Tensor], Tensor]
+StopRule = Callable[[Tensor, Tensor], Tensor]
 """Of goals, by their place among a world's goals plus G times their look, and of what is seen ahead, by view id, int64
 ``[...]`` each: whether an agent stops there, bool ``[...]``."""
 
-Compared = Callable[[Tensor, Tensor], Tensor]
+ScoreFunction = Callable[[Tensor, Tensor], Tensor]
 """The same, but the scores instead, float32 ``[...]``."""
 
 
@@ -67,12 +67,12 @@ class TemplateStop:
         """Where an agent stops on its way to each goal, bool ``[P]``; not where it cannot be reached from."""
         return (self.scores(world) > self.threshold) & (world.distances >= 0)
 
-    def arrived(self, world: World) -> Arrived:
+    def arrived(self, world: World) -> StopRule:
         """The same in a world that changes, where it depends on the looks of the goal and of the visit."""
         compared = self.compared(world)
         return lambda wanted, picture: compared(wanted, picture) > self.threshold
 
-    def compared(self, world: World) -> Compared:
+    def compared(self, world: World) -> ScoreFunction:
         """The scores by which an agent would stop, for one that weighs them itself."""
         scores, states, goals = VisitScores(self.recogniser, world, self.match), len(world), len(world.goals)
         return lambda wanted, picture: scores(world.goals[wanted % goals] + wanted // goals * states, picture)
