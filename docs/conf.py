@@ -20,7 +20,7 @@ gc.set_threshold(100_000, 20, 100)  # trees of millions of nodes stay: looking t
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 from demo import build as build_demo  # noqa: E402
-from options import write_page  # noqa: E402
+from options import write_pages  # noqa: E402
 
 project = "dirl"
 author = "The dirl authors"
@@ -179,6 +179,6 @@ def setup(app):
     app.add_transform(VectorFigures)
     app.connect("autodoc-process-bases", _bases)
     app.connect("autodoc-process-signature", _signature)
-    write_page(HERE.parent / "conf", HERE / "configuration.md")
+    write_pages(HERE.parent / "conf", HERE)
     write_demo(app, Path(app.outdir) / "demo", HERE / "demo.md")
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))

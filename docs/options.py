@@ -1,4 +1,4 @@
-"""The page of all options, from the types and meanings in `dirl.config` and the recipes, and the values in conf/."""
+"""The pages of all options, from the types and meanings in `dirl.config` and the recipes, and the values in conf/."""
 
 import importlib
 import sys
@@ -50,8 +50,10 @@ ROWS = "```{rst-class} rows\n```\n"
 INTRODUCTION = """\
 An option is given as `name=value` behind the recipe: `python recipes/train.py scene=all encoder.width=256`. Where a
 value follows the word *fast* or *paper*, the preset of that name sets it (`preset=paper`; `fast` is the default); both
-can be overridden one by one. This page is written by `docs/options.py` from the types in `src/dirl` and the values in
-`conf/` when the site is built.
+can be overridden one by one. These pages are written by `docs/options.py` from the types in `src/dirl` and the values
+in `conf/` when the site is built: besides the options of `recipes/train.py` below those of its
+[components](configuration_components.md), of [the other recipes](configuration_recipes.md), and of
+[`recipes/scenes.py`](configuration_scenes.md).
 """
 
 
@@ -136,7 +138,7 @@ def component_tables(conf: Path) -> list[str]:
     """What there is to choose from for each component, with the options of its class."""
     lines = []
     for group in COMPONENTS:
-        lines += [f"### {group}", ""]
+        lines += [f"## {group}", ""]
         for file in sorted((conf / group).glob("*.yaml")):
             head = [line[2:] for line in file.read_text().splitlines() if line.startswith("# ") and "@" not in line]
             values = yaml.safe_load(file.read_text())
@@ -182,24 +184,31 @@ def recipe_table(schema: type) -> list[str]:
     return table(plain, {"": given}, meanings(schema))
 
 
-def write_page(conf: Path, page: Path) -> None:
-    """Write the page, if it would change."""
+def write_pages(conf: Path, folder: Path) -> None:
+    """Write the pages that would change: of a training, of its components, of the other recipes, of scenes.py."""
     common = [conf / "train.yaml", *(conf / f"{name}.yaml" for name in DEFAULTS)]
     files = {"": common, "fast": [conf / "preset/fast.yaml"], "paper": [conf / "preset/paper.yaml"]}
     values = {word: {k: v for file in of_word for k, v in file_values(file).items()} for word, of_word in files.items()}
-    lines = ["# Every option", "", INTRODUCTION, "## recipes/train.py", ""]
+    training = ["# Every option", "", INTRODUCTION]
     for group, (meaning, options) in groups(TrainConfig).items():
         if group:
             meaning = meaning[0].lower() + meaning[1:]
-            lines += [f"### {group}" if meaning == f"the {group}" else f"### {group}: {meaning}", ""]
-        lines += table(options, values, meanings(TrainConfig))
-    lines += ["### What a choice sets", "", *choices(conf)]
-    lines += ["## Components", "", COMPONENTS_TEXT, *component_tables(conf)]
+            training += [f"## {group}" if meaning == f"the {group}" else f"## {group}: {meaning}", ""]
+        training += table(options, values, meanings(TrainConfig))
+    training += ["## What a choice sets", "", *choices(conf)]
+    others = ["# Options of the other recipes", ""]
     for recipe in RECIPES:
-        lines += [f"## recipes/{recipe}.py", "", *recipe_table(importlib.import_module(recipe).Options)]
-    lines += ["## recipes/scenes.py", ""]
+        others += [f"## recipes/{recipe}.py", "", *recipe_table(importlib.import_module(recipe).Options)]
+    scenes = ["# Options of recipes/scenes.py", ""]
     for command, schema in importlib.import_module("scenes").OPTIONS.items():
-        lines += [f"### {command}", "", *recipe_table(schema)]
-    text = "\n".join(lines)
-    if not page.exists() or page.read_text() != text:
-        page.write_text(text)
+        scenes += [f"## {command}", "", *recipe_table(schema)]
+    pages = {
+        "configuration": training,
+        "configuration_components": ["# Options of components", "", COMPONENTS_TEXT, *component_tables(conf)],
+        "configuration_recipes": others,
+        "configuration_scenes": scenes,
+    }
+    for name, lines in pages.items():
+        page, text = folder / f"{name}.md", "\n".join(lines)
+        if not page.exists() or page.read_text() != text:
+            page.write_text(text)

@@ -320,7 +320,8 @@ def test_every_picture_has_an_alternative_text(site):
 
 
 def test_every_option_has_a_meaning(site):
-    cells = re.findall(r"<tr.*?</tr>", (site / "configuration.html").read_text(), re.DOTALL)
+    text = "".join(page.read_text() for page in sorted(site.glob("configuration*.html")))
+    cells = re.findall(r"<tr.*?</tr>", text, re.DOTALL)
     rows = [re.findall(r"<td>(.*?)</td>", row, re.DOTALL) for row in cells]
     options = {re.sub(r"<.*?>", "", row[0]).strip(): row[2] for row in rows if len(row) == 3}
     assert "reinforcement.gamma" in " ".join(options)
