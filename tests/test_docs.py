@@ -26,6 +26,7 @@ from dirl.reporting import pictures
 
 DOCS = ROOT / "docs"
 PAGES = [
+    ROOT / "README.md",
     ROOT / "AGENT_GUIDE.md",
     DOCS / "quickstart.md",
     *sorted((DOCS / "tutorials").glob("*.md")),
@@ -44,6 +45,7 @@ QUICK += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.fra
 
 SHORTER = {
     "AGENT_GUIDE.md": {"seed=1)": f"seed=1, {SMALL})"},
+    "README.md": {"seed=0)": f"seed=0, {SMALL})"},
     "notebook.md": {"seed=0)": f"seed=0, {SMALL})"},
     "quickstart.md": {"seed=0)": f"seed=0, {SMALL})"},
     "any_goal.md": {"imitation.max_steps=100": "imitation.max_steps=5", "evaluation.goals=20": "evaluation.goals=2"},

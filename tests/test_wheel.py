@@ -64,7 +64,7 @@ def metadata(wheel):
 def test_the_package_index_shows_the_readme_for_users_of_the_package(wheel):
     shown = metadata(wheel)
     assert "Description-Content-Type: text/markdown" in shown
-    assert "pip install dirl && dirl train scene=bathroom_02" in shown
+    assert "pip install dirl\ndirl train scene=bathroom_02" in shown
     assert [word for word in ("pip install -e", "python recipes/") if word in shown] == []
     linked = re.findall(r"\]\(((?!https://doi)[^)#]+)[^)]*\)", shown)
     addresses = [re.sub(r"https://example\.org/dirl/(?:blob|raw)/main/", "", link) for link in linked]
