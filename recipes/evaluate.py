@@ -269,9 +269,9 @@ def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | N
     """The same agent, which sees the arrows and all headings of its place: if nothing else is asked for, in tours."""
     protocol = trained.protocol
     tour = all(scene.source.startswith("tour") for scene in protocol.world.scenes)
-    plans = isinstance(protocol.memory, PlanningMemory)
+    plans = isinstance(protocol.memory, PlanningMemory | LocalisingMemory)
     if panorama and not plans:
-        raise RunError("panorama: only episodic_memory=planning plans with all headings; give that too")
+        raise RunError("panorama: needs episodic_memory=planning or localising, which plan with all headings")
     seen: dict[str, Any] = {
         "arrows": tour if arrows is None else arrows,
         "panorama": tour and plans if panorama is None else panorama,
@@ -364,7 +364,9 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
         raise RunError(f"last_steps={last_steps}: a memory that localises knows its map to the end; leave it out")
     maps = []
     for index, scene in enumerate(tqdm(protocol.world.scenes, desc="walks", unit=" scenes", disable=None)):
-        known, passed = map_scene(protocol.world, index, protocol.memory, protocol.scores, steps_per_state)
+        known, passed = map_scene(
+            protocol.world, index, protocol.memory, protocol.scores, steps_per_state, panorama=protocol.panorama
+        )
         quality = map_quality(known, passed, protocol.world, index)
         tqdm.write(
             f"map of {scene.name}: {len(passed)} visits, {quality.nodes:.2f} nodes a state, "

@@ -252,11 +252,6 @@ def test_turns_of_a_navigator_are_a_multiple_of_four(run, world, turns):
         load(run, world, turns=turns)
 
 
-def test_a_memory_that_localises_refuses_smaller_turns(localising, world):
-    with pytest.raises(NavigatorError, match=r"^turns=8: episodic_memory=localising needs turns of 90 degrees"):
-        load(localising, world, turns=8, recogniser="learned")
-
-
 @pytest.mark.parametrize("memory", ["counts", "planning"])
 def test_a_navigator_with_a_memory_counts_its_agents(run, world, memory):
     navigator = load(run, world, episodic_memory=memory)

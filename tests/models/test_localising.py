@@ -21,9 +21,9 @@ def any_way(chosen):
     return torch.zeros(len(chosen), 4, 4)
 
 
-def walk(memory, *steps, goal=()):
+def walk(memory, *steps, goal=(), turns=4):
     """One agent that takes actions; of each visit the log odds that it is the place of an earlier one, as it faced."""
-    places = memory.begin(1)
+    places = memory.begin(1, turns=turns)
     for visit, (action, alike) in enumerate(((-1, {}), *steps)):
         places.action = torch.tensor([action])
         odds = torch.zeros(1, visit, 4)
@@ -41,7 +41,21 @@ def test_a_square_closes_by_motion_alone():
     places = walk(LocalisingMemory(), *ahead_and_right)
     assert places.here.item() == 0
     assert places.node[0].tolist()[1:3] == [4, 5]
-    assert (places.node[0] // 4).unique().tolist() == [0, 1, 3, 5]
+    assert (places.node[0] // 4).unique().tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("turns", [8, 12])
+def test_a_square_closes_by_motion_where_turns_are_small(turns):
+    quarter = [(RIGHT, {})] * (turns // 4)
+    places = walk(LocalisingMemory(), *[(AHEAD, {}), *quarter] * 4, turns=turns)
+    assert places.here.item() == 0
+    assert len((places.node[0] // turns).unique()) == 4
+
+
+def test_a_triangle_closes_over_the_diagonal():
+    corner = [(RIGHT, {})] * 3
+    places = walk(LocalisingMemory(), (AHEAD, {}), *corner, (AHEAD, {}), *corner, (AHEAD, {}), turns=8)
+    assert places.here.item() == 6
 
 
 def test_a_blocked_move_is_known_by_what_is_seen():

@@ -71,7 +71,7 @@ class Observed(Protocol):
         """The same of the chosen agents facing each view, bool ``[B, K]``; of others False."""
 
     def goal_odds(self, visits: Tensor) -> Tensor:
-        """Log odds that visits, ``[B, T, 4, ...]``, see the goal facing each of their views; float32 ``[B, T, 4]``."""
+        """Log odds that visits, ``[B, T, K, ...]``, see the goal facing each of their views; float32 ``[B, T, K]``."""
 
 
 class Agent:
@@ -193,11 +193,16 @@ class Planning(Remembering):
 
 
 class Localising(Remembering):
-    """Agents with a `LocalisingMemory`, which decides where they stop too; they may begin with a map of the place."""
+    """Agents with a `LocalisingMemory`, which decides where they stop too; they may begin with a map of the place.
 
-    def __init__(self, memory: LocalisingMemory, known: PlaceMap | None = None, guide: Guide | None = None) -> None:
+    All have the same number of turns in a full circle.
+    """
+
+    def __init__(
+        self, memory: LocalisingMemory, turns: int, known: PlaceMap | None = None, guide: Guide | None = None
+    ) -> None:
         super().__init__(memory, guide)
-        self.known = known
+        self.turns, self.known = turns, known
 
     def arrive(self, now: Observed) -> Tensor:
         """Take in what the agents see; whether they stop there."""
@@ -205,7 +210,7 @@ class Localising(Remembering):
         if self.past is not None:
             self.past.action = self.action
         elif self.known is None:
-            self.past = self.memory.begin(agents, device)
+            self.past = self.memory.begin(agents, device, self.turns, now.visit.shape[1])
         else:
             self.seen = self.known.seen.to(device)
             self.past = self.known.begin(now.goal_odds(self.seen.expand(agents, *self.seen.shape[1:])))
@@ -223,7 +228,7 @@ def make_agent(
 ) -> Agent:
     """Agents at the start of their episodes; for the arguments see the classes with each memory."""
     if isinstance(memory, LocalisingMemory):
-        return Localising(memory, known, guide)
+        return Localising(memory, int(turns[0]), known, guide)
     if isinstance(memory, PlanningMemory):
         return Planning(memory, turns, guide)
     return Agent(guide) if memory is None else Counting(memory, guide=guide)

@@ -28,7 +28,7 @@ class Explorer:
     """A walk through a place, by a robot or a person, that makes a map of it. Made by `dirl.Navigator.explore`.
 
     Args:
-        encode: images of four views to what the map takes: their descriptions, float32 ``[4, F]``.
+        encode: images of V views to what the map takes: their descriptions, float32 ``[V, F]``.
         graph: the map, empty or of an earlier walk; or what makes one by what an agent's memory believes.
         extractor: what makes the features, written into saved maps.
         recogniser: what makes the descriptions, likewise.
@@ -48,7 +48,8 @@ class Explorer:
         """Add what is seen now to the map: the node where the walker is.
 
         Args:
-            images: uint8 RGB ``[4, H, W, 3]``, ahead, right, back and left.
+            images: uint8 RGB ``[4, H, W, 3]``, ahead, right, back and left; for a `PlaceMap` also those of a
+                panorama, one for each of the ``turns``, always as many.
             action: what the walker did since the images before (0 ahead, 1 right, 2 left, 3 back), also if it was
                 blocked; None if it did nothing.
 
@@ -59,7 +60,7 @@ class Explorer:
         if action not in (None, 0, 1, 2, 3):
             raise NavigatorError(f"action={action!r}: expected 0 ahead, 1 right, 2 left, 3 back, or None")
         views = self._encode(images)
-        self._turns.see(views, action)
+        self._turns.see(views[:: len(views) // VIEWS], action)
         return self.graph.see(views, action)
 
     def next_action(self) -> int | None:
@@ -136,7 +137,7 @@ def map_to_walk_on(
 ) -> ImageGraph | ParticleMapper:
     """The map of a walk, a new one or one that is known; see `dirl.Navigator.explore`."""
     if turns is not None:
-        check_turns(turns, None if isinstance(known, ImageGraph) else memory)
+        check_turns(turns)
     if known is not None and turns not in (None, known.turns):
         raise NavigatorError(f"turns={turns}: this map was made with turns={known.turns}")
     if known is None and turns is None:
@@ -144,7 +145,7 @@ def map_to_walk_on(
     if isinstance(known, ImageGraph):
         return known
     if isinstance(memory, LocalisingMemory):
-        return ParticleMapper(memory, partial(compare, recogniser), known=known)
+        return ParticleMapper(memory, partial(compare, recogniser), known=known, turns=turns or VIEWS)
     if known is not None:
         raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
     return ImageGraph(None if recogniser.calibrated else threshold, turns=turns or VIEWS, recogniser=recogniser)
@@ -167,9 +168,7 @@ def map_of(graph: object, extractor: str, recogniser: Recogniser) -> ImageGraph 
     return load_graph(graph, extractor=extractor, recogniser=recogniser)
 
 
-def check_turns(turns: int, memory: object = None) -> None:
-    """Raise `NavigatorError` unless so many turns make a full circle and pass the four views, and suit the memory."""
+def check_turns(turns: int) -> None:
+    """Raise `NavigatorError` unless so many turns make a full circle and pass the four views."""
     if isinstance(turns, bool) or not isinstance(turns, int) or turns < VIEWS or turns % VIEWS:
         raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
-    if isinstance(memory, LocalisingMemory) and turns != VIEWS:
-        raise NavigatorError(f"turns={turns}: episodic_memory=localising needs turns of 90 degrees; use planning")

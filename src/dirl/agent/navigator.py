@@ -84,7 +84,7 @@ class Navigator:
         fine: bool = False,
         virtual: VirtualCameras | None = None,
     ) -> None:
-        check_turns(turns, memory)
+        check_turns(turns)
         self.policy = policy
         self.view_order = view_order
         self.sequential = view_order[-1] == "now"
@@ -228,6 +228,8 @@ class Navigator:
                 guide = Guide(found, goal.described[0], last_steps)
             elif isinstance(self.memory, LocalisingMemory):
                 known = found
+                if known.turns != self.turns:
+                    raise NavigatorError(f"graph: was made with turns={known.turns}, this navigator has {self.turns}")
             else:
                 raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
         self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
@@ -246,8 +248,9 @@ class Navigator:
         """Choose the action. Call this exactly once a step, because the navigator may keep a history.
 
         Args:
-            images: the agent's present views, in the form that `reset` takes. With ``episodic_memory=planning`` also
-                those of a panorama, one for each of the navigator's ``turns``, clockwise from the one ahead.
+            images: the agent's present views, in the form that `reset` takes. With ``episodic_memory=planning`` or
+                ``localising`` also those of a panorama, one for each of the navigator's ``turns``, clockwise from the
+                one ahead.
             possible: which actions are possible facing each of these views, as a tour's arrows tell, bool ``[K, 4]`` or
                 ``[B, K, 4]``. If left out, the agent finds out by trying.
             sample: draw the action by its probability instead of taking the most probable one.
@@ -258,13 +261,17 @@ class Navigator:
         """
         if self._goal is None:
             raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
-        headings = self.turns if isinstance(self.memory, PlanningMemory) else VIEWS
-        views, batched = self._encode(images, "images", headings)
+        views, batched = self._encode(images, "images", self._headings)
         before = self._seen
         check_agents(views, len(self._goal.features), None if before is None else before.features)
         moves = checked_moves(possible, views, batched=batched)
         if self.agent.guide is not None:
             self._check_alone(len(views))
+        known = getattr(self.agent, "known", None)
+        if known is not None and known.seen.shape[2] != views.shape[1]:
+            raise NavigatorError(
+                f"images: {views.shape[1]} views, and the map is of {known.seen.shape[2]}; give as many"
+            )
         if self.sequential:
             views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
         state = () if before is None else before.state
@@ -279,6 +286,11 @@ class Navigator:
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(Action(int(action)), bool(stop), Scores(float(matching), probabilities[0]))
+
+    @property
+    def _headings(self) -> int:
+        """The views that an agent may see: four, or with a memory that knows of panoramas those of all headings."""
+        return self.turns if isinstance(self.memory, PlanningMemory | LocalisingMemory) else VIEWS
 
     def explore(self, graph: ImageGraph | PlaceMap | None = None, *, turns: int | None = None) -> Explorer:
         """Begin a walk that makes a map, to go to any photo of the place afterwards; see `reset`.
@@ -303,8 +315,9 @@ class Navigator:
     @torch.no_grad()
     @one_at_a_time
     def _visit(self, images: Images) -> Tensor:
-        """The described views of one walker, float32 ``[4, F]``."""
-        views, batched = self._encode(images, "images")
+        """The described views of one walker, float32 ``[4, F]``, or in a panorama those of all headings."""
+        headings = self._headings if isinstance(self.memory, LocalisingMemory) else VIEWS
+        views, batched = self._encode(images, "images", headings)
         if batched:
             raise NavigatorError("images: a walk is that of one walker; expected the four views [4, H, W, 3], no batch")
         return self.policy.describe(views[0], self.recogniser)

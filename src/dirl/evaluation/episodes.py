@@ -106,7 +106,7 @@ class EvaluationProtocol:
     shown: Tensor | None = None
     """The goal of the same scene that is shown in the place of each, int64 ``[G]``, for controls; None = itself."""
     panorama: bool = False
-    """Agents with a `PlanningMemory` see all headings of their place, as in a panorama, not only four."""
+    """Agents with a memory of places see all headings of theirs, as in a panorama, not only four."""
     arrows: bool = False
     """Agents see which moves are possible where they are, as visitors of a tour do."""
     live: Callable[..., Episodes] | None = None

@@ -8,12 +8,11 @@ from torch import Tensor
 
 from dirl.agent.mapping.places import ParticleMapper, PlaceMap
 from dirl.agent.mapping.walks import Mapper, explore
-from dirl.envs.transforms import VIEWS
 from dirl.evaluation.episodes import drawn_looks
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import World
-from dirl.scenes.graph import AHEAD, BACK
+from dirl.scenes.graph import AHEAD, BACK, RIGHT
 
 
 class Quality(NamedTuple):
@@ -35,14 +34,18 @@ def map_scene(
     steps_per_state: float,
     seed: int = 0,
     looks: range | None = None,
+    *,
+    panorama: bool = False,
 ) -> tuple[PlaceMap, list[int]]:
     """A map by one walk through a scene from a random state, and the states passed, by their places in the scene.
 
     It has at most ``steps_per_state`` steps for each state. Every visit has a look sampled for it, one of ``looks`` or
-    of all; the scores are log odds that two visits are of the same place.
+    of all; the scores are log odds that two visits are of the same place. The walker sees four views, or in a
+    ``panorama`` those of all headings.
     """
-    mapper = ParticleMapper(memory, scores.of_visits, seed=seed)
-    passed = walk_through(world, index, mapper, lambda visit: visit, steps_per_state, seed, looks)
+    mapper = ParticleMapper(memory, scores.of_visits, seed=seed, turns=int(world.turns[index]))
+    around = world.panoramas() if panorama else world.surrounding
+    passed = walk_through(world, index, mapper, lambda visit: visit, steps_per_state, seed, looks, around)
     return mapper.map(), passed
 
 
@@ -54,18 +57,21 @@ def walk_through(
     steps_per_state: float,
     seed: int = 0,
     looks: range | None = None,
+    around: Tensor | None = None,
 ) -> list[int]:
     """The states that are passed on a walk through a scene by a mapper; see `map_scene`.
 
-    ``look`` gives what the mapper takes for the view ids of a visit, int64 ``[4]``.
+    ``look`` gives what the mapper takes for the view ids of a visit, int64 ``[V]``: those of the states that are seen
+    ``around`` each, int64 ``[N, V]``; `World.surrounding` if left out.
     """
+    around = world.surrounding if around is None else around
     scene, offset = world.scenes[index], world.offsets[index]
     generator = torch.Generator(world.device).manual_seed(seed)
 
     def seen(state: int) -> Tensor:
         here = torch.tensor([offset + state], device=world.device)
         ahead = drawn_looks(here, len(world), world, generator, looks=looks)
-        return look(world.surrounding[offset + state] + (ahead - ahead % len(world)))
+        return look(around[offset + state] + (ahead - ahead % len(world)))
 
     start = int(torch.randint(len(scene), (1,), generator=generator, device=world.device))
     return explore(scene, mapper, start, round(steps_per_state * len(scene)), seen)
@@ -77,13 +83,13 @@ def map_quality(known: PlaceMap, passed: list[int], world: World, index: int) ->
     A node is of the state where the walker first was at its place.
     """
     scene, places = world.scenes[index], known.places
-    surrounding, node = torch.tensor(scene.surrounding), places.node[0]
+    graph, turns, node = torch.tensor(scene.graph), known.turns, places.node[0]
     state = torch.full((len(known),), -1)
     for visit in reversed(range(len(passed))):
-        around = surrounding[passed[visit]]  # the walker faces the first of these views
-        headings = (node[visit] + torch.arange(VIEWS)) % VIEWS
-        state[node[visit] // VIEWS * VIEWS + headings] = around
-    graph = torch.tensor(scene.graph)
+        facing = passed[visit]
+        for heading in range(turns):
+            state[node[visit] // turns * turns + (node[visit] + heading) % turns] = facing
+            facing = int(graph[facing, RIGHT])
     truth = torch.where(graph < 0, torch.arange(len(graph))[:, None], graph)
     after, moves = places.after[0], torch.tensor([AHEAD, BACK])
     tried = after[:, moves] >= 0

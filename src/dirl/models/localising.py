@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Annotated, Self
 
 import torch
 from torch import Tensor, nn
@@ -16,57 +17,82 @@ from dirl.scenes.graph import AHEAD, LEFT, RIGHT
 
 TURNED = (0, 1, -1, 0)
 MOVED = (1, 0, 0, -1)
-"""By ahead, right, left and back: quarters to the right, and moves along the heading."""
+"""By ahead, right, left and back: turns to the right, and moves along the heading."""
 
-DIRECTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-"""Displacement by a move ahead, facing as at the start, to the right of it, and so on."""
+MOVE = 100
+"""A move along an axis, in the units of positions; moves end on a square grid, those at 45 degrees on its diagonals."""
 
-FAR = 10_000
-"""Moves between the start of an episode and where an earlier walk ended, as nothing is known of the way from there."""
+FAR = 10_000 * MOVE
+"""Between the start of an episode and where an earlier walk ended, as nothing is known of the way from there."""
 
 UNLIKE = -7.0
 """The least log odds that the goal is seen: below, a calibration says nothing."""
+
+UNASKED = math.log(len(ACTIONS))
+"""Cost of an action facing a heading that was not seen, for which the policy cannot be asked: all are as likely."""
 
 
 @dataclass
 class Places(Nodes):
     """What B agents have seen and done in T visits, of P places; made by `LocalisingMemory.begin`.
 
-    A node is a place and one of the four headings there, ``4 * place + heading``. Each visit makes a place, which stays
-    unused where the agent is at an earlier one.
+    A node is a place and one of the K headings there, ``K * place + heading``. A visit makes a place, which
+    stays unused where the agent is at an earlier one. It sees V views: four, or in a panorama all K.
     """
 
     node: Tensor
     """Where each visit was, int64 ``[B, T]``."""
     goal: Tensor
-    """Log odds of each visit that the goal is seen there, facing each of its four views, float32 ``[B, T, 4]``."""
+    """Log odds of each visit that the goal is seen there, facing each of its views, float32 ``[B, T, V]``."""
     position: Tensor
-    """Of each place, in moves to the right of and ahead of the start, int64 ``[B, P, 2]``."""
+    """Of each place, to the right of and ahead of the start, in hundredths of a move, int64 ``[B, P, 2]``."""
     heading: Tensor
     """Of the first view of each place, in right turns since the start, int64 ``[B, P]``."""
     action: Tensor
     """The last action, int64 ``[B]``; -1 at the start, where agents may be anywhere."""
     mapped: Tensor
     """Whether agents began with a map of an earlier walk, bool ``[B]``."""
+    turns: int = VIEWS
+    """Headings of a place, K: right turns in a full circle."""
 
     @property
     def here(self) -> Tensor:
         """The present node, int64 ``[B]``."""
         return self.node[:, -1]
 
+    @property
+    def seen(self) -> Tensor:
+        """The nodes that each visit sees, int64 ``[B, T, V]``."""
+        return self.around(self.node)
+
+    def around(self, node: Tensor) -> Tensor:
+        """The nodes that are seen from nodes ``[...]``, clockwise from the one ahead, ``[..., V]``."""
+        views = self.goal.shape[-1]
+        heading = node[..., None] + self.turns // views * torch.arange(views, device=node.device)
+        return node[..., None] // self.turns * self.turns + heading % self.turns
+
+    def select(self, chosen: Tensor) -> Self:
+        """Some of the agents, by mask or index."""
+        return replace(self, **{name: value[chosen] for name, value in vars(self).items() if name != "turns"})
+
     def compact(self) -> "Places":
         """Of one agent, without its unused places."""
-        kept = self.used[0].view(-1, VIEWS).any(1).nonzero().flatten()
+        kept = self.used[0].view(-1, self.turns).any(1).nonzero().flatten()
         row = torch.full((self.position.shape[1],), -1, device=kept.device)
         row[kept] = torch.arange(len(kept), device=kept.device)
-        nodes = (VIEWS * kept[:, None] + torch.arange(VIEWS, device=kept.device)).flatten()
+        nodes = (self.turns * kept[:, None] + torch.arange(self.turns, device=kept.device)).flatten()
 
         def renumbered(node: Tensor) -> Tensor:
-            return torch.where(node < 0, -1, VIEWS * row[node // VIEWS] + node % VIEWS)
+            return torch.where(node < 0, -1, self.turns * row[node // self.turns] + node % self.turns)
 
-        after = renumbered(self.after[:, nodes])
-        facts = self.position[:, kept], self.heading[:, kept], self.action, self.mapped
-        return Places(self.cost[:, nodes], after, renumbered(self.node), self.goal, *facts)
+        return replace(
+            self,
+            cost=self.cost[:, nodes],
+            after=renumbered(self.after[:, nodes]),
+            node=renumbered(self.node),
+            position=self.position[:, kept],
+            heading=self.heading[:, kept],
+        )
 
 
 class LocalisingMemory(nn.Module):
@@ -82,7 +108,8 @@ class LocalisingMemory(nn.Module):
     is not lies next to it, nearly always. So the moves that were not tried at the most probable place count as nodes
     where the goal may be, and the agent tries them first, unless the evidence is clear.
 
-    Moves are assumed to be of one length, and turns of 90 degrees, up to ``slip``.
+    Moves are assumed to be of one length, and turns of equal angles, up to ``slip``. Where turns are smaller than 90
+    degrees, four views leave headings between them unseen, of which nothing is known until the agent faces one.
 
     Args:
         repeated: cost of a move whose outcome is known, in nats.
@@ -125,18 +152,26 @@ class LocalisingMemory(nn.Module):
         self.seek, self.correlation = seek, correlation
         self.least, self.independence, self.temperature = least, independence, temperature
 
-    def begin(self, agents: int, device: torch.device | str = "cpu") -> Places:
-        """What agents know at the start of their episodes: nothing."""
+    def begin(self, agents: int, device: torch.device | str = "cpu", turns: int = VIEWS, views: int = VIEWS) -> Places:
+        """What agents know at the start of their episodes: nothing.
+
+        Args:
+            agents: their number, B.
+            device: of the tensors.
+            turns: in a full circle, K.
+            views: that are seen around an agent, V: four, or in a panorama as many as there are turns.
+        """
         none = torch.empty((agents, 0), dtype=torch.int64, device=device)
         return Places(
             cost=torch.empty((agents, 0, len(ACTIONS)), device=device),
             after=none.new_empty(agents, 0, len(ACTIONS)),
             node=none,
-            goal=torch.empty((agents, 0, VIEWS), device=device),
+            goal=torch.empty((agents, 0, views), device=device),
             position=none.new_empty(agents, 0, 2),
             heading=none,
             action=torch.full((agents,), -1, device=device),
             mapped=torch.zeros(agents, dtype=torch.bool, device=device),
+            turns=turns,
         )
 
     def arrive(self, places: Places, alike: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
@@ -144,11 +179,11 @@ class LocalisingMemory(nn.Module):
 
         Args:
             places: so far, T visits.
-            alike: log odds that this visit is of the place of an earlier one, facing each of its four views, float32
-                ``[B, T, 4]``.
-            goal: log odds that the goal is seen here facing each of the four views, float32 ``[B, 4]``.
-            logits: of the chosen agents, bool ``[B]``, those of the policy facing each of the four views, float32
-                ``[B, 4, 4]``; rows of others are not used.
+            alike: log odds that this visit is of the place of an earlier one, facing each of its views, float32
+                ``[B, T, V]``.
+            goal: log odds that the goal is seen here facing each of the views, float32 ``[B, V]``.
+            logits: of the chosen agents, bool ``[B]``, those of the policy facing each of the views, float32
+                ``[B, V, 4]``; rows of others are not used.
         """
         return self.add(places, self.likely(places, alike).argmax(1), goal, logits)
 
@@ -156,7 +191,7 @@ class LocalisingMemory(nn.Module):
         """Log probabilities, up to a constant, that the agents are now at each node or, last, at a new place.
 
         Agents that have not acted since the start may be at any place with the same probability. The result is float32
-        ``[B, 4 P + 1]``; for the arguments see `arrive`.
+        ``[B, K P + 1]``; for the arguments see `arrive`.
         """
         evidence = self._evidence(alike, places)
         used, at = evidence > -math.inf, torch.arange(len(evidence), device=evidence.device)
@@ -165,9 +200,9 @@ class LocalisingMemory(nn.Module):
         if not _carried(places):
             position, heading = self._expected(places)
             outcome = places.after[at, places.here, places.action]
-            headings = places.heading[..., None] + torch.arange(VIEWS, device=heading.device)
+            headings = places.heading[..., None] + torch.arange(places.turns, device=heading.device)
             there = places.position == position[:, None]
-            there = there.all(-1)[..., None] & (headings % VIEWS == heading[:, None, None])
+            there = there.all(-1)[..., None] & (headings % places.turns == heading[:, None, None])
             there = there.flatten(1) & used
             tried = outcome >= 0
             prior = torch.where(there & ~tried[:, None], 1 - self.blocked, prior)
@@ -176,26 +211,36 @@ class LocalisingMemory(nn.Module):
         return torch.cat([prior.log() + evidence, new.log()], 1)
 
     def add(self, places: Places, here: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
-        """Add a visit of agents that are at nodes ``here``, int64 ``[B]``; ``4 P`` is a new place. See `arrive`."""
+        """Add a visit of agents that are at nodes ``here``, int64 ``[B]``; ``K P`` is a new place. See `arrive`."""
         position, heading = self._expected(places)
-        new = places.cost.shape[1]
+        turns, new = places.turns, places.cost.shape[1]
         made = here == new
-        cost = torch.where(made[:, None, None], -logits(made).log_softmax(-1), math.inf)
-        headings = new + torch.arange(VIEWS, device=here.device)
-        after = torch.full((len(here), VIEWS, len(ACTIONS)), -1, device=here.device)
+        more = int(made.any())  # a place, unless all agents are at earlier ones
+        cost = torch.where(made[:, None, None], UNASKED, math.inf).expand(-1, more * turns, len(ACTIONS))
+        cost = torch.cat([places.cost, cost], 1)
+        faced = places.around(here)
+        first = made[:, None].expand(faced.shape)
+        if faced.shape[1] < turns:  # views of a later visit may be between those of earlier ones
+            first = (places.seen.flatten(1)[:, None] != faced[..., None]).all(-1)
+        agent, view = first.nonzero(as_tuple=True)
+        if len(agent):
+            cost[agent, faced[agent, view]] = -logits(first.any(1))[agent, view].log_softmax(-1)
+        headings = new + torch.arange(more * turns, device=here.device)
+        after = torch.full((len(here), more * turns, len(ACTIONS)), -1, device=here.device)
         after[:, :, RIGHT], after[:, :, LEFT] = headings.roll(-1), headings.roll(1)
         arrived = Places(
-            cost=torch.cat([places.cost, cost], 1),
+            cost=cost,
             after=torch.cat([places.after, after], 1),
             node=torch.cat([places.node, here[:, None]], 1),
             goal=torch.cat([places.goal, goal[:, None]], 1),
-            position=torch.cat([places.position, position[:, None]], 1),
-            heading=torch.cat([places.heading, heading[:, None]], 1),
+            position=torch.cat([places.position, position[:, None][:, :more]], 1),
+            heading=torch.cat([places.heading, heading[:, None][:, :more]], 1),
             action=places.action,
             mapped=places.mapped,
+            turns=turns,
         )
         if not _carried(places):
-            connect(arrived.after, places.here, places.action, here)
+            connect(arrived.after, places.here, places.action, here, turns)
         return arrived
 
     def stops(self, places: Places) -> Tensor:
@@ -206,13 +251,14 @@ class LocalisingMemory(nn.Module):
     def plan(self, places: Places) -> Tensor:
         """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
         evidence = self._goal(places)
-        exits = (places.after < 0).unflatten(1, (-1, VIEWS)).flatten(2)  # what was not tried at each place, [B, P, 16]
+        turns = places.turns
+        exits = (places.after < 0).unflatten(1, (-1, turns)).flatten(2)  # not tried at each place, [B, P, 4 K]
         odds, best = evidence.max(1)
         at = torch.arange(len(best), device=best.device)
         certain = self._certain(places, evidence, best)
-        around = (odds > self.seek) & ~certain & exits.any(-1)[at, best // VIEWS]
+        around = (odds > self.seek) & ~certain & exits.any(-1)[at, best // turns]
         wanted = torch.zeros_like(exits)
-        wanted[at, best // VIEWS] = exits[at, best // VIEWS] & around[:, None]
+        wanted[at, best // turns] = exits[at, best // turns] & around[:, None]
         wanted = wanted.view(places.after.shape)
         goal = torch.zeros_like(wanted[..., 0])
         goal[at, best] = ((odds > self.seek) | certain) & ~around & (best != places.here)
@@ -229,7 +275,7 @@ class LocalisingMemory(nn.Module):
         at = torch.arange(len(node), device=node.device)
         # A move back at one heading is the move ahead at the opposite one.
         untried = (places.after[..., AHEAD] < 0) & places.used
-        near = untried.unflatten(1, (-1, VIEWS))[at, node // VIEWS].sum(1)
+        near = untried.unflatten(1, (-1, places.turns))[at, node // places.turns].sum(1)
         # A map has doubles of places, whose moves were not tried from each of them.
         whole = places.mapped | ~untried.any(1)
         unseen = (self.elsewhere * (1 + untried.sum(1)) + self.neighbour * near * ~places.mapped).log()
@@ -242,30 +288,40 @@ class LocalisingMemory(nn.Module):
         action = places.action
         if _carried(places):
             return action.new_full((len(action), 2), FAR * places.node.shape[1]), torch.zeros_like(action)
-        at, place = torch.arange(len(action), device=action.device), places.here // VIEWS
+        turns = places.turns
+        at, place = torch.arange(len(action), device=action.device), places.here // turns
         turned, moved = (torch.tensor(by, device=action.device)[action] for by in (TURNED, MOVED))
-        heading = (places.heading[at, place] + places.here) % VIEWS
-        step = torch.tensor(DIRECTIONS, device=action.device)[heading] * moved[:, None]
+        heading = (places.heading[at, place] + places.here) % turns
+        along = _steps(turns).to(action.device)[heading] * moved[:, None]
         # Of the first view of a place: the agent faces it when it arrives.
-        return places.position[at, place] + step, (heading + turned) % VIEWS
+        return places.position[at, place] + along, (heading + turned) % turns
 
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
-        """Log odds of visits facing each view, float32 ``[B, T, 4]``, as those of nodes, ``[B, 4 T]``."""
+        """Log odds of visits facing each view, float32 ``[B, T, V]``, as those of nodes, ``[B, K P]``."""
         temperature = torch.where(places.mapped, 1.0, self.temperature)[:, None, None]
         total, visits = self._sums((odds / temperature).clamp(min=self.least), places)
-        return torch.where(visits > 0, total * visits.clamp(min=1) ** (self.independence - 1), -math.inf)
+        evidence = total * visits.clamp(min=1) ** (self.independence - 1)
+        # Of a heading that was not seen nothing is known, neither for nor against it.
+        return torch.where(places.used, evidence, -math.inf)
 
     def _goal(self, places: Places) -> Tensor:
-        """Log odds that the goal is at each node, float32 ``[B, 4 P]``."""
+        """Log odds that the goal is at each node, float32 ``[B, K P]``."""
         total, visits = self._sums(places.goal.clamp(min=UNLIKE), places)
         return torch.where(visits > 0, total / (1 + (visits - 1) * self.correlation), -math.inf)
 
     def _sums(self, odds: Tensor, places: Places) -> tuple[Tensor, Tensor]:
-        """The sums of log odds of visits, float32 ``[B, T, 4]``, by node, ``[B, 4 P]``, and how many they are."""
-        turned = (places.node[..., None] + torch.arange(VIEWS, device=odds.device)) % VIEWS
-        node = (places.node[..., None] // VIEWS * VIEWS + turned).flatten(1)
+        """The sums of log odds of visits, float32 ``[B, T, V]``, by node, ``[B, K P]``, and how many they are."""
+        node = places.seen.flatten(1)
         total = odds.new_zeros(len(odds), places.cost.shape[1]).scatter_add(1, node, odds.flatten(1))
         return total, torch.zeros_like(total).scatter_add(1, node, torch.ones_like(odds).flatten(1))
+
+
+@cache
+def _steps(turns: int) -> Tensor:
+    """Displacement by a move ahead, facing as at the start, to the right of it, and so on, int64 ``[K, 2]``."""
+    angle = 2 * math.pi / turns * torch.arange(turns)
+    way = torch.stack([angle.sin(), angle.cos()], 1)
+    return (MOVE * way / way.abs().amax(1, keepdim=True)).round().long()
 
 
 def _carried(places: Places) -> bool:

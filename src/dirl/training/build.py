@@ -13,7 +13,7 @@ from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, GoalView, Starts, Stop, TrainConfig
 from dirl.config.trials import CODE, describe_error
 from dirl.envs import Reward, SequentialViews, SurroundingViews
-from dirl.envs.transforms import VIEWS, broken_promise
+from dirl.envs.transforms import broken_promise
 from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
@@ -246,11 +246,12 @@ def build_protocol(
     if options.goals is not None:
         world = world.with_goals(_some_goals(world, options.goals, config.seed))
     if isinstance(memory, LocalisingMemory):
-        other = torch.nonzero(world.turns != VIEWS).flatten().tolist()
+        other = torch.nonzero(world.turns != world.turns[0]).flatten().tolist()
         if other:
+            first, second = (f"{360 // int(world.turns[one])} in {world.names[one]}" for one in (0, other[0]))
             raise ConfigError(
-                f"episodic_memory=localising needs turns of 90 degrees, and {world.names[other[0]]} has turns of "
-                f"{360 // int(world.turns[other[0]])}; use planning"
+                f"episodic_memory=localising: turns are of several angles, degrees: {first}, {second}; evaluate scenes "
+                "of one angle at a time"
             )
         if config.stop.evaluation == Stop.goal:
             raise ConfigError("stop.evaluation=goal: a LocalisingMemory stops by what it sees; use matching")

@@ -30,25 +30,28 @@ class PlaceMap:
     places: Places
     """Of one agent; see `dirl.models.localising.Places`."""
     seen: Tensor
-    """The visits, by view ids or by described views, ``[1, T, 4, ...]``."""
-    turns: int = VIEWS
-    """Right turns in a full circle: 4."""
+    """The visits, by view ids or by described views, ``[1, T, V, ...]``."""
 
     def __len__(self) -> int:
-        """The number of nodes, 4 P."""
+        """The number of nodes, K P."""
         return self.places.cost.shape[1]
+
+    @property
+    def turns(self) -> int:
+        """Right turns in a full circle, K."""
+        return self.places.turns
 
     def begin(self, goal: Tensor) -> Places:
         """What agents know that walked here once and now begin an episode, at a place that they do not know.
 
-        ``goal`` is the log odds that their goals are seen at each visit of the walk, facing each view, ``[B, T, 4]``.
+        ``goal`` is the log odds that their goals are seen at each visit of the walk, facing each view, ``[B, T, V]``.
         """
         agents, device = len(goal), goal.device
-        known = {name: value.to(device).expand(agents, *value.shape[1:]) for name, value in vars(self.places).items()}
-        # The tables of links are written to.
-        known |= {"after": known["after"].clone(), "goal": goal, "action": torch.full_like(known["action"], -1)}
-        known["mapped"] = torch.ones_like(known["action"], dtype=torch.bool)
-        return Places(**known)
+        every = torch.zeros(agents, dtype=torch.int64, device=self.places.action.device)
+        tensors = {name: value[every].to(device) for name, value in vars(self.places).items() if name != "turns"}
+        nothing = torch.full((agents,), -1, device=device)
+        tensors |= {"goal": goal, "action": nothing, "mapped": torch.ones_like(nothing, dtype=torch.bool)}
+        return replace(self.places, **tensors)
 
 
 class ParticleMapper:
@@ -56,11 +59,12 @@ class ParticleMapper:
 
     Args:
         memory: whose slip, and weights of the evidence, are used.
-        compare: how much earlier visits, ``[1, T, 4, ...]``, look like a visit, ``[1, 4, ...]``: log odds,
-            ``[1, T, 4]``.
+        compare: how much earlier visits, ``[1, T, V, ...]``, look like a visit, ``[1, V, ...]``: log odds,
+            ``[1, T, V]``.
         particles: maps at once, K.
         seed: of the draws.
         known: a map to walk on with, from any place.
+        turns: in a full circle, K; if there is no such map.
     """
 
     def __init__(
@@ -70,61 +74,66 @@ class ParticleMapper:
         particles: int = PARTICLES,
         seed: int = 0,
         known: PlaceMap | None = None,
+        turns: int = VIEWS,
     ) -> None:
         evidence = {name: getattr(memory, name) for name in ("slip", "least", "independence", "temperature")}
         # All actions cost the same, so that a walk goes to the nearest unknown outcome.
         self.memory = LocalisingMemory(repeated=1.0, turn=1.0, blocked=BLOCKED, **evidence)
         self.compare, self.seen = compare, None if known is None else known.seen
-        self.turns = VIEWS
-        self.places = self.memory.begin(particles)
+        self.turns = turns
+        self.places: Places | None = None
         if known is not None:
-            self.places = known.begin(known.places.goal.expand(particles, -1, -1))
+            self.turns, self.places = known.turns, known.begin(known.places.goal.expand(particles, -1, -1))
         self.weight = torch.zeros(particles)
         self.generator = torch.Generator().manual_seed(seed)
 
     @property
-    def best(self) -> Places:
-        """The most probable particle, as one agent."""
-        return self.places.select(self.weight.argmax()[None])
+    def best(self) -> Places | None:
+        """The most probable particle, as one agent; None before the first visit."""
+        return None if self.places is None else self.places.select(self.weight.argmax()[None])
 
     @torch.no_grad()
     def see(self, visit: Tensor, action: int | None = None) -> int:
         """Take in what is seen around the walker: the node where it most probably is.
 
         Args:
-            visit: ahead, right, back and left, ``[4, ...]``, in the form of the map.
+            visit: the views clockwise from the one ahead, four or those of all headings, ``[V, ...]``, in the form of
+                the map.
             action: what the walker did since the visit before; None at first, or if it was carried.
         """
-        particles = len(self.weight)
+        particles, views = len(self.weight), len(visit)
+        if self.places is None:
+            self.places = self.memory.begin(particles, turns=self.turns, views=views)
         self.places.action = torch.full((particles,), -1 if action is None else action)
         visit = visit[None]
         seen = visit[:, None][:, :0] if self.seen is None else self.seen
-        alike = self.compare(seen, visit) if seen.shape[1] else torch.zeros(1, 0, VIEWS)
+        alike = self.compare(seen, visit) if seen.shape[1] else torch.zeros(1, 0, views)
         alike = alike.cpu().expand(particles, -1, -1)
         self.seen = torch.cat([seen, visit[:, None]], 1)
         likely = self.memory.likely(self.places, alike)
         here = torch.multinomial(likely.softmax(1), 1, generator=self.generator).squeeze(1)
-        nothing = torch.zeros(particles, VIEWS)
-        self.places = self.memory.add(self.places, here, nothing, lambda new: torch.zeros(particles, VIEWS, VIEWS))
+        nothing = torch.zeros(particles, views)
+        self.places = self.memory.add(self.places, here, nothing, lambda new: nothing[..., None].expand(-1, -1, 4))
         self.weight = self.weight + likely.logsumexp(1)
         probability = self.weight.softmax(0)
         if 1 / probability.square().sum() < particles / 2:
             self.places = self.places.select(resampled(probability, self.generator))
             self.weight = torch.zeros(particles)
-        return int(self.best.here)
+        return int(self.places.node[self.weight.argmax(), -1])
 
     def frontier_action(self) -> int | None:
         """The first action of a shortest path to one with an unknown outcome; None without any, or before a visit."""
         best = self.best
-        if not best.used.any() or not (best.after[best.used] < 0).any():
+        if best is None or not (best.after[best.used] < 0).any():
             return None
         return int(self.memory.plan(best).argmax())
 
     def map(self) -> PlaceMap:
         """The most probable map."""
+        best = self.best
+        assert best is not None
         assert self.seen is not None
-        best = self.best.compact()
-        return PlaceMap(replace(best, action=torch.full_like(best.action, -1)), self.seen)
+        return PlaceMap(replace(best.compact(), action=torch.full_like(best.action, -1)), self.seen)
 
 
 def resampled(probability: Tensor, generator: torch.Generator) -> Tensor:

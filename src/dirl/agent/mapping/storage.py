@@ -24,7 +24,7 @@ TENSORS, FACTS = "map.safetensors", "map.json"
 
 SCHEMA = 1
 
-PLACES = tuple(field.name for field in fields(Places) if field.name != "mapped")
+PLACES = tuple(field.name for field in fields(Places) if field.name not in ("mapped", "turns"))
 
 
 def save_graph(
@@ -56,7 +56,7 @@ def save_graph(
     if isinstance(graph, PlaceMap):
         tensors = {"seen": graph.seen, **{name: getattr(graph.places, name) for name in PLACES}}
         tensors = {name: value.cpu().contiguous() for name, value in tensors.items()}
-        facts: dict[str, Any] = {"kind": "places"}
+        facts: dict[str, Any] = {"kind": "places", "turns": graph.turns}
     else:
         tensors = {"views": graph.views, "moves": torch.tensor(graph.moves), "observed": torch.tensor(graph.observed)}
         facts = {key: getattr(graph, key) for key in ("threshold", "keep", "margin", "turns", "merge", "verify")}
@@ -97,7 +97,9 @@ def load_graph(
         places = facts.get("kind") == "places"
         if not places:
             recogniser = recogniser or NCC()
-        graph = _places(load(content)) if places else _image_graph(facts, load(content), recogniser)
+        graph = (
+            _places(load(content), int(facts["turns"])) if places else _image_graph(facts, load(content), recogniser)
+        )
     except Exception as error:  # safetensors has an exception of its own for each kind of damage
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise MapError(f"{folder}: is no map of dirl ({reason})") from None
@@ -127,14 +129,17 @@ def _image_graph(facts: dict[str, Any], tensors: dict[str, Tensor], recogniser: 
     return graph
 
 
-def _places(tensors: dict[str, Tensor]) -> PlaceMap:
-    """A map of V visits of P places, whose tensors have the shapes that `dirl.models.localising.Places` says."""
+def _places(tensors: dict[str, Tensor], turns: int) -> PlaceMap:
+    """A map of T visits of P places, whose tensors have the shapes that `dirl.models.localising.Places` says."""
     seen, (visits, count) = tensors["seen"], (tensors["node"].shape[1], tensors["heading"].shape[1])
+    nodes, views = turns * count, tensors["goal"].shape[-1]
+    if turns < VIEWS or turns % VIEWS or views not in (VIEWS, turns):
+        raise ValueError(f"{views} views of {turns} headings")
     shapes = {
-        "cost": (1, VIEWS * count, len(ACTIONS)),
-        "after": (1, VIEWS * count, len(ACTIONS)),
+        "cost": (1, nodes, len(ACTIONS)),
+        "after": (1, nodes, len(ACTIONS)),
         "node": (1, visits),
-        "goal": (1, visits, VIEWS),
+        "goal": (1, visits, views),
         "position": (1, count, 2),
         "heading": (1, count),
         "action": (1,),
@@ -142,11 +147,11 @@ def _places(tensors: dict[str, Tensor]) -> PlaceMap:
     for name, shape in shapes.items():
         if tensors[name].shape != shape or tensors[name].is_floating_point() != (name in ("cost", "goal")):
             raise ValueError(f"{name} of shape {list(tensors[name].shape)}")
-    nodes = VIEWS * count
     if not 0 <= int(tensors["node"].min()) <= int(tensors["node"].max()) < nodes:
         raise ValueError("a visit is of a node that is not there")
     if not -1 <= int(tensors["after"].min()) <= int(tensors["after"].max()) < nodes:
         raise ValueError("a move leads to a node that is not there")
-    if seen.shape[:3] != (1, visits, VIEWS) or seen.ndim != 4 or not seen.isfinite().all():
+    if seen.shape[:3] != (1, visits, views) or seen.ndim != 4 or not seen.isfinite().all():
         raise ValueError(f"visits of shape {list(seen.shape)}")
-    return PlaceMap(Places(**{name: tensors[name] for name in shapes}, mapped=torch.zeros(1, dtype=torch.bool)), seen)
+    known = {name: tensors[name] for name in shapes}
+    return PlaceMap(Places(**known, mapped=torch.zeros(1, dtype=torch.bool), turns=turns), seen)
