@@ -49,7 +49,7 @@ class Options:
     )
     panorama: bool | None = option(
         "true: the agent sees the views of all headings of its place, not only four of them; null = in tours; with "
-        "episodic_memory=planning, not live",
+        "episodic_memory=planning or localising, not live",
         None,
     )
     arrows: bool | None = option(

@@ -174,7 +174,7 @@ class LocalisingMemory(nn.Module):
             turns=turns,
         )
 
-    def arrive(self, places: Places, alike: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
+    def arrive(self, places: Places, alike: Tensor, goal: Tensor, costs: Callable[[Tensor], Tensor]) -> Places:
         """Add where the agents are now, and what their last action led to.
 
         Args:
@@ -182,10 +182,10 @@ class LocalisingMemory(nn.Module):
             alike: log odds that this visit is of the place of an earlier one, facing each of its views, float32
                 ``[B, T, V]``.
             goal: log odds that the goal is seen here facing each of the views, float32 ``[B, V]``.
-            logits: of the chosen agents, bool ``[B]``, those of the policy facing each of the views, float32
+            costs: of the chosen agents, bool ``[B]``, the cost of trying each action facing each of the views, float32
                 ``[B, V, 4]``; rows of others are not used.
         """
-        return self.add(places, self.likely(places, alike).argmax(1), goal, logits)
+        return self.add(places, self.likely(places, alike).argmax(1), goal, costs)
 
     def likely(self, places: Places, alike: Tensor) -> Tensor:
         """Log probabilities, up to a constant, that the agents are now at each node or, last, at a new place.
@@ -210,7 +210,7 @@ class LocalisingMemory(nn.Module):
             new[~(tried | there.any(1))] = 1 - self.blocked
         return torch.cat([prior.log() + evidence, new.log()], 1)
 
-    def add(self, places: Places, here: Tensor, goal: Tensor, logits: Callable[[Tensor], Tensor]) -> Places:
+    def add(self, places: Places, here: Tensor, goal: Tensor, costs: Callable[[Tensor], Tensor]) -> Places:
         """Add a visit of agents that are at nodes ``here``, int64 ``[B]``; ``K P`` is a new place. See `arrive`."""
         position, heading = self._expected(places)
         turns, new = places.turns, places.cost.shape[1]
@@ -224,7 +224,7 @@ class LocalisingMemory(nn.Module):
             first = (places.seen.flatten(1)[:, None] != faced[..., None]).all(-1)
         agent, view = first.nonzero(as_tuple=True)
         if len(agent):
-            cost[agent, faced[agent, view]] = -logits(first.any(1))[agent, view].log_softmax(-1)
+            cost[agent, faced[agent, view]] = costs(first.any(1))[agent, view]
         headings = new + torch.arange(more * turns, device=here.device)
         after = torch.full((len(here), more * turns, len(ACTIONS)), -1, device=here.device)
         after[:, :, RIGHT], after[:, :, LEFT] = headings.roll(-1), headings.roll(1)

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory
-from dirl.models.localising import Places
+from dirl.models.localising import UNASKED, Places
+from dirl.scenes.graph import ACTIONS
 
 PARTICLES = 256
 """In validation rooms at 10 cm and 10 degrees 64 give 2.7 % wrong links, 256 give 1.6 %; at 5 cm 64 are enough."""
@@ -112,8 +113,8 @@ class ParticleMapper:
         self.seen = torch.cat([seen, visit[:, None]], 1)
         likely = self.memory.likely(self.places, alike)
         here = torch.multinomial(likely.softmax(1), 1, generator=self.generator).squeeze(1)
-        nothing = torch.zeros(particles, views)
-        self.places = self.memory.add(self.places, here, nothing, lambda new: nothing[..., None].expand(-1, -1, 4))
+        cost = torch.full((particles, views, len(ACTIONS)), UNASKED)
+        self.places = self.memory.add(self.places, here, torch.zeros(particles, views), lambda _: cost)
         self.weight = self.weight + likely.logsumexp(1)
         probability = self.weight.softmax(0)
         if 1 / probability.square().sum() < particles / 2:
