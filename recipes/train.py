@@ -21,6 +21,7 @@ from typing import Any
 import hydra
 import torch
 from omegaconf import DictConfig
+from tensordict import TensorDictBase
 
 from dirl.config.folders import CONF
 from dirl.config.schemas import TrainConfig
@@ -34,18 +35,23 @@ from dirl.training.loops import Updates, dagger_rounds, imitation_steps, updates
 from dirl.training.losses import clip_gradients, demonstration_batches, minibatches, set_learning_rate, total_loss
 from dirl.training.objectives import bootstrap, make_advantages
 from dirl.training.pairs import Demonstrations
-from dirl.training.rollout import collect, summarise
+from dirl.training.rollout import collect
 from dirl.training.state import TrainState
+from dirl.training.together import Job, goes_together, run_together, train_alone
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
-def main(composed: DictConfig) -> float:
-    """Train: one run, or one job of a sweep; returns the greedy SPL, which sweepers maximise."""
+def main(composed: DictConfig | list[Job]) -> Any:
+    """Train a run, or the jobs of a stack; returns the greedy SPL, which sweepers maximise, or those of all jobs."""
+    if isinstance(composed, list):
+        return run_together(composed, train, learn)
     return run_job(composed, train)["greedy"]["spl"]
 
 
 def train(run: Run, components: Components) -> dict[str, Any]:
     """Imitation, then reinforcement; returns what the summary says of them (paper section 3, algorithm 1)."""
+    if run.config.device == "cuda" and goes_together(run, components):
+        return train_alone(run, components, learn)  # a stack of one, whose update is a CUDA graph
     policy, demos, protocol = components.policy, components.demos, components.protocol
     found: dict[str, Any] = {}
     if components.before_reinforcement and len(demos):
@@ -90,14 +96,13 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
 
     Where an episode ends, at the goal or by template matching (section 3.4), the environment decides.
     """
-    options, optimiser, policy = config.reinforcement, state.optimiser, state.policy
+    options, policy, optimiser = config.reinforcement, state.policy, state.optimiser
     operator, advantages = policy.operator(), make_advantages(options.gamma, options.lmbda)
     critic = operator.get_value_operator()
-    parameters, rate = state.parameters, optimiser.defaults["lr"]
     by_agent = bool(state.losses.recurrent)  # a memory needs the steps of an agent together and in order
     bfloat16 = config.precision == "bfloat16"
-    while loop.goes_on:
-        set_learning_rate(optimiser, rate * loop.left)  # falls linearly to 0
+
+    def update() -> tuple[TensorDictBase, TensorDictBase]:
         with caching(policy), torch.autocast(state.env.device.type, torch.bfloat16, enabled=bfloat16):
             batch, state.agents = collect(state.env, operator, state.agents, options.n_steps)
             batch = state.losses.rewarded(batch)  # the environment's reward, unless a loss defines one
@@ -105,10 +110,20 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
                 losses = state.losses(part, loop.left)  # equations 7 and 8, and 12 with a weight
                 optimiser.zero_grad()
-                total_loss(losses).backward()
-                norm = clip_gradients(parameters, options.max_grad_norm, per_variable=options.clip_per_variable)
+                total_loss(losses).sum().backward()  # over the runs, if they are a stack
+                norm = clip_gradients(
+                    state.parameters,
+                    options.max_grad_norm,
+                    per_variable=options.clip_per_variable,
+                    stacked=state.stacked,
+                )
                 optimiser.step()
-        loop.record(summarise(state.env, batch, losses.set("gradient_norm", norm)))
+        return batch, losses.set("gradient_norm", norm).detach()
+
+    update = state.prepared(update)
+    while loop.goes_on:
+        set_learning_rate(optimiser, optimiser.defaults["lr"] * loop.left)  # falls linearly to 0
+        loop.record(state.summarise(*update()))
 
 
 if __name__ == "__main__":

@@ -37,6 +37,8 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
     beforehand, unless episodes are few. With sequential views each distinct input is computed once, when it first
     occurs. A policy with memory is called at every step.
     """
+    if hasattr(policy, "decide"):  # the policies of a stack, each of which is asked in its own episodes
+        return policy.decide
     if recurrent_keys(policy):
         return _with_memory(policy, world, observation, episodes)
     if observation.history:

@@ -40,7 +40,7 @@ class NavigationEnv(EnvBase):
 
     Args:
         world: the scenes and goals; the environment runs on its device.
-        num_agents: how many agents, B.
+        num_agents: how many agents, B; or the shape of their batch, ``(R, B)`` for those of R runs.
         slip: the probability that an action has no effect.
         reward: of a step.
         stop: where an agent stops on its way to each goal, bool ``[P]``, see
@@ -52,7 +52,7 @@ class NavigationEnv(EnvBase):
     def __init__(
         self,
         world: World,
-        num_agents: int = 1,
+        num_agents: int | tuple[int, ...] = 1,
         *,
         slip: float = 0.0,
         reward: Reward | None = None,
@@ -60,7 +60,8 @@ class NavigationEnv(EnvBase):
         seed: int = 0,
     ) -> None:
         # It cannot happen. Allowing it avoids a check at every reset, which on a GPU is a host-device synchronisation.
-        super().__init__(device=world.device, batch_size=[num_agents], allow_done_after_reset=True)
+        batch = (num_agents,) if isinstance(num_agents, int) else num_agents
+        super().__init__(device=world.device, batch_size=batch, allow_done_after_reset=True)
         self.world = world
         self.reward, self.slip = reward or Reward(), slip
         if not 0 <= slip < 1:
@@ -76,6 +77,8 @@ class NavigationEnv(EnvBase):
         self.start_count = torch.bincount(goal_index[reaches], minlength=len(world.goals))
         self.first_start = self.start_count.cumsum(0) - self.start_count
         self.generator = torch.Generator(self.device)
+        self.generators = [self.generator]
+        """One that all agents' goals and starts are drawn from, or one for each run."""
         sizes = {"state": states, "goal": states, "scene": len(world.scenes)} | dict.fromkeys(
             self._look_keys, world.looks
         )
@@ -91,11 +94,17 @@ class NavigationEnv(EnvBase):
         if seed is not None:
             self.generator.manual_seed(seed)
 
+    def _draw(self) -> Tensor:
+        """Two numbers from 0 to 1 for each agent, float32 ``[2, *batch]``."""
+        shape = self.batch_size if len(self.generators) == 1 else self.batch_size[1:]
+        drawn = [torch.rand((2, *shape), generator=own, device=self.device) for own in self.generators]
+        return drawn[0] if len(drawn) == 1 else torch.stack(drawn, 1)
+
     def _any_look(self) -> Tensor:
         return torch.randint(self.world.looks, self.batch_size, generator=self.generator, device=self.device)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
-        draw = torch.rand((2, *self.batch_size), generator=self.generator, device=self.device)
+        draw = self._draw()
         goal = (draw[0] * len(self.world.goals)).long()
         start = (draw[1] * self.start_count[goal]).long()
         state = self.starts[self.first_start[goal] + start]

@@ -31,7 +31,7 @@ DIGITS = 64
 def save_checkpoint(file: Path, state: Mapping[str, Any]) -> None:
     """Write a checkpoint so that the file is either complete or absent, whenever the process is killed."""
     buffer = io.BytesIO()
-    torch.save(dict(state), buffer)
+    torch.save(_by_itself(dict(state)), buffer)
     archive = buffer.getbuffer()[:-2]  # without the length of its comment, which is none
     length = (len(SEAL) + DIGITS).to_bytes(2, "little")
     digest = hashlib.sha256(archive)
@@ -40,6 +40,16 @@ def save_checkpoint(file: Path, state: Mapping[str, Any]) -> None:
     with atomic_path(file) as temporary, temporary.open("wb") as stream:
         stream.write(archive)
         stream.write(length + SEAL + digest.hexdigest().encode())
+
+
+def _by_itself(value: Any) -> Any:
+    """The same with copies of tensors that are views: torch would write the whole of which they are a part."""
+    if isinstance(value, dict):
+        return {key: _by_itself(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_by_itself(one) for one in value]
+    is_view = isinstance(value, torch.Tensor) and value.untyped_storage().nbytes() > value.nbytes
+    return value.clone() if is_view else value
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:

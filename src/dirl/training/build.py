@@ -85,7 +85,7 @@ def build_env(
     observation: SurroundingViews,
     policy: nn.Module,
     *,
-    agents: int | None = None,
+    agents: int | tuple[int, ...] | None = None,
     seed: int | None = None,
 ) -> EnvBase:
     """The environment of training, with step limit, reward scale, view ids, and the policy's recurrent state if any.

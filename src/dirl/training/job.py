@@ -17,7 +17,7 @@ from torch import nn
 
 from dirl.config.components import check_components, packages_to_trust
 from dirl.config.folders import command
-from dirl.config.schemas import Device, TrainConfig
+from dirl.config.schemas import Device, Precision, Starts, TrainConfig
 from dirl.config.values import typed
 from dirl.evaluation.protocol import EvaluationProtocol, assess, mean_shortest
 from dirl.evaluation.stability import EpisodeMeter
@@ -103,11 +103,7 @@ def run_one(
     """
     # Hydra would say something of its own about an error before `dirl.cli.start.run` does.
     with one_line_exits(folder=folder) if alone else nullcontext():
-        config, initial = with_architecture(typed(composed), overrides)
-        check_components(config, config.trust)
-        check_logger(config)
-        run = open_run(config, folder, overrides)
-        prepare_device(run.config.device)
+        run, initial = open_job(composed, folder, overrides)
         if run.finished:
             print(f"finished before: {run.folder}")
             summary: dict[str, Any] = json.loads((run.folder / "summary.json").read_text())
@@ -121,7 +117,17 @@ def run_one(
             raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
 
 
-def prepare_device(device: Device) -> None:
+def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[Run, Mapping[str, Any] | None]:
+    """The run of a job, new or to be continued, and the checkpoint that ``init`` names, if it was read."""
+    config, initial = with_architecture(typed(composed), overrides)
+    check_components(config, config.trust)
+    check_logger(config)
+    run = open_run(config, folder, overrides)
+    prepare_device(run.config.device, run.config.precision)
+    return run, initial
+
+
+def prepare_device(device: Device, precision: Precision = Precision.float32) -> None:
     """On a GPU choose the kernels that add in a fixed order: a seed decides as on the CPU.
 
     torch warns of an operation that has no such kernel.
@@ -130,21 +136,28 @@ def prepare_device(device: Device) -> None:
         return
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS reads it when it is first used
     torch.use_deterministic_algorithms(True, warn_only=True)
+    torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]  # which is a kernel for every tensor that is made
+    torch.backends.cuda.matmul.allow_tf32 = precision == Precision.tf32
 
 
-def build_components(run: Run, initial: Mapping[str, Any] | None = None) -> Components:
+def build_components(run: Run, initial: Mapping[str, Any] | None = None, like: Components | None = None) -> Components:
     """Everything that the configuration asks for, with the weights that the run begins or goes on with.
 
-    ``initial`` is the checkpoint that ``init`` names, if it has been read.
+    ``initial`` is the checkpoint that ``init`` names, if it has been read. With ``like``, those of another run in the
+    same world, what does not depend on the run is shared.
     """
-    world = build_world(run.config)
+    world = build_world(run.config) if like is None else like.protocol.world
     observation = build_observation(run.config, world)
     weights = initial_weights(run.config, world, run.saved or initial)
-    policy = learning_policy(run.config, world, observation, weights)
+    features = None if like is None or weights is not None else like.policy.features
+    policy = learning_policy(run.config, world, observation, weights, features)
     demos = build_demonstrations(run.config, world, observation)
     losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
     goals = build_goals(run.config, world.scenes)
-    protocol = build_protocol(run.config, world, observation, goals.held_out)
+    if like is None or run.config.evaluation.starts != Starts.every:
+        protocol = build_protocol(run.config, world, observation, goals.held_out)
+    else:
+        protocol = replace(like.protocol, seed=run.config.seed)
     if (live := open_live(run.config, world, observation)) is not None:
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
     state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None
@@ -191,13 +204,18 @@ def _train(run: Run, components: Components, stages: Stages) -> dict[str, Any]:
     policy, protocol = components.policy, components.protocol
     if run.saved is None:
         torch.manual_seed(run.config.seed)
-    facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)}
+    facts = facts_of(run, components)
     print(f"{run_title(facts)}: {run.folder}")
     if not count_parameters(policy):
         return _conclude_untrained(run, policy, protocol, facts)
     with noticing_divergence():
         trained = stages(run, components)
-        return _conclude(run, policy, protocol, facts | NOT_REINFORCED | trained)
+        return conclude(run, policy, protocol, facts | trained)
+
+
+def facts_of(run: Run, components: Components) -> dict[str, Any]:
+    """The facts of a run that its summary begins with."""
+    return describe(run.config, components.protocol.world) | {"demonstrations": len(components.demos)}
 
 
 def _conclude_untrained(
@@ -211,11 +229,16 @@ def _conclude_untrained(
     return summary
 
 
-def _conclude(run: Run, policy: Any, protocol: EvaluationProtocol, summary: dict[str, Any]) -> dict[str, Any]:
-    """Evaluate, write the summary, show it as a table and in pictures."""
+def conclude(
+    run: Run, policy: Any, protocol: EvaluationProtocol, facts: dict[str, Any], *, shown: bool = True
+) -> dict[str, Any]:
+    """Evaluate and write the summary; unless the run is one of a stack, show it as a table and in pictures."""
     measures = assess(policy, protocol)
-    summary = summary | {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()} | measures
+    summary = NOT_REINFORCED | facts | {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()} | measures
     run.finish({"frames": summary["frames"], "network": plain_weights(policy)}, summary)
+    if not shown:
+        run.clean_up(summary)
+        return summary
     print(summary_table(summary))
     draw_learning_curve(run.folder, run.folder / "learning_curve.png")
     stop = matching(run.config, protocol.world.device)

@@ -12,7 +12,7 @@ from dirl.config.schemas import Axes, Cache, ConfigError, TrainConfig
 from dirl.envs import SequentialViews, SurroundingViews
 from dirl.envs.transforms import front_only
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import ObservationTable
+from dirl.models import FeatureTable, ObservationTable
 from dirl.models.build import build_policy, feature_table, reads_linearly
 from dirl.models.weights import check_extractor, load_weights, tell_of_turns, turns_of_training
 from dirl.runs.checkpoints import load_checkpoint
@@ -75,12 +75,16 @@ def load_trained(
 
 
 def learning_policy(
-    config: TrainConfig, world: World, observation: SurroundingViews, initial: Mapping[str, Tensor] | None = None
+    config: TrainConfig,
+    world: World,
+    observation: SurroundingViews,
+    initial: Mapping[str, Tensor] | None = None,
+    features: FeatureTable | None = None,
 ) -> nn.Module:
     """The policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
 
     It begins with the weights ``initial``, see `initial_weights`, or with some sampled with the seed; then it can learn
-    in the principal axes of the observations.
+    in the principal axes of the observations. ``features`` are those of another run in the same world, if there is one.
     """
     everywhere = world
     if held_out := build_goals(config, world.scenes).held_out:  # a policy that knows the world walks to all goals
@@ -88,11 +92,13 @@ def learning_policy(
         everywhere = world.with_goals({name: (*trained[name], *held_out[name]) for name in world.names})
     views = len(observation.order)
     live = config.env.get("simulator") is not None  # then more views are seen than those of the world
-    table = feature_table(config, world, initial, str(config.init), room=config.env["views"] if live else 0)
+    room = config.env["views"] if live else 0
+    table = features or feature_table(config, world, initial, str(config.init), room=room)
     noisy = config.imitation.noise > 0
     surrounding, front = (None, False) if live else _seen_of_each(observation, front=config.imitation.front_only > 0)
     if (
-        config.network.axes == Axes.principal
+        features is None
+        and config.network.axes == Axes.principal
         and config.network.cache == Cache.auto
         and reads_linearly(config)
         and initial is None  # given weights would change in the last digit

@@ -33,6 +33,8 @@ from dirl.training.pairs import Demonstrations, with_labels
 from dirl.training.rollout import Update, collect
 from dirl.training.state import TrainState, random_state, restore_random_state
 
+DIVERGED = "the policy has diverged, its logits are not finite: lower imitation.lr, optimiser.lr or reward.scale"
+
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
 
@@ -148,8 +150,13 @@ class Updates:
         stable = self.state.meter.stable_at if config.reinforcement.until == Until.stable else None
         return frames >= self.total or (stable is not None and due(stable, frames, self.total, config.evaluation.times))
 
-    def record(self, update: Update, paused: AbstractContextManager[None] | None = None) -> None:
-        """Count an update; write, evaluate and save when they are due, the latter two within ``paused``."""
+    def record(
+        self, update: Update, paused: AbstractContextManager[None] | None = None, *, saves: bool | None = None
+    ) -> None:
+        """Count an update; write, evaluate and save when they are due, the latter two within ``paused``.
+
+        With ``saves`` somebody else has decided whether to save: all runs of a stack are saved after the same update.
+        """
         before = self.state.frames
         lr = self.state.optimiser.defaults["lr"] * self.left
         self.state.count(update)
@@ -161,7 +168,7 @@ class Updates:
             row |= {"sr": meter.success_rate(self.run.config.reinforcement.max_steps), "lr": lr}
             self.run.write("reinforcement", frames, row | update.values)
         evaluates = due(before, frames, self.total, self.run.config.evaluation.times)
-        saves = self.run.save_due() or self.done
+        saves = (self.run.save_due() if saves is None else saves) or self.done
         if evaluates or saves:
             with paused or nullcontext():
                 if evaluates:
@@ -200,9 +207,7 @@ def noticing_divergence() -> Iterator[None]:
     except RuntimeError as error:
         if "probability tensor contains" not in str(error):
             raise
-        raise RunError(
-            "the policy has diverged, its logits are not finite: lower imitation.lr, optimiser.lr or reward.scale"
-        ) from None
+        raise RunError(DIVERGED) from None
 
 
 def dagger_rounds(

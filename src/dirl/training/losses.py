@@ -9,7 +9,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_, get_total_norm
-from torch.optim import Optimizer
 from torchrl.modules import set_recurrent_mode
 
 from dirl.config.schemas import ConfigError, Schedule
@@ -90,13 +89,33 @@ class Losses(nn.Module):
             ``loss_*`` entries, scalars that carry gradients, and what else the losses report.
         """
         demonstrated = any(loss.on_demonstrations or loss.compares for loss in self.losses.values())
-        batch, rows = self._with_hidden(batch, self.draw() if demonstrated else None)
+        return self.compute(batch, self.draw() if demonstrated else None, self.coefficients(left))
+
+    def coefficients(self, left: float) -> dict[str, dict[str, Any]]:
+        """The coefficients of each loss, by its name and theirs, when a fraction ``left`` of the training remains."""
+        return {
+            name: {option: schedule(left) for option, schedule in loss.schedules.items()}
+            for name, loss in self.losses.items()
+        }
+
+    def compute(
+        self,
+        batch: TensorDictBase,
+        rows: TensorDictBase | None,
+        coefficients: Mapping[str, Mapping[str, Any]],
+        reduce: Callable[[str, Tensor], Tensor] = lambda _, value: value,
+    ) -> TensorDict:
+        """The weighted losses of a batch and of demonstrations, see `forward`.
+
+        ``reduce`` makes one number of what the loss of a name gives for each row, if it is not reduced.
+        """
+        batch, rows = self._with_hidden(batch, rows)
         result = TensorDict()
         for name, loss in self.losses.items():
-            coefficients = {option: schedule(left) for option, schedule in loss.schedules.items()}
-            weight = coefficients.pop("weight")
-            for option, value in coefficients.items():
-                setattr(loss.module, option, value)
+            weight = coefficients[name]["weight"]
+            for option, value in coefficients[name].items():
+                if option != "weight":
+                    setattr(loss.module, option, value)
             inputs = (batch, rows) if loss.compares else (rows,) if loss.on_demonstrations else (batch,)
             values = loss.module(*inputs)
             if twice := set(values.keys()) & set(result.keys()):
@@ -104,7 +123,9 @@ class Losses(nn.Module):
             terms = {key for key in values.keys() if key.startswith("loss_")}  # noqa: SIM118, of a TensorDict
             if not terms:
                 raise ConfigError(f"losses.{name}: {type(loss.module).__name__} writes no loss_* entry")
-            result.update({key: weight * value if key in terms else value for key, value in values.items()})
+            for key, value in values.items():
+                reduced = reduce(name, value)
+                result[key] = weight * reduced if key in terms else reduced
         return result
 
     @torch.no_grad()
@@ -189,7 +210,7 @@ def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: boo
 
     With ``by_agent`` the steps of an agent stay together and in order, ``[b, T]``, as a memory needs; else ``[b]``.
     """
-    rows = batch if by_agent else batch.reshape(-1)
+    rows = batch if by_agent else batch.flatten(-2, -1)
     for _ in range(epochs):
         if count == 1:
             yield rows
@@ -197,12 +218,25 @@ def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: boo
             yield from (rows[part] for part in torch.randperm(len(rows)).chunk(count))
 
 
-def clip_gradients(parameters: list[nn.Parameter], max_norm: float, *, per_variable: bool) -> Tensor:
+def clip_gradients(
+    parameters: list[nn.Parameter], max_norm: float, *, per_variable: bool, stacked: bool = False
+) -> Tensor:
     """Scale gradients down to a norm: of all variables together, or of each variable as TensorFlow does.
 
+    With ``stacked`` variables are ``[R, ...]``, of R runs, and those of each run are scaled by themselves.
+
     Returns:
-        The norm of all together as it was before, float32 ``[]``.
+        The norm of all together as it was before, float32 ``[]``, or ``[R]``.
     """
+    if stacked:
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        norms = [gradient.flatten(1).norm(dim=1) for gradient in gradients]
+        norm = torch.stack(norms).norm(dim=0)
+        together = (max_norm / (norm + 1e-6)).clamp(max=1)
+        for gradient, own in zip(gradients, norms, strict=True):
+            scale = max_norm / own.clamp(min=max_norm) if per_variable else together
+            gradient.mul_(scale.view(-1, *[1] * (gradient.ndim - 1)))
+        return norm
     if not per_variable:
         return clip_grad_norm_(parameters, max_norm)
     norm = get_total_norm([parameter.grad for parameter in parameters if parameter.grad is not None])
@@ -210,7 +244,10 @@ def clip_gradients(parameters: list[nn.Parameter], max_norm: float, *, per_varia
     return norm
 
 
-def set_learning_rate(optimiser: Optimizer, rate: float) -> None:
-    """Give every group of parameters the same learning rate."""
+def set_learning_rate(optimiser: Any, rate: Any) -> None:
+    """Give every group of parameters the same learning rate; in place where it is a tensor, as in a CUDA graph."""
     for group in optimiser.param_groups:
-        group["lr"] = rate
+        if isinstance(group["lr"], Tensor):
+            group["lr"].copy_(rate)
+        else:
+            group["lr"] = rate

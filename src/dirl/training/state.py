@@ -1,9 +1,9 @@
 """The state of a training: what a checkpoint holds, so that a killed run resumes to the same result."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from dirl.evaluation.stability import EpisodeMeter
 from dirl.models import plain_weights
 from dirl.training.losses import Losses, trained_parameters
-from dirl.training.rollout import Update
+from dirl.training.rollout import Update, summarise
 
 
 @dataclass
@@ -34,11 +34,24 @@ class TrainState:
     """Spent on updates, without evaluation."""
     began: float = field(default_factory=time.perf_counter)
     """When the current update began."""
+    generator: torch.Generator | None = None
+    """In a stack that of the run's actions; else they are drawn by torch's own."""
+
+    stacked: ClassVar[bool] = False
+    """True if the first dimension of everything is the run, see `dirl.training.stacked.Stack`."""
 
     @property
     def parameters(self) -> list[nn.Parameter]:
         """What is trained: the policy's parameters and the losses' own."""
         return trained_parameters(self.policy, self.losses)
+
+    def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
+        """The update as it is called; that of a stack is a CUDA graph."""
+        return update
+
+    def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> Update:
+        """The report of an update."""
+        return summarise(self.env, batch, losses)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -64,11 +77,15 @@ class TrainState:
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
             "losses": self._own_of_losses(),
-            "optimiser": self.optimiser.state_dict(),
+            "optimiser": plain_optimiser(self.optimiser),
             "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
-            "random": {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)},
+            "random": {"env": self.env.base_env.generator.get_state(), **self._random_state()},
         }
+
+    def _random_state(self) -> dict[str, Tensor]:
+        own = {} if self.generator is None else {"cpu": self.generator.get_state()}
+        return random_state(self.env.device) | own
 
     def _own_of_losses(self) -> dict[str, Any]:
         """The part of the losses' state_dict that is not the policy's: weights, buffers, extra state."""
@@ -86,6 +103,15 @@ class TrainState:
         self.meter.load_state_dict(state["meter"])
         self.env.base_env.generator.set_state(state["random"]["env"])
         restore_random_state(state["random"])
+
+
+def plain_optimiser(optimiser: Optimizer) -> dict[str, Any]:
+    """The state_dict of an optimiser, with numbers for what are tensors while it is captured in a graph."""
+    state = optimiser.state_dict()
+    for group in state["param_groups"]:
+        if isinstance(group["lr"], Tensor):
+            group.update(lr=float(group["lr"]), capturable=False)
+    return state
 
 
 def _place(value: Any) -> Any:

@@ -1,0 +1,437 @@
+"""Several trainings as one: weights ``[R, ...]``, agents ``[R, B]``, on a GPU one CUDA graph an update.
+
+To `learn` of ``recipes/train.py`` a `Stack` is what the `TrainState` of one training is; everything in it has the run
+as its first dimension. Each run keeps its own `TrainState`, whose weights are views of the stacked ones: it is
+evaluated, saved and resumed as if it had been trained alone.
+"""
+
+import copy
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torch.distributions import Categorical
+from torch.func import vmap
+
+from dirl.agent.decisions import PAIRS_AT_ONCE, observe
+from dirl.config.schemas import TrainConfig
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import Episodes, EvaluationProtocol
+from dirl.models.distinct import Cacheable
+from dirl.scenes import World
+from dirl.training.build import build_env, build_losses
+from dirl.training.graphs import Captured
+from dirl.training.losses import Losses, set_learning_rate
+from dirl.training.rollout import Update
+from dirl.training.state import TrainState
+
+SEEN = ("view_ids", "goal_view_ids", "scene")
+"""What a policy reads."""
+
+
+class Stack:
+    """R trainings that differ in numbers and demonstrations only, see `dirl.training.jobs.why_alone`.
+
+    Args:
+        configs: of the runs.
+        states: of the runs.
+        demos: of the runs, rows ``[M]`` each, of different numbers.
+        world: of all of them.
+        observation: likewise.
+    """
+
+    stacked = True
+
+    def __init__(
+        self,
+        configs: Sequence[TrainConfig],
+        states: Sequence[TrainState],
+        demos: Sequence[TensorDictBase],
+        world: World,
+        observation: SurroundingViews,
+    ) -> None:
+        self.configs, self.states = configs, states
+        first, self.device = states[0], states[0].env.device
+        self.config: TrainConfig = with_tensors(configs, self.device)
+        # One policy with its losses is the form that the weights of every run are put into. Its features are shared.
+        kept = {id(first.policy.features): first.policy.features}
+        self.form: Any = copy.deepcopy(first.policy, kept)
+        self.form.cached = None
+        for module in self.form.modules():
+            if hasattr(module, "sorts"):
+                module.sorts = False  # by scene, which has shapes that depend on values
+        if isinstance(self.form.encoder, Cacheable) and type(observation) is SurroundingViews:
+            self.form.cached = EmbeddedOnce(self.form, world, observation)
+        self.weights = _stack_weights([state.policy for state in states])
+        self.parameters = list(self.weights.values(True, True))
+        self.optimiser = StackedOptimiser([state.optimiser for state in states], self.parameters, self.device)
+        # On a CPU each run draws what it would alone; on a GPU one kernel draws for all.
+        drawn = [state.env.base_env.generator for state in states]
+        self.generators: list[torch.Generator] = [state.generator or drawn[0] for state in states]
+        if self.device.type != "cpu":
+            self.generators = drawn[:1]
+        shape = (len(states), *first.agents.shape)
+        self.env = build_env(self.config, world, observation, self.form, agents=shape)
+        self.env.base_env.generators = drawn[: len(self.generators)]
+        self._agents: TensorDictBase = torch.stack([state.agents for state in states])
+        self.left = torch.ones((), dtype=torch.float64, device=self.device)
+        self.policy = StackedPolicy(self)
+        self.losses = StackedLosses(
+            self, [state.losses for state in states], build_losses(configs[0], self.form, world, demos[0]), demos
+        )
+
+    @property
+    def agents(self) -> TensorDictBase:
+        """Where the agents stand, ``[R, B]``; always in the same memory, which a graph reads and writes."""
+        return self._agents
+
+    @agents.setter
+    def agents(self, after: TensorDictBase) -> None:
+        self._agents.update_(after.select(*self._agents.keys(True, True)))
+
+    def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
+        """The update as a CUDA graph, where there is a GPU."""
+        return Captured(update, {*self.generators, *self.env.base_env.generators}, self.device)
+
+    def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
+        """The report of each run's update; all values are read together."""
+        told = {key: value.detach().float() for key, value in sorted(losses.items())}
+        target, value = batch["value_target"].flatten(1), batch["state_value"].flatten(1)
+        told["explained_variance"] = 1 - (target - value).var(1) / target.var(1)
+        values = torch.stack(list(told.values()), 1).tolist()
+        after, goal_index = batch["next"], self.env.base_env.goal_index
+        ends = [after["done"].squeeze(-1), goal_index[after["goal"]], after["step_count"].squeeze(-1)]
+        over = torch.stack([end.long().mT.flatten(1) for end in ends]).cpu().numpy()  # in the order they ended
+        reports = []
+        for done, goal, steps, own in zip(*over, values, strict=True):
+            ended = done.nonzero()
+            told_of_run = dict(zip(told, own, strict=True))
+            reports.append(Update(len(done), goal[ended].tolist(), steps[ended].tolist(), told_of_run))
+        return reports
+
+    def separate(self) -> None:
+        """Give each run's state what the stack holds for it besides the weights."""
+        for state, agents in zip(self.states, self._agents.unbind(0), strict=True):
+            state.agents = agents.clone()
+
+    def finite(self) -> list[bool]:
+        """Whether the weights of each run are numbers still."""
+        found: list[bool] = (
+            torch.stack([value.flatten(1).isfinite().all(1) for value in self.parameters]).all(0).tolist()
+        )
+        return found
+
+    def each(self, function: Callable[..., Any], *rows: Any) -> Any:
+        """The function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
+
+        def of_run(weights: TensorDictBase, embedded: Any, *own: Any) -> Any:
+            with weights.to_module(self.form, preserve_module_state=False):
+                if self.form.cached is None:
+                    return function(*own)
+                with self.form.cached.reading(embedded):
+                    return function(*own)
+
+        return vmap(of_run)(self.weights, self.policy.embedded(), *rows)
+
+
+class StackedPolicy:
+    """The policies of a stack, as `ActorCritic` is one: an operator that draws actions, and a context of caching."""
+
+    def __init__(self, stack: Stack) -> None:
+        self.stack = stack
+        self.cached = self if stack.form.cached is not None else None
+        self._embedded: tuple[Tensor, ...] = ()
+
+    @contextmanager
+    def caching(self) -> Iterator[None]:
+        """A context, of one update, in which the observations are embedded once: for the rollout and for the losses."""
+        if self.cached is not None:
+            with torch.enable_grad():
+                self._embedded = self._embed()
+        try:
+            yield
+        finally:
+            self._embedded = ()
+
+    def embedded(self) -> tuple[Tensor, ...]:
+        """What `EmbeddedOnce` reads in each run, ``[R, ...]``; empty for an encoder that does not say how it embeds."""
+        if self.cached is None:
+            return ()
+        found = self._embedded or self._embed()
+        return found if torch.is_grad_enabled() else tuple(one.detach() for one in found)
+
+    def _embed(self) -> tuple[Tensor, ...]:
+        def of_run(weights: TensorDictBase) -> tuple[Tensor, ...]:
+            with weights.to_module(self.stack.form, preserve_module_state=False):
+                return self.stack.form.cached.embed()
+
+        return vmap(of_run)(self.stack.weights)
+
+    def operator(self) -> "StackedOperator":
+        """What takes the agents ``[R, B]`` through the policies of their runs."""
+        return StackedOperator(self.stack)
+
+
+class StackedOperator:
+    """Writes action, its log-probability and the state's value, each run by its own policy."""
+
+    in_keys = SEEN
+    fixed_shapes = True
+    """True if no shape may depend on values, as in a graph, see `bootstrap`."""
+
+    def __init__(self, stack: Stack, *, acts: bool = True) -> None:
+        self.stack, self.acts = stack, acts
+
+    def get_value_operator(self) -> "StackedOperator":
+        """The same without actions."""
+        return StackedOperator(self.stack, acts=False)
+
+    def __call__(self, agents: TensorDictBase) -> TensorDictBase:
+        """The agents, ``[R, ...]``, with what is written."""
+
+        def answer(own: TensorDictBase) -> tuple[Tensor, Tensor]:
+            answered = self.stack.form(own.copy())
+            return answered["logits"], answered["state_value"]
+
+        logits, value = self.stack.each(answer, agents.select(*SEEN))
+        written = agents.copy().update({"logits": logits, "state_value": value})
+        if not self.acts:
+            return written
+        choice = Categorical(logits=logits, validate_args=False)
+        # What torch.multinomial does where one number is drawn, by the generators of the runs.
+        action = (choice.probs / self._exponential(logits)).argmax(-1)
+        return written.update({"action": action, "action_log_prob": choice.log_prob(action)})
+
+    def _exponential(self, like: Tensor) -> Tensor:
+        generators = self.stack.generators
+        if len(generators) == 1:
+            return torch.empty_like(like).exponential_(generator=generators[0])
+        drawn = [torch.empty_like(one).exponential_(generator=own) for one, own in zip(like, generators, strict=True)]
+        return torch.stack(drawn)
+
+
+class StackedLosses:
+    """The losses of each run, as `Losses` are those of one; every entry is ``[R]``."""
+
+    recurrent = ()
+
+    def __init__(self, stack: Stack, losses: Sequence[Losses], form: Losses, demos: Sequence[TensorDictBase]) -> None:
+        self.stack, self.form = stack, form
+        self.demos, self.shown = padded(demos)
+        self.reductions = {name: loss.module.reduction for name, loss in form.losses.items()}
+        for loss in form.losses.values():
+            loss.module.reduction = "none"  # rows are reduced without those that only fill up
+        self.schedules = {
+            name: {
+                option: [
+                    torch.tensor([end(one.losses[name].schedules[option]) for one in losses], device=stack.device)
+                    for end in (lambda schedule: schedule.end, lambda schedule: schedule.start - schedule.end)
+                ]
+                for option in loss.schedules
+            }
+            for name, loss in form.losses.items()
+        }
+
+    def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
+        """The rollout as it is: losses that define a reward are not stacked."""
+        return batch
+
+    def __call__(self, batch: TensorDictBase, left: Tensor) -> TensorDict:
+        """The weighted losses of a batch ``[R, B]``, see `Losses.forward`."""
+        coefficients = {
+            name: {option: (end + span * left).float() for option, (end, span) in options.items()}
+            for name, options in self.schedules.items()
+        }
+        demonstrated = [] if self.demos is None else [self.demos, self.shown]
+        return TensorDict(self.stack.each(self._of_run, batch, coefficients, *demonstrated))
+
+    def _of_run(
+        self,
+        batch: TensorDictBase,
+        coefficients: Mapping[str, Mapping[str, Tensor]],
+        rows: TensorDictBase | None = None,
+        shown: Tensor | None = None,
+    ) -> dict[str, Tensor]:
+        def reduce(name: str, value: Tensor) -> Tensor:
+            if not value.ndim:
+                return value
+            value = value.flatten()
+            if shown is not None and self.form.losses[name].on_demonstrations:
+                value = value * shown / shown.mean()
+            return value.mean() if self.reductions[name] == "mean" else value.sum()
+
+        return self.form.compute(batch, rows, coefficients, reduce).to_dict()
+
+
+class StackedOptimiser:
+    """The optimisers of the runs: their own weights, which are views of the stacked ones, at their own rates."""
+
+    def __init__(self, optimisers: Sequence[Any], parameters: Sequence[Tensor], device: torch.device) -> None:
+        self.optimisers = optimisers
+        self.gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        rates = torch.tensor([own.defaults["lr"] for own in optimisers], dtype=torch.float64, device=device)
+        self.defaults = {"lr": rates}
+        self.param_groups = [{"lr": rates.float()}]
+        for optimiser, rate in zip(optimisers, self.param_groups[0]["lr"], strict=True):
+            optimiser._warned_capturable_if_run_uncaptured = True  # as it is before the capture
+            for group in optimiser.param_groups:
+                # In a graph the rate is read from its place in the memory. Not every optimiser can on a CPU.
+                if device.type != "cpu" or group.get("fused"):
+                    group.update(lr=rate, capturable=True)
+
+    def zero_grad(self) -> None:
+        """In place: a graph adds to the same memory at every replay."""
+        torch._foreach_zero_(self.gradients)
+
+    def step(self) -> None:
+        """One step of each."""
+        for optimiser, rate in zip(self.optimisers, self.param_groups[0]["lr"], strict=True):
+            if not isinstance(optimiser.param_groups[0]["lr"], Tensor):
+                set_learning_rate(optimiser, rate.item())
+            optimiser.step()
+
+
+class EmbeddedOnce(nn.Module):
+    """An encoder on view ids that embeds every state of the world, and every goal, once an update.
+
+    Args:
+        form: the policy whose encoder and features it reads.
+        world: of the runs.
+        observation: surrounding views.
+    """
+
+    def __init__(self, form: Any, world: World, observation: SurroundingViews) -> None:
+        super().__init__()
+        self._form = (form,)  # in a tuple, or the encoder would be a submodule of the policy twice
+        states = torch.arange(len(world), device=world.device)
+        self.views, self.goal_views = observation.reset_view_ids(states), observation.goal_view_ids(world.goals)
+        self.goal_index = world.goal_index
+        self._rows: tuple[Tensor, ...] = ()
+
+    @contextmanager
+    def reading(self, rows: tuple[Tensor, ...]) -> Iterator[None]:
+        """A context in which these are the embeddings; nothing of their graph must be kept until the next update."""
+        self._rows = rows
+        try:
+            yield
+        finally:
+            self._rows = ()
+
+    def embed(self) -> tuple[Tensor, Tensor]:
+        """The embeddings of all states and of all goals, ``[N, E]`` and ``[G, E]``."""
+        encoder, features = self._form[0].encoder, self._form[0].features
+        embed_goal = getattr(encoder, "embed_goal", encoder.embed)
+        return encoder.embed(features(self.views)), embed_goal(features(self.goal_views))
+
+    def forward(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
+        """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
+        rows, goal_rows = self._rows
+        fused: Tensor = self._form[0].encoder.fuse(
+            rows[view_ids[:, 0]], goal_rows[self.goal_index[goal_view_ids[:, 0]]]
+        )
+        return fused
+
+
+class StackedEpisodes:
+    """The protocol of one run, whose episodes have been walked together with those of the other runs.
+
+    Args:
+        protocol: of the run.
+        walked: its greedy episodes; for an assessment also the sampled ones, and those of random actions.
+    """
+
+    def __init__(self, protocol: EvaluationProtocol, *walked: Episodes) -> None:
+        self.protocol, self.walked = protocol, walked
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.protocol, name)
+
+    def run(self, _: Any, *, greedy: bool = True) -> Episodes:
+        """One episode from each start, see `EvaluationProtocol.run`."""
+        return self.walked[0 if greedy else 1]
+
+    def run_random(self) -> Episodes:
+        """The same for random actions."""
+        return self.walked[2]
+
+
+class StackedDecisions:
+    """The policies of a stack as one, which decides in each episode as the policy of the episode's run does.
+
+    Args:
+        table: logits of every run for each pair of goal and state, float32 ``[R, P, 4]``.
+        world: of the runs.
+        episodes: of each run; those of the first come first.
+    """
+
+    def __init__(self, table: Tensor, world: World, episodes: int) -> None:
+        self.table, self.world, self.episodes = table, world, episodes
+
+    def decide(self, episode: Tensor, ahead: Tensor, _: Tensor, wanted: Tensor) -> Tensor:
+        """See `dirl.agent.decisions.Decide`."""
+        return self.table[episode // self.episodes, self.world.pair(wanted, ahead)]
+
+
+@torch.no_grad()
+def walk_together(stack: Stack, protocols: Sequence[EvaluationProtocol], *, assess: bool = False) -> list[Any]:
+    """The protocols of the runs, equal but for their starts, with their episodes; to assess, with all that needs."""
+    world, starts = protocols[0].world, [protocol.starts for protocol in protocols]
+    operator, (goals, states) = StackedOperator(stack, acts=False), world.pairs()
+    logits = []
+    with stack.policy.caching():
+        for place in torch.arange(len(goals), device=world.device).split(max(1, PAIRS_AT_ONCE // len(protocols))):
+            seen = protocols[0].observation.reset_view_ids(states[place])
+            asked = observe(world, protocols[0].observation, states[place], seen, goals[place])
+            logits.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
+    joined = replace(protocols[0], starts=(torch.cat([g for g, _ in starts]), torch.cat([s for _, s in starts])))
+    # A run that has diverged is walked too, as no other must wait for it.
+    policies: Any = StackedDecisions(torch.cat(logits, 1).nan_to_num(), world, len(starts[0][0]))
+    walked = [joined.run(policies)]
+    if assess:
+        walked += [joined.run(policies, greedy=False), joined.run_random()]
+    rows = torch.arange(len(joined.starts[0]), device=world.device).split(policies.episodes)
+    return [
+        StackedEpisodes(protocol, *(one.select(own) for one in walked))
+        for protocol, own in zip(protocols, rows, strict=True)
+    ]
+
+
+def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainConfig:
+    """The first configuration with tensors, which broadcast to batches, for numbers in which runs may differ."""
+
+    def by_run(values: Iterable[float], dims: int) -> Any:
+        return torch.tensor(list(values), device=device).view(-1, *[1] * dims)
+
+    first, rewards = configs[0], [config.reward for config in configs]
+    reward = {option.name: by_run([getattr(own, option.name) for own in rewards], 1) for option in fields(first.reward)}
+    options = [config.reinforcement for config in configs]
+    discount = {name: by_run([getattr(own, name) for own in options], 3) for name in ("gamma", "lmbda")}
+    return replace(
+        first, reward=replace(first.reward, **reward), reinforcement=replace(first.reinforcement, **discount)
+    )
+
+
+def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase | None, Tensor | None]:
+    """The demonstrations of all runs, ``[R, M]``, and which count, float32 ``[R, M]``: the others fill up the rows."""
+    most = max(map(len, demos))
+    if not most:
+        return None, None
+    rows = torch.arange(most, device=demos[0].device)
+    kept = set.intersection(*(set(own.keys()) for own in demos))
+    together = torch.stack([own.select(*kept)[rows.clamp(max=len(own) - 1)] for own in demos])
+    return together, torch.stack([rows < len(own) for own in demos]).float()
+
+
+def _stack_weights(policies: Sequence[nn.Module]) -> TensorDict:
+    """The parameters of all policies together, ``[R, ...]`` each; the policies' own become views, gradients too."""
+    named = [dict(policy.named_parameters()) for policy in policies]
+    stacked = {name: torch.stack([own[name].detach() for own in named]).requires_grad_() for name in named[0]}
+    for name, value in stacked.items():
+        value.grad = torch.zeros_like(value)
+        for run, own in enumerate(named):
+            own[name].data, own[name].grad = value.data[run], value.grad[run]
+    return TensorDict(stacked, batch_size=[len(named)]).unflatten_keys(".")

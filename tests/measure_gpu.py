@@ -1,0 +1,211 @@
+"""What stacks and CUDA graphs are worth on this machine's GPU: prints the table of docs/howto/gpu.md as it is measured.
+
+    python tests/measure_gpu.py                  # under four minutes on an H100
+    python tests/measure_gpu.py device=cpu small=true seconds=600     # the same on a CPU, in miniature
+
+Parts that would begin after ``seconds`` are left out. Every row is printed when it is known.
+"""
+
+import contextlib
+import copy
+import io
+import json
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "src"), str(ROOT / "recipes")]
+GIVEN = dict(argument.split("=") for argument in sys.argv[1:])
+sys.argv = [str(ROOT / "recipes" / "train.py")]
+
+BEGAN = time.perf_counter()
+
+import torch  # noqa: E402
+import train as recipe  # noqa: E402
+
+from dirl.cli.parsing import compose_training  # noqa: E402
+from dirl.config.values import typed  # noqa: E402
+from dirl.training.job import build_components, prepare_device  # noqa: E402
+from dirl.training.stacked import Stack  # noqa: E402
+from dirl.training.together import Job, run_together  # noqa: E402
+
+DEVICE = GIVEN.get("device", "cuda")
+SECONDS = float(GIVEN.get("seconds", 200))
+SMALL = ["reinforcement.frames_per_scene=1600", "imitation.max_steps=10"] if "small" in GIVEN else []
+FOLDER = Path(tempfile.mkdtemp())
+
+
+def say(*columns):
+    """Print a row of the table, if there is one."""
+    if columns:
+        print(" | ".join(str(column) for column in columns), flush=True)
+
+
+def command(*options):
+    """A whole command as a user gives it: seconds in all, and the summary of its run."""
+    folder = Path(tempfile.mkdtemp())
+    began = time.perf_counter()
+    done = subprocess.run(
+        [
+            sys.executable,
+            ROOT / "recipes/train.py",
+            *options,
+            *SMALL,
+            f"device={DEVICE}",
+            f"hydra.run.dir={folder}/run",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    seconds = time.perf_counter() - began
+    if done.returncode:
+        raise RuntimeError(done.stderr[-1500:])
+    told = [line for line in done.stderr.splitlines() if "CUDA graph" in line]
+    summary = json.loads((folder / "run/summary.json").read_text())
+    row("command", " ".join(options), [summary], seconds)
+    if told:
+        say(*told)
+
+
+def stack(count, *options):
+    """So many seeds as one program, in this process."""
+    count = min(count, 3) if SMALL else count
+    jobs, folder = [], FOLDER / f"{len(list(FOLDER.iterdir()))}"
+    given = [*options, *SMALL, f"device={DEVICE}", "evaluation.times=0"]
+    composed = compose_training(given)
+    for seed in range(count):
+        composed.seed = seed
+        jobs.append(Job(copy.deepcopy(composed), folder / str(seed), [*given, f"seed={seed}"]))
+    began = time.perf_counter()
+    if DEVICE == "cuda":
+        torch.cuda.reset_peak_memory_stats()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as told:
+        results = run_together(jobs, recipe.train, recipe.learn)
+    graphs = {line for line in told.getvalue().splitlines() if "CUDA graph" in line}
+    failed = [result for result in results if isinstance(result, Exception)]
+    if failed:
+        raise failed[0]
+    row(f"{count} seeds", " ".join(options), results, time.perf_counter() - began)
+    say(*graphs)
+    shutil.rmtree(folder)
+    return results
+
+
+class OneUpdate:
+    """A loop of one update."""
+
+    goes_on = True
+
+    def __init__(self, stack):
+        self.left = stack.left
+
+    def record(self, reports):
+        self.goes_on = False
+
+
+def first_update(*options):
+    """How far the weights of two runs are from the CPU's after an update with the same rollout."""
+    rollout, collect, weights = [], recipe.collect, []
+
+    def collected(env, operator, agents, n_steps):
+        if not rollout:
+            rollout.append(collect(env, operator, agents, n_steps)[0])
+        return rollout[0].clone().to(env.device), agents
+
+    for device in ("cpu", DEVICE):
+        configs = [typed(compose_training([*options, f"device={device}", f"seed={seed}"])) for seed in range(2)]
+        prepare_device(configs[0].device, configs[0].precision)
+        members = [build_components(SimpleNamespace(config=config, saved=None)) for config in configs]
+        for config, member in zip(configs, members, strict=True):
+            member.state.generator = torch.Generator().manual_seed(config.seed)
+        given = [[getattr(member, name) for member in members] for name in ("state", "demos")]
+        protocol = members[0].protocol
+        stack = Stack(configs, *given, protocol.world, protocol.observation)
+        recipe.collect = collected
+        recipe.learn(stack.config, stack, OneUpdate(stack))
+        weights.append([value.detach().cpu() for value in stack.parameters])
+    recipe.collect = collect
+    torch.backends.cuda.matmul.allow_tf32 = False
+    furthest = max((one - other).abs().max().item() for one, other in zip(*weights, strict=True))
+    say("first update", " ".join(options), f"at most {furthest:.1e} from the CPU's weights")
+
+
+def row(kind, options, summaries, seconds):
+    """What was measured: seconds in all, of which training; frames/s of all; SR and SPL, mean and lowest."""
+    frames = sum(summary["frames"] for summary in summaries)
+    training = summaries[0]["frames"] / summaries[0]["frames_per_second"]
+    sr, spl = ([summary["greedy"][key] for summary in summaries] for key in ("sr", "spl"))
+    stable = [summary["stable_at_frame"] for summary in summaries]
+    known = sorted(at for at in stable if at is not None)
+    memory = f"{torch.cuda.max_memory_allocated() / 2**30:.1f} GiB" if DEVICE == "cuda" else ""
+    say(
+        kind,
+        options,
+        f"{seconds:.1f} s in all",
+        f"{training:.2f} s training",
+        f"{frames / training:,.0f} frames/s",
+        f"SR {statistics.mean(sr):.4f} (min {min(sr):.3f})",
+        f"SPL {statistics.mean(spl):.4f} sd {statistics.pstdev(spl):.4f} (min {min(spl):.3f})",
+        f"stable {len(known)}/{len(stable)}, median {known[len(known) // 2] if known else None}",
+        memory,
+    )
+
+
+def grid(experiment, *options):
+    """All jobs of an experiment of the paper as a user trains them, and its figure."""
+    folder = FOLDER / "paper"
+    began = time.perf_counter()
+    given = [f"experiment={experiment}", f"device={DEVICE}", f"hydra.sweep.dir={folder}", *options, *SMALL]
+    for arguments in (
+        ["recipes/train.py", "-m", "hydra/launcher=stacked", *given],
+        ["recipes/report.py", f"experiment={experiment}", f"runs={folder}", f"out={FOLDER}/report"],
+    ):
+        done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+        seconds = time.perf_counter() - began
+        if done.returncode:
+            raise RuntimeError(done.stderr[-1500:])
+        runs = len(list(folder.glob("**/summary.json")))
+        say(arguments[0], " ".join(arguments[1:3]), *options, f"{runs} runs", f"{seconds:.1f} s since its beginning")
+
+
+PARTS = [
+    (10, lambda: first_update("scene=bathroom_02")),
+    (20, lambda: command("scene=bathroom_02")),
+    (8, lambda: stack(16, "scene=bathroom_02")),
+    (8, lambda: stack(16, "scene=bathroom_02", "precision=tf32")),
+    (20, lambda: command("scene=all")),
+    (10, lambda: stack(5, "scene=all")),
+    (10, lambda: first_update("scene=bathroom_02", "precision=tf32")),
+    (10, lambda: stack(5, "scene=all", "precision=tf32")),
+    (15, lambda: stack(128, "scene=bathroom_02", "precision=tf32")),
+    (70, lambda: grid("fig8", *(["seed=0"] if SMALL else []))),
+    (60, lambda: stack(85, "scene=all")),
+    (40, lambda: stack(500, "scene=bathroom_02", "precision=tf32")),
+]
+
+
+def main():
+    if DEVICE == "cuda":
+        say(torch.cuda.get_device_name(), f"torch {torch.__version__}")
+    say(f"imports {time.perf_counter() - BEGAN:.1f} s")
+    for number, (needs, part) in enumerate(PARTS):
+        left = SECONDS - (time.perf_counter() - BEGAN)
+        if left < needs:
+            say(f"part {number}: left out, {left:.0f} s left")
+            continue
+        try:
+            part()
+        except Exception as error:
+            say(f"part {number} failed: {type(error).__name__}: {str(error)[-1500:]}")
+    say(f"{time.perf_counter() - BEGAN:.0f} s in all")
+
+
+if __name__ == "__main__":
+    main()
