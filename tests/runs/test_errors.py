@@ -46,6 +46,7 @@ def raising(error):
         (lambda: Path("/nowhere/a").read_text(), 74, "error: /nowhere/a: No such file or directory; was it deleted or"),
         (lambda: np.empty(2**55), 71, "error: memory ran out"),
         (lambda: torch.empty(2**60), 71, "error: memory ran out"),
+        (raising(RuntimeError("unable to allocate shared memory(shm) for file </a>")), 71, "error: shared memory ran"),
         (raising(KeyboardInterrupt()), 130, "interrupted"),
         (lambda: os.kill(os.getpid(), signal.SIGINT), 130, "interrupted"),
         (lambda: os.kill(os.getpid(), signal.SIGTERM), 143, "terminated"),

@@ -103,9 +103,37 @@ def test_what_does_not_fit_is_told_in_one_line_and_nothing_stays(record, options
 
 def test_a_file_that_is_none_is_told(tmp_path):
     (tmp_path / "robot.h5").write_text("no")
-    with pytest.raises(SceneError, match="is no HDF5 file that can be read"):
+    with pytest.raises(SceneError, match=r"robot\.h5: not a readable HDF5 file"):
         unpacked(tmp_path / "robot.h5", axes=["x", "z", "heading"])
     with h5py.File(tmp_path / "robot.h5", "w") as file:
         file["frames"] = np.zeros(3)
     with pytest.raises(SceneError, match="there is no dataset 'images'; it has frames"):
+        unpacked(tmp_path / "robot.h5", axes=["x", "z", "heading"])
+
+
+@pytest.mark.parametrize("damage", ["chunk", "end", "group", "link"])
+def test_a_damaged_recording_is_one_line_that_names_it_and_nothing_stays(tmp_path, damage):
+    file = tmp_path / "robot.h5"
+    noise = np.random.default_rng(0).integers(0, 256, (2, 2, 4, 12, 16, 3), np.uint8)
+    with h5py.File(file, "w") as made:
+        if damage == "group":
+            made.create_group("images")
+        elif damage == "link":
+            made["images"] = h5py.SoftLink("/nowhere")
+        else:
+            made.create_dataset("images", data=noise, chunks=(1, 1, 4, 12, 16, 3), compression="gzip")
+    data = bytearray(file.read_bytes())
+    if damage == "chunk":
+        data[len(data) // 2 : len(data) // 2 + 4000] = bytes(4000)
+    file.write_bytes(data[: len(data) // 2] if damage == "end" else data)
+    with pytest.raises(SceneError) as caught:
+        unpacked(file, axes=["x", "z", "heading"])
+    assert "\n" not in str(caught.value)
+    assert [one.name for one in tmp_path.iterdir()] == ["robot.h5"]
+
+
+def test_too_many_images_are_refused_before_one_is_read(tmp_path):
+    with h5py.File(tmp_path / "robot.h5", "w") as file:
+        file.create_dataset("images", (300, 300, 4, 1, 1, 3), np.uint8, compression="gzip")
+    with pytest.raises(SceneError, match="at most 50000 images of 16777216 pixels"):
         unpacked(tmp_path / "robot.h5", axes=["x", "z", "heading"])

@@ -125,6 +125,8 @@ def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Imag
             image.load()
     except ImageError:
         raise
+    except SyntaxError:
+        raise ImageError("it is not WebP, PNG or JPEG") from None
     except Exception as error:  # Pillow raises many kinds for damaged images, struct.error and SyntaxError among them
         raise ImageError(" ".join(f"{type(error).__name__}: {error}".split())[:200]) from None
     return image

@@ -6,18 +6,22 @@ recording does not tell, as walls between two places, can be corrected there.
 
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from tqdm import tqdm
 
-from dirl.scenes.io.datasets import check_storage, open_dataset
-from dirl.scenes.scene import SceneError
-from dirl.scenes.views import encode
+from dirl.scenes.io.datasets import MAX_CHUNK_BYTES, check_storage, open_dataset
+from dirl.scenes.io.hdf5 import MAX_STATES, unreadable
+from dirl.scenes.scene import LARGEST, SceneError
+from dirl.scenes.views import MAX_PIXELS, encode
 from dirl.sources.photos import write_table
 
 AXES = ("place", "x", "z", "heading", "shot")
@@ -62,13 +66,17 @@ def unpack_recording(
     """
     folder, unfinished = Path(folder), Path(f"{folder}.unfinished")
     _check_axes(axes, positions)
-    with _opened(file) as recording:
-        dataset = _images(recording, images, len(axes))
+    with _reading(file):
+        recording = h5py.File(file, rdcc_nbytes=MAX_CHUNK_BYTES)  # of a chunk the images are read one by one
+    with recording:
+        with _reading(file):
+            dataset = _images(recording, images, len(axes))
         sizes = dict(zip(axes, dataset.shape, strict=False))
         headings, shots = sizes["heading"], sizes.get("shot", 1)
         if headings % 4:
             raise SceneError(f"{images}: {headings} headings; expected a multiple of four, evenly spread")
-        places = _places(recording, positions, sizes, step or 1.0)
+        with _reading(file):
+            places = _places(recording, positions, sizes, step or 1.0)
         turn = 360 / headings if clockwise else -360 / headings
         angles = [(first_heading + turn * number) % 360 for number in range(headings)]
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -76,6 +84,8 @@ def unpack_recording(
         try:
             bar = tqdm(places, unit=" places")
             recorded = [place for place in bar if _write_images(dataset, axes, place, unfinished)]
+            if len(recorded) < 2:
+                raise SceneError(f"{images}: pictures of {len(recorded)} places; at least two are needed")
             write_table(unfinished, _rows(recorded, angles, step or _smallest_distance(recorded), shots))
             unfinished.rename(folder)
         finally:
@@ -93,11 +103,15 @@ def _check_axes(axes: Sequence[str], positions: str | None) -> None:
         raise SceneError("positions: name the dataset of x and z where axes has place, and only there")
 
 
-def _opened(file: str | Path) -> h5py.File:
+@contextmanager
+def _reading(file: str | Path) -> Iterator[None]:
+    """Within this context whatever h5py raises for a damaged file is one line."""
     try:
-        return h5py.File(file)
-    except OSError as error:
-        raise SceneError(f"{file}: is no HDF5 file that can be read ({str(error).splitlines()[0]})") from None
+        yield
+    except SceneError:
+        raise
+    except Exception as error:
+        raise SceneError(f"{file}: {unreadable(error)}") from None
 
 
 def _images(recording: h5py.File, name: str, axes: int) -> h5py.Dataset:
@@ -106,6 +120,9 @@ def _images(recording: h5py.File, name: str, axes: int) -> h5py.Dataset:
     dataset = open_dataset(recording, name, kinds="u", shape=(*([None] * (axes + 2)), 3))
     if dataset.dtype != np.uint8 or 0 in dataset.shape:
         raise SceneError(f"{name}: expected uint8 images, found {dataset.dtype} {dataset.shape}")
+    states = math.prod(dataset.shape[:axes])
+    if states > MAX_STATES or math.prod(dataset.shape[axes : axes + 2]) > MAX_PIXELS:
+        raise SceneError(f"{name}: shape {dataset.shape}: at most {MAX_STATES} images of {MAX_PIXELS} pixels are read")
     check_storage(dataset)
     return dataset
 
@@ -134,21 +151,25 @@ def _places(recording: h5py.File, positions: str | None, sizes: Mapping[str, int
     dataset = open_dataset(recording, positions, kinds="fiu", shape=(sizes["place"], 2))
     check_storage(dataset)
     values = dataset[()].astype(float)
-    if not np.isfinite(values).all():
-        raise SceneError(f"{positions}: holds values that are not finite")
+    if not (np.abs(values) <= LARGEST).all():
+        raise SceneError(f"{positions}: holds values that are not finite, or above {LARGEST:g} metres")
     return [Place({"place": number}, x, z) for number, (x, z) in enumerate(values.tolist())]
 
 
 def _write_images(dataset: h5py.Dataset, axes: Sequence[str], place: Place, folder: Path) -> bool:
     """Write the images of a place; False if it has none, all of them being black."""
-    taken = dataset[tuple(place.number.get(axis, slice(None)) for axis in axes)]
-    if axes.index("heading") > (axes.index("shot") if "shot" in axes else len(axes)):
-        taken = taken.swapaxes(0, 1)
-    if not taken.any():
+    sizes = dict(zip(axes, dataset.shape, strict=False))
+    wanted = [*product(range(sizes["heading"]), range(sizes.get("shot", 1)))]
+
+    def read(heading: int, shot: int) -> NDArray[np.uint8]:
+        number = {**place.number, "heading": heading, "shot": shot}
+        with _reading(dataset.file.filename):
+            return np.asarray(dataset[tuple(number[axis] for axis in axes)])
+
+    if not any(read(heading, shot).any() for heading, shot in wanted):
         return False
-    for heading, of_heading in enumerate(taken if "shot" in axes else taken[:, None]):
-        for shot, image in enumerate(of_heading):
-            (folder / _image(place, heading, shot)).write_bytes(encode(image, quality=90))
+    for heading, shot in wanted:
+        (folder / _image(place, heading, shot)).write_bytes(encode(read(heading, shot), quality=90))
     return True
 
 
@@ -158,12 +179,10 @@ def _image(place: Place, heading: int, shot: int) -> str:
 
 def _smallest_distance(places: Sequence[Place]) -> float:
     """Between two places, metres."""
-    at = np.array([(place.x, place.z) for place in places])
-    apart = np.linalg.norm(at[:, None] - at, axis=-1)
-    others = apart[apart > 0]
-    if not len(others):
+    at = np.unique([(place.x, place.z) for place in places], axis=0)
+    if len(at) < 2:
         raise SceneError("positions: there are fewer than two places")
-    return float(others.min())
+    return float(KDTree(at).query(at, k=2)[0][:, 1].min())
 
 
 def _rows(places: Sequence[Place], angles: Sequence[float], step: float, shots: int) -> list[dict[str, object]]:

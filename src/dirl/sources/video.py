@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
+from dirl.scenes.io.bounded import read_bytes
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import ImageError, open_image
+from dirl.scenes.views import MAX_PHOTO_BYTES, MAX_PHOTO_PIXELS, ImageError, open_image
 
 SIDE = 480
 """Pixels of the longer side of frames as they are compared."""
-
-MAX_PIXELS = 2**28
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 """Of the images of a folder."""
@@ -158,8 +157,8 @@ def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
         SceneError: it cannot be decoded, or has 16 bits.
     """
     try:
-        image = open_image(Path(file).read_bytes(), MAX_PIXELS)
-    except (OSError, ImageError) as error:
+        image = open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS)
+    except (OSError, ValueError) as error:
         raise SceneError(f"{file}: {getattr(error, 'strerror', None) or error}") from None
     return _small(file, ImageOps.exif_transpose(image), side)
 
@@ -167,7 +166,7 @@ def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
 def photo_field_of_view(file: str | Path) -> float | None:
     """Degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none."""
     try:
-        image = open_image(Path(file).read_bytes(), MAX_PIXELS, load=False)
+        image = open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS, load=False)
         focal = float(image.getexif().get_ifd(0x8769).get(0xA405) or 0)
     except (OSError, ValueError, TypeError):
         return None
@@ -306,7 +305,7 @@ def _message_image(source: Path, message: Any) -> NDArray[np.uint8]:
     data = message.data.tobytes()
     if not hasattr(message, "encoding"):
         try:
-            return _small(source, open_image(data, MAX_PIXELS))
+            return _small(source, open_image(data, MAX_PHOTO_PIXELS))
         except ImageError as error:
             raise SceneError(f"{source}: an image of format '{message.format}' is not read ({error})") from None
     if message.encoding not in ENCODINGS:

@@ -83,6 +83,10 @@ def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, m
     np.savez(file, **arrays | {"links": np.array([[0, 99]])})
     with pytest.raises(MapError, match="damaged"):
         load_frames_map(file)
+    for angle in (0.0, np.nan):
+        np.savez(file, **arrays | {"field_of_view": np.float64(angle)})
+        with pytest.raises(MapError, match="field_of_view="):
+            load_frames_map(file)
     np.savez(file, frames=np.zeros((2, 4, 4, 3), np.uint8))
     with pytest.raises(MapError, match="another version"):
         load_frames_map(file)

@@ -23,6 +23,7 @@ from tqdm import tqdm
 from dirl.agent.mapping.graph import MapError
 from dirl.perception.matching import SHORTLIST, Described, Matcher, Whitening
 from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.bounded import read_arrays
 from dirl.scenes.views import decode, encode
 
 SCHEMA = 2
@@ -213,8 +214,7 @@ def load_frames_map(file: str | Path) -> FrameMap:
         MapError: there is none, or it is damaged.
     """
     try:
-        with Path(file).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+        arrays = read_arrays(Path(file))
         if int(arrays.get("schema", 1)) != SCHEMA:
             raise MapError(f"{file}: is a map of another version; make it anew with dirl map")
         count, ends = len(arrays["times"]), np.cumsum(arrays["lengths"])
@@ -222,6 +222,9 @@ def load_frames_map(file: str | Path) -> FrameMap:
         links, lengths = arrays["links"], {len(arrays["parts"]), len(ends)}
         lengths |= {len(getattr(described, field.name)) for field in fields(Described)}
         inside = links.ndim == 2 and links.shape[1] == 2 and links.dtype == np.int64
+        angle = float(arrays["field_of_view"])
+        if not 1 <= angle <= 360:
+            raise MapError(f"{file}: is a damaged map (field_of_view={angle:g})")
         if lengths != {count} or not inside or (links.size and not 0 <= links.min() <= links.max() < count):
             raise MapError(f"{file}: is a damaged map")
         pictures = arrays["pictures"].tobytes()
@@ -231,7 +234,7 @@ def load_frames_map(file: str | Path) -> FrameMap:
             arrays["parts"],
             described,
             links,
-            float(arrays["field_of_view"]),
+            angle,
             str(arrays["kind"]),
             (int(arrays["size"][0]), int(arrays["size"][1])),
             arrays.get("places"),
