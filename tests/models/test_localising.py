@@ -199,3 +199,17 @@ def test_the_expert_arrives_and_a_policy_without_preference_finds_every_goal(mat
 
     found = metrics(run_episodes(Anything(), world, every_start(world), memory=memory, **arguments))
     assert (found["sr"], found["false_stop_rate"]) == (1, 0)
+
+
+def test_a_move_that_no_arrow_shows_is_not_tried_and_hides_no_goal():
+    """One arrow, to the right; with the place turned around once, all is known, and what is settled suffices."""
+    memory = LocalisingMemory(confidence=0.9999, settle=0.5)
+    for arrows in ([(1, AHEAD), (3, BACK)], []):
+        cost = torch.full((1, 4, 4), torch.inf)
+        cost[..., [RIGHT, LEFT]] = 1.0
+        for view, action in arrows:
+            cost[0, view, action] = 1.0
+        places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), torch.tensor([[2.0, -9, -9, -9]]), lambda _: cost)
+        assert memory.stops(places).item() == (not arrows)
+    logits = memory.plan(memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), torch.full((1, 4), -9.0), lambda _: cost))
+    assert logits[0, [AHEAD, BACK]].isinf().all()

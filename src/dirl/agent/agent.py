@@ -4,6 +4,7 @@ A decision is written here once. An `Observed` says where the answers of policy 
 worlds look them up (`dirl.agent.decisions.AgentBatch`), those with cameras compute them (`dirl.agent.cameras.Views`).
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -25,9 +26,6 @@ NEVER = -20.0
 
 SAVED = 8.0
 """Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
-
-IMPOSSIBLE = 1000.0
-"""Cost of a move that is not possible, in actions."""
 
 MANY = 50_000
 """Agents for more than which actions are sampled by one random number each, where `torch.multinomial` draws four."""
@@ -220,7 +218,7 @@ class Localising(Remembering):
 
     def logits(self, now: Observed) -> Tensor:
         """Those of the plan."""
-        return self.memory.plan(self.past)
+        return self.memory.plan(self.past, steps=now.arrows is not None)
 
 
 def make_agent(
@@ -258,6 +256,8 @@ def likeness(views: Tensor, goal: Tensor, mean: Tensor) -> Tensor:
 def arrow_costs(along: Tensor, arrows: Tensor) -> Tensor:
     """Return what agents that see arrows expect of trying each action facing each view, float32 ``[B, K, 4]``.
 
+    What is not possible costs infinitely much: it is neither tried nor counted among what was not tried.
+
     Args:
         along: what is promised in the direction of each view, see `likeness`, float32 ``[B, K]``.
         arrows: which moves are possible facing each view, bool ``[B, K, 4]``.
@@ -266,7 +266,7 @@ def arrow_costs(along: Tensor, arrows: Tensor) -> Tensor:
     further = SAVED * (1 - along)
     cost[..., AHEAD] += further
     cost[..., BACK] += further.roll(-along.shape[1] // 2, 1)  # along the view behind
-    return cost.masked_fill(~arrows, IMPOSSIBLE)
+    return cost.masked_fill(~arrows, math.inf)
 
 
 def four_of(views: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from dirl.config.bounds import Bounds
 from dirl.envs.transforms import VIEWS
-from dirl.models.planning import SURE, Nodes, cheapest, connect
+from dirl.models.planning import SURE, Nodes, again_costs, cheapest, connect
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, LEFT, RIGHT
 
@@ -248,11 +248,12 @@ class LocalisingMemory(nn.Module):
         evidence = self._goal(places)
         return self._certain(places, evidence, places.here) & (evidence.argmax(1) == places.here)
 
-    def plan(self, places: Places) -> Tensor:
-        """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried."""
+    def plan(self, places: Places, *, steps: bool = False) -> Tensor:
+        """The logits of the actions where the agents are, see `PlanningMemory.plan`."""
         evidence = self._goal(places)
         turns = places.turns
-        exits = (places.after < 0).unflatten(1, (-1, turns)).flatten(2)  # not tried at each place, [B, P, 4 K]
+        untried = (places.after < 0) & places.cost.isfinite()
+        exits = untried.unflatten(1, (-1, turns)).flatten(2)  # at each place, [B, P, 4 K]
         odds, best = evidence.max(1)
         at = torch.arange(len(best), device=best.device)
         certain = self._certain(places, evidence, best)
@@ -263,18 +264,20 @@ class LocalisingMemory(nn.Module):
         goal = torch.zeros_like(wanted[..., 0])
         goal[at, best] = ((odds > self.seek) | certain) & ~around & (best != places.here)
         known = places.after >= 0
-        more = torch.tensor([self.repeated, self.turn, self.turn, self.repeated], device=best.device)
+        again = again_costs(places.cost, self.repeated, self.turn, steps=steps)
         # On the way to a goal that was seen, or around a place that is like it, an action more costs more than doubts.
         nearest = torch.where(known | wanted, SURE + torch.where(wanted, places.cost / SURE, 0.0), math.inf)
         seeking = (around | goal.any(1))[:, None, None]
-        found = cheapest(torch.where(seeking, nearest, places.cost + more * known), places.after, goal, places.here)
+        found = cheapest(
+            torch.where(seeking, nearest, torch.where(known, again, places.cost)), places.after, goal, places.here
+        )
         return -torch.where(found.isinf().all(-1, keepdim=True), places.cost[at, places.here], found)
 
     def _certain(self, places: Places, evidence: Tensor, node: Tensor) -> Tensor:
         """Whether the goal is at a node of each agent with the probability that is asked for, bool ``[B]``."""
         at = torch.arange(len(node), device=node.device)
         # A move back at one heading is the move ahead at the opposite one.
-        untried = (places.after[..., AHEAD] < 0) & places.used
+        untried = (places.after[..., AHEAD] < 0) & places.cost[..., AHEAD].isfinite()
         near = untried.unflatten(1, (-1, places.turns))[at, node // places.turns].sum(1)
         # A map has doubles of places, whose moves were not tried from each of them.
         whole = places.mapped | ~untried.any(1)

@@ -156,12 +156,18 @@ class PlanningMemory(nn.Module):
         # To a goal that was seen there is a path: at its place the agent turns until it faces it.
         after = torch.where(seen & (walked.after < 0), walked.ring, walked.after)
         known = after >= 0
-        more = torch.tensor([self.repeated, self.turn, self.turn, self.repeated], device=walked.cost.device)
-        again = torch.ones_like(walked.cost) if steps else walked.cost + more
+        again = again_costs(walked.cost, self.repeated, self.turn, steps=steps)
         step = torch.where(seen, torch.where(known, SURE, math.inf), torch.where(known, again, walked.cost))
         found = cheapest(step, after, walked.goal, walked.here)
         at = torch.arange(len(walked.here), device=walked.here.device)
         return -torch.where(found.isinf().all(-1, keepdim=True), walked.cost[at, walked.here], found)
+
+
+def again_costs(cost: Tensor, repeated: float, turn: float, *, steps: bool) -> Tensor:
+    """Return what actions cost whose outcome is known, of those of trying them, float32 ``[B, N, 4]``; see `plan`."""
+    if steps:
+        return torch.ones_like(cost)
+    return cost + torch.tensor([repeated, turn, turn, repeated], device=cost.device)
 
 
 def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
