@@ -163,7 +163,7 @@ def stack_tables(app, pagename, templatename, context, doctree):
     for table in soup.find_all("table", class_="docutils"):
         rows = [[cell.get_text(" ", strip=True) for cell in row.find_all(["th", "td"])] for row in table.find_all("tr")]
         columns = zip_longest(*rows, fillvalue="")
-        longest = [max(max(map(len, text.split()), default=0) for text in column) for column in columns]
+        longest = [max(max(map(len, text.split(" ")), default=0) for text in column) for column in columns]
         if "rows" in table["class"] or not table.thead or sum(longest) + 2 * len(longest) < PHONE:
             continue
         table["class"].append("stacked")
