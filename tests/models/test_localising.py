@@ -209,7 +209,11 @@ def test_a_move_that_no_arrow_shows_is_not_tried_and_hides_no_goal():
         cost[..., [RIGHT, LEFT]] = 1.0
         for view, action in arrows:
             cost[0, view, action] = 1.0
-        places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), torch.tensor([[2.0, -9, -9, -9]]), lambda _: cost)
+        places = memory.arrive(
+            memory.begin(1), torch.zeros(1, 0, 4), torch.tensor([[2.0, -9, -9, -9]]), lambda _, cost=cost: cost
+        )
         assert memory.stops(places).item() == (not arrows)
-    logits = memory.plan(memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), torch.full((1, 4), -9.0), lambda _: cost))
+    logits = memory.plan(
+        memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), torch.full((1, 4), -9.0), lambda _, cost=cost: cost)
+    )
     assert logits[0, [AHEAD, BACK]].isinf().all()
