@@ -57,6 +57,7 @@ class Options:
         "tours; not live",
         None,
     )
+    metric: str | None = option("a YAML file with a class of your own that measures episodes", None)
     viewer: bool = option(
         "write viewer_<scene>.html into the run's folder: step through episodes, walk the room", False
     )
@@ -73,6 +74,9 @@ class Options:
     turn_error: Annotated[float, Bounds(0, 90)] = option("live only: standard deviation of each turn, degrees", 0.0)
     scene: Any = option(
         "scenes to evaluate in: a dump that has moved, or other scenes with features of the same extractor", None
+    )
+    source: str | None = option(
+        "what finds them: rooms | thor | a YAML file of your own; null = that of the training", None
     )
     split: Split | None = option("of a collection: train | validation | test", None)
     rooms: Positive | None = option("of a collection: the number of rooms, the first ones", None)
@@ -126,8 +130,9 @@ from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.cli.output import new_file
-from dirl.config.choices import goal_view_options, group_options, load_simulator
-from dirl.evaluation.episodes import Episodes, sampled_starts, shortest_episodes
+from dirl.config.choices import goal_view_options, group_options, load_simulator, own_options
+from dirl.config.components import make
+from dirl.evaluation.episodes import Episodes, Metric, sampled_starts, shortest_episodes
 from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
@@ -184,6 +189,7 @@ def evaluate(options: Options) -> Result:
         "split": options.split,
         "rooms": options.rooms,
         "goals": options.goals,
+        "source": group_options("source", options.source),
         "source.root": options.root,
         "device": options.device,
         "seed": options.seed,
@@ -202,6 +208,9 @@ def evaluate(options: Options) -> Result:
     if options.starts is None:
         trained = trained._replace(protocol=few_enough(trained.protocol))
     trained = as_visitors_see(trained, arrows=options.arrows, panorama=options.panorama)
+    if options.metric is not None:
+        metric = make("metric", own_options("metric", Path(options.metric)))
+        trained = trained._replace(protocol=measured_by(trained.protocol, metric))
     if options.map is not None:
         trained = with_map(trained, options.map, options.last_steps)
     if options.threshold is not None and build_recogniser(trained.config, "cpu").thresholds is not None:
@@ -279,6 +288,12 @@ def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | N
     if protocol.held_out is not None:
         seen["held_out"] = replace(protocol.held_out, **seen)
     return trained._replace(protocol=replace(protocol, **seen))
+
+
+def measured_by(protocol: EvaluationProtocol, metric: Metric) -> EvaluationProtocol:
+    """The protocol with measures of one's own, also for goals that were held out."""
+    held_out = None if protocol.held_out is None else replace(protocol.held_out, metric=metric)
+    return replace(protocol, metric=metric, held_out=held_out)
 
 
 def misses_arrivals(trained: Trained) -> bool:

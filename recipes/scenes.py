@@ -375,10 +375,12 @@ class EncodeOptions(EncodedPatches):
     """
 
     scene: str = option("a dump (.h5) with views, or a built-in room")
+    source: str = option("rooms | a YAML file of your own, which names a class that finds scenes", "rooms")
     out: str = option("the dump to write: the same one with new features (.h5)")
     encoder: str | None = option(
         "resnet50 (as the built-in rooms) | resnet50_small (96x128 pixels) | efficientnet_lite0 (Apache 2.0) | "
-        "weights of a ResNet-50 (.pth) | torchvision | a Hugging Face model, name or folder",
+        "weights of a ResNet-50 (.pth) | torchvision | a Hugging Face model, name or folder | a "
+        "YAML file of your own",
         "resnet50",
     )
     precision: Precision = option(
@@ -397,6 +399,7 @@ class ExportOptions:
     """
 
     scene: str = option("a dump (.h5), or a built-in room")
+    source: str = option("rooms | a YAML file of your own, which names a class that finds scenes", "rooms")
     out: str = option("the file to write (.h5)")
     layout: Layout = option("that of the published target-driven navigation code", Layout.icra17)
 
@@ -429,6 +432,7 @@ class InspectOptions:
     """
 
     scene: str = option("a dump (.h5), or a built-in room")
+    source: str = option("rooms | a YAML file of your own, which names a class that finds scenes", "rooms")
     out: str | None = option("a new folder for the pictures; null = only print the tables", None)
     threshold: Correlation = option("of ncc: pairs of states that match better are ambiguous", 0.9)
     recogniser: str = option(
@@ -468,7 +472,8 @@ import numpy as np
 from tqdm import tqdm
 
 from dirl.cli.output import check_writable, new_file
-from dirl.config.choices import load_simulator
+from dirl.config.choices import group_options, load_simulator
+from dirl.config.components import make
 from dirl.config.folders import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.perception.recognition.build import chosen_stop
@@ -481,7 +486,7 @@ from dirl.scenes.io.checked import check_choice
 from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.live import Simulator
-from dirl.scenes.views import decode
+from dirl.scenes.views import FileViews, decode
 from dirl.scenes.views import encode as webp
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import draft_table, encoded_photos, read_photos
@@ -691,13 +696,16 @@ def sampled(entry: Entry) -> list[str]:
 def encode(options: EncodeOptions) -> None:
     """Compute the features of a dump anew, from its stored views."""
     out = new_file(options.out)
-    scene = one_scene(options.scene)
+    scene = one_scene(options.scene, options.source)
     encoder = chosen_encoder(options)
     if encoder is None:
         raise SceneError("encoder=null: encode needs one")
     features, patches = encode_scene(scene, encoder)
-    assert scene.views is not None
-    replace_features(scene.views.path, out, features, encoder.attributes, patches, encoder.patch_attributes)
+    if isinstance(scene.views, FileViews):
+        replace_features(scene.views.path, out, features, encoder.attributes, patches, encoder.patch_attributes)
+    else:
+        write_encoded(out, scene, [webp(scene.views[state]) for state in range(len(scene))], encoder)  # type: ignore[index]
+        return
     of_each = f"{features.shape[1]} features each" + ("" if patches is None else f", patches {patches.shape[1:]}")
     print(f"{out}: {len(scene)} states, {of_each}\nextractor: {encoder.extractor}")
 
@@ -705,7 +713,7 @@ def encode(options: EncodeOptions) -> None:
 def export(options: ExportOptions) -> None:
     """Write a scene in the layout of other navigation code."""
     out = new_file(options.out)
-    scene = one_scene(options.scene)
+    scene = one_scene(options.scene, options.source)
     export_icra17(scene, out)
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
 
@@ -717,15 +725,17 @@ def take_over(options: ImportOptions) -> None:
     goals = scene.goals if options.goals is None else tuple(options.goals)
     scene = replace(scene, name=options.name or scene.name, source=options.source or scene.source, goals=goals)
     views = scene.views
-    stored = views and (views.encoded(state) or webp(views[state], quality=None) for state in range(len(scene)))
-    write_dump(out, scene, stored or None)
+    stored = None
+    if isinstance(views, FileViews):
+        stored = (views.encoded(state) or webp(views[state], quality=None) for state in range(len(scene)))
+    write_dump(out, scene, stored)
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
 
 
 def inspect(options: InspectOptions) -> None:
     """Look at a scene and check it."""
     folder = None if options.out is None else new_file(options.out, ending="")
-    scene = one_scene(options.scene)
+    scene = one_scene(options.scene, options.source)
     stop = chosen_stop(options.recogniser, options.threshold, options.match)
     found = inspect_scene(scene, stop)
     print(f"| {scene.name} | |\n|---|---|")
@@ -762,11 +772,12 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     print(f"\npictures: {folder}")
 
 
-def one_scene(name: str) -> Scene:
-    """The scene that an option names."""
+def one_scene(name: str, source: str = "rooms") -> Scene:
+    """The scene that an option names, of a source of the user's own if that is given."""
     if name == "all":
         raise SceneError("scene=all: one scene at a time")
-    return load_scenes(name)[0]
+    options = group_options("source", source)
+    return load_scenes(name, source="rooms" if options is None else make("source", options))[0]
 
 
 def chosen_encoder(options: Encoded) -> ViewEncoder | None:

@@ -3,8 +3,10 @@
 import io
 import re
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from commands import ROOT, room_file, train_config
@@ -17,11 +19,19 @@ from train import learn
 
 from dirl.config.schemas import ConfigError
 from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import shortest_episodes
 from dirl.evaluation.experts import ShortestPathExpert
-from dirl.evaluation.protocol import metrics
+from dirl.evaluation.protocol import metrics, report
 from dirl.models import ActorCritic, ActorCriticHeads, FeatureTable, frozen, plain_weights
 from dirl.models.distinct import CachedEncoder
-from dirl.scenes import SceneError, load_scenes
+from dirl.perception.backbones import load_encoder
+from dirl.perception.recognition.build import checked
+from dirl.perception.recognition.tables import VisitScores
+from dirl.reporting.tables import result_table
+from dirl.scenes import SceneError, load_scenes, make_world
+from dirl.scenes.live import Pose
+from dirl.sources.gym import GymSimulator
+from dirl.sources.simulators import take_scene
 from dirl.training.build import (
     build_demonstrations,
     build_losses,
@@ -91,9 +101,9 @@ def train(config, state, total, until=None):
 
 
 def test_each_swap_takes_one_python_file_and_one_yaml_file_at_most():
-    assert len(FILES) == 9
+    assert len(FILES) == 13
     yaml = re.findall(r"^:caption: (\S+\.yaml)$", PAGE, re.MULTILINE)
-    assert len(yaml) == len(set(yaml)) == 10
+    assert len(yaml) == len(set(yaml)) == 14
 
 
 @pytest.fixture
@@ -514,3 +524,82 @@ def test_a_source_that_does_not_do_what_it_should_is_refused_in_one_line(answer,
 def test_a_source_without_the_method_is_refused():
     with pytest.raises(SceneError, match=r"^source: Pure\w*Path has no method load\(names\)"):
         build_world(train_config("scene=x", "source._target_=pathlib.PurePath"))
+
+
+def broken(cls, **members):
+    """A class like another with some members replaced."""
+    return type(cls.__name__, (cls,), members)
+
+
+def test_a_recogniser_of_ones_own_stops_agents_and_is_refused_in_one_line_if_it_is_none(tmp_path):
+    from cosine import Cosine
+
+    world = make_world(load_scenes(str(room_file(tmp_path))))
+    scores = VisitScores(checked(Cosine()), world)
+    every = torch.arange(len(world))
+    assert (scores(every, every) > 0.999).all()
+    with pytest.raises(ConfigError, match=r"^recogniser: Cosine has no thresholds, scores$"):
+        checked(without(Cosine, "thresholds", "scores"))
+    with pytest.raises(ConfigError, match=r"thresholds must be Thresholds of dirl or None, not float$"):
+        checked(broken(Cosine, thresholds=0.9)())
+    with pytest.raises(ConfigError, match=r"^recogniser: .*describe gave \[24\] for 24 views; expected \[N, F\]"):
+        VisitScores(broken(Cosine, describe=lambda self, features, patches=None: features[:, 0])(), world)
+    with pytest.raises(ConfigError, match=r"^recogniser: .*scores gave \[2\] for 2 visits and 3 references"):
+        VisitScores(broken(Cosine, scores=lambda self, seen, references: seen[:, 0, 0])(), world)
+
+
+def without(cls, *names):
+    """An object like one of a class, without some members."""
+    members = {name: value for name, value in vars(cls).items() if name not in names and not name.startswith("__")}
+    return type(cls.__name__, (), members)()
+
+
+def test_a_metric_of_ones_own_is_measured_by_scene_and_goal(parts):
+    from detours import Detours
+
+    _, protocol, _ = parts()
+    shortest = shortest_episodes(protocol.world, protocol.starts)
+    summary = report(replace(shortest, steps=3 * shortest.shortest), protocol.world, Detours())
+    assert summary["detours"] == 1.0
+    assert all(goal["detours"] == 1.0 for goal in summary["scenes"]["grid"]["goals"].values())
+    assert "detours" in result_table({"greedy": summary}).splitlines()[0]
+    for wrong, told in ((lambda _: 3, "expected numbers by name"), (lambda _: {"sr": 1.0}, "a name of its own")):
+        with pytest.raises(ConfigError, match=f"^metric: .*{told}"):
+            report(shortest, protocol.world, wrong)
+
+
+def test_an_image_encoder_of_ones_own_encodes_and_a_wrong_one_is_one_line(tmp_path):
+    (tmp_path / "mine.yaml").write_text("_target_: tiles.Tiles\ntiles: 2\n")
+    encoder = load_encoder(str(tmp_path / "mine.yaml"))
+    views = torch.zeros(3, 20, 30, 3, dtype=torch.uint8)
+    assert (encoder.extractor, encoder(views).shape) == ("mean colour of 2x2 tiles", (3, 12))
+    (tmp_path / "mine.yaml").write_text("_target_: cosine.Cosine\n")
+    with pytest.raises(ValueError, match=r"mine.yaml: Cosine has no text extractor, or cannot be called$"):
+        load_encoder(str(tmp_path / "mine.yaml"))
+    with pytest.raises(ValueError, match=r"^there is no encoder 'resnet05'; did you mean resnet50\?$"):
+        load_encoder("resnet05")
+
+
+def test_an_environment_with_only_reset_and_step_is_walked_to_every_place(monkeypatch):
+    import tiny_room
+
+    simulator = GymSimulator("tiny_room.TinyRoom", left=0, right=1, ahead=2)
+    scene, views = take_scene(simulator, source="simulator", step=1.0, turn=90)
+    assert len(scene) == len(views) == 36
+    assert (scene.graph[:, 0] >= 0).sum() == (scene.graph[:, 3] >= 0).sum() == 24
+    with pytest.raises(SceneError, match=r"no move of 0\.5 m leads anywhere"):
+        take_scene(simulator, source="simulator", step=0.5, turn=90)
+    with pytest.raises(SceneError, match=r"TinyRoom: has only reset and step, so it cannot be put at 0.3, 0 m"):
+        simulator.place(Pose(0.3, 0.0, 0.0))
+    monkeypatch.setattr(tiny_room.TinyRoom, "seen", lambda self: np.zeros((4, 5)))
+    with pytest.raises(SceneError, match=r"TinyRoom: its observation gave float64 \[4, 5\]; expected RGB, uint8"):
+        GymSimulator("tiny_room.TinyRoom", left=0, right=1, ahead=2)
+
+
+def test_views_of_a_source_may_be_an_array():
+    from halls import Halls
+
+    (scene,) = Halls().load(["hall_2x2"])
+    assert scene.views[3].shape == (48, 64, 3)
+    with pytest.raises(SceneError, match=r"views\[0\] is float64 .*; expected"):
+        replace(scene, views=scene.views / 255)

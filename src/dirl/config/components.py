@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from dirl.config.schemas import ConfigError, Schedule
-from dirl.config.trials import CODE, describe_error
+from dirl.config.user_code import CODE, describe_error
 from dirl.config.values import check_choice, check_value
 
 TARGET = "_target_"
@@ -59,8 +59,14 @@ BASES = {
 }
 """What the classes of a group are, if not a `MODULE`; by name, so that this module does not import torch."""
 
-METHODS = {"simulator": ("place", "push", "look"), "source": ("load",)}
-"""What the classes of other groups must have, `dirl.scenes.live.Simulator` and `dirl.scenes.catalogue.SceneSource`."""
+METHODS = {
+    "simulator": ("place", "push", "look"),  # `dirl.scenes.live.Simulator`
+    "source": ("load",),  # `dirl.scenes.catalogue.SceneSource`
+    "recogniser": ("fit", "describe", "scores"),  # `dirl.perception.recognition.Recogniser`
+    "image_encoder": ("__call__",),  # `dirl.perception.backbones.registry.ImageEncoder`
+    "metric": ("__call__",),  # `dirl.evaluation.episodes.Metric`
+}
+"""What the classes of other groups must have; they are no modules."""
 
 NONE = ("memory", "episodic_memory", "losses")
 """Groups of which a policy may have none."""

@@ -7,7 +7,7 @@ import yaml  # PyYAML comes with OmegaConf
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config.components import TARGET, check_components
+from dirl.config.components import PUBLIC, TARGET, check_components
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.values import plain, typed
 
@@ -35,7 +35,8 @@ def read_config(
     Args:
         text: YAML.
         origin: where it stood, for errors.
-        changes: values to replace in it, by dotted name; a mapping replaces a mapping as a whole.
+        changes: values to replace in it, by dotted name; a mapping replaces a mapping as a whole. They are the user's
+            own, and so are trusted.
         trust: packages whose classes it may name, see `dirl.config.components.find_class`.
 
     Raises:
@@ -44,7 +45,8 @@ def read_config(
     try:
         for old, new in MOVED.items():
             text = text.replace(f"{TARGET}: {old}", f"{TARGET}: {new}")
-        values = _of_packaged_agents(plain_mapping(text)) | {"resume": None, "trust": list(trust)}
+        trust = [*trust, *_named_by_user(changes or {})]
+        values = _of_packaged_agents(plain_mapping(text)) | {"resume": None, "trust": trust}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
         config: TrainConfig = typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), values))  # type: ignore[arg-type]
@@ -93,6 +95,12 @@ def _of_packaged_agents(values: dict[str, Any]) -> dict[str, Any]:
         imitation = {**values["imitation"], "sampled": values["imitation"]["drawn"]}
         values = values | {"imitation": {name: value for name, value in imitation.items() if name != "drawn"}}
     return values
+
+
+def _named_by_user(changes: Mapping[str, Any]) -> list[str]:
+    """Return the packages of the classes that changes name."""
+    named = [str(value[TARGET]) for value in changes.values() if isinstance(value, Mapping) and value.get(TARGET)]
+    return [target.partition(".")[0] for target in named if target not in PUBLIC and not target.startswith("dirl.")]
 
 
 def _replace(values: dict[str, Any], name: str, value: Any) -> None:

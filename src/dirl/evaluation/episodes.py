@@ -1,8 +1,9 @@
 """Episodes of a policy in a world: from given starts, until it stops, without rewards."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -77,6 +78,13 @@ def shortest_episodes(world: World, starts: tuple[Tensor, Tensor]) -> Episodes:
     return Episodes(goal_index, start, shortest, shortest, ~never, never, never)
 
 
+class Metric(Protocol):
+    """Measures of one's own: a class that a YAML file names, made with its options."""
+
+    def __call__(self, episodes: Episodes) -> Mapping[str, float]:
+        """Return the measures of some episodes by name."""
+
+
 @dataclass(frozen=True)
 class EvaluationProtocol:
     """The conditions under which policies are evaluated."""
@@ -109,6 +117,8 @@ class EvaluationProtocol:
     """Agents with a memory of places see all headings of theirs, as in a panorama, not only four."""
     arrows: bool = False
     """Agents see which moves are possible where they are, as visitors of a tour do."""
+    metric: "Metric | None" = None
+    """Measures of one's own, beside those of the paper."""
     live: Callable[..., Episodes] | None = None
     """``live(policy, told=False)``: episodes in the simulator that it was trained in, if any; see `evaluate_live`."""
     held_out: "EvaluationProtocol | None" = None

@@ -1,6 +1,6 @@
 """Evaluation of a policy: the protocol, and ATL, SR and SPL (paper section 4.3)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -8,8 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from dirl.agent.decisions import answers
+from dirl.config.user_code import tried
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import Episodes, shortest_episodes
+from dirl.evaluation.episodes import Episodes, Metric, shortest_episodes
 from dirl.evaluation.episodes import EvaluationProtocol as EvaluationProtocol
 from dirl.evaluation.experts import RandomPolicy
 from dirl.models import LocalisingMemory, PlanningMemory
@@ -30,15 +31,15 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
         return {**assess(policy, replace(protocol, held_out=None)), "held_out": held_out}
     world = protocol.world
     baselines = {
-        "shortest_path": report(shortest_episodes(world, protocol.starts), world),
-        "random": report(protocol.run_random(), world),
+        "shortest_path": report(shortest_episodes(world, protocol.starts), world, protocol.metric),
+        "random": report(protocol.run_random(), world, protocol.metric),
     }
     if isinstance(policy, RandomPolicy):
         return {**baselines, "greedy": baselines["random"], "sampled": baselines["random"]}
     found = {
         **baselines,
-        "greedy": report(protocol.run(policy), world),
-        "sampled": report(protocol.run(policy, greedy=False), world),
+        "greedy": report(protocol.run(policy), world, protocol.metric),
+        "sampled": report(protocol.run(policy, greedy=False), world, protocol.metric),
     }
     if isinstance(protocol.memory, PlanningMemory | LocalisingMemory) and protocol.maps is None:
         found["sweep"] = report(protocol.run_sweep(), world)
@@ -85,15 +86,36 @@ def metrics(episodes: Episodes) -> dict[str, float]:
     }
 
 
-def report(episodes: Episodes, world: World) -> dict[str, Any]:
+def report(episodes: Episodes, world: World, metric: Metric | None = None) -> dict[str, Any]:
     """`metrics` overall; under ``scenes`` those of each scene, and under its ``goals`` those of each goal's state."""
-    summary: dict[str, Any] = {**metrics(episodes), "scenes": {}}
+
+    def measured(some: Episodes) -> dict[str, Any]:
+        return metrics(some) if metric is None else metrics(some) | own_metrics(metric, some)
+
+    summary: dict[str, Any] = {**measured(episodes), "scenes": {}}
     order = torch.argsort(episodes.goal_index, stable=True)
     sizes = torch.bincount(episodes.goal_index, minlength=len(world.goals)).tolist()
     for goal, those in zip(world.goals.tolist(), order.split(sizes), strict=True):
         scene, local = world.local(goal)
         if scene.name not in summary["scenes"]:
             inside = world.scene_of[episodes.start] == world.scene_of[goal]
-            summary["scenes"][scene.name] = {**metrics(episodes.select(inside)), "goals": {}}
-        summary["scenes"][scene.name]["goals"][str(local)] = metrics(episodes.select(those))
+            summary["scenes"][scene.name] = {**measured(episodes.select(inside)), "goals": {}}
+        summary["scenes"][scene.name]["goals"][str(local)] = measured(episodes.select(those))
     return summary
+
+
+def own_metrics(metric: Metric, episodes: Episodes) -> dict[str, float]:
+    """Return what a metric of a user's own says of some episodes.
+
+    Raises:
+        ConfigError: it fails, or gives anything but numbers by names that are not taken.
+    """
+    with tried("metric", metric):
+        found = metric(episodes)
+        if not isinstance(found, Mapping) or not found:
+            raise TypeError(f"gave {type(found).__name__}; expected numbers by name")
+        taken = found.keys() & metrics(episodes).keys()
+        wrong = [name for name, value in found.items() if not isinstance(value, int | float) or name in taken]
+        if wrong:
+            raise TypeError(f"{wrong[0]}={found[wrong[0]]!r:.40}: expected a number under a name of its own")
+        return {name: float(value) for name, value in found.items()}

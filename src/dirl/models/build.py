@@ -11,7 +11,7 @@ from torchrl.modules import set_recurrent_mode
 
 from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
-from dirl.config.trials import tried
+from dirl.config.user_code import tried
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, ObservationTable, feature_statistics, initial_state, recurrent_keys, whitening
 from dirl.perception.backbones.patches import PATCH_SHAPE, coarse

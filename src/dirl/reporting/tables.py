@@ -71,6 +71,9 @@ def result_table(rows: Mapping[str, Mapping[str, float | None]], leave_out: Coll
         A Markdown table without a line break at its end.
     """
     shown = [measure for measure in MEASURES if measure[0] not in leave_out]
+    known = {key for _, key, _ in MEASURES} | {"atl_success"}
+    own = dict.fromkeys(key for row in rows.values() for key, value in row.items() if isinstance(value, float))
+    shown += [(key, key, 3) for key in own if key not in known]  # of a user's own metric
     cells = [["", *(heading for heading, _, _ in shown)]]
     for label, measures in rows.items():
         values = [_number(measures.get(key), decimals) for _, key, decimals in shown]

@@ -24,7 +24,7 @@ from dirl.perception.recognition.tables import described_visits
 from dirl.scenes import ACTIONS, Scene, World
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
-from dirl.scenes.views import encode
+from dirl.scenes.views import encoded_view
 
 MOST_WALKS = 100_000
 """Episodes of an agent with a memory that are computed for the pages; of more goals, some are left out."""
@@ -170,7 +170,7 @@ def file_name(scene: str) -> str:
 def _room(scene: Scene) -> dict[str, Any]:
     """The data of a scene that a page needs, apart from its goals."""
     views = scene.views
-    encoded = (views.encoded(state) or encode(views[state]) for state in range(len(scene))) if views else ()
+    encoded = () if views is None else (encoded_view(views, state) for state in range(len(scene)))
     return {
         "scene": scene.name,
         "graph": scene.graph.tolist(),

@@ -77,6 +77,19 @@ class Simulator(Protocol):
         """The view towards a heading, uint8 RGB ``[H, W, 3]``."""
 
 
+def checked_image(view: NDArray[np.generic], what: str) -> Image:
+    """Return a view if it is RGB, uint8 ``[H, W, 3]``; `SceneError` if not."""
+    if getattr(view, "dtype", None) != np.uint8 or view.ndim != 3 or view.shape[2] != 3:
+        found = f"{getattr(view, 'dtype', type(view).__name__)} {list(getattr(view, 'shape', ()))}"
+        raise SceneError(f"{what} gave {found}; expected RGB, uint8 [H, W, 3]")
+    return view  # type: ignore[return-value]
+
+
+def looked(simulator: Simulator, heading: float) -> Image:
+    """Return the view towards a heading; `SceneError` if it is no image."""
+    return checked_image(simulator.look(heading), f"{simulator.name}: look()")
+
+
 def stride(heading: float, step: float) -> float:
     """The metres of a move along a heading on a grid: to the next place on an axis or a diagonal, else none."""
     if round(heading) % 45:
@@ -132,7 +145,7 @@ class Simulated:
         """The four views around the agent."""
         with simulator_errors(self.simulator.name):
             heading = self.pose.heading
-            return np.stack([self.simulator.look((heading + quarter) % 360) for quarter in (0, 90, 180, 270)])
+            return np.stack([looked(self.simulator, (heading + quarter) % 360) for quarter in (0, 90, 180, 270)])
 
 
 class Dumped:

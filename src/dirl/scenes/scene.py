@@ -18,7 +18,7 @@ from dirl.scenes.graph import (
     surrounding_states,
     turns_per_circle,
 )
-from dirl.scenes.views import Views
+from dirl.scenes.views import FileViews, Views
 
 LARGEST = 1e6
 """Metres of a position, degrees of a heading; what is beyond has been misread."""
@@ -102,12 +102,24 @@ class Scene:
             arrays["patches"] = self._array("patches", self.patches, np.float16, (states, None, None))
         arrays |= self._checked_looks()
         self._check_turns(graph, positions)
-        if self.views is not None and len(self.views) != states:
-            raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")
+        self._check_views(states)
         for name, array in arrays.items():
             object.__setattr__(self, name, _read_only(array))
         for goal in self.goals:
             self.check_goal(goal)
+
+    def _check_views(self, states: int) -> None:
+        """Raise `SceneError` unless there is a view for each state; of views that are no file's one is looked at."""
+        if self.views is None:
+            return
+        if len(self.views) != states:
+            raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")
+        if not isinstance(self.views, FileViews):
+            first = np.asarray(self.views[0])
+            if first.dtype != np.uint8 or first.ndim != 3 or first.shape[2] != 3:
+                raise SceneError(
+                    f"{self.origin}: views[0] is {first.dtype} {first.shape}; expected RGB, uint8 [H, W, 3]"
+                )
 
     def __repr__(self) -> str:
         features = "no features" if self.features is None else f"features [{', '.join(map(str, self.features.shape))}]"

@@ -3,6 +3,7 @@
 import io
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +35,18 @@ class ImageError(ValueError):
     """Bytes that are no image of a known format; the message says why, on one line."""
 
 
+class Views(Protocol):
+    """The camera images of a scene: an array uint8 ``[N, H, W, 3]``, or anything that gives one image a state."""
+
+    def __len__(self) -> int:
+        """The number of states."""
+
+    def __getitem__(self, state: int, /) -> NDArray[np.uint8]:
+        """The view of a state as RGB, uint8 ``[H, W, 3]``."""
+
+
 @dataclass(frozen=True, eq=False)
-class Views:
+class FileViews:
     """The views of one dump file. They are read from the file's bytes, without HDF5.
 
     Args:
@@ -89,6 +100,12 @@ class Views:
         if len(stored) < length:
             raise ValueError(f"{self.path}: {self.dataset}: state {state}: the file has become shorter")
         return stored
+
+
+def encoded_view(views: Views, state: int) -> bytes:
+    """The view of a state as the bytes of an image: those of its file, or WebP."""
+    stored = views.encoded(state) if isinstance(views, FileViews) else None
+    return stored or encode(views[state])
 
 
 def encode(view: NDArray[np.uint8], quality: int | None = 85, method: int = 6) -> bytes:

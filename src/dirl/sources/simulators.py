@@ -7,7 +7,16 @@ import numpy as np
 from tqdm import tqdm, trange
 
 from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only, turns_per_circle
-from dirl.scenes.live import Pose, Simulator, SimulatorError, simulator_errors, state_pose, stride, turns_by_angle
+from dirl.scenes.live import (
+    Pose,
+    Simulator,
+    SimulatorError,
+    looked,
+    simulator_errors,
+    state_pose,
+    stride,
+    turns_by_angle,
+)
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 
@@ -75,7 +84,7 @@ def take_scene(
         for state in trange(len(scene), desc="views", disable=None):
             pose = state_pose(scene, state)
             simulator.place(pose)
-            views.append(encode(simulator.look(pose.heading), QUALITY))
+            views.append(encode(looked(simulator, pose.heading), QUALITY))
     return scene, views
 
 
@@ -130,7 +139,7 @@ def take_look(
         towards = (planned.heading + turned) % 360
         with simulator_errors(simulator.name):
             _place_near(simulator, planned._replace(heading=towards), to_x, to_z)
-            seen = simulator.look(towards).astype(np.float64) * np.exp(brighter)
+            seen = looked(simulator, towards).astype(np.float64) * np.exp(brighter)
         yield encode(seen.clip(0, 255).astype(np.uint8), QUALITY)
 
 

@@ -11,7 +11,7 @@ from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transformed
 
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.schemas import ConfigError, Device, GoalView, Starts, Stop, TrainConfig
-from dirl.config.trials import CODE, describe_error
+from dirl.config.user_code import CODE, describe_error
 from dirl.envs import Reward, SequentialViews, SurroundingViews
 from dirl.envs.transforms import broken_promise
 from dirl.evaluation.episodes import every_start, sampled_starts

@@ -8,7 +8,7 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dirl.config.schemas import TrainConfig
-from dirl.config.trials import tried
+from dirl.config.user_code import tried
 from dirl.models import caching
 from dirl.scenes import ACTIONS, World
 from dirl.training.losses import Losses

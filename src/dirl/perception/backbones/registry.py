@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -16,6 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
+from dirl.config.choices import own_options
+from dirl.config.components import make
+from dirl.config.user_code import tried
+from dirl.config.values import check_choice
 from dirl.perception.backbones.efficientnet import lite0_encoder
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
 from dirl.perception.backbones.huggingface import huggingface_encoder
@@ -36,6 +40,7 @@ from dirl.perception.backbones.resnet import (
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.write import replace_features
+from dirl.scenes.views import FileViews
 
 BATCH = 32
 """Views that go through a backbone at a time."""
@@ -47,6 +52,16 @@ LITE = "efficientnet_lite0"
 """The encoder that anybody may use; its weights are a package, see `dirl.perception.backbones.efficientnet`."""
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
+
+
+class ImageEncoder(Protocol):
+    """An image encoder of one's own: a class that a YAML file names, ``encoder=mine.yaml``, made with its options."""
+
+    extractor: str
+    """What it is, with its weights and preprocessing: scenes share a world only if theirs are equal."""
+
+    def __call__(self, views: Tensor) -> Tensor:
+        """Return features, float32 ``[B, D]``, of RGB views, uint8 ``[B, H, W, 3]``."""
 
 
 class Encoded(NamedTuple):
@@ -73,7 +88,8 @@ def load_encoder(
             ``resnet50_small``, the same at 96x128 pixels, a fifth of the computation; ``efficientnet_lite0``, whose
             weights are under Apache 2.0; the path of ResNet-50 weights (see
             `dirl.perception.backbones.load_backbone`); ``torchvision`` for torchvision's own weights (IMAGENET1K_V2);
-            or a vision backbone of Hugging Face transformers, by the name of the hub or a folder that holds one.
+            a vision backbone of Hugging Face transformers, by the name of the hub or a folder that holds one; or a
+            YAML file that names a class of one's own, see `ImageEncoder`.
         device: where it computes.
         precision: ``float32``, or ``bfloat16``: four times as fast on a CPU with AMX instructions, and 1 % off.
             ResNet-50 only.
@@ -92,6 +108,8 @@ def load_encoder(
     if fine_patches and name != "resnet50_small":
         raise EncoderError(f"fine_patches=true: encoder={name} has none; choose encoder=resnet50_small")
     path, dtype = Path(name), PRECISIONS[precision]
+    if path.suffix == ".yaml":
+        return _own_encoder(path)
     is_file = path.is_file() or path.suffix in (".pth", ".pt")
     if name in SHIPPED:
         cells = FINE if fine_patches else CELLS if patches else None
@@ -102,9 +120,33 @@ def load_encoder(
         raise EncoderError(f"precision={precision}: encoder={name} computes in float32 only")
     elif name == LITE:
         return lite0_encoder(device, patches=patches)
+    elif "/" not in name and not path.is_dir():
+        check_choice(f"encoder '{name}'", name, [*SHIPPED, LITE, "torchvision", "<a folder>", "<organisation/model>"])
     else:
         encoder = huggingface_encoder(name, device)
     return _beside(encoder, device, dtype) if patches else encoder
+
+
+def _own_encoder(file: Path) -> ViewEncoder:
+    """The encoder whose class a YAML file of the user's names, see `ImageEncoder`; tried on a grey view.
+
+    Raises:
+        ConfigError: it cannot be made, does not describe itself, or gives something else than features.
+    """
+    made = make("image_encoder", own_options("encoder", file))
+    if not isinstance(getattr(made, "extractor", None), str) or not callable(made):
+        raise EncoderError(f"encoder={file}: {type(made).__name__} has no text extractor, or cannot be called")
+
+    def forward(views: Tensor) -> Tensor:
+        with torch.inference_mode(), tried(f"encoder={file}", made):
+            features = made(views)
+            if not isinstance(features, Tensor) or features.ndim != 2 or len(features) != len(views):
+                shape = list(features.shape) if isinstance(features, Tensor) else type(features).__name__
+                raise TypeError(f"gave {shape} for views {list(views.shape)}; expected features [B, D]")
+            return features.float()
+
+    forward(torch.full((1, 64, 64, 3), 127, dtype=torch.uint8))
+    return ViewEncoder(forward, {"extractor": made.extractor})
 
 
 def packaged_encoder(extractor: str) -> str | None:
@@ -139,6 +181,10 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     name = packaged_encoder(extractor)
     if name is None:
         return scene
+    encoder = load_encoder(name, patches=patches)
+    if not isinstance(scene.views, FileViews):
+        features, parts = encode_scene(scene, encoder)
+        return replace(scene, features=features, patches=parts, extractor=extractor)
     wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # "~" itself where nobody has a home
     kept = Path(home) / "dirl" / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
@@ -147,7 +193,6 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
         if found.extractor == extractor and len(found) == len(scene) and (found.patches is not None or not patches):
             return replace(scene, features=found.features, patches=found.patches, extractor=extractor)
     print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
-    encoder = load_encoder(name, patches=patches)
     features, parts = encode_scene(scene, encoder)
     try:
         if home.startswith("~"):

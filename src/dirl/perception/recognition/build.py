@@ -10,7 +10,7 @@ from dirl.config.choices import group_options
 from dirl.config.components import make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.perception.recognition.matching import TemplateStop
-from dirl.perception.recognition.recogniser import NCC, Recogniser
+from dirl.perception.recognition.recogniser import NCC, Recogniser, Thresholds
 
 
 def matching(config: TrainConfig, device: torch.device | str) -> TemplateStop:
@@ -27,13 +27,27 @@ def stop_by(recogniser: Recogniser, threshold: float, match: str) -> TemplateSto
 
 def chosen_stop(choice: str, threshold: float, match: str) -> TemplateStop:
     """The stop by a recogniser that is named as in ``evaluate.py``: a choice of its group or a YAML file."""
-    return stop_by(make("recogniser", group_options("recogniser", choice) or {}), threshold, match)
+    return stop_by(checked(make("recogniser", group_options("recogniser", choice) or {})), threshold, match)
 
 
 def build_recogniser(config: TrainConfig, device: torch.device | str) -> Recogniser:
     """What the stop and the episodic memory recognise places by, on a device."""
     made: Any = make("recogniser", config.recogniser, config.trust) or NCC()
-    return made.to(device)
+    return checked(made.to(device) if isinstance(made, nn.Module) else made)
+
+
+def checked(recogniser: Any) -> Recogniser:
+    """Return a recogniser that may be of a user's own; `ConfigError` if it lacks a member of `Recogniser`."""
+    members = ("reads_patches", "calibrated", "thresholds", "fit", "describe", "scores")
+    missing = [name for name in members if not hasattr(recogniser, name)]
+    if missing:
+        raise ConfigError(f"recogniser: {type(recogniser).__name__} has no {', '.join(missing)}")
+    if not isinstance(recogniser.thresholds, Thresholds | None):
+        raise ConfigError(
+            f"recogniser: {type(recogniser).__name__}.thresholds must be Thresholds of dirl or None, "
+            f"not {type(recogniser.thresholds).__name__}"
+        )
+    return recogniser  # type: ignore[no-any-return]
 
 
 def recogniser_name(recogniser: Recogniser) -> str:

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from dirl.config.user_code import tried
 from dirl.perception.recognition.recogniser import Recogniser, in_blocks
 from dirl.scenes import World
 
@@ -60,8 +61,15 @@ def described_visits(recogniser: Recogniser, world: World, index: int) -> Tensor
     pictures, states, offset = world.pictures(index), len(world.scenes[index]), world.offsets[index]
     patches = None if world.patches is None or not recogniser.reads_patches else world.patches[pictures]
     features = world.features[pictures]
-    own = recogniser.fit(features[:states], None if patches is None else patches[:states])
-    views = own.describe(features, patches)
+    with tried("recogniser", recogniser):
+        own = recogniser.fit(features[:states], None if patches is None else patches[:states])
+        views = own.describe(features, patches)
+        if views.ndim != 2 or len(views) != len(features):
+            raise ValueError(f"describe gave {list(views.shape)} for {len(features)} views; expected [N, F]")
+        visit = views[:4].unsqueeze(0)
+        scores = own.scores(visit.repeat(2, 1, 1), visit.repeat(3, 1, 1))
+        if scores.shape != (2, 3):
+            raise ValueError(f"scores gave {list(scores.shape)} for 2 visits and 3 references; expected [2, 3]")
     local = world.surrounding[offset : offset + states] - offset
     return views[torch.cat([local + look * states for look in range(world.looks)])]
 

@@ -34,7 +34,7 @@ from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.hdf5 import read_contents
 from dirl.scenes.io.isolation import call_apart
 from dirl.scenes.scene import Scene, SceneError, check_name
-from dirl.scenes.views import Views
+from dirl.scenes.views import FileViews
 
 ROOMS = Path(__file__).parents[1] / "data"
 """The built-in rooms: synthetic, with the names, state counts and goals of the published scenes."""
@@ -122,7 +122,7 @@ def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
         "goals": tuple(contents["goals"]),
         "origin": str(dump.path),
     }
-    return Scene(views=Views(dump.path.resolve(), **views) if views else None, **{**contents, **mapped, **about})
+    return Scene(views=FileViews(dump.path.resolve(), **views) if views else None, **{**contents, **mapped, **about})
 
 
 def _is_intact(dump: Dump) -> bool:
