@@ -591,6 +591,11 @@ def test_an_environment_with_only_reset_and_step_is_walked_to_every_place(monkey
         take_scene(simulator, source="simulator", step=0.5, turn=90)
     with pytest.raises(SceneError, match=r"TinyRoom: has only reset and step, so it cannot be put at 0.3, 0 m"):
         simulator.place(Pose(0.3, 0.0, 0.0))
+    fresh = GymSimulator("tiny_room.TinyRoom", left=0, right=1, ahead=2)
+    fresh.place(Pose(2.0, 1.0, 180.0))  # where it has not been yet
+    assert fresh.pose == (2.0, 1.0, 180.0)
+    with pytest.raises(SceneError, match="cannot be put at 3, 0 m"):
+        fresh.place(Pose(3.0, 0.0, 0.0))
     monkeypatch.setattr(tiny_room.TinyRoom, "seen", lambda self: np.zeros((4, 5)))
     with pytest.raises(SceneError, match=r"TinyRoom: its observation gave float64 \[4, 5\]; expected RGB, uint8"):
         GymSimulator("tiny_room.TinyRoom", left=0, right=1, ahead=2)

@@ -15,9 +15,9 @@ Cell = tuple[int, int]
 class GymSimulator:
     """A `dirl.scenes.live.Simulator` of an environment with RGB observations and three discrete actions.
 
-    Where the agent is, is counted from the start of an episode: a step ahead is blocked if the image stays as it was. A
-    place that was passed before is walked to again, from the start of an episode if need be, so the environment must
-    begin every episode alike and may not end one. It cannot be put between places: no further looks are taken.
+    Where the agent is, is counted from the start of an episode: a step ahead is blocked if the image stays as it was.
+    It walks to every place, from the start of an episode if need be, so the environment must begin every episode alike
+    and may not end one. It cannot be put between places: no further looks are taken.
 
     Args:
         env: its class, ``package.module.Class``, made without arguments.
@@ -47,6 +47,7 @@ class GymSimulator:
         self.ahead, self.left, self.right = ahead, left, right
         self.step, self.turn, self.image, self.seed = step, turn, image, seed
         self.ways: dict[Cell, dict[int, Cell]] = {(0, 0): {}}  # by heading, of every place that was passed
+        self.tried: set[tuple[Cell, int]] = set()
         self._restart()
 
     @property
@@ -73,11 +74,29 @@ class GymSimulator:
         return seen
 
     def place(self, pose: Pose) -> None:
-        """Walk to a place that was passed before."""
+        """Walk to a place; one that was not passed yet is looked for."""
         x, z = pose.x / self.step, pose.z / self.step
         goal = (round(x), round(z))
+        if max(abs(x - goal[0]), abs(z - goal[1])) < 0.01:
+            while goal not in self.ways and self._explore():
+                pass
         if goal not in self.ways or max(abs(x - goal[0]), abs(z - goal[1])) > 0.01:
             raise SceneError(f"{self.name}: has only reset and step, so it cannot be put at {pose.x:g}, {pose.z:g} m")
+        self._walk(goal)
+        self._face(pose.heading)
+
+    def _explore(self) -> bool:
+        """Try a step that was not tried before, from a place that was passed; False if there is none."""
+        untried = [(cell, h) for cell in self.ways for h in (0, 90, 180, 270) if (cell, h) not in self.tried]
+        if untried:
+            cell, heading = untried[0]
+            self._walk(cell)
+            self._face(heading)
+            self._ahead()
+        return bool(untried)
+
+    def _walk(self, goal: Cell) -> None:
+        """Walk to a place that was passed before, from the start of an episode if there is no known path from here."""
         path = self._path(goal)
         if path is None:
             self._restart()
@@ -85,10 +104,7 @@ class GymSimulator:
         for heading in path:
             self._face(heading)
             if not self._ahead():
-                raise SimulatorError(
-                    f"{self.name}: a step that was possible before is blocked now", "its episodes differ"
-                )
-        self._face(pose.heading)
+                raise SimulatorError(f"{self.name}: a step is blocked that was possible before", "its episodes differ")
 
     def _path(self, goal: Cell) -> list[int] | None:
         """Return the headings of the shortest known path to a place; None if there is none from here."""
@@ -112,6 +128,7 @@ class GymSimulator:
         return self._image(observation)
 
     def _ahead(self) -> bool:
+        self.tried.add((self.cell, self.heading))
         before, self.seen = self.seen, self._act(self.ahead)
         if np.array_equal(before, self.seen):
             return False
