@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 from rooms import grid_scene, read_here
 
-from dirl.scenes import Scene, SceneError, Views
-from dirl.scenes.views import decode, encode
+from dirl.scenes import Scene, SceneError
+from dirl.scenes.views import FileViews, decode, encode
 
 
 def parts(**changes):
@@ -99,7 +99,7 @@ def test_len_is_the_number_of_states(scene):
         ({"features": np.ones(24)}, r"resnet_feature: expected shape \(24, 'any'\), found \(24,\)"),
         ({"features": np.ones((23, 2))}, r"resnet_feature: expected shape \(24, 'any'\), found \(23, 2\)"),
         (spoiled("features", 11, np.nan), "resnet_feature: state 11 holds a value that is not finite"),
-        ({"views": Views("file.h5", "observation", np.zeros((23, 2), int))}, "23 views for 24 states"),
+        ({"views": FileViews("file.h5", "observation", np.zeros((23, 2), int))}, "23 views for 24 states"),
         ({"goals": (0, 24)}, r"goal 24 is not a state; states are 0\.\.23"),
         ({"goals": (-1,)}, "goal -1 is not a state"),
     ],

@@ -1,11 +1,11 @@
 """A Gymnasium environment that has only ``reset`` and ``step``, as a simulator: it is walked to every place."""
 
+import pydoc
 from collections import deque
 from typing import Any
 
 import numpy as np
 
-from dirl.config.components import find_class
 from dirl.scenes.live import Image, Pose, SimulatorError, checked_image
 from dirl.scenes.scene import SceneError
 
@@ -43,7 +43,10 @@ class GymSimulator:
         seed: int = 0,
     ) -> None:
         self.name = env.rpartition(".")[2]
-        self.env = find_class("simulator", env)()
+        made = pydoc.locate(env)
+        if not callable(made):
+            raise SceneError(f"env={env}: there is no such class; is its folder on PYTHONPATH?")
+        self.env: Any = made()
         self.ahead, self.left, self.right = ahead, left, right
         self.step, self.turn, self.image, self.seed = step, turn, image, seed
         self.ways: dict[Cell, dict[int, Cell]] = {(0, 0): {}}  # by heading, of every place that was passed
