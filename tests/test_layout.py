@@ -19,7 +19,7 @@ FLOORS = (
 )
 """From the bottom up: a wing imports only from floors below its own."""
 
-ARROWS = 57  # two for `dirl.train`: dirl names it, and it reads options as the command line does; one for errors of own metrics
+ARROWS = 57  # two for `dirl.train`: dirl names it, and it reads options as commands do; one for errors of own metrics
 """Pairs of wings of which one imports the other, at most."""
 
 

@@ -141,7 +141,7 @@ def test_a_visit_is_nearer_to_its_place_where_the_agent_cannot_stand():
     [
         (f"_target_: {__name__}.Nope", "there is no such class"),
         (f"_target_: {__name__}.Grid\ncells: [[0, 0]]\nspeed: 3", "no option 'simulator.speed'"),
-        ("_target_: pathlib.PurePath", "has no pose, place, push, look; see dirl.scenes.live.Simulator"),
+        ("_target_: pathlib.PurePath", "has no method place, which every simulator has"),
         ("cells: []", "has no _target_"),
     ],
 )

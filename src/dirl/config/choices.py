@@ -71,8 +71,7 @@ def load_simulator(file: str, trust: Collection[str] | None = None) -> Any:
     made = make("simulator", own_options("simulator", Path(file)), trust)
     missing = [name for name in ("name", "pose", "place", "push", "look") if not hasattr(made, name)]
     if missing:
-        gym = "; of an environment with reset and step: dirl.sources.gym.GymSimulator" if hasattr(made, "step") else ""
         raise ConfigError(
-            f"simulator={file}: {type(made).__name__} has no {', '.join(missing)}; see dirl.scenes.live.Simulator{gym}"
+            f"simulator={file}: {type(made).__name__} has no {', '.join(missing)}; see dirl.scenes.live.Simulator"
         )
     return made

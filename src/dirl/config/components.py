@@ -63,8 +63,8 @@ METHODS = {
     "simulator": ("place", "push", "look"),  # `dirl.scenes.live.Simulator`
     "source": ("load",),  # `dirl.scenes.catalogue.SceneSource`
     "recogniser": ("fit", "describe", "scores"),  # `dirl.perception.recognition.Recogniser`
-    "image_encoder": ("__call__",),  # `dirl.perception.backbones.registry.ImageEncoder`
-    "metric": ("__call__",),  # `dirl.evaluation.episodes.Metric`
+    "image_encoder": (),  # `dirl.perception.backbones.registry.ImageEncoder`
+    "metric": (),  # `dirl.evaluation.episodes.Metric`
 }
 """What the classes of other groups must have; they are no modules."""
 
@@ -140,7 +140,10 @@ def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> 
         raise ConfigError(f"{where}: is no class")
     group = name.split(".")[0]
     if missing := [method for method in METHODS.get(group, ()) if not callable(getattr(found, method, None))]:
-        raise ConfigError(f"{where}: has no method {missing[0]}, which every {group} has")
+        gym = (
+            "; an environment that has reset and step: dirl.sources.gym.GymSimulator" if hasattr(found, "step") else ""
+        )
+        raise ConfigError(f"{where}: has no method {missing[0]}, which every {group} has{gym}")
     base = BASES.get(group, MODULE)
     if group not in METHODS and base not in {f"{one.__module__}.{one.__qualname__}" for one in found.__mro__}:
         raise ConfigError(f"{where}: must be a subclass of {base}")
