@@ -31,6 +31,7 @@ import train as recipe  # noqa: E402
 
 from dirl.cli.parsing import compose_training  # noqa: E402
 from dirl.config.values import typed  # noqa: E402
+from dirl.models import plain_weights  # noqa: E402
 from dirl.training.job import build_components, prepare_device  # noqa: E402
 from dirl.training.stacked import Stack  # noqa: E402
 from dirl.training.together import Job, run_together  # noqa: E402
@@ -130,7 +131,9 @@ def first_update(*options):
         stack = Stack(configs, *given, protocol.world, protocol.observation)
         recipe.collect = collected
         recipe.learn(stack.config, stack, OneUpdate(stack))
-        weights.append([value.detach().cpu() for value in stack.parameters])
+        # As weights on features: the axes of the observations are each device's own.
+        plain = [plain_weights(member.policy) for member in members]
+        weights.append([own[name].float().cpu() for own in plain for name in own if name.endswith(("weight", "bias"))])
     recipe.collect = collect
     torch.backends.cuda.matmul.allow_tf32 = False
     furthest = max((one - other).abs().max().item() for one, other in zip(*weights, strict=True))

@@ -10,6 +10,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from dirl.config.values import leaves
+from dirl.reporting.seeds import FEW, draw_seeds, seed_table
 from dirl.reporting.tables import result_table
 
 
@@ -23,6 +24,18 @@ class SweepTable(Callback):
         table = sweep_table(Path(swept.sweep.dir), {*given, *(swept.sweeper.get("params") or {})})
         if table:
             print(f"\nGreedy policies of {swept.sweep.dir}:\n\n{table}")
+        told_of_seeds(Path(swept.sweep.dir))
+
+
+def told_of_seeds(folder: Path) -> None:
+    """Print and draw the spread of a sweep's runs if they differ in their seed only."""
+    files = [file for file in sorted(folder.glob("**/summary.json")) if file.with_name("config.yaml").is_file()]
+    configs = [leaves(yaml.safe_load(file.with_name("config.yaml").read_text(encoding="utf-8"))) for file in files]
+    differing = {name for config in configs for name in config if config.get(name) != configs[0].get(name)}
+    if len(files) >= FEW and differing == {"seed"}:
+        summaries = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+        draw_seeds(summaries, folder / "seeds.png")
+        print(f"\nOver the seeds (picture: {folder / 'seeds.png'}):\n\n{seed_table(summaries)}")
 
 
 def sweep_table(folder: Path, options: Collection[str]) -> str:
