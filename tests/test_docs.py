@@ -82,7 +82,7 @@ NOT_RUN = {
         "takes hours",
         "takes an hour",
     ],
-    "gpu.md": ["needs CUDA", "needs CUDA", "needs CUDA"],
+    "gpu.md": ["needs CUDA"] * 5,
     "gymnasium.md": ["needs MoviePy, which holds Pillow below 12"],
     "install.md": ["makes an environment of its own"],
     "loggers.md": ["tensorboard is a server that does not end", "needs an account"],
