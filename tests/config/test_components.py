@@ -183,8 +183,8 @@ def test_trust_allows_a_package():
 
 
 def test_a_class_that_a_trusted_package_only_imports_is_refused():
-    told = refusal(find_class, "encoder", "dirl.models.heads.nn.Linear", ())
-    assert told.startswith("encoder._target_=dirl.models.heads.nn.Linear: ")
+    told = refusal(find_class, "encoder", "dirl.models.policy.nn.Linear", ())
+    assert told.startswith("encoder._target_=dirl.models.policy.nn.Linear: ")
     told = refusal(find_class, "encoder", "dirl.envs.navigation.EnvBase", ())
     assert "is not defined in 'dirl' but in 'torchrl" in told
 

@@ -3,8 +3,8 @@ import torch
 from networks import SCENES
 from torch import nn
 
-from dirl.models import ActorCriticHeads, heads
-from dirl.models.heads import SceneLinear, SceneTrunks
+from dirl.models import ActorCriticHeads, policy
+from dirl.models.policy import SceneLinear, SceneTrunks
 
 
 def small_layers(scenes):
@@ -15,7 +15,7 @@ def small_layers(scenes):
 @pytest.mark.parametrize("layers", small_layers(SCENES))
 @pytest.mark.parametrize("scene", [[2, 0, 1, 0, 2, 2], [1, 1, 1, 1, 1, 1], [2, 0, 0, 2, 0, 2]])
 def test_each_row_goes_through_the_layer_of_its_scene(layers, scene, late, monkeypatch):
-    monkeypatch.setattr(heads, "reading_waits", lambda tensor: late)  # as on a GPU, or not
+    monkeypatch.setattr(policy, "reading_waits", lambda tensor: late)  # as on a GPU, or not
     layers.sorts = True
     rows = torch.randn(6, 5)
     expected = torch.stack([layers.scenes[SCENES[s]](row) for row, s in zip(rows, scene, strict=True)])

@@ -9,7 +9,8 @@ from torchrl.envs import Compose, StepCounter, TransformedEnv
 from torchrl.modules import ProbabilisticActor
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
-from dirl.models import distinct, heads
+from dirl.models import distinct
+from dirl.models import policy as policy_module
 from dirl.scenes import make_world
 from dirl.training.rollout import INTERMEDIATE, collect
 
@@ -133,7 +134,7 @@ def cached_policy(world):
 
 def test_a_rollout_makes_no_host_device_synchronisation(world, monkeypatch):
     """A GPU would have to finish its work before it answers; what an agent does is decided without."""
-    for module in (heads, distinct):
+    for module in (policy_module, distinct):
         monkeypatch.setattr(module, "reading_waits", lambda tensor: True)
     env, policy = make_env(world), cached_policy(world)
     operator = policy.operator()
@@ -158,6 +159,6 @@ def test_what_a_gpu_computes_is_the_same(world, monkeypatch):
         return [*outputs, *(weight.grad.clone() for weight in policy.parameters())]
 
     here = outputs_and_gradients()
-    for module in (heads, distinct):
+    for module in (policy_module, distinct):
         monkeypatch.setattr(module, "reading_waits", lambda tensor: True)
     torch.testing.assert_close(outputs_and_gradients(), here)

@@ -29,7 +29,7 @@ from dirl.training.build import build_optimiser, build_world
 
 
 class AnyBatch(nn.Module):
-    """Scene-specific layers, see `dirl.models.heads`, for batches of any shape, as TorchRL's GAE asks the critic."""
+    """Scene-specific layers, see `dirl.models.policy`, for batches of any shape, as TorchRL's GAE asks the critic."""
 
     def __init__(self, layers: nn.Module) -> None:
         super().__init__()

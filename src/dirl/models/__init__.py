@@ -1,8 +1,15 @@
 """The network: encoder, optional memory, and heads."""
 
-from dirl.models.actor_critic import (
+from dirl.models.comparing import ComparingEncoder
+from dirl.models.episodic import EpisodicMemory, Trace
+from dirl.models.features import FeatureTable, ObservationTable, feature_statistics, whitening
+from dirl.models.localising import LocalisingMemory
+from dirl.models.planning import PlanningMemory, Walked
+from dirl.models.policy import (
     ActorCritic,
+    ActorCriticHeads,
     KeyedModule,
+    SiameseEncoder,
     caching,
     count_parameters,
     frozen,
@@ -12,13 +19,6 @@ from dirl.models.actor_critic import (
     recurrent_keys,
     state_primer,
 )
-from dirl.models.comparing import ComparingEncoder
-from dirl.models.episodic import EpisodicMemory, Trace
-from dirl.models.features import FeatureTable, ObservationTable, feature_statistics, whitening
-from dirl.models.heads import ActorCriticHeads
-from dirl.models.localising import LocalisingMemory
-from dirl.models.planning import PlanningMemory, Walked
-from dirl.models.siamese import SiameseEncoder
 
 __all__ = [
     "ActorCritic",

@@ -64,7 +64,7 @@ def _encoder(config: TrainConfig, features: FeatureTable, views: int) -> nn.Modu
     read = {"num_features": features.table.shape[1], "num_views": views, "patch_shape": PATCH_SHAPE}
     encoder: Any = make("encoder", config.encoder, config.trust, **read)
     if not isinstance(features, ObservationTable):
-        return encoder  # type: ignore[no-any-return]
+        return encoder
     weights = encoder.state_dict()
     for layer in encoder.linear:
         name = f"{layer}.weight"

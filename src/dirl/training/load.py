@@ -109,7 +109,7 @@ def learning_policy(
         and len(world) <= world.features.shape[1]  # with more states there is next to nothing to save
     ):
         table = ObservationTable(table.features, table.mean, table.std, table.axes, surrounding, views)
-    policy = build_policy(config, table, world.names, world=everywhere, views=views)
+    policy: Any = build_policy(config, table, world.names, world=everywhere, views=views)
     if initial is not None:
         load_weights(policy, initial, str(config.init), world.names)
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
@@ -147,7 +147,7 @@ def trained_policy(
     if not set(names) <= set(saved["scenes"]) and len(names) == len(saved["scenes"]):
         names = saved["scenes"]  # its heads serve as many others, in order
     table, views = feature_table(config, world, saved["network"], origin), len(observation.order)
-    policy = build_policy(config, table, names, world=world, views=views)
+    policy: Any = build_policy(config, table, names, world=world, views=views)
     load_weights(policy, saved["network"], origin, names)
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
         surrounding, front = _seen_of_each(observation, front=False)

@@ -1,10 +1,15 @@
-"""The whole network (paper figure 2), and its form as TorchRL's actor-critic operator."""
+"""The policy of the paper (figure 2): Siamese encoder, scene-specific layers, actor and critic.
+
+`SiameseEncoder` embeds observation and goal by the same weights, `ActorCriticHeads` has the layers of each scene, and
+`ActorCritic` puts them together, as a network and as TorchRL's actor-critic operator.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import torch
+import torch.nn.functional as F
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
@@ -13,13 +18,155 @@ from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
 
+from dirl.config.bounds import Bounds
 from dirl.envs.transforms import VIEWS
-from dirl.models.distinct import Cacheable, CachedEncoder
+from dirl.models.distinct import Cacheable, CachedEncoder, reading_waits
 from dirl.models.features import FeatureTable, ObservationTable
-from dirl.models.heads import ActorCriticHeads, SceneTrunks
 
 VIEW_IDS = ("view_ids", "goal_view_ids")
 OBSERVATIONS = ("observation", "goal_observation")
+
+
+class SiameseEncoder(nn.Module):
+    """Encode four views of the agent and four of the goal as one vector.
+
+    Observation and goal are embedded by the same layer; the next layer fuses both embeddings, ``W [e, g] + b``. This is
+    ``(W_e e + b) + W_g g``, so that it is two layers here, whose outputs are computed once for all frames with the same
+    observation or goal. `embed` and `embed_goal` give these.
+
+    Args:
+        num_features: D, of a view.
+        width: of the embedding and of the fused vector.
+        num_views: how many an observation has.
+    """
+
+    linear: ClassVar = ("embedding",)
+    """The layers that read a whole observation, and so can read it in other coordinates as well."""
+
+    def __init__(
+        self, num_features: int, width: Annotated[int, Bounds(1, 65_536)] = 512, num_views: int = VIEWS
+    ) -> None:
+        super().__init__()
+        self.width, self.num_views = width, num_views
+        self.embedding = nn.Linear(num_views * num_features, width)
+        self.fusion = nn.utils.skip_init(nn.Linear, width, width)
+        self.goal_fusion = nn.utils.skip_init(nn.Linear, width, width, bias=False)
+        whole = nn.Linear(2 * width, width)  # as which both begin
+        with torch.no_grad():
+            self.fusion.weight.copy_(whole.weight[:, :width])
+            self.fusion.bias.copy_(whole.bias)
+            self.goal_fusion.weight.copy_(whole.weight[:, width:])
+
+    def embed(self, observation: Tensor) -> Tensor:
+        """What the observation adds to the fusion: features ``[..., 4, D]`` to ``[..., width]``."""
+        return self.fusion(F.relu(self.embedding(observation.flatten(-2))))
+
+    def embed_goal(self, goal_observation: Tensor) -> Tensor:
+        """What the goal adds to the fusion: features ``[..., 4, D]`` to ``[..., width]``."""
+        return self.goal_fusion(F.relu(self.embedding(goal_observation.flatten(-2))))
+
+    def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
+        """What observation and goal add, ``[..., width]`` each, to the fused vector ``[..., width]``."""
+        return F.relu(embedding + goal_embedding)
+
+    def forward(self, observation: Tensor, goal_observation: Tensor) -> Tensor:
+        """Features of observation and goal, float32 ``[..., 4, D]`` each, to the fused vector ``[..., width]``."""
+        return self.fuse(self.embed(observation), self.embed_goal(goal_observation))
+
+
+class ActorCriticHeads(nn.Module):
+    """The layers after the encoder (paper figure 2): hidden layer, policy and value, for each scene or shared.
+
+    Args:
+        scenes: the scenes' names, in the order of the world.
+        in_features: of the encoder's output, or the memory's.
+        num_actions: outputs of the policy.
+        width: of the hidden layer.
+        shared: one set of layers for all scenes.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[str],
+        in_features: int,
+        num_actions: int,
+        width: Annotated[int, Bounds(1, 65_536)] = 512,
+        shared: bool = False,
+    ) -> None:
+        super().__init__()
+        names = ["shared"] if shared else list(scenes)
+        self.width = width
+        self.trunk = SceneTrunks(names, lambda: nn.Sequential(nn.Linear(in_features, width), nn.ReLU()))
+        self.policy = SceneLinear(names, width, num_actions)
+        self.value = SceneLinear(names, width, 1)
+
+
+class SceneTrunks(nn.Module):
+    """One module for each scene; each row is passed through the module of its scene.
+
+    Every layer is applied to all rows, and each row takes what its scene's has made of it: plain, also for
+    ``torch.vmap`` and `torch.func`. With ``sorts`` rows are sorted by scene, split, and put back, a fraction of the
+    work; but not on a GPU, for which the CPU would have to wait to count the rows of each scene. (A stacked parameter
+    would lose the scenes' names in the state_dict, and with them adding or freezing a scene.)
+
+    Args:
+        scenes: the scenes' names, in the order of the world; a single name serves every scene.
+        make: makes one scene's module.
+
+    Raises:
+        ValueError: two scenes have the same name, or differ only in dots and underscores.
+    """
+
+    def __init__(self, scenes: Sequence[str], make: Callable[[], nn.Module]) -> None:
+        super().__init__()
+        self.scenes = _by_name(scenes, make)
+        self.sorts = False
+
+    def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
+        """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
+        layers = list(self.scenes.values())
+        if len(layers) == 1:
+            return layers[0](rows)
+        if not self.sorts or reading_waits(scene):
+            return _pick(torch.stack([layer(rows) for layer in layers], -2), scene)
+        flat = scene.flatten()
+        sizes = torch.bincount(flat, minlength=len(layers)).tolist()
+        order = torch.argsort(flat, stable=True)
+        parts = rows.flatten(0, -2).index_select(0, order).split(sizes)
+        done = torch.cat([layer(part) for layer, part in zip(layers, parts, strict=True)])
+        return done.index_select(0, torch.argsort(order)).unflatten(0, scene.shape)
+
+
+class SceneLinear(nn.Module):
+    """One small linear layer for each scene; each row is passed through the layer of its scene, see `SceneTrunks`.
+
+    All layers are applied to all rows, and the outputs of the right layer are selected. For a few outputs this is
+    faster than sorting the rows.
+    """
+
+    def __init__(self, scenes: Sequence[str], width: int, outputs: int) -> None:
+        super().__init__()
+        self.scenes = _by_name(scenes, lambda: nn.Linear(width, outputs))
+
+    def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
+        """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
+        layers = list(self.scenes.values())
+        if len(layers) == 1:
+            return layers[0](rows).float()
+        weight, bias = (torch.cat([getattr(layer, name) for layer in layers]) for name in ("weight", "bias"))
+        return _pick(F.linear(rows, weight, bias).unflatten(-1, (len(layers), -1)), scene).float()
+
+
+def _pick(every: Tensor, scene: Tensor) -> Tensor:
+    """Of what every scene's layer made of the rows, ``[..., S, F]``, that of each row's scene, ``[..., F]``."""
+    return every.take_along_dim(scene[..., None, None], -2).squeeze(-2)
+
+
+def _by_name(scenes: Sequence[str], make: Callable[[], nn.Module]) -> nn.ModuleDict:
+    modules = nn.ModuleDict({name.replace(".", "_"): make() for name in scenes})
+    if len(modules) < len(scenes):
+        raise ValueError(f"the scenes' names must differ by more than dots and underscores: {list(scenes)}")
+    return modules
 
 
 class KeyedModule(TensorDictModuleBase):
