@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
+    from dirl.agent.mapping.guide import Guide
     from dirl.agent.navigator import Navigator
     from dirl.training.python import evaluate, train
 
-__all__ = ["Navigator", "__version__", "evaluate", "train"]
+__all__ = ["Guide", "Navigator", "__version__", "evaluate", "train"]
 
 # Entry points are strings, so that `import dirl` stays light.
 gymnasium.register(
@@ -33,6 +34,10 @@ def __getattr__(name: str) -> Any:
         from dirl.training import python
 
         return getattr(python, name)
+    if name == "Guide":
+        from dirl.agent.mapping.guide import Guide
+
+        return Guide
     if name == "__version__":
         from importlib.metadata import version
 

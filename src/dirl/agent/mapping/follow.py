@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from tensordict import TensorDict
 
+from dirl.agent.mapping.belief import Belief
 from dirl.agent.mapping.columns import ColumnNet
 
 AHEAD, BACK, LEFT, RIGHT, IDLE, TURN_LEFT, TURN_RIGHT = range(7)
@@ -32,12 +33,6 @@ NEAR, TURNED = 90, 35
 
 BACKWARDS = 2.0
 """What going back by one frame costs; going on costs 1."""
-
-MOVES = (0.08, 0.15, 0.25, 0.2, 0.15, 0.1, 0.07)
-"""How likely one is 2 frames before, ..., 4 frames after the last one."""
-
-ELSEWHERE, SHORTCUT = 0.03, 0.3
-"""How likely one is anywhere, and at the other end of a shortcut."""
 
 EVIDENCE, LEAST = 1.56, 0.15
 """The likelihood of a frame is (likeness + LEAST) ** EVIDENCE."""
@@ -126,8 +121,7 @@ class Follower:
         self._fits = memory.fits(self.photo)
         self._links = memory.links.copy()
         self._plan_paths()
-        self.belief = np.full(len(memory.frames), 1 / len(memory.frames))
-        self._ends = np.concatenate([memory.shortcuts, memory.shortcuts[:, ::-1]])
+        self.belief = Belief(len(memory.frames), memory.shortcuts)
         self._usual = LEAST  # likeness of any frame
         self._count = 0
         self._last = IDLE
@@ -143,7 +137,7 @@ class Follower:
         seen = self.net.describe(frame[None])
         self._believe(seen)
         self._notice_walls(frame)
-        node, sure = self._node()
+        node, sure = self.belief.frame()
         action = self._moves.pop() if self._moves else self._follow(seen, node, sure)
         if {action, self._last} == {TURN_LEFT, TURN_RIGHT} and self._random.random() < 0.5:
             action = AHEAD  # else it would turn to and fro
@@ -153,10 +147,8 @@ class Follower:
 
     def _believe(self, seen: TensorDict) -> None:
         """Where one is: moves spread the belief, and what is seen weighs it."""
-        count = len(self.belief)
-        belief = np.convolve(self.belief, MOVES)[2 : 2 + count]
-        np.maximum.at(belief, self._ends[:, 1], SHORTCUT * self.belief[self._ends[:, 0]])
-        belief = (1 - ELSEWHERE) * belief / belief.sum() + ELSEWHERE / count
+        self.belief.move()
+        count = len(self.belief.of)
         everywhere = self._count % ALL == 0 or (self._lost > 0 and self._count % 3 == 0)
         if everywhere or count <= LOOKED:
             some = np.arange(0, count, 2)
@@ -164,20 +156,12 @@ class Follower:
             self._usual = float(np.median(found))
             likeness = np.interp(np.arange(count), some, found)
         else:
-            some = np.unique(np.argpartition(-belief, LOOKED)[:LOOKED] // 2 * 2)
+            some = np.unique(np.argpartition(-self.belief.of, LOOKED)[:LOOKED] // 2 * 2)
             found = self.net.likeness(seen, self.memory.columns[some])
             likeness = np.full(count, self._usual)
             likeness[some] = found
             likeness[np.minimum(some + 1, count - 1)] = found
-        belief *= (likeness + LEAST) ** EVIDENCE
-        self.belief = belief / belief.sum()
-
-    def _node(self) -> tuple[int, float]:
-        """The present frame, and how likely one is around it."""
-        around = int(np.convolve(self.belief, np.ones(7), "same").argmax())
-        first = max(0, around - 3)
-        node = first + int(self.belief[first : around + 4].argmax())
-        return node, float(self.belief[max(0, node - 8) : node + 9].sum())
+        self.belief.weigh((likeness + LEAST) ** EVIDENCE)
 
     def _notice_walls(self, frame: NDArray[np.uint8]) -> None:
         """Steps aside where the view stayed the same."""
@@ -242,7 +226,7 @@ class Follower:
         self._lost = 0
         self._since = 0
         self._least = np.inf
-        self.belief = 0.7 * self.belief + 0.3 / len(self.belief)
+        self.belief.forget(0.3)
         side = int(self._random.choice([TURN_LEFT, TURN_RIGHT]))
         self._moves = [AHEAD] * int(self._random.integers(2, 8)) + [side] * int(self._random.integers(1, 6))
         return BACK
