@@ -19,7 +19,6 @@ from dirl.config.schemas import (
     ConfigError,
     Correlation,
     Device,
-    Episodes,
     GoalView,
     HeldOut,
     Match,
@@ -28,6 +27,9 @@ from dirl.config.schemas import (
     Split,
     Starts,
     Stop,
+)
+from dirl.config.schemas import (
+    Episodes as EpisodeCount,
 )
 
 
@@ -90,8 +92,8 @@ class Options:
         "sampled above 20,000 episodes",
         None,
     )
-    episodes_per_goal: Episodes | None = option("how many starts are sampled (sampled only)", None)
-    max_steps: Episodes | None = option("after so many steps an episode has failed", None)
+    episodes_per_goal: EpisodeCount | None = option("how many starts are sampled (sampled only)", None)
+    max_steps: EpisodeCount | None = option("after so many steps an episode has failed", None)
     stop: Stop | None = option(
         "goal: the environment stops the agent at the goal | match: template matching does", None
     )

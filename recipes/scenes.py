@@ -523,8 +523,8 @@ def thor(options: ThorOptions) -> None:
 
 def vizdoom(options: VizdoomOptions) -> None:
     """Take a scene from a map of VizDoom."""
-    settings = {"wad": options.wad, "height": options.height, "width": options.width}
-    write_simulated(lambda: VizDoom(options.map, **settings), options, "vizdoom")
+    size = {"height": options.height, "width": options.width}
+    write_simulated(lambda: VizDoom(options.map, wad=options.wad, **size), options, "vizdoom")
 
 
 def miniworld(options: MiniworldOptions) -> None:

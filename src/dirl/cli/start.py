@@ -49,7 +49,8 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
                 help.show_commands(text, schema)
             command, *arguments = arguments
             check_choice(f"command '{command}'", command, schema)
-            schema, text = schema[command], schema[command].__doc__ or ""
+            schema = schema[command]
+            text = schema.__doc__ or ""
         if schema is None:
             parsing.check_flags(arguments)
             parsing.register()

@@ -47,7 +47,7 @@ def checked(recogniser: Any) -> Recogniser:
             f"recogniser: {type(recogniser).__name__}.thresholds must be Thresholds of dirl or None, "
             f"not {type(recogniser.thresholds).__name__}"
         )
-    return recogniser  # type: ignore[no-any-return]
+    return recogniser
 
 
 def recogniser_name(recogniser: Recogniser) -> str:
