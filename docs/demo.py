@@ -1,4 +1,4 @@
-"""The live demo of the site: the agent `general_lite` in a browser, without Python, with your own photo as its goal.
+"""The live demo of the site: the agent `general` in a browser, without Python, with your own photo as its goal.
 
 `build` writes a folder of static files: viewer pages (`dirl.reporting.viewer_pages`) with `demo.js`, four models in
 ONNX with weights of 8 bits, and onnxruntime-web from npm. What takes longest is kept in a cache until the code changes.
@@ -26,7 +26,7 @@ RUNTIME = "onnxruntime-web@1.30.0"
 RUNTIME_FILES = {"ort.wasm.bundle.min.mjs": False, "ort-wasm-simd-threaded.wasm": True}
 """Of its folder dist, and whether they are compressed: the page unpacks them, as not every server does it."""
 
-AGENT, ENCODER = "general_lite", "efficientnet_lite0"
+AGENT, ENCODER = "general", "efficientnet_lite0"
 ROOM = "bathroom_02"
 TOUR = (("bathroom", "bedroom"), 3)
 """Kinds and seed of the building of the tour."""
@@ -127,7 +127,8 @@ def make(folder: Path) -> None:
     """The models, and the data and pages of both places."""
     from dirl import Navigator
 
-    navigator = Navigator.load(AGENT, ENCODER, turns=4)
+    # In a browser correlation recognises places, and the memory plans: that is all that the page computes.
+    navigator = Navigator.load(AGENT, ENCODER, recogniser="ncc", episodic_memory="planning")
     export_models(navigator, folder)
     rooms = {ROOM: built_in_room(), **tour(folder)}
     pages: dict[str, str] = {}
@@ -225,7 +226,7 @@ class Memory(nn.Module):
 
         first = here < 0
         walked = Walked(cost, after, ring, goal, here.clamp(min=0), action.clamp(min=0), quarter)
-        made = self.memory.arrive(walked, same, logits, seen)
+        made = self.memory.arrive(walked, same, -logits.log_softmax(-1), seen)
         alone = torch.where(quarter[:, None, None], made.ring, -1)
         made.after = torch.where(first[:, None, None], alone, made.after)  # no action led here
         return self.memory.plan(made), made.cost, made.after, made.ring, made.goal, made.here
@@ -378,7 +379,7 @@ def take_photos(name: str, scene: Any, folder: Path) -> None:
 
 def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path) -> str:
     """The page of a place with the agent's episodes there; its features and what else the browser needs are written."""
-    from dirl.config.choices import goal_view_options
+    from dirl.config.choices import goal_view_options, group_options
     from dirl.perception.backbones import encode_scene, load_encoder
     from dirl.perception.recognition.build import matching
     from dirl.perception.recognition.recogniser import NCC
@@ -397,7 +398,9 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     encoded, dump = encode_scene(scene, encoder), folder / f"{name}.encoded.h5"
     replace_features(file, dump, encoded.features, encoder.attributes, encoded.patches, encoder.patch_attributes)
     origin = str(packaged_agent(AGENT))
+    groups = {"recogniser": "ncc", "episodic_memory": "planning"}
     asked = {"scene": str(dump), "goals": goals, "evaluation.max_steps": MAX_STEPS}
+    asked |= {group: group_options(group, choice) for group, choice in groups.items()}
     config, policy, protocol = load_trained(load_checkpoint(origin), origin, {**goal_view_options("front"), **asked})
     pages = viewer_pages(policy, protocol, matching=matching(config, "cpu"), title=f"{AGENT}, {name}", critic=False)
     visits = described_visits(NCC(), protocol.world, 0)

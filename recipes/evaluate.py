@@ -207,6 +207,10 @@ def evaluate(options: Options) -> Result:
     given = {name: value for name, value in changes.items() if value is not None}
     changes = {**goal_view_options(options.goal_view), **given}
     trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
+    if in_tours(trained) and options.episodic_memory is None and options.map is None:
+        # Panoramas return bit for bit, and exits are weighed by likeness to the goal: a plan is all that is needed.
+        changes |= {"episodic_memory": group_options("episodic_memory", "planning")}
+        trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
     if options.starts is None:
         trained = trained._replace(protocol=few_enough(trained.protocol))
     trained = as_visitors_see(trained, arrows=options.arrows, panorama=options.panorama)
@@ -276,10 +280,15 @@ def check(options: Options) -> None:
         raise ConfigError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
 
 
+def in_tours(trained: Trained) -> bool:
+    """Return whether all scenes are tours."""
+    return all(scene.source.startswith("tour") for scene in trained.protocol.world.scenes)
+
+
 def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:
     """The same agent, which sees the arrows and all headings of its place: if nothing else is asked for, in tours."""
     protocol = trained.protocol
-    tour = all(scene.source.startswith("tour") for scene in protocol.world.scenes)
+    tour = in_tours(trained)
     plans = isinstance(protocol.memory, PlanningMemory | LocalisingMemory)
     if panorama and not plans:
         raise RunError("panorama: needs episodic_memory=planning or localising, which plan with all headings")

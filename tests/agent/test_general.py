@@ -1,4 +1,4 @@
-"""The agents of the package."""
+"""The agent of the package."""
 
 import numpy as np
 import pytest
@@ -7,20 +7,12 @@ import torch
 from dirl import Navigator
 from dirl.agent.hub import fetch_pretrained
 from dirl.config.schemas import ConfigError
+from dirl.models import LocalisingMemory
+from dirl.perception.recognition import Learned
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import AGENTS
 from dirl.scenes import load_scenes
 from dirl.training.load import load_trained
-
-NAMES = sorted(folder.name for folder in AGENTS.iterdir())
-ENCODERS = {"general_lite": "efficientnet_lite0"}
-"""Of the agents; of the others `resnet50_small`."""
-
-
-@pytest.fixture(params=NAMES)
-def name(request):
-    """Of each agent."""
-    return request.param
 
 
 @pytest.fixture
@@ -29,32 +21,34 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path, name):
-    saved = load_checkpoint(name)
+def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path):
+    saved = load_checkpoint("general")
     assert all(torch.isfinite(value).all() for value in saved["network"].values())
     assert not any(".scenes." in key and ".shared" not in key for key in saved["network"])
-    assert (AGENTS / name / "network.pt").stat().st_size < 15e6
-    (tmp_path / name).mkdir()  # a folder of the reader's with this name comes first
+    assert sum(file.stat().st_size for file in AGENTS.rglob("*.pt")) < 20e6
+    (tmp_path / "general").mkdir()  # a folder of the reader's with this name comes first
     with pytest.raises(ValueError, match="holds no checkpoint"):
-        load_checkpoint(name)
+        load_checkpoint("general")
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_it_is_not_looked_for_in_the_hub(name):
-    assert fetch_pretrained(name) == AGENTS / name
+def test_it_is_not_looked_for_in_the_hub():
+    assert fetch_pretrained("general") == AGENTS / "general"
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_its_evaluation_needs_a_room(name):
-    with pytest.raises(ConfigError, match=rf"{name}: its training rooms, .* are not here; .*: scene=\.\.\."):
-        load_trained(load_checkpoint(name), name)
+def test_its_evaluation_needs_a_room():
+    with pytest.raises(ConfigError, match=r"general: its training rooms, .* are not here; .*: scene=\.\.\."):
+        load_trained(load_checkpoint("general"), "general")
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_it_finds_a_photo_in_a_room_it_was_not_trained_in(name):
-    """From three steps away in the built-in bathroom, on raw images."""
+def test_it_finds_a_photo_in_a_room_it_was_not_trained_in_and_needs_no_option():
+    """From three steps away in the built-in bathroom, on raw images; with its own encoder, recogniser and memory."""
     scene = load_scenes("bathroom_02")[0]
-    navigator = Navigator.load(name, ENCODERS.get(name, "resnet50_small"))
+    navigator = Navigator.load("general")
+    assert isinstance(navigator.recogniser, Learned)
+    assert isinstance(navigator.memory, LocalisingMemory)
     goal = 26
     start = int(np.nonzero(scene.distances[scene.goals.index(goal)] == 3)[0][0])
     navigator.reset(scene.views[goal])

@@ -19,7 +19,7 @@ from dirl.experiments.new_goals import new_goals
 from dirl.experiments.results import published
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
 from dirl.perception.backbones.registry import ViewEncoder, encode_views
-from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
+from dirl.reporting.statistics import bootstrap_interval, iqm, of_rooms, summarised
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.collection import Entry, add_entry
@@ -205,6 +205,14 @@ def test_bootstrap_interval_holds_the_true_mean_about_as_often_as_it_says():
         low, high = bootstrap_interval(rng.normal(3, 1, 40), seed=number)
         held += low <= 3 <= high
     assert 180 <= held <= 198
+
+
+def test_numbers_of_several_rooms_show_the_worst_of_them():
+    rates = [1.0, 1.0, 1.0, 0.9, 0.2]
+    assert of_rooms(rates, ".2f", min) == "0.82 [0.50,\N{NO-BREAK SPACE}1.00], worst 0.20"
+    assert of_rooms(rates, ".2f", max).endswith("worst 1.00")
+    assert of_rooms([1.0, 1.0], ".2f", min) == "1.00"
+    assert of_rooms([], ".2f", min) == "-"
 
 
 def test_numbers_of_several_runs_as_text():

@@ -104,8 +104,8 @@ def test_a_navigator_recognises_a_photo_of_a_narrower_camera(bathroom):
     here, elsewhere = bathroom
     photo = virtual_views(here, fov=50, own=75, pitch=-12)
     chosen = {"recogniser": "learned", "episodic_memory": "localising"}
-    plain = Navigator.load("general", "resnet50_small", **chosen)
-    virtual = Navigator.load("general", "resnet50_small", virtual=CAMERAS, **chosen)
+    plain = Navigator.load("general", "efficientnet_lite0", **chosen)
+    virtual = Navigator.load("general", "efficientnet_lite0", virtual=CAMERAS, **chosen)
     odds = []
     for navigator in (plain, virtual):
         for views in bathroom:
@@ -121,13 +121,13 @@ def test_a_navigator_recognises_a_photo_of_a_narrower_camera(bathroom):
 
 def test_a_navigator_compares_a_photo_by_fine_patches(bathroom):
     photo, views = bathroom[0][0], bathroom[1]
-    navigator = Navigator.load("general", "resnet50_small", recogniser="learned", episodic_memory="localising")
+    navigator = Navigator.load("general", "efficientnet_lite0", recogniser="learned", episodic_memory="localising")
     navigator.reset(photo)
     found = navigator.act(views).scores.matching
     recogniser = navigator.recogniser
     expected = {}
     for fine in (True, False):
-        encoder = load_encoder("resnet50_small", patches=True, fine_patches=fine)
+        encoder = load_encoder("efficientnet_lite0", patches=True, fine_patches=fine)
         seen = encode_all(encoder, iter([photo, *views]), 5, "here", progress=False)
         described = recogniser.describe(torch.from_numpy(seen.features), torch.from_numpy(seen.patches))
         expected[fine] = recogniser.scores(described[None, 1:], described[None, :1]).item()
@@ -137,7 +137,7 @@ def test_a_navigator_compares_a_photo_by_fine_patches(bathroom):
 
 def test_a_map_without_fine_patches_is_not_for_a_navigator_with_them(bathroom, tmp_path):
     chosen = {"recogniser": "learned", "episodic_memory": "localising"}
-    loaded = load_encoder("resnet50_small", patches=True)
+    loaded = load_encoder("efficientnet_lite0", patches=True)
 
     def encoder(images):
         pooled, patches = loaded.forward_patches(images)
@@ -146,33 +146,33 @@ def test_a_map_without_fine_patches_is_not_for_a_navigator_with_them(bathroom, t
     walk = Navigator.load("general", encoder, extractor=loaded.extractor, **chosen).explore(turns=4)
     walk.see(bathroom[0])
     folder = walk.save(tmp_path / "map")
-    fine = Navigator.load("general", "resnet50_small", **chosen)
+    fine = Navigator.load("general", "efficientnet_lite0", **chosen)
     with pytest.raises(NavigatorError, match="; fine patches"):
         fine.reset(bathroom[0][0], graph=folder)
 
 
 def test_maps_with_virtual_views_are_for_navigators_with_the_same_ones(bathroom, tmp_path):
     chosen = {"recogniser": "learned", "episodic_memory": "localising"}
-    virtual = Navigator.load("general", "resnet50_small", virtual=CAMERAS, **chosen)
+    virtual = Navigator.load("general", "efficientnet_lite0", virtual=CAMERAS, **chosen)
     walk = virtual.explore(turns=4)
     walk.see(bathroom[0])
     folder = walk.save(tmp_path / "map")
     photo = virtual_views(bathroom[0], fov=50, own=75, pitch=-12)
     virtual.reset(photo, graph=folder)
     assert virtual.act(bathroom[0]).scores.matching > 0
-    plain = Navigator.load("general", "resnet50_small", **chosen)
+    plain = Navigator.load("general", "efficientnet_lite0", **chosen)
     with pytest.raises(NavigatorError, match="virtual views of 50 degrees"):
         plain.reset(photo, graph=folder)
 
 
-@pytest.mark.parametrize(("encoder", "recogniser"), [("resnet50", "learned"), ("resnet50_small", "ncc")])
+@pytest.mark.parametrize(("encoder", "recogniser"), [("resnet50", "learned"), ("efficientnet_lite0", "ncc")])
 def test_what_cannot_compare_virtual_views_is_refused(encoder, recogniser):
     with pytest.raises(NavigatorError, match="virtual cameras"):
         Navigator.load("general", encoder, recogniser=recogniser, virtual=CAMERAS)
 
 
 def test_patches_of_virtual_views_follow_those_of_each_view(bathroom):
-    encoder = load_encoder("resnet50_small", fine_patches=True)
+    encoder = load_encoder("efficientnet_lite0", fine_patches=True)
     surrounding = np.array([np.roll(np.arange(4), -turns) for turns in range(4)])
     found = encode_with_virtual(encoder, bathroom[0].__getitem__, surrounding, CAMERAS, "here", progress=False)
     plain = encode_with_virtual(encoder, bathroom[0].__getitem__, surrounding, None, "here", progress=False)

@@ -34,7 +34,7 @@ def test_where_every_start_makes_too_many_episodes_some_are_drawn(monkeypatch, c
 def test_an_agent_beside_another_is_called_by_its_folder_or_its_name_in_the_package(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs" / "mine").mkdir(parents=True)
-    assert evaluate.agent_name("general_turns") == "general_turns"
+    assert evaluate.agent_name("general") == "general"
     assert evaluate.agent_name("runs/mine") == evaluate.agent_name("runs/mine/network.pt") == "mine"
     assert evaluate.agent_name("runs/mine/checkpoints/320.pt") == "mine"
     assert evaluate.agent_name("network.pt") == tmp_path.name

@@ -21,7 +21,7 @@ from dirl.models.build import build_policy, reads_patches, saved_statistics
 from dirl.models.weights import check_extractor, load_weights
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
-from dirl.perception.backbones.registry import BATCH, packaged_encoder
+from dirl.perception.backbones.registry import BATCH, WITH_FINE, packaged_encoder
 from dirl.perception.recognition.build import build_recogniser, set_memory_threshold
 from dirl.perception.recognition.learned import Learned
 from dirl.perception.virtual import VirtualCameras
@@ -52,7 +52,7 @@ def load_parts(
     encoder = encoder or own_encoder(saved, origin)
     patches, recognises = reads_patches(config), build_recogniser(config, device)
     learned = patches and isinstance(recognises, Learned)
-    fine = learned and (encoder == "resnet50_small" or virtual is not None)  # photos are recognised by them
+    fine = learned and (encoder in WITH_FINE or virtual is not None)  # photos are recognised by them
     encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
     order = saved["views"]
@@ -119,8 +119,8 @@ def image_encoder(
         extractor = encoder.extractor
     if extractor is not None:
         _check_extractor(saved, extractor, origin)
-    if fine and encoder != "resnet50_small":
-        raise NavigatorError("virtual cameras compare fine patches, which only encoder='resnet50_small' gives")
+    if fine and encoder not in WITH_FINE:
+        raise NavigatorError(f"virtual cameras compare fine patches; of the encoders {', '.join(WITH_FINE)} give them")
     if callable(encoder):
         if extractor is None:
             raise NavigatorError(

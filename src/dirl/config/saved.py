@@ -14,13 +14,6 @@ from dirl.config.values import plain, typed
 MAX_CHARACTERS = 200_000
 """Of a saved configuration; those that are written here have 4,000."""
 
-MOVED = {
-    "dirl.experts.": "dirl.evaluation.experts.",
-    "dirl.objectives.": "dirl.training.objectives.",
-    "dirl.recognition.": "dirl.perception.recognition.",
-}
-"""Classes by the names that the packaged agents `general` and `general_lite` were saved with, and those of today."""
-
 
 def config_text(config: TrainConfig) -> str:
     """A configuration as YAML, without interpolations, and without ``out``, ``resume`` and ``trust``."""
@@ -43,10 +36,8 @@ def read_config(
         ConfigError: it is not one of this version, names an untrusted package, or a change is invalid.
     """
     try:
-        for old, new in MOVED.items():
-            text = text.replace(f"{TARGET}: {old}", f"{TARGET}: {new}")
         trust = [*trust, *_named_by_user(changes or {})]
-        values = _of_packaged_agents(plain_mapping(text)) | {"resume": None, "trust": trust}
+        values = plain_mapping(text) | {"resume": None, "trust": trust}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
         config: TrainConfig = typed(OmegaConf.merge(OmegaConf.structured(TrainConfig), values))  # type: ignore[arg-type]
@@ -84,16 +75,6 @@ def plain_mapping(text: str) -> dict[str, Any]:
         raise ConfigError("it is no mapping of options")
     if "${" in str(values):
         raise ConfigError("it has an interpolation, ${...}, which is not resolved in a file")
-    return values
-
-
-def _of_packaged_agents(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values with what `general` and `general_lite` name otherwise; goes when they are trained again."""
-    if set(values.get("source") or ()) == {"name", "root"}:
-        values = values | {"source": {TARGET: "dirl.scenes.catalogue.Rooms"}}
-    if isinstance(values.get("imitation"), dict) and "drawn" in values["imitation"]:
-        imitation = {**values["imitation"], "sampled": values["imitation"]["drawn"]}
-        values = values | {"imitation": {name: value for name, value in imitation.items() if name != "drawn"}}
     return values
 
 

@@ -122,8 +122,8 @@ def report_changes(collections: Sequence[str], agents: Sequence[str], out: Path)
     draw_spl(lines, [Path(one).name for one in collections], out, "changes", apart=0.04)
     note = (
         "Of a collection the test rooms, **synthetic, not AI2-THOR**, which no training saw, of another folder all "
-        "scenes; three starts for every eighth state as the goal, 100 steps. Interquartile mean over rooms and, in "
-        "brackets, its 95 % bootstrap interval over rooms."
+        "scenes; three starts for every eighth state as the goal, 100 steps. Mean over rooms, in brackets its "
+        "95 % bootstrap interval over rooms, and the worst room. No visit and no goal has the look without errors."
     )
     shown = "SPL of each recogniser over the strength of the changes, with four views and with one photo"
     return write_tables(out, "Places that change", note, {"changes": table}, {"changes": shown})

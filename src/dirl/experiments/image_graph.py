@@ -134,7 +134,7 @@ def measure(world: World, policies: Policies, about: str, out: Path, starts: int
     text = (
         f"{about}, {len(world)} states, {len(protocol.starts[0])} episodes, at most {MAX_STEPS} steps, stop by "
         f"template matching above {THRESHOLD}, above which nodes match too. N is the number of states of a scene. "
-        "Interquartile mean over scenes, and its 95 % bootstrap interval."
+        "Mean over scenes, its 95 % bootstrap interval, and the worst scene."
     )
     _draw(rates, out)
     tables = {"image_graph": table, "image_graph_by_start": far}

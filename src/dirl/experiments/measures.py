@@ -43,8 +43,9 @@ Found = Sequence[tuple[World, Mapping[str, Episodes]]]
 
 
 def measure_table(columns: Mapping[str, str]) -> Table:
-    """A table of all `MEASURES` behind some other columns."""
-    return Table({**columns, **decimals(MEASURES.values())})
+    """A table of all `MEASURES`, over rooms, behind some other columns."""
+    worst = {name: min if key in ("sr", "spl") else max for key, name in MEASURES.items()}
+    return Table({**columns, **decimals(MEASURES.values())}, worst)
 
 
 def decimals(headings: Any) -> dict[str, str]:

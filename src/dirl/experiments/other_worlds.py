@@ -46,7 +46,7 @@ def report_other_worlds(dumps: Sequence[str], agent: str, out: Path) -> str:
         for way, of_each in ways.items():
             tables[limit].add(way, len(dumps), *([one[key] for one in of_each] for key in MEASURES))
     text = (
-        "Interquartile mean over scenes and, in brackets, its 95 % bootstrap interval. "
+        "Mean over scenes, in brackets its 95 % bootstrap interval, and the worst scene. "
         f"An episode has at most {MAX_STEPS} steps, in the second table as many as the scene has states."
     )
     return write_tables(out, f"{agent} in other worlds", text, tables, {})

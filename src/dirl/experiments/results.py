@@ -11,7 +11,7 @@ from typing import Any
 from dirl.config.choices import goal_view_options
 from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
-from dirl.reporting.statistics import FloatArray, summarised
+from dirl.reporting.statistics import FloatArray, of_rooms, summarised
 from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import RunError, finished_folders
@@ -112,14 +112,17 @@ def published(experiment: str) -> dict[str, Any]:
 
 
 class Table:
-    """Rows of texts, numbers, and lists of numbers (one for each run, shown as mean and interval).
+    """Rows of texts, numbers, and lists of numbers: one for each run, shown as interquartile mean and interval.
 
     Args:
         columns: the format of each column's numbers, as for `format`, by its heading; empty for texts.
+        worst: of columns whose lists are of rooms, ``min`` or ``max``: shown as mean, interval and worst room.
     """
 
-    def __init__(self, columns: Mapping[str, str]) -> None:
-        self.columns = dict(columns)
+    def __init__(
+        self, columns: Mapping[str, str], worst: Mapping[str, Callable[[Sequence[float]], float]] | None = None
+    ) -> None:
+        self.columns, self.worst = dict(columns), dict(worst or {})
         self.rows: list[tuple[Any, ...]] = []
 
     def add(self, *cells: Any) -> None:
@@ -131,7 +134,8 @@ class Table:
         """The table as Markdown."""
         forms = list(self.columns.values())
         lines = [list(self.columns), ["--:" if form else ":--" for form in forms]]
-        lines += [[_text(cell, form) for cell, form in zip(row, forms, strict=True)] for row in self.rows]
+        worst = [self.worst.get(name) for name in self.columns]
+        lines += [[_text(*cell) for cell in zip(row, forms, worst, strict=True)] for row in self.rows]
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
     def write_csv(self, file: Path) -> None:
@@ -146,11 +150,11 @@ class Table:
                     writer.writerow([*cells, run])
 
 
-def _text(cell: Any, form: str) -> str:
+def _text(cell: Any, form: str, worst: Callable[[Sequence[float]], float] | None) -> str:
     if cell is None:
         return ""
     if isinstance(cell, list):
-        return summarised(cell, form)
+        return summarised(cell, form) if worst is None else of_rooms(cell, form, worst)
     return str(cell) if isinstance(cell, str) else format(cell, form)
 
 

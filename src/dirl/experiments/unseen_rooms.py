@@ -81,7 +81,7 @@ def report_unseen_rooms(results: Sequence[Result], out: Path, note: str) -> str:
     text = (
         f"{note}\n\nTested in {len(world.scenes)} rooms of the test split, which no training saw: {STARTS} episodes of "
         f"each room and distance, at most {MAX_STEPS} steps, stop by template matching. Of several numbers: "
-        "interquartile mean over rooms and, in brackets, its 95 % bootstrap interval over rooms."
+        "mean over rooms, in brackets its 95 % bootstrap interval over rooms, and the worst room."
     )
     tables = {"unseen_rooms": table, "unseen_rooms_by_start": far, "unseen_rooms_by_training": curve}
     tables |= {"unseen_rooms_by_kind": _by_kind(most), "unseen_rooms_parts": parts}

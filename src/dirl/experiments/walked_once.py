@@ -250,8 +250,8 @@ def report_walked_once(collections: Sequence[str], agent: str, out: Path) -> str
         draw_spl(lines, [Path(one.split(":")[-1]).name for one in drawn], out, "walked_once", apart=0.15)
     note = (
         "Test rooms, **synthetic, not AI2-THOR**, which no training saw; one walk of at most three steps for each "
-        "state, then three starts for every eighth state as the goal, 100 steps. Interquartile mean over rooms and, in "
-        "brackets, its 95 % bootstrap interval over rooms."
+        "state, then three starts for every eighth state as the goal, 100 steps. Mean over rooms, in brackets its 95 % "
+        "bootstrap interval over rooms, and the worst room."
     )
     figures = {"walked_once": "SPL with and without the map of one walk, by how the rooms have changed since"}
     return write_tables(

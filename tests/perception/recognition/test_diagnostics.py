@@ -161,7 +161,7 @@ def test_false_stops_are_those_of_template_matching():
 
 def test_any_recogniser_finds_ambiguous_states_and_goals_that_it_misses_in_other_looks(tmp_path):
     rng = np.random.default_rng(0)
-    room = grid_scene(goals=(0, 9), feature_width=2048)
+    room = grid_scene(goals=(0, 9), feature_width=1280)
     patches = rng.normal(size=(len(room), 8, 96)).astype(np.float16)
     again = np.stack([patches + 0.1 * rng.normal(size=patches.shape), rng.permutation(patches)]).astype(np.float16)
     features = np.stack([room.features, rng.permutation(room.features)])

@@ -19,7 +19,7 @@ def changing(rooms=2, noise=0.8, seed=0, patches=True):
 
 def untrained(world):
     torch.manual_seed(0)
-    network = Learned(weights="", features=32)
+    network = Learned(weights="")
     network.measure(world.features, world.patches)
     return network.eval()
 
@@ -77,7 +77,7 @@ def test_it_learns_to_tell_a_place_from_its_neighbours_in_rooms_it_has_not_seen(
 
 
 def test_it_is_trained_on_from_its_weights_and_whitens_as_before():
-    network, other = Learned(weights="", width=8, features=32), changing(patches="fine")
+    network, other = Learned(weights="", width=8), changing(patches="fine")
     learn_recogniser(changing(), network, steps=30, batch_size=64)
     again = copy.deepcopy(network)
     learn_recogniser(other, again, steps=1, batch_size=64, lr=1e-6)
@@ -126,15 +126,14 @@ def test_the_weights_of_the_package_are_calibrated_and_need_the_patches_of_its_e
     network = Learned()
     assert not torch.equal(network.calibration, torch.tensor([[1.0, 0.0], [1.0, 0.0]]))
     assert not network.training
-    with pytest.raises(
-        ValueError, match=r"^recogniser=learned compares 8 patches .*encoder=resnet50_small patches=true$"
-    ):
+    assert network.photo.trained
+    with pytest.raises(ValueError, match=r"^recogniser=learned compares .* 1280 features .*encoder=efficientnet_lite0"):
         network.describe(torch.zeros(3, 2048))
 
 
 def test_a_world_without_looks_is_refused():
     with pytest.raises(ValueError, match="needs rooms with patches and looks"):
-        learn_recogniser(make_world([grid_scene(3, 2, patches=True)]), Learned(weights="", features=16))
+        learn_recogniser(make_world([grid_scene(3, 2, patches=True)]), Learned(weights=""))
 
 
 def test_every_kind_of_neighbour_is_near():
@@ -158,7 +157,9 @@ def test_weights_that_cannot_be_used_are_named(tmp_path):
     file.write_bytes(b"junk")
     with pytest.raises(ValueError, match=rf"^weights={file}: torch cannot read it as weights"):
         Learned(weights=str(file))
-    for stored in (Learned(weights="", features=16).state_dict(), [1, 2], {"mean": 3}):
+    short = {name: value[..., :1] for name, value in untrained(changing()).state_dict().items()}
+    reasons = {"is no state_dict": [1, 2], "are of another network": short}
+    for reason, stored in reasons.items():
         torch.save(stored, file)
-        with pytest.raises(ValueError, match=rf"^weights={file}: not of a network of these options"):
+        with pytest.raises(ValueError, match=rf"^weights={file}: {reason}"):
             Learned(weights=str(file))

@@ -148,5 +148,5 @@ def test_stop_errors_are_shares_of_states_and_of_goals():
 
 
 def test_scores_of_a_learned_recogniser_can_be_drawn():
-    world = world_of(feature_width=2048, patches=True)
+    world = world_of(feature_width=1280, patches=True)
     assert not TemplateStop(recogniser=Learned()).scores(world).requires_grad

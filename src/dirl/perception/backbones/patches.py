@@ -45,9 +45,23 @@ def _projected(mean: Tensor, components: Tensor, cells: tuple[int, int], third_s
     return (cells_of(third_stage, cells) - mean) @ components
 
 
-def cells_of(third_stage: Tensor, cells: tuple[int, int] = CELLS) -> Tensor:
-    """The means over cells of a map, ``[B, C, H, W]``, float32 ``[B, cells, C]``."""
-    return F.adaptive_avg_pool2d(third_stage.float(), cells).flatten(2).transpose(1, 2)
+def cells_of(stage: Tensor, cells: tuple[int, int] = CELLS) -> Tensor:
+    """Return the means over equal cells of a map, ``[B, C, H, W]``, as float32 ``[B, cells, C]``.
+
+    A cell may have parts of the map's pixels, so that the means of fine cells are those of the others in any map.
+    """
+    stage, (rows, columns) = stage.float(), cells
+    if stage.shape[-2] % rows == 0 and stage.shape[-1] % columns == 0:
+        return F.adaptive_avg_pool2d(stage, cells).flatten(2).transpose(1, 2)
+    down, across = (_shares(*lengths).to(stage) for lengths in zip(stage.shape[-2:], cells, strict=True))
+    return torch.einsum("ri,bcij,sj->brsc", down, stage, across).flatten(1, 2)
+
+
+def _shares(length: int, parts: int) -> Tensor:
+    """How much each of ``length`` pixels contributes to the mean of each of the equal parts, ``[parts, length]``."""
+    edges, pixels = torch.arange(parts + 1) * length / parts, torch.arange(length)
+    overlap = torch.minimum(edges[1:, None], pixels + 1) - torch.maximum(edges[:-1, None], pixels)
+    return overlap.clamp(min=0) * parts / length
 
 
 def are_fine(patches: Tensor) -> bool:

@@ -51,6 +51,9 @@ SHIPPED = {"resnet50": SIZE, "resnet50_small": PATCH_SIZE}
 LITE = "efficientnet_lite0"
 """The encoder that anybody may use; its weights are a package, see `dirl.perception.backbones.efficientnet`."""
 
+WITH_FINE = ("resnet50_small", LITE)
+"""Those that give fine patches."""
+
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 
 
@@ -95,7 +98,7 @@ def load_encoder(
             ResNet-50 only.
         patches: give patches too (`dirl.perception.backbones.patches`); those of ``efficientnet_lite0`` are its own,
             those of all others the same kind, of the shipped ResNet-50.
-        fine_patches: six times as many (`dirl.perception.backbones.patches`), of ``resnet50_small`` only.
+        fine_patches: six times as many (`dirl.perception.backbones.patches`), of `WITH_FINE` only.
 
     Raises:
         EncoderError: there is no such encoder, or a package that it needs is not installed.
@@ -105,21 +108,21 @@ def load_encoder(
         raise EncoderError(f"device={device}: torch sees no CUDA device here; use device=cpu")
     if precision not in PRECISIONS:
         raise EncoderError(f"precision={precision}: choose from {', '.join(PRECISIONS)}")
-    if fine_patches and name != "resnet50_small":
-        raise EncoderError(f"fine_patches=true: encoder={name} has none; choose encoder=resnet50_small")
+    if fine_patches and name not in WITH_FINE:
+        raise EncoderError(f"fine_patches=true: encoder={name} has none; choose encoder={LITE}")
+    cells = FINE if fine_patches else CELLS if patches else None
     path, dtype = Path(name), PRECISIONS[precision]
     if path.suffix == ".yaml":
         return _own_encoder(path)
     is_file = path.is_file() or path.suffix in (".pth", ".pt")
     if name in SHIPPED:
-        cells = FINE if fine_patches else CELLS if patches else None
         return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, cells=cells)
     if is_file or name == "torchvision":
         encoder = _resnet(load_backbone(path) if is_file else _torchvision_backbone(), device, dtype)
     elif precision != "float32":
         raise EncoderError(f"precision={precision}: encoder={name} computes in float32 only")
     elif name == LITE:
-        return lite0_encoder(device, patches=patches)
+        return lite0_encoder(device, cells=cells)
     elif "/" not in name and not path.is_dir():
         check_choice(f"encoder '{name}'", name, [*SHIPPED, LITE, "torchvision", "<a folder>", "<organisation/model>"])
     else:
@@ -181,11 +184,12 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     name = packaged_encoder(extractor)
     if name is None:
         return scene
-    encoder = load_encoder(name, patches=patches)
+    fine = patches and name in WITH_FINE  # single photos are recognised by them
+    encoder = load_encoder(name, patches=patches, fine_patches=fine)
     if not isinstance(scene.views, FileViews):
         features, parts = encode_scene(scene, encoder)
         return replace(scene, features=features, patches=parts, extractor=extractor)
-    wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
+    wanted = f"{file_digest(scene.views.path)} {extractor} {patches} {fine}"
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # "~" itself where nobody has a home
     kept = Path(home) / "dirl" / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
     with suppress(SceneError, OSError):  # what is missing, damaged or of another encoder is made anew

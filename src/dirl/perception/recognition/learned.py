@@ -13,8 +13,8 @@ from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.photo import PhotoOdds
 from dirl.perception.recognition.recogniser import Thresholds
 
-WEIGHTS = Path(__file__).parent / "data" / "learned.pt"
-"""For patches and features of the included ResNet-50 at 96x128 pixels; see docs/results_recognition.md."""
+WEIGHTS = Path(__file__).parents[2] / "agents" / "general" / "recogniser.pt"
+"""Those of the agent `general`, for features and patches of EfficientNet-Lite0."""
 
 ROWS, COLUMNS, VIEWS = 2, 4, 4
 RING = COLUMNS * VIEWS
@@ -48,10 +48,9 @@ class Learned(nn.Module):
         views: above these log odds four views are the goal's; see `Thresholds`.
         photo: above these log odds one view is the goal's.
         memory: above these log odds two visits are of the same place and heading.
-        width: of the layers.
+        width: of the layers; weights have their own.
         dropout: of whitened features and patches, in training.
-        features: pooled ones of a view, D.
-        weights: a file of `state_dict`; those of the package if left out, none with ``""``.
+        weights: a file of `state_dict`; those of the agent `general` if left out, none with ``""``.
 
     Raises:
         ValueError: the file of weights cannot be read, or is of another network.
@@ -67,11 +66,13 @@ class Learned(nn.Module):
         memory: float = 2.0,
         width: Annotated[int, Bounds(1, 4096)] = 64,
         dropout: Annotated[float, Bounds(0, 0.9)] = 0.25,
-        features: Annotated[int, Bounds(1)] = 2048,
         weights: str | None = None,
     ) -> None:
         super().__init__()
         self.thresholds = Thresholds(views, photo, memory)
+        stored = {} if weights == "" else _read(Path(weights or WEIGHTS))
+        width = len(stored.get("column.bias", range(width)))
+        features = len(stored.get("mean", ()))
         self.register_buffer("mean", torch.zeros(features))
         self.register_buffer("axes", torch.zeros(features, POOLED))
         self.register_buffer("patch_mean", torch.zeros(96))
@@ -86,8 +87,12 @@ class Learned(nn.Module):
             nn.Sequential(nn.Linear(2 * width + 1, 64), nn.ReLU(), nn.Linear(64, 1)) for _ in ("photo", "views")
         )
         self.photo = PhotoOdds()
-        if weights != "":
-            self._read(Path(weights or WEIGHTS))
+        if stored:
+            try:
+                self.load_state_dict(stored)
+            except (RuntimeError, TypeError, AttributeError) as error:
+                reason = " ".join(str(error).split())[:300]
+                raise ValueError(f"weights={weights}: are of another network: {reason}") from None
             self.eval()
 
     mean: Tensor
@@ -96,23 +101,6 @@ class Learned(nn.Module):
     patch_axes: Tensor
     calibration: Tensor
     """Slope and intercept for a photo, and for four views, float32 ``[2, 2]``: the network is too sure in new rooms."""
-
-    def _read(self, file: Path) -> None:
-        if not file.is_file():
-            raise ValueError(f"weights={file}: there is no such file")
-        try:
-            stored = torch.load(file, map_location="cpu", weights_only=True)
-        except Exception as error:  # what unpickling a broken file raises can be anything
-            raise ValueError(f"weights={file}: torch cannot read it as weights ({error!r:.200})") from None
-        try:
-            left = self.load_state_dict(stored, strict=False)
-            # Files of before there were fine patches have nothing for them.
-            wrong = [*left.unexpected_keys, *(name for name in left.missing_keys if not name.startswith("photo."))]
-            if wrong:
-                raise RuntimeError(f"missing or unknown: {', '.join(wrong)}")
-        except (RuntimeError, TypeError, AttributeError) as error:
-            reason = " ".join(str(error).split())[:300]
-            raise ValueError(f"weights={file}: not of a network of these options: {reason}") from None
 
     @property
     def trained(self) -> bool:
@@ -136,8 +124,8 @@ class Learned(nn.Module):
         known = patches is not None and (are_fine(patches) or patches.shape[-2] == ROWS * COLUMNS)
         if patches is None or not known or features.shape[-1] != len(self.mean) or patches.shape[-1] != 96:
             raise ValueError(
-                "recogniser=learned compares 8 patches and 2048 features a view, and these views have others: encode "
-                "them with encoder=resnet50_small patches=true"
+                f"recogniser=learned compares 8 or 48 patches and {len(self.mean)} features a view, and these views "
+                "have others: encode them with encoder=efficientnet_lite0 fine_patches=true, or use recogniser=ncc"
             )
         described = self.project(*self.whiten(features, patches))
         if not (are_fine(patches) and self.photo.trained):
@@ -206,3 +194,20 @@ def _parts(described: Tensor) -> tuple[Tensor, ...]:
     projected, whitened, *views = described.split(sizes, -1)
     columns = (part.unflatten(-1, (COLUMNS, ROWS, -1)).flatten(-4, -3) for part in (projected, whitened))
     return *columns, *views
+
+
+def _read(file: Path) -> dict[str, Tensor]:
+    """Read weights.
+
+    Raises:
+        ValueError: the file cannot be read as weights.
+    """
+    if not file.is_file():
+        raise ValueError(f"weights={file}: there is no such file")
+    try:
+        stored = torch.load(file, map_location="cpu", weights_only=True)
+    except Exception as error:  # what unpickling a broken file raises can be anything
+        raise ValueError(f"weights={file}: torch cannot read it as weights ({error!r:.200})") from None
+    if not (isinstance(stored, dict) and all(isinstance(value, Tensor) for value in stored.values())):
+        raise ValueError(f"weights={file}: is no state_dict")
+    return {name: value.float() for name, value in stored.items()}
