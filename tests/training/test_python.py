@@ -43,9 +43,10 @@ def test_a_run_is_trained_evaluated_and_drawn(room):
 
 
 def test_several_seeds_make_several_runs(room):
-    runs = dirl.train(scene=room, seeds=[5, 2], **TINY)
+    runs = dirl.train(scene=room, seeds=[5, 2], out="both", **TINY)
     assert [run.summary["seed"] for run in runs] == [5, 2]
-    assert len({run.folder for run in runs}) == 2
+    assert [str(run.folder) for run in runs] == ["both/seed_5", "both/seed_2"]
+    assert all((run.folder / "network.pt").is_file() for run in runs)
 
 
 def test_what_is_wrong_is_an_error_of_one_line(room):

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any, overload
 
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import open_dict
+from omegaconf import DictConfig, open_dict
 from PIL import Image
 
 from dirl.agent.navigator import Navigator
@@ -20,6 +20,7 @@ from dirl.config.folders import HOME, RECIPES
 from dirl.reporting import summary_table
 from dirl.runs.folder import Run
 from dirl.training.job import Components, run_one
+from dirl.training.together import Job, run_together
 
 PICTURES = {"learning_curve": "learning_curve.png", "paths": "trajectories_*.png", "maps": "maps_*.png"}
 """Of a run's folder, by what they show."""
@@ -88,14 +89,9 @@ def train(*overrides: str, seeds: int | Sequence[int] | None = None, **options: 
         >>> run.evaluate(goals=[26])["greedy"]["spl"]  # doctest: +SKIP
     """
     if seeds is not None:
-        numbers = range(seeds) if isinstance(seeds, int) else seeds
-        return [train(*overrides, **{**options, "seed": seed}) for seed in numbers]
+        return _train_seeds(overrides, range(seeds) if isinstance(seeds, int) else seeds, options)
     arguments = [*overrides, *as_arguments(options)]
-    with hydra_put_aside():
-        composed = compose_training(arguments, return_hydra_config=True)
-        folder = Path(composed.hydra.run.dir)
-        with open_dict(composed):
-            del composed["hydra"]
+    composed, folder = _compose(arguments)
     runs: list[Run] = []
 
     def stages(run: Run, components: Components) -> dict[str, Any]:
@@ -109,6 +105,32 @@ def train(*overrides: str, seeds: int | Sequence[int] | None = None, **options: 
             raise
         raise KeyboardInterrupt from None
     return TrainedRun(runs[0].folder if runs else folder, Measures(summary))
+
+
+def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mapping[str, Any]) -> list[TrainedRun]:
+    """Train a run for each seed, as many of them as one program as can be, in folders of one folder."""
+    jobs: list[Job] = []
+    for seed in seeds:
+        arguments = [*overrides, *as_arguments({**options, "seed": seed})]
+        composed, folder = _compose(arguments)
+        above = jobs[0].folder.parent if jobs else folder
+        jobs.append(Job(composed, above / f"seed_{seed}", arguments))
+    module = recipe("train")
+    summaries = run_together(jobs, module.train, module.learn)
+    for summary in summaries:
+        if isinstance(summary, Exception):
+            raise summary
+    return [TrainedRun(job.folder, Measures(found)) for job, found in zip(jobs, summaries, strict=True)]
+
+
+def _compose(arguments: Sequence[str]) -> tuple[DictConfig, Path]:
+    """Return the configuration of a training and the folder of its run."""
+    with hydra_put_aside():
+        composed = compose_training(arguments, return_hydra_config=True)
+        folder = Path(composed.hydra.run.dir)
+        with open_dict(composed):
+            del composed["hydra"]
+    return composed, folder
 
 
 def evaluate(checkpoint: str | Path, *overrides: str, **options: Any) -> Measures:
