@@ -56,7 +56,8 @@ class ImitationLoss(LossModule):
         dist = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys))
         log_chance, right = self._compare(dist, tensordict.get(self.in_keys[0]))
         loss = self._reduce_loss(-log_chance, tensordict)
-        return TensorDict({"loss_imitation": loss, "accuracy": self._reduce_loss(right.float(), tensordict)})
+        accuracy = right.float() if self.reduction == "none" else right.float().mean()
+        return TensorDict({"loss_imitation": loss, "accuracy": accuracy})
 
     def _compare(self, dist: Categorical, expert: Tensor) -> tuple[Tensor, Tensor]:
         """Of each row the log-probability of what the expert says, and whether the most probable action is right."""

@@ -385,4 +385,11 @@ def together(runs: Sequence[Run], stack: Stack, every: Sequence[Components]) -> 
             for own in loops:
                 own.run.save(own.state.state_dict())
             bar.close()
-            leave("interrupted", 128 + signals[0], lambda: "; ".join(run.how_to_go_on() for run in runs[:1]))
+            leave("interrupted", 128 + signals[0], lambda: _how_to_go_on(runs))
+
+
+def _how_to_go_on(runs: Sequence[Run]) -> str:
+    if len(runs) == 1:
+        return runs[0].how_to_go_on()
+    folder = runs[0].folder.parent
+    return f"all checkpoints are safe; go on with the same command and existing=keep hydra.sweep.dir={folder}"
