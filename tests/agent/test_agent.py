@@ -1,11 +1,14 @@
 import math
 
 import torch
+from rooms import grid_scene
 
 from dirl.agent.agent import Planning, arrow_costs, likeness
 from dirl.agent.cameras import compare
 from dirl.models import PlanningMemory
 from dirl.perception.recognition.recogniser import NCC
+from dirl.perception.recognition.tables import VisitScores
+from dirl.scenes import make_world
 
 
 class Seen:
@@ -58,3 +61,17 @@ def test_a_move_along_an_arrow_costs_less_where_the_goal_is_likely_forwards_and_
     assert cost[1, 0] == cost[3, 3] < cost[0, 0]
     assert (cost[:, 1:3] == 1).all()
     assert cost[2, [0, 3]].isinf().all()
+
+
+def test_of_panoramas_all_views_are_compared_looked_up_or_computed():
+    world = make_world([grid_scene(2, 1, headings=8, feature_width=32)])
+    around = world.panoramas()
+    seen, visit = around[[3, 9]][None], around[[5]]
+    looked_up = VisitScores(NCC(), world).of_visits(seen, visit)
+    computed = compare(NCC(), world.features[seen], world.features[visit])
+    assert torch.allclose(looked_up, computed, atol=1e-5)
+    assert looked_up[0, 0].argmax() == 2  # two turns to the right of where the agent faced then
+    assert torch.allclose(looked_up[0, 0, 2], torch.tensor(1.0))
+    views = [(around[None, 9, ring::2], around[None, 5, ring::2]) for ring in (0, 1)]
+    each = [NCC().scores(*(world.features[ids] for ids in pair)) for pair in views]
+    assert torch.allclose(looked_up[0, 1, 0], torch.stack(each).mean(), atol=1e-5)

@@ -266,12 +266,16 @@ def compare(recogniser: Recogniser, seen: Tensor, visit: Tensor) -> Tensor:
     """How much described visits ``[B, K, F]`` look like earlier ones, ``[B, T, K, F]``, facing each of their views.
 
     An agent that turned right since a visit sees the same views rolled by minus one: rolled back they are alike. Of a
-    panorama four views are compared, 90 degrees apart.
+    panorama each four views, 90 degrees apart, are compared, and the mean is taken.
     """
-    facing = torch.stack([four_of(visit).roll(quarters, 1) for quarters in range(VIEWS)], 1)
     between = visit.shape[1] // VIEWS
-    scores = [recogniser.scores(seen[:, :, first::between], facing) for first in range(between)]
-    return torch.stack(scores, -1).flatten(-2)
+    rings = []
+    for ring in range(between):
+        facing = torch.stack([four_of(visit.roll(-ring, 1)).roll(quarters, 1) for quarters in range(VIEWS)], 1)
+        turned = seen.roll(-ring, 2)
+        scores = [recogniser.scores(turned[:, :, first::between], facing) for first in range(between)]
+        rings.append(torch.stack(scores, -1).flatten(-2))
+    return torch.stack(rings).mean(0) if between > 1 else rings[0]
 
 
 def each_heading(views: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from dirl.config.user_code import tried
+from dirl.envs.transforms import VIEWS
 from dirl.perception.recognition.recogniser import Recogniser, in_blocks
 from dirl.scenes import World
 
@@ -40,11 +41,15 @@ class VisitScores:
         return self.table[self.row[reference] + self.column[seen]]
 
     def of_visits(self, seen: Tensor, visit: Tensor) -> Tensor:
-        """How much visits ``[B, 4]`` look like earlier ones, ``[B, T, 4]``, facing each of their views; all view ids.
+        """How much visits ``[B, K]`` look like earlier ones, ``[B, T, K]``, facing each of their views; all view ids.
 
-        A node faces the view that was ahead or aside, by whose view id it is named.
+        A node faces the view that was ahead or aside, by whose view id it is named. Of a panorama each four views, 90
+        degrees apart, are compared, and the mean is taken: it is surer of the heading than those that include the one
+        ahead.
         """
-        return self(seen, visit[:, None, :1])
+        rings = visit.shape[1] // VIEWS
+        scores = [self(seen.roll(-ring, 2), visit[:, None, ring, None]) for ring in range(rings)]
+        return torch.stack(scores).mean(0) if rings > 1 else scores[0]
 
     @torch.no_grad()
     def _compute(self, reference: Tensor) -> None:
