@@ -4,7 +4,6 @@ import torch
 from torch import Tensor
 
 from dirl.config.user_code import tried
-from dirl.envs.transforms import VIEWS
 from dirl.perception.recognition.recogniser import Recogniser, in_blocks
 from dirl.scenes import World
 
@@ -47,7 +46,7 @@ class VisitScores:
         degrees apart, are compared, and the mean is taken: it is surer of the heading than those that include the one
         ahead.
         """
-        rings = visit.shape[1] // VIEWS
+        rings = visit.shape[1] // self.visits[0].shape[1]
         scores = [self(seen.roll(-ring, 2), visit[:, None, ring, None]) for ring in range(rings)]
         return torch.stack(scores).mean(0) if rings > 1 else scores[0]
 
