@@ -38,6 +38,13 @@ def raising(error):
     return problem
 
 
+def swallowed():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:  # as C code does that cannot convert an argument
+        raise ValueError("Invalid bounding box") from None
+
+
 @pytest.mark.parametrize(
     ("problem", "status", "line"),
     [
@@ -50,6 +57,7 @@ def raising(error):
         (raising(KeyboardInterrupt()), 130, "interrupted"),
         (lambda: os.kill(os.getpid(), signal.SIGINT), 130, "interrupted"),
         (lambda: os.kill(os.getpid(), signal.SIGTERM), 143, "terminated"),
+        (swallowed, 130, "interrupted"),
     ],
 )
 def test_an_error_of_the_machine_gets_one_line_and_its_status(capsys, problem, status, line):

@@ -62,9 +62,15 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
     Raises:
         SystemExit: with a status of the table above.
     """
+    raised: list[BaseException] = []
     try:
-        with _signals(_raising()):
-            yield
+        with _signals(_raising(raised)):
+            try:
+                yield
+            except Exception:
+                if raised:  # a library has turned the interrupt into an error of its own, as matplotlib's casts do
+                    raise raised[0] from None
+                raise
     except ValueError as error:
         if folder is not None:
             with contextlib.suppress(OSError):
@@ -102,16 +108,15 @@ def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> 
     raise SystemExit(status) from None
 
 
-def _terminate(*_: Any) -> NoReturn:
-    raise Terminated
+def _raising(raised: list[BaseException]) -> dict[signal.Signals, Any]:
+    """Handlers that raise an exception, and add it to a list; one for SIGINT that is not ours or Python's stays."""
 
+    def raise_(number: int, _: Any) -> NoReturn:
+        raised.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated())
+        raise raised[-1]
 
-def _raising() -> dict[signal.Signals, Any]:
-    """Handlers that raise an exception; SIGINT keeps its own, unless `end_at_once` has replaced it."""
-    handlers: dict[signal.Signals, Any] = {signal.SIGTERM: _terminate}
-    if signal.getsignal(signal.SIGINT) is _end_at_once:
-        handlers[signal.SIGINT] = signal.default_int_handler
-    return handlers
+    own = signal.getsignal(signal.SIGINT) in (_end_at_once, signal.default_int_handler)
+    return dict.fromkeys(SIGNALS if own else SIGNALS[1:], raise_)
 
 
 def _silence(stream: Any) -> None:
