@@ -88,7 +88,12 @@ NOT_RUN = {
     "loggers.md": ["tensorboard is a server that does not end", "needs an account"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model", "takes half an hour"],
     "paper.md": ["takes an hour and a half"],
-    "recordings.md": ["they have these packages", "needs a bag", "takes about an hour"],
+    "recordings.md": [
+        "they have these packages",
+        "needs recordings of your own, and takes a quarter of an hour",
+        "needs a bag",
+        "takes about an hour",
+    ],
     "robot.md": ["needs ROS 2"],
     "share.md": ["needs an account"],
     "rooms.md": [*["takes minutes"] * 3, "takes an hour", *["takes minutes"] * 2],
