@@ -81,9 +81,9 @@ def main(options: Options) -> None:
     shown = [path[place] for place in np.unique(np.linspace(0, len(path) - 1, SHOWN).round().astype(int))]
     draw_strip([(f"frame {node}", graph.picture(node)) for node in shown], Path(options.out))
     print(f"picture: {options.out}")
-    told = Path(options.out).with_suffix(".json")
-    write_json(told, describe_way(graph, path, moves, goal, here))
-    print(f"moves: {told}")
+    listed = Path(options.out).with_suffix(".json")
+    write_json(listed, describe_way(graph, path, moves, goal, here))
+    print(f"moves: {listed}")
     if options.page is not None:
         write_page(graph, Path(options.page), path, goal)
         print(f"page: {options.page}")

@@ -58,6 +58,7 @@ def main(options: Options) -> None:
         if file is not None:
             new_file(file, ending=ending)
     sources = options.video if options.video is not None else options.bag
+    assert sources is not None  # checked above
     paths = [Path(source) for source in ([sources] if isinstance(sources, str) else sources)]
     recordings = [Recording(path, options.every, options.topic, options.odometry) for path in paths]
     expected = sum(recording.count for recording in recordings)

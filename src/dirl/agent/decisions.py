@@ -38,7 +38,8 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
     occurs. A policy with memory is called at every step.
     """
     if hasattr(policy, "decide"):  # the policies of a stack, each of which is asked in its own episodes
-        return policy.decide
+        decide: Decide = policy.decide  # type: ignore[assignment]
+        return decide
     if recurrent_keys(policy):
         return _with_memory(policy, world, observation, episodes)
     if observation.history:

@@ -30,7 +30,8 @@ from dirl.perception.virtual import VirtualCameras
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
 
-Given, Result = ParamSpec("Given"), TypeVar("Result")
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 
 def one_at_a_time(

@@ -192,7 +192,8 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
     def step(self, action: np.int64) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move; raises ValueError for an action that is not 0 to 3, alone or as the one value of an array."""
         self._check_begun("step")
-        action = np.asarray(action).reshape(()) if np.size(action) == 1 else action
+        if np.size(action) == 1:
+            action = np.asarray(action).reshape(-1)[0]
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r} is not one of 0..{len(ACTIONS) - 1}: {', '.join(ACTIONS)}")
         before = self._goal, self._state, int(action)

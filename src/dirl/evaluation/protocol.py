@@ -27,7 +27,7 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
     """
     if protocol.held_out is not None:
         apart = assess(policy, protocol.held_out)
-        held_out = {key: apart[key] for key in ("greedy", "sampled", "random", "sweep") if key in apart}
+        held_out = {key: row for key, row in apart.items() if key != "shortest_path"}
         return {**assess(policy, replace(protocol, held_out=None)), "held_out": held_out}
     world = protocol.world
     baselines = {
@@ -42,7 +42,7 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
         "sampled": report(protocol.run(policy, greedy=False), world, protocol.metric),
     }
     if isinstance(protocol.memory, PlanningMemory | LocalisingMemory) and protocol.maps is None:
-        found["sweep"] = report(protocol.run_sweep(), world)
+        found["sweep"] = report(protocol.run_sweep(), world, protocol.metric)
     return found if protocol.live is None else found | assess_live(policy, protocol.live)
 
 

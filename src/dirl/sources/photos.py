@@ -294,8 +294,9 @@ def _said_by_exif(file: Path) -> tuple[str, float | None]:
     time = str(details.get(ExifTags.Base.DateTimeOriginal, ""))
     angle = place.get(ExifTags.GPS.GPSImgDirection)
     fraction = str(details.get(ExifTags.Base.SubsecTimeOriginal, ""))
-    known = angle is not None and 0 <= angle <= 360  # not where the camera wrote 0 / 0
-    return time and f"{time}.{fraction}", float(angle) if known else None
+    if angle is None or not 0 <= angle <= 360:  # where the camera wrote 0 / 0
+        return time and f"{time}.{fraction}", None
+    return time and f"{time}.{fraction}", float(angle)
 
 
 def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:

@@ -97,6 +97,7 @@ class Recording:
         return self.source.is_dir() or self.source.suffix in BAGS
 
     def __iter__(self) -> Iterator[Frame]:
+        frames: Iterator[Frame]
         if self.files:
             frames = (Frame(read_photo(file), number * self.every) for number, file in enumerate(self.files))
         else:
