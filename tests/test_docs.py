@@ -44,8 +44,14 @@ QUICK += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.fra
 """Behind every training of a page, but for the options that it gives itself."""
 
 SHORTER = {
-    "AGENT_GUIDE.md": {"seed=1)": f"seed=1, {SMALL})"},
-    "README.md": {"seed=0)": f"seed=0, {SMALL})"},
+    "AGENT_GUIDE.md": {
+        "seed=1)": f"seed=1, {SMALL})",
+        "'goals=[51]'": "'goals=[51]' starts=sampled episodes_per_goal=1 max_steps=5",
+    },
+    "README.md": {
+        "seed=0)": f"seed=0, {SMALL})",
+        "checkpoint=general": "checkpoint=general 'goals=[26]' starts=sampled episodes_per_goal=1 max_steps=5",
+    },
     "notebook.md": {"seed=0)": f"seed=0, {SMALL})"},
     "quickstart.md": {"seed=0)": f"seed=0, {SMALL})"},
     "any_goal.md": {"imitation.max_steps=100": "imitation.max_steps=5", "evaluation.goals=20": "evaluation.goals=2"},
