@@ -168,7 +168,7 @@ def test_maps_with_virtual_views_are_for_navigators_with_the_same_ones(bathroom,
 @pytest.mark.parametrize(("encoder", "recogniser"), [("resnet50", "learned"), ("efficientnet_lite0", "ncc")])
 def test_what_cannot_compare_virtual_views_is_refused(encoder, recogniser):
     with pytest.raises(NavigatorError, match="virtual cameras"):
-        Navigator.load("general", encoder, recogniser=recogniser, virtual=CAMERAS)
+        Navigator.load("general", encoder, recogniser=recogniser, episodic_memory="planning", virtual=CAMERAS)
 
 
 def test_patches_of_virtual_views_follow_those_of_each_view(bathroom):
