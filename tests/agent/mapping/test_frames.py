@@ -54,7 +54,7 @@ def test_a_place_that_is_passed_twice_is_linked_and_one_of_another_hall_is_not(m
 
 
 def test_a_full_turn_on_the_spot_closes(matcher):
-    around = [(9.0, 2.5, 24 * part) for part in range(18)]
+    around = [(9.0, 2.5, 24 * part) for part in range(19)]
     links = find_links(map_recordings([walk(around)], matcher, 65.0), matcher)
     assert len(links)
     assert all(abs(second - first - 15) <= 1 for first, second in links)

@@ -49,8 +49,11 @@ BYTES = 50_000
 LOOP_SHORTLIST = 8
 """Frames whose points are compared with those of each new one, for links."""
 
-LINK = {"xfeat": 60.0, "sift": 30.0}
+LINK = {"xfeat": 80.0, "sift": 40.0}
 """Points that agree, for a link."""
+
+DISTINCT = 1.2
+"""So many times the points that agree with any other place, for a link: two places alike are linked to neither."""
 
 WINDOW = 6
 """Frames around the end of a link to which the other end is not linked, too."""
@@ -358,17 +361,34 @@ def find_links(graph: FrameMap, matcher: Matcher, *, progress: bool = False) -> 
     if matcher.kind == "none":
         return np.zeros((0, 2), np.int64)
     agreeing: dict[tuple[int, int], float] = {}
+    compared: dict[int, list[tuple[int, float]]] = {}
     for frame in tqdm(range(1, len(graph)), desc="links", unit="", disable=None if progress else True):
         likeness = (graph.whitening.looks[:frame] @ graph.whitening.looks[frame]).numpy()
         apart = (graph.times[frame] - graph.times[:frame] > APART) | (graph.parts[frame] != graph.parts[:frame])
         shortlist = np.flatnonzero(apart)[np.argsort(-likeness[apart])[:LOOP_SHORTLIST]]
         found = matcher.agreements(graph.described[frame : frame + 1], graph.described, shortlist.tolist())
-        agreeing |= {(int(other), frame): float(value) for other, value in zip(shortlist, found, strict=True)}
+        compared[frame] = [(int(other), float(value)) for other, value in zip(shortlist, found, strict=True)]
+        agreeing |= {(other, frame): value for other, value in compared[frame]}
 
-    def support(one: int, two: int) -> float:
-        """Of the best neighbours of a pair, in either direction of the second walk."""
-        around = [(one + first, two + second) for first in (-1, 0, 1) for second in (-1, 1)]
-        return max(agreeing.get(pair, 0.0) for pair in around)
+    def supported(one: int, two: int) -> bool:
+        """True if the frames around agree, too, walked in the same direction or in the other."""
+        for direction in (1, -1):
+            around = [
+                (one + direction * step, two + step)
+                for step in (-2, -1, 1, 2)
+                if _inside(graph, one, direction * step) and _inside(graph, two, step)
+            ]
+            seen = [max(agreeing.get((first, second + off), 0) for off in (-1, 0, 1)) for first, second in around]
+            # At the ends of a recording there are fewer.
+            if len(around) > 1 and sum(value >= least / 2 for value in seen) >= min(3, len(around)):
+                return True
+        return False
+
+    def distinct(one: int, two: int) -> bool:
+        """True if the later frame agrees less with frames of any other place."""
+        near = (np.abs(graph.times - graph.times[one]) <= APART) & (graph.parts == graph.parts[one])
+        others = [value for other, value in compared[two] if not near[other]]
+        return agreeing[one, two] >= DISTINCT * max(others, default=0)
 
     least = LINK[matcher.kind]
     links: list[tuple[int, int]] = []
@@ -380,9 +400,14 @@ def find_links(graph: FrameMap, matcher: Matcher, *, progress: bool = False) -> 
             (pair[0] == one and abs(pair[1] - two) <= WINDOW) or (pair[1] == two and abs(pair[0] - one) <= WINDOW)
             for one, two in links
         )
-        if not beside and support(*pair) >= least / 2:
+        if not beside and distinct(*pair) and supported(*pair):
             links.append(pair)
     return np.array(sorted(links), np.int64).reshape(-1, 2)
+
+
+def _inside(graph: FrameMap, frame: int, step: int) -> bool:
+    """True if a recording goes on for so many frames."""
+    return 0 <= frame + step < len(graph) and bool(graph.parts[frame + step] == graph.parts[frame])
 
 
 def decide(best: float, other: float, kind: str) -> tuple[Certainty, float]:
