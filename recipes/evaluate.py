@@ -308,7 +308,7 @@ def measured_by(protocol: EvaluationProtocol, metric: Metric) -> EvaluationProto
 
 
 def misses_arrivals(trained: Trained) -> bool:
-    """Whether the agent stops by correlation in scenes with several looks (docs/results_changes.md)."""
+    """Whether the agent stops by correlation in scenes with several looks (docs/results_agent.md)."""
     correlates = isinstance(build_recogniser(trained.config, "cpu"), NCC)
     return correlates and trained.protocol.world.looks > 1 and trained.config.stop.evaluation == "match"
 

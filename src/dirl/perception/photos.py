@@ -63,7 +63,7 @@ def agreeing_points(photo: NDArray[np.uint8], views: Iterable[NDArray[np.uint8]]
 
     SIFT's points of both are matched, and those are counted that agree on one homography (RANSAC), as those of two
     cameras at one point do. The view with most can replace the photo as the goal. Choose among the ten or so that a
-    recogniser finds most alike (docs/results_encoders.md).
+    recogniser finds most alike (docs/results_evidence.md).
 
     Args:
         photo: RGB, uint8 ``[H, W, 3]``; the sharper the better.
