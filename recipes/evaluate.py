@@ -207,9 +207,13 @@ def evaluate(options: Options) -> Result:
     given = {name: value for name, value in changes.items() if value is not None}
     changes = {**goal_view_options(options.goal_view), **given}
     trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
-    if in_tours(trained) and options.episodic_memory is None and options.map is None:
-        # Panoramas return bit for bit, and exits are weighed by likeness to the goal: a plan is all that is needed.
-        changes |= {"episodic_memory": group_options("episodic_memory", "planning")}
+    asked = options.episodic_memory, options.recogniser, options.map
+    if returns_in_tours(trained) and asked == (None, None, None):
+        # Panoramas return bit for bit: correlation tells them apart, where a recogniser of rooms confuses headings.
+        changes |= {
+            "episodic_memory": group_options("episodic_memory", "planning"),
+            "recogniser": group_options("recogniser", "ncc"),
+        }
         trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
     if options.starts is None:
         trained = trained._replace(protocol=few_enough(trained.protocol))
@@ -283,6 +287,12 @@ def check(options: Options) -> None:
 def in_tours(trained: Trained) -> bool:
     """Return whether all scenes are tours."""
     return all(scene.source.startswith("tour") for scene in trained.protocol.world.scenes)
+
+
+def returns_in_tours(trained: Trained) -> bool:
+    """Return whether an agent that localises would be in tours whose views return bit for bit."""
+    localises = isinstance(trained.protocol.memory, LocalisingMemory)
+    return localises and in_tours(trained) and trained.protocol.world.looks == 1
 
 
 def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:

@@ -22,7 +22,6 @@ from dirl.agent.navigator import NavigatorError
 from dirl.agent.onnx import export_onnx
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
-from dirl.evaluation.experts import SeesArrows
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.perception.backbones import ResNet50
@@ -30,7 +29,7 @@ from dirl.perception.recognition import NCC, Patches, Thresholds
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
-from dirl.scenes import make_world
+from dirl.scenes import Action, make_world
 
 
 def answer(policy, world, observation, state, goal_index):
@@ -195,9 +194,9 @@ def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, t
     starts = every_start(world)
     stop = TemplateStop(0.9)(world)
     protocol = EvaluationProtocol(
-        world, seen, starts, max_steps=25, memory=PlanningMemory(), stop=stop, panorama=panorama
+        world, seen, starts, max_steps=25, memory=PlanningMemory(), stop=stop, panorama=panorama, arrows=arrows
     )
-    _, paths = protocol.trajectories(SeesArrows(policy, world) if arrows else policy, starts)
+    _, paths = protocol.trajectories(policy, starts)
     open_moves = world.graph != torch.arange(len(world)).unsqueeze(1)
     navigator, around = load(tmp_path, world, turns=turns), world.panoramas() if panorama else world.surrounding
     for episode, path in enumerate(paths):
@@ -316,7 +315,7 @@ def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, observation)
         alone.reset(see(goals[agent]))
         for time, both in enumerate(together):
             action, stop, scores = alone.act(see(walks[agent, time]))
-            assert (type(action), type(stop), type(scores.matching)) == (int, bool, float)
+            assert (type(action), type(stop), type(scores.matching)) == (Action, bool, float)
             assert (action, stop) == (both.action[agent].item(), both.stop[agent].item())
             assert scores.matching == pytest.approx(both.scores.matching[agent].item(), abs=1e-6)
             torch.testing.assert_close(scores.probabilities, both.scores.probabilities[agent])
@@ -453,8 +452,6 @@ def spoilt(run, **changes):
 
 def test_checkpoints_name_the_order_of_their_views_and_another_order_is_refused(own_run, world):
     assert load_checkpoint(own_run)["views"] == ["ahead", "right", "back", "left"]
-    spoilt(own_run, views=None)
-    load(own_run, world)  # written before the order was
     spoilt(own_run, views=["ahead", "left", "back", "right"])
     with pytest.raises(NavigatorError, match="trained on the views"):
         load(own_run, world)

@@ -12,6 +12,7 @@ from commands import train_config
 from rooms import grid_scene
 
 from dirl.evaluation.protocol import metrics
+from dirl.models import plain_weights
 from dirl.models.build import feature_table
 from dirl.perception.backbones import (
     EncoderError,
@@ -301,7 +302,7 @@ def test_features_of_any_width_go_through_the_pipeline(tmp_path, width):
     world = build_world(config)
     observation = build_observation(config, world)
     policy = learning_policy(config, world, observation)
-    assert policy.features.width == width
+    assert len(plain_weights(policy)["features.mean"]) == width
     assert metrics(build_protocol(config, world, observation).run(policy))["episodes"] == 23
 
 
