@@ -522,7 +522,9 @@ def test_a_source_that_does_not_do_what_it_should_is_refused_in_one_line(answer,
 
 
 def test_a_source_without_the_method_is_refused():
-    with pytest.raises(SceneError, match=r"^source: Pure\w*Path has no method load\(names\)"):
+    with pytest.raises(
+        ConfigError, match=r"^source._target_=pathlib.PurePath: has no method load, which every source has"
+    ):
         build_world(train_config("scene=x", "source._target_=pathlib.PurePath"))
 
 

@@ -96,7 +96,7 @@ def test_the_wheel_holds_the_package_its_types_configuration_and_recipes(wheel):
     expected = {f"dirl/{file.relative_to(ROOT)}" for folder in ("conf", "recipes") for file in tracked(folder)}
     expected |= {str(file.relative_to(ROOT / "src")) for file in tracked("src/dirl")}
     assert expected | {"dirl/py.typed", "dirl/recipes/benchmark.py"} <= names
-    assert not [name for name in names if "__pycache__" in name or not name.startswith("dirl")]
+    assert not [name for name in names if "__pycache__" in name or not name.startswith(("dirl", "hydra_plugins/"))]
 
 
 def tracked(folder):

@@ -431,7 +431,7 @@ def collection(tmp_path):
     """A collection of one test room that the agents of the package can see, as a folder's name."""
     (tmp_path / "rooms").mkdir()
     extractor = load_checkpoint("general")["extractor"]
-    add_room(tmp_path / "rooms", 0, "test", width=5, depth=3, feature_width=2048, extractor=extractor)
+    add_room(tmp_path / "rooms", 0, "test", width=5, depth=3, feature_width=1280, extractor=extractor)
     return "rooms"
 
 

@@ -83,7 +83,7 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
         (["slip=0.1"], "slip, turn_error: only in a live world; give simulator=dump"),
         (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer, no video and no map"),
         (["arrows=true", "simulator=dump"], "arrows, panorama: a live world shows neither; leave them out"),
-        (["panorama=true"], "panorama: only episodic_memory=planning plans with all headings; give that too"),
+        (["panorama=true"], "panorama: needs episodic_memory=planning or localising, which plan with all headings"),
         (["simulator=nope.yaml"], "simulator=nope.yaml: there is no such file"),
     ):
         status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", *options)
