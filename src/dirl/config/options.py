@@ -47,4 +47,4 @@ def meanings(schema: type, prefix: str = "") -> dict[str, str]:
 
 def comments(file: Path) -> dict[str, str]:
     """Return the comments beside the options of a component's class in its file of ``conf/``."""
-    return dict(re.findall(r"^(\w+):[^#\n]*#\s*(.+)$", file.read_text(encoding="utf-8"), re.MULTILINE))
+    return dict(re.findall(r"^ *(\w+):[^#\n]*#\s*(.+)$", file.read_text(encoding="utf-8"), re.MULTILINE))

@@ -118,7 +118,7 @@ class ImitationConfig:
 class ReinforcementConfig:
     """Actor-critic training."""
 
-    frames_per_scene: Frames = option()
+    frames_per_scene: Frames = option("training frames for each scene")
     until: Until = option(
         "frames: all of frames_per_scene | stable: end when an evaluation finds every goal stable (bathroom_02: a "
         "fifth of the frames, greedy SR .97 to 1, SPL .87 to .94 instead of .99)",
@@ -228,7 +228,7 @@ class TrainConfig:
     trust: list[str] | None = option(
         "packages whose classes may be used besides dirl's: null = any, but none for resume; e.g. [my_package]", None
     )
-    system: str = option()
+    system: str = option("which method of the comparison; its name in tables")
     preset: str = option("fast | paper: which constants")
     observation: Any = option()
     encoder: Any = option()
