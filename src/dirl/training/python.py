@@ -117,10 +117,12 @@ def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mappin
         jobs.append(Job(composed, above / f"seed_{seed}", arguments))
     module = recipe("train")
     summaries = run_together(jobs, module.train, module.learn)
-    for summary in summaries:
+    runs = []
+    for job, summary in zip(jobs, summaries, strict=True):
         if isinstance(summary, Exception):
             raise summary
-    return [TrainedRun(job.folder, Measures(found)) for job, found in zip(jobs, summaries, strict=True)]
+        runs.append(TrainedRun(job.folder, Measures(summary)))
+    return runs
 
 
 def _compose(arguments: Sequence[str]) -> tuple[DictConfig, Path]:
