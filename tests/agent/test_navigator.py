@@ -633,7 +633,7 @@ def test_threads_that_share_a_navigator_take_turns(run, world):
 
 
 def test_a_navigator_and_its_episode_can_be_pickled():
-    navigator = Navigator.from_pretrained("general", "resnet50_small")
+    navigator = Navigator.from_pretrained("general")
     images = np.random.default_rng(0).integers(0, 256, (3, 4, 60, 80, 3), np.uint8)
     navigator.reset(images[0])
     navigator.act(images[1])
