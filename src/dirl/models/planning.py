@@ -186,12 +186,13 @@ def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
     nodes = after.shape[1]
     step, target = (table.movedim(-1, 0).contiguous() for table in (step, torch.where(after < 0, nodes, after)))
     value = F.pad(torch.where(goal, 0.0, math.inf), (0, 1))
-    while True:
+    for _ in range(nodes + 1):  # a cheapest path passes each node once; costs that are no numbers never settle
         ways = torch.stack([value.gather(1, node) for node in target]).add_(step)
         better = torch.where(goal, 0.0, ways.amin(0))
         if torch.equal(better, value[:, :-1]):
-            return ways[:, torch.arange(len(here), device=here.device), here].T
+            break
         value[:, :-1] = better
+    return ways[:, torch.arange(len(here), device=here.device), here].T
 
 
 def connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor, views: int = VIEWS) -> None:
