@@ -103,7 +103,7 @@ class Options:
         "surrounding: four views of the goal | front: one photo, matched with the view ahead above 0.95", None
     )
     recogniser: str | None = option(
-        "ncc: correlation, as in the paper | patches, learned: for places that change | a YAML file of your own; "
+        "ncc: correlation, as in the paper | learned: for places that change | a YAML file of your own; "
         "null = that of the training",
         None,
     )

@@ -61,12 +61,12 @@ class EncodedPatches(Encoded):
     """The encoder of a command that makes features of the parts of views too."""
 
     patches: bool = option(
-        "also features of the parts of each view, as `general` reads them and recogniser=learned and =patches compare "
-        "them; with encoder=resnet50_small",
+        "also features of the parts of each view, as `general` reads them and recogniser=learned compares them; with "
+        "encoder=efficientnet_lite0",
         False,
     )
     fine_patches: bool = option(
-        "six times as many, by which recogniser=learned compares single photos; with encoder=resnet50_small", False
+        "six times as many, by which recogniser=learned compares single photos; with encoder=efficientnet_lite0", False
     )
 
 
@@ -319,23 +319,13 @@ class PhotoLooks:
 
 
 @dataclass
-class VirtualLooks:
-    """Virtual cameras."""
-
-    fov: NotNegative = option("their horizontal field of view, degrees; 0 = none", 0.0)
-    yaws: list[float] = option(
-        "degrees that they are turned to the right of each view", [0.0, -15.0, 15.0, -30.0, 30.0, 45.0]
-    )
-
-
-@dataclass
 class SampleOptions(EncodedPatches):
     """Furnish random rooms and build them. Each passes the checks of the built-in rooms.
 
     Examples:
         python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
         python recipes/scenes.py sample kind=all count=8 out=many height=48 width=64 fine=false
-        python recipes/scenes.py sample kind=all seed=30000 count=50 out=rooms encoder=resnet50_small patches=true
+        python recipes/scenes.py sample kind=all seed=30000 count=50 out=rooms encoder=efficientnet_lite0 patches=true
     docs/howto/rooms.md tells more.
     """
 
@@ -358,9 +348,6 @@ class SampleOptions(EncodedPatches):
     looks: Looks = option(f"{LOOKS} and photo", 0)
     changes: LookChanges = option(CHANGES, LookChanges)
     photo: PhotoLooks = option("the camera of the looks, for photos as goals", PhotoLooks)
-    virtual: VirtualLooks = option(
-        "cameras at the agent's place, made of its four views, by which photos of other cameras are found", VirtualLooks
-    )
     sheet: bool = option("draw a contact sheet, rooms.png, of 32 rooms at most", True)
 
 
@@ -435,9 +422,7 @@ class InspectOptions:
     source: str = option("rooms | a YAML file of your own, which names a class that finds scenes", "rooms")
     out: str | None = option("a new folder for the pictures; null = only print the tables", None)
     threshold: Correlation = option("of ncc: pairs of states that match better are ambiguous", 0.9)
-    recogniser: str = option(
-        "ncc: correlation | patches, learned, with thresholds of their own | a YAML file of your own", "ncc"
-    )
+    recogniser: str = option("ncc: correlation | learned, with thresholds of its own | a YAML file of your own", "ncc")
     match: Match = option("views: all four | front: only the view ahead", Match.views)
 
 
@@ -478,7 +463,6 @@ from dirl.config.folders import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import Inspection, inspect_scene
-from dirl.perception.virtual import VirtualCameras
 from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
@@ -653,10 +637,6 @@ def sample(options: SampleOptions) -> None:
     folder, kinds = Path(options.out), [kind for kind in KINDS if options.kind in (kind, "all")]
     values = {field.name: getattr(options, field.name) for field in fields(RoomSettings)}
     values |= {"changes": Changes(**vars(options.changes)), "photo": PhotoCamera(**vars(options.photo))}
-    fov, yaws = options.virtual.fov, tuple(options.virtual.yaws)
-    if fov and not options.fine_patches:
-        raise SceneError(f"virtual.fov={fov:g}: the patches of virtual views need fine_patches=true")
-    values["virtual"] = VirtualCameras(fov, yaws) if fov else None
     settings = RoomSettings(**values)
     seeds = range(options.seed, options.seed + options.count)
     wanted = [(kind, seed) for seed in seeds for kind in kinds]

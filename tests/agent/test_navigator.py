@@ -25,7 +25,7 @@ from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.perception.backbones import ResNet50
-from dirl.perception.recognition import NCC, Patches, Thresholds
+from dirl.perception.recognition import NCC, Learned, Thresholds
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
@@ -176,12 +176,12 @@ def test_a_memory_that_localises_needs_log_odds(localising, world):
 def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world):
     own = tmp_path / "mine.yaml"
     own.write_text("{_target_: dirl.perception.recognition.NCC}\n")
-    navigator = load(run, world, recogniser="patches", episodic_memory="planning")
-    assert (type(navigator.recogniser), type(navigator.memory)) == (Patches, PlanningMemory)
+    navigator = load(run, world, recogniser="learned", episodic_memory="planning")
+    assert (type(navigator.recogniser), type(navigator.memory)) == (Learned, PlanningMemory)
     assert navigator.memory.threshold == navigator.recogniser.thresholds.memory
     navigator = load(run, world, recogniser=str(own))
     assert (type(navigator.recogniser), navigator.memory) == (NCC, None)
-    with pytest.raises(ConfigError, match=r"^recogniser=other: choose from learned, ncc, patches, or a file of your"):
+    with pytest.raises(ConfigError, match=r"^recogniser=other: choose from learned, ncc, or a file of your"):
         load(run, world, recogniser="other")
 
 

@@ -50,7 +50,6 @@ def asked(monkeypatch):
     ("way", "recogniser", "memory", "stop"),
     [
         ("ncc", "NCC", "PlanningMemory", "match"),
-        ("patches", "Patches", "PlanningMemory", "match"),
         ("learned, localising", "Learned", "LocalisingMemory", "match"),
         *((control, "Learned", "PlanningMemory", "goal") for control in changes.CONTROLS),
     ],

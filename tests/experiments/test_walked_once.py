@@ -85,27 +85,11 @@ def test_collections_of_other_rooms_or_without_looks_are_refused(collections, tm
         walked_once.rooms(f"{before}:{after}", tmp_path / "both")
 
 
-def test_photos_have_the_patches_of_the_walk_without_its_virtual_views(collections, tmp_path):
+def test_collections_with_patches_of_other_kinds_are_refused(collections, tmp_path):
     before, after = collections
-    sizes = {**SIZE, "patches": "fine"}
-    for name in ("a", "b"):
-        scene = grid_scene(3, 2, name=name, goals=(0, 13), **sizes)
-        write_dump(after / f"{name}.h5", scene)
-        assert scene.patches is not None
-        assert scene.look_patches is not None
-        twice = replace(
-            scene,
-            patches=np.concatenate([scene.patches, 0 * scene.patches], 1),
-            look_patches=np.concatenate([scene.look_patches, 0 * scene.look_patches], 2),
-        )
-        write_dump(before / f"{name}.h5", twice)
-    files, (_, _, photos) = walked_once.rooms(f"{before}::{after}", tmp_path / "both")
-    found = read_dump(files[0]).look_patches[photos.start - 1 :]
-    assert found.shape[2] == 96
-    assert np.array_equal(found[:, :, :48], read_dump(after / "a.h5").look_patches)
-    for parts in (f"{before}:{after}", f"{after}::{before}"):  # no photos, and photos of another kind
-        with pytest.raises(RunError, match=r"patches a view, .* encode them alike"):
-            walked_once.rooms(parts, tmp_path / "wrong")
+    write_dump(before / "a.h5", grid_scene(3, 2, name="a", goals=(0, 13), **{**SIZE, "patches": "fine"}))
+    with pytest.raises(RunError, match="a has patches of 2 kinds; encode all folders alike"):
+        walked_once.rooms(f"{before}:{after}", tmp_path / "both")
 
 
 def test_walks_and_episodes_see_the_looks_that_they_should(collections, loaded, tmp_path, monkeypatch):

@@ -273,7 +273,8 @@ def compare(recogniser: Recogniser, seen: Tensor, visit: Tensor) -> Tensor:
     for ring in range(between):
         facing = torch.stack([four_of(visit.roll(-ring, 1)).roll(quarters, 1) for quarters in range(VIEWS)], 1)
         turned = seen.roll(-ring, 2)
-        scores = [recogniser.scores(turned[:, :, first::between], facing) for first in range(between)]
+        # What is seen now comes first, as in a world's table: a learned recogniser need not be symmetric.
+        scores = [recogniser.scores(facing, turned[:, :, first::between]).mT for first in range(between)]
         rings.append(torch.stack(scores, -1).flatten(-2))
     return torch.stack(rings).mean(0) if between > 1 else rings[0]
 

@@ -21,10 +21,9 @@ from dirl.models.build import build_policy, reads_patches, saved_statistics
 from dirl.models.weights import check_extractor, load_weights
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
-from dirl.perception.backbones.registry import BATCH, WITH_FINE, packaged_encoder
+from dirl.perception.backbones.registry import BATCH, LITE, packaged_encoder
 from dirl.perception.recognition.build import build_recogniser, set_memory_threshold
 from dirl.perception.recognition.learned import Learned
-from dirl.perception.virtual import VirtualCameras
 
 Encoder = Callable[[Tensor], Any]
 """RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""
@@ -39,7 +38,6 @@ def load_parts(
     chosen: Mapping[str, str | None],
     device: str | torch.device,
     trust: Collection[str],
-    virtual: VirtualCameras | None = None,
 ) -> dict[str, Any]:
     """What a `dirl.Navigator` is made of, by name, from a checkpoint of ``origin``; see `Navigator.load`.
 
@@ -51,8 +49,7 @@ def load_parts(
     config = read_config(saved["config"], origin, changes, trust)
     encoder = encoder or own_encoder(saved, origin)
     patches, recognises = reads_patches(config), build_recogniser(config, device)
-    learned = patches and isinstance(recognises, Learned)
-    fine = learned and (encoder in WITH_FINE or virtual is not None)  # photos are recognised by them
+    fine = patches and isinstance(recognises, Learned) and encoder == LITE  # photos are recognised by them
     encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
     order = saved["views"]
@@ -64,8 +61,6 @@ def load_parts(
     policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched_view(config, order))
     memory = make("episodic_memory", config.episodic_memory, trust)
     set_memory_threshold(memory, recognises)
-    if virtual is not None and not learned:
-        raise NavigatorError(f"{origin}: virtual cameras need recogniser='learned', and a policy that compares patches")
     if memory is not None and order[-1] == "now":
         raise NavigatorError(
             f"{origin}: an episodic memory recognises places by surrounding views; this policy sees others"
@@ -79,7 +74,6 @@ def load_parts(
         "memory": memory,
         "recogniser": recognises,
         "fine": fine,
-        "virtual": virtual,
     }
 
 
@@ -119,8 +113,6 @@ def image_encoder(
         extractor = encoder.extractor
     if extractor is not None:
         _check_extractor(saved, extractor, origin)
-    if fine and encoder not in WITH_FINE:
-        raise NavigatorError(f"virtual cameras compare fine patches; of the encoders {', '.join(WITH_FINE)} give them")
     if callable(encoder):
         if extractor is None:
             raise NavigatorError(

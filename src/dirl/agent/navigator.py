@@ -26,7 +26,6 @@ from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.weights import tell_of_turns, turns_of_training
 from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import NCC, Recogniser
-from dirl.perception.virtual import VirtualCameras
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
 
@@ -66,7 +65,6 @@ class Navigator:
         recogniser: by which the goal and known places are recognised; correlation if left out.
         turns: right turns of the agent in a full circle: 4 if a turn is 90 degrees, 12 if it is 30.
         fine: the encoder gives fine patches too, by which ``recogniser=learned`` compares single photos.
-        virtual: cameras by which photos of another camera are recognised, by fine patches.
 
     Raises:
         NavigatorError: ``turns`` that the memory cannot plan with.
@@ -83,7 +81,6 @@ class Navigator:
         recogniser: Recogniser | None = None,
         turns: int = VIEWS,
         fine: bool = False,
-        virtual: VirtualCameras | None = None,
     ) -> None:
         check_turns(turns)
         self.policy = policy
@@ -91,8 +88,8 @@ class Navigator:
         self.sequential = view_order[-1] == "now"
         self.threshold = threshold
         self.memory, self.recogniser, self.turns = memory, recogniser or NCC(), turns
-        self.encoder, self.fine, self.virtual = encoder, fine, virtual
-        beside = f"; {virtual}" if virtual else "; fine patches" if fine else ""
+        self.encoder, self.fine = encoder, fine
+        beside = "; fine patches" if fine else ""
         self.facts = facts | {"extractor": facts["extractor"] + beside}  # of maps too
         self.agent = Agent()
         self._goal: Goal | None = None
@@ -118,7 +115,6 @@ class Navigator:
         recogniser: str | None = None,
         episodic_memory: str | None = None,
         turns: int = VIEWS,
-        virtual: VirtualCameras | None = None,
         device: str | torch.device = "cpu",
         trust: Collection[str] = (),
     ) -> "Navigator":
@@ -134,13 +130,9 @@ class Navigator:
                 dump may describe the same file of weights differently: if the texts differ, there is a warning
                 unless this argument confirms that they mean the same.
             scene: whose layers are used. Optional if there is only one scene or the layers are shared.
-            recogniser: as in ``evaluate.py``: ``ncc``, ``patches``, ``learned`` or a YAML file; that of the checkpoint
-                if left out. With ``encoder="resnet50_small"`` ``learned`` compares single photos by fine patches.
+            recogniser: as in ``evaluate.py``: ``ncc``, ``learned`` or a YAML file; that of the checkpoint if left out.
             episodic_memory: likewise: ``none``, ``counts``, ``planning``, ``localising`` or a YAML file.
             turns: right turns of the robot in a full circle; a memory that plans needs to know.
-            virtual: cameras by which goals are recognised that are photos of another camera, narrower than the agent's
-                or turned aside. Needs ``encoder="resnet50_small"`` and ``recogniser="learned"``. Each visit takes one
-                more pass of the encoder for each of their yaws.
             device: ``cpu`` or ``cuda``.
             trust: packages besides dirl whose classes the checkpoint's configuration may name.
 
@@ -151,7 +143,7 @@ class Navigator:
         """
         saved, origin = load_checkpoint(checkpoint), str(checkpoint)
         chosen = {"recogniser": recogniser, "episodic_memory": episodic_memory}
-        parts = load_parts(saved, origin, encoder, extractor, scene, chosen, device, trust, virtual)
+        parts = load_parts(saved, origin, encoder, extractor, scene, chosen, device, trust)
         navigator = cls(**parts, turns=turns)
         tell_of_turns(turns_of_training(saved), {turns}, origin)
         return navigator
@@ -331,17 +323,6 @@ class Navigator:
     def _encode(self, images: Images, name: str, headings: int = VIEWS) -> tuple[Tensor, bool]:
         """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
         pixels, count, batched = checked_images(images, name, sequential=self.sequential, views=headings)
-        if self.virtual is not None and count > VIEWS:
-            raise NavigatorError(f"{name}: virtual views are made of four views around the agent; give those")
-        features = self._features(pixels)
-        if self.virtual is not None and count == VIEWS:
-            seen = self.virtual.around(pixels.unflatten(0, (-1, VIEWS)).cpu().numpy())
-            further = self._features(torch.from_numpy(seen).flatten(0, 2))[:, self.width :]
-            features = torch.cat([features, further.reshape(len(features), -1)], 1)
-        return features.unflatten(0, (-1, count)), batched
-
-    def _features(self, pixels: Tensor) -> Tensor:
-        """Of images ``[N, H, W, 3]``, float32 ``[N, D]``; those of fine patches follow, if there are any."""
         width = self.width + (math.prod(FINE_SHAPE) if self.fine else 0)
         found = checked_features(self.encoder(pixels.to(self.device)), len(pixels), width, self.facts["extractor"])
-        return found.to(self.device, torch.float32)
+        return found.to(self.device, torch.float32).unflatten(0, (-1, count)), batched

@@ -42,7 +42,6 @@ GOAL_VIEWS = {"surrounding": "four views", "front": "one photo"}
 
 RECOGNISED = {
     "ncc": ("ncc", "planning"),
-    "patches": ("patches", "planning"),
     "learned, localising": ("learned", "localising"),
 }
 """Recogniser and episodic memory, by the name of the pair in the tables."""

@@ -45,7 +45,6 @@ WORDS = {
     "later_height": "seen from\nhigher up",
     "later_all": "all changes",
     "ncc": "the paper's correlation",
-    "patches": "untrained patches",
     "learned, localising": "trained recogniser, Bayes filter",
     "image graph, ncc": "topological map by correlation",
 }

@@ -26,10 +26,9 @@ from dirl.experiments.figures import draw_spl
 from dirl.experiments.measures import MEASURES, by_measure, decimals, kept, load_agent, measure_table, wrong_goals
 from dirl.experiments.results import Table, write_tables
 from dirl.models import LocalisingMemory
-from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import normal_vectors
 from dirl.runs.paths import RunError
-from dirl.scenes import Scene, World, read_dump
+from dirl.scenes import World, read_dump
 from dirl.scenes.collection import read_collection
 from dirl.scenes.graph import places
 from dirl.scenes.io.write import copy_with
@@ -60,8 +59,7 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
         RunError: they are not of the same rooms.
     """
     parts = collection.split(":")
-    given = [number for number, part in enumerate(parts) if part]
-    folders = [Path(parts[number]) for number in given]
+    folders = [Path(part) for part in parts if part]
     first = folders[0]
     names = [entry.name for entry in read_collection(first).entries if entry.split == "test"]
     if len(parts) == 1:
@@ -76,9 +74,10 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
                 raise RunError(f"{place}: {name} has no looks; make it with looks=2")
         arrays = {"look_feature": np.concatenate([dump.look_features for dump in dumps])}
         if all(dump.look_patches is not None for dump in dumps):
-            arrays["look_patches"] = np.concatenate(
-                [_patches_like(dumps[0], dump, photos=number == 2) for number, dump in zip(given, dumps, strict=True)]
-            )
+            shapes = {dump.look_patches.shape[2:] for dump in dumps}
+            if len(shapes) > 1:
+                raise RunError(f"{collection}: {name} has patches of {len(shapes)} kinds; encode all folders alike")
+            arrays["look_patches"] = np.concatenate([dump.look_patches for dump in dumps])
         file = out / f"{name}.h5"
         copy_with(first / f"{name}.h5", file, arrays, {key: {} for key in arrays})
         files.append(str(file))
@@ -87,20 +86,6 @@ def rooms(collection: str, out: Path) -> tuple[list[str], list[range | None]]:
     if not parts[1]:
         looks.insert(1, looks[0])
     return files, [*looks, *[None] * (3 - len(looks))]
-
-
-def _patches_like(first: Scene, dump: Scene, *, photos: bool) -> np.ndarray:
-    """The patches of a dump's looks in the form of the walk's: photos have no virtual views, and need none.
-
-    Raises:
-        RunError: they are of another kind.
-    """
-    assert first.patches is not None
-    assert dump.look_patches is not None
-    cells, wanted = dump.look_patches.shape[2], first.patches.shape[1]
-    if cells != wanted and not (photos and cells == FINE_SHAPE[0] and wanted % cells == 0):
-        raise RunError(f"{dump.origin}: has {cells} patches a view, {first.origin} {wanted}; encode them alike")
-    return np.tile(dump.look_patches, (1, 1, wanted // cells, 1))
 
 
 def measured(agent: str, collection: str, out: Path) -> dict[str, Measured]:

@@ -1,17 +1,11 @@
-"""Photos of another camera: as the agent's would have taken them, and which view shows the same point."""
+"""Photos of another camera, as the agent's would have taken them."""
 
 import math
-from collections.abc import Iterable
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import map_coordinates
-
-LEAST = 4
-"""Points that determine a homography."""
 
 
 def as_seen_by(
@@ -56,48 +50,3 @@ def as_seen_by(
     at = [(where + 0.5) * len(soft) / rows - 0.5 for where in (row, column)]
     channels = [map_coordinates(soft[..., channel], at, order=1, mode="nearest") for channel in range(3)]
     return np.rint(np.stack(channels, -1)).astype(np.uint8)
-
-
-def agreeing_points(photo: NDArray[np.uint8], views: Iterable[NDArray[np.uint8]]) -> NDArray[np.int64]:
-    """How many points of a photo are found in each of several views, where one camera stood and the other stands.
-
-    SIFT's points of both are matched, and those are counted that agree on one homography (RANSAC), as those of two
-    cameras at one point do. The view with most can replace the photo as the goal. Choose among the ten or so that a
-    recogniser finds most alike (docs/results_evidence.md).
-
-    Args:
-        photo: RGB, uint8 ``[H, W, 3]``; the sharper the better.
-        views: RGB, uint8 ``[h, w, 3]`` each.
-
-    Returns:
-        int64 ``[V]``.
-
-    Raises:
-        ImportError: OpenCV is not installed, ``pip install 'dirl[sift]'``.
-    """
-    try:
-        cv2: Any = import_module("cv2")
-    except ImportError:
-        raise ImportError("agreeing_points: OpenCV is not installed: pip install 'dirl[sift]'") from None
-    sift, matcher = cv2.SIFT_create(contrastThreshold=0.01), cv2.BFMatcher()
-
-    def described(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
-        grey = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-        found, vectors = sift.detectAndCompute(grey, None)
-        places = np.array([point.pt for point in found], np.float32).reshape(-1, 2)
-        return places, np.zeros((0, 128), np.float32) if vectors is None else vectors
-
-    def agreeing(view: NDArray[np.uint8]) -> int:
-        there, others = described(view)
-        if min(len(here), len(there)) < LEAST:
-            return 0
-        pairs = [pair for pair in matcher.knnMatch(vectors, others, k=2) if pair[0].distance < 0.8 * pair[1].distance]
-        if len(pairs) < LEAST:
-            return 0
-        ends = here[[best.queryIdx for best, _ in pairs]], there[[best.trainIdx for best, _ in pairs]]
-        _, agree = cv2.findHomography(*ends, cv2.RANSAC, 4.0)
-        return 0 if agree is None else int(agree.sum())
-
-    here, vectors = described(photo)
-    return np.array([agreeing(view) for view in views], np.int64)

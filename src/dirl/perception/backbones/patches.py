@@ -2,9 +2,8 @@
 
 The third stage of the shipped ResNet-50, of views at 96x128 pixels, is averaged over 2 x 4 cells and projected from
 1024 to 96 channels of about unit variance. The projection, principal components of training rooms, is the same for
-every room, so that patches of different rooms are comparable; see ``data/NOTICE.md``. Fine patches are the same of all
-6 x 8 cells of the map; their means are the others (`coarse`). Behind the fine patches of a view there may be those of
-virtual views, 48 each, by which photos of another camera are recognised (`with_virtual`).
+every room, so that patches of different rooms are comparable; see ``data/NOTICE.md``. EfficientNet-Lite0 has patches of
+its own, and fine ones: 6 x 8 cells, whose means are the others (`coarse`).
 """
 
 from collections.abc import Callable
@@ -65,29 +64,23 @@ def _shares(length: int, parts: int) -> Tensor:
 
 
 def are_fine(patches: Tensor) -> bool:
-    """Whether patches ``[..., cells, channels]`` are of `FINE` cells, of one view or with those of virtual views."""
-    return patches.shape[-2] % FINE_SHAPE[0] == 0
-
-
-def own_patches(patches: Tensor) -> Tensor:
-    """Fine patches without those of virtual views, ``[..., 48, channels]``."""
-    return patches[..., : FINE_SHAPE[0], :]
+    """Return True if patches ``[..., cells, channels]`` are of `FINE` cells."""
+    return patches.shape[-2] == FINE_SHAPE[0]
 
 
 def coarse(patches: Tensor) -> Tensor:
     """Patches of `CELLS`: the means of fine ones, ``[..., cells, channels]``; others as they are."""
     if not are_fine(patches):
         return patches
-    patches = own_patches(patches)
     (rows, columns), (high, wide) = CELLS, (fine // few for fine, few in zip(FINE, CELLS, strict=True))
     cells = patches.unflatten(-2, (rows, high, columns, wide))
     return cells.float().mean((-4, -2)).flatten(-3, -2).to(patches.dtype)
 
 
-def patch_attributes(cells: tuple[int, int] = CELLS) -> dict[str, str]:
+def patch_attributes() -> dict[str, str]:
     """The attributes that a dump stores with patches of the shipped ResNet-50."""
     height, width = PATCH_SIZE
     return {
-        "extractor": f"ResNet-50 as shipped, third stage, views at {height}x{width}, {cells[0]}x{cells[1]} cells",
+        "extractor": f"ResNet-50 as shipped, third stage, views at {height}x{width}, {CELLS[0]}x{CELLS[1]} cells",
         "projection": f"sha256:{file_digest(PROJECTION)}",
     }

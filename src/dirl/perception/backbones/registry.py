@@ -51,9 +51,6 @@ SHIPPED = {"resnet50": SIZE, "resnet50_small": PATCH_SIZE}
 LITE = "efficientnet_lite0"
 """The encoder that anybody may use; its weights are a package, see `dirl.perception.backbones.efficientnet`."""
 
-WITH_FINE = ("resnet50_small", LITE)
-"""Those that give fine patches."""
-
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 
 
@@ -98,7 +95,7 @@ def load_encoder(
             ResNet-50 only.
         patches: give patches too (`dirl.perception.backbones.patches`); those of ``efficientnet_lite0`` are its own,
             those of all others the same kind, of the shipped ResNet-50.
-        fine_patches: six times as many (`dirl.perception.backbones.patches`), of `WITH_FINE` only.
+        fine_patches: six times as many (`dirl.perception.backbones.patches`), of ``efficientnet_lite0`` only.
 
     Raises:
         EncoderError: there is no such encoder, or a package that it needs is not installed.
@@ -108,21 +105,20 @@ def load_encoder(
         raise EncoderError(f"device={device}: torch sees no CUDA device here; use device=cpu")
     if precision not in PRECISIONS:
         raise EncoderError(f"precision={precision}: choose from {', '.join(PRECISIONS)}")
-    if fine_patches and name not in WITH_FINE:
+    if fine_patches and name != LITE:
         raise EncoderError(f"fine_patches=true: encoder={name} has none; choose encoder={LITE}")
-    cells = FINE if fine_patches else CELLS if patches else None
     path, dtype = Path(name), PRECISIONS[precision]
     if path.suffix == ".yaml":
         return _own_encoder(path)
     is_file = path.is_file() or path.suffix in (".pth", ".pt")
     if name in SHIPPED:
-        return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, cells=cells)
+        return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, patches=patches)
     if is_file or name == "torchvision":
         encoder = _resnet(load_backbone(path) if is_file else _torchvision_backbone(), device, dtype)
     elif precision != "float32":
         raise EncoderError(f"precision={precision}: encoder={name} computes in float32 only")
     elif name == LITE:
-        return lite0_encoder(device, cells=cells)
+        return lite0_encoder(device, cells=FINE if fine_patches else CELLS if patches else None)
     elif "/" not in name and not path.is_dir():
         check_choice(f"encoder '{name}'", name, [*SHIPPED, LITE, "torchvision", "<a folder>", "<organisation/model>"])
     else:
@@ -184,7 +180,7 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     name = packaged_encoder(extractor)
     if name is None:
         return scene
-    fine = patches and name in WITH_FINE  # single photos are recognised by them
+    fine = patches and name == LITE  # single photos are recognised by them
     encoder = load_encoder(name, patches=patches, fine_patches=fine)
     if not isinstance(scene.views, FileViews):
         features, parts = encode_scene(scene, encoder)
@@ -261,7 +257,7 @@ def _resnet(
     *,
     size: tuple[int, int] = SIZE,
     provenance: str = "",
-    cells: tuple[int, int] | None = None,
+    patches: bool = False,
 ) -> ViewEncoder:
     parameters = {name: value for name, value in backbone.state_dict().items() if not is_ignored(name)}
     attributes = {
@@ -272,16 +268,15 @@ def _resnet(
     quick = fused(backbone).to(device, dtype).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     third_stage = partial(_third_stage, quick, size, device, dtype)
     attributes |= {"provenance": provenance} if provenance else {}
-    if cells is not None and size == PATCH_SIZE:
-        projection = load_projection(device, cells=cells)
-        return staged_encoder(third_stage, quick.pool, attributes, projection, patch_attributes(cells))
+    if patches and size == PATCH_SIZE:
+        return staged_encoder(third_stage, quick.pool, attributes, load_projection(device), patch_attributes())
     encoder = staged_encoder(third_stage, quick.pool, attributes)
-    return _beside(encoder, device, dtype) if cells is not None else encoder
+    return _beside(encoder, device, dtype) if patches else encoder
 
 
 def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype) -> ViewEncoder:
     """An encoder that also returns patches, from a second network."""
-    second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, cells=CELLS)
+    second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, patches=True)
     assert second.forward_patches is not None
     return replace(
         encoder,

@@ -1,12 +1,10 @@
 """The log odds that a view is of the same place and heading as a single photo, by fine patches."""
 
-import math
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.perception.backbones.patches import FINE, PATCH_SHAPE, own_patches
+from dirl.perception.backbones.patches import FINE, PATCH_SHAPE
 
 CHANNELS = PATCH_SHAPE[1]
 
@@ -18,9 +16,6 @@ NEAR_ROWS, NEAR_COLUMNS = 1, 2
 
 OFFSETS = (2 * NEAR_ROWS + 1) * (2 * NEAR_COLUMNS + 1)
 
-DESCRIBED = FINE[0] * FINE[1] * (KEPT + PROJECTED)
-"""Numbers that describe a view, F."""
-
 SCALE = 4.0
 """Of the cosines, so that the layers on them learn as fast as the others."""
 
@@ -30,8 +25,7 @@ class PhotoOdds(nn.Module):
 
     A step ahead moves patches away from the middle, an error of heading moves all alike. Convolutions over the cells
     read the cosines at all offsets, and so which of them moved where. The view goes on into those to the left and to
-    the right. Visits may have virtual views, as a camera like the photo's would see them at several headings. Then the
-    photo is compared with these, each at the same probability.
+    the right.
 
     Args:
         width: of the convolutions.
@@ -61,8 +55,8 @@ class PhotoOdds(nn.Module):
         return bool(self.std.any())
 
     def measure(self, patches: Tensor) -> None:
-        """Standardise by those of training rooms, float ``[N, 48 (1 + virtual views), 96]``."""
-        cells = own_patches(patches).flatten(0, 1).float()
+        """Standardise by those of training rooms, float ``[N, 48, 96]``."""
+        cells = patches.flatten(0, 1).float()
         self.mean, self.std = cells.mean(0), cells.std(0)
 
     def describe(self, patches: Tensor) -> Tensor:
@@ -72,17 +66,7 @@ class PhotoOdds(nn.Module):
         return torch.cat([F.normalize(part, dim=-1) for part in parts], -1).flatten(-2)
 
     def scores(self, seen: Tensor, photos: Tensor) -> Tensor:
-        """The log odds of visits, described, ``[..., A, 4, V F]``, with photos, ``[..., B, F]``; ``[..., A, B]``.
-
-        With V > 1 the visits are compared by their virtual views: the mean of the odds. Those of photos are not used.
-        """
-        own, *virtual = seen.split(DESCRIBED, -1)
-        photos = photos[..., :DESCRIBED]
-        each = torch.stack([self._of_one(views, photos) for views in virtual or [own]])
-        return each.logsumexp(0) - math.log(len(each))
-
-    def _of_one(self, seen: Tensor, photos: Tensor) -> Tensor:
-        """The same with one view for each heading, ``[..., A, 4, F]``."""
+        """Return the log odds of visits, ``[..., A, 4, F]``, with photos, ``[..., B, F]``; ``[..., A, B]``."""
         around, photos = self._windows(seen), photos.unflatten(-1, (FINE[0] * FINE[1], -1))
         found = []
         for part in (slice(PROJECTED), slice(PROJECTED, None)):

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from dirl.perception.virtual import VirtualCameras
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import decode, encode
@@ -125,23 +124,20 @@ def write_room(
     provenance: str = "",
     progress: bool = False,
     looks: Sequence[Sequence[Array]] = (),
-    virtual: VirtualCameras | None = None,
 ) -> list[str]:
     """Encode the stored views of a room, write its dump, completely or not at all, and tell the problems found.
 
     Of ``looks``, the views of each further look, uint8 ``[height, width, 3]`` each, only features are stored.
-    ``provenance`` is where the encoder's weights come from, if it does not say so itself. The patches of ``virtual``
-    cameras follow those of each view.
+    ``provenance`` is where the encoder's weights come from, if it does not say so itself.
     """
     scene = scene_of(room, way, source=source)
     about, about_patches = {"extractor": "none"}, {}
     if encoder is not None:
-        from dirl.perception.backbones.virtual import encode_with_virtual, with_virtual
+        from dirl.perception.backbones.registry import encode_all
 
-        surrounding = np.array(scene.surrounding)
         found, *again = (
-            encode_with_virtual(encoder, view, surrounding, virtual, str(out), progress=progress)
-            for view in (lambda state: decode(views[state].encoded), *(images.__getitem__ for images in looks))
+            encode_all(encoder, taken, len(scene), str(out), progress=progress)
+            for taken in ((decode(view.encoded) for view in views), *looks)
         )
         features = [one.features.astype(np.float16) for one in (found, *again)]
         scene = replace(scene, features=features[0], extractor=encoder.extractor, patches=found.patches)
@@ -149,7 +145,7 @@ def write_room(
             parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
             scene = replace(scene, look_features=np.stack(features[1:]), look_patches=parts)
         about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
-        about_patches = dict(with_virtual(encoder, virtual).patch_attributes) if found.patches is not None else {}
+        about_patches = dict(encoder.patch_attributes) if found.patches is not None else {}
     write_dump(
         out,
         scene,

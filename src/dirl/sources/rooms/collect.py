@@ -2,12 +2,11 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dirl.perception.virtual import VirtualCameras
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
 from dirl.scenes.io.digest import file_digest
@@ -47,7 +46,6 @@ class RoomSettings:
         looks: further looks of each state; needs an encoder, since their views are not stored.
         changes: by how much these differ from the views of the dump.
         photo: the camera that these are taken with.
-        virtual: cameras whose patches are stored too, at the room's own field of view and pitch; needs fine patches.
     """
 
     height: int = 300
@@ -62,7 +60,6 @@ class RoomSettings:
     looks: int = 0
     changes: Changes = field(default_factory=Changes)
     photo: PhotoCamera = field(default_factory=PhotoCamera)
-    virtual: VirtualCameras | None = None
 
     def load_encoder(self) -> "ViewEncoder | None":
         """The encoder that the settings name."""
@@ -81,9 +78,7 @@ class RoomSettings:
             kept |= {f"{of}.{key}": value for of in ("changes", "photo") for key, value in asdict(self)[of].items()}
         kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
         if encoder is not None and (self.patches or self.fine_patches):
-            from dirl.perception.backbones.virtual import with_virtual
-
-            kept |= {"patches": "; ".join(with_virtual(encoder, self.virtual).patch_attributes.values())}
+            kept |= {"patches": "; ".join(encoder.patch_attributes.values())}
         return kept
 
 
@@ -181,10 +176,8 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
     unfinished = folder / f"{room.name}.toml.tmp"
     unfinished.write_text(description_text(room), encoding="utf-8")
     os.replace(unfinished, folder / f"{room.name}.toml")  # also over what a killed job left
-    camera, virtual = room.camera, settings.virtual
-    virtual = None if virtual is None else replace(virtual, own=camera.fov, pitch=camera.pitch)
     about = {"turn": settings.turn, "seed": seed}
-    problems = write_room(dump, room, way, views, encoder, about, looks=looks, virtual=virtual)
+    problems = write_room(dump, room, way, views, encoder, about, looks=looks)
     scene = read_dump(dump, isolated=False)  # just written here
     return Entry(
         name=room.name,
