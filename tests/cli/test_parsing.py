@@ -34,9 +34,16 @@ class Options:
 
 
 def test_a_command_line_is_a_dataclass():
-    options = parse(Options, ["file=a b.h5", "count=3", "device=cuda", "axes=[z]", "anything={a:[1]}", "inner.size=1"])
-    assert options == Options("a b.h5", 3, Device.cuda, ["z"], {"a": [1]}, Inner(1.0))
+    options = parse(Options, ["file=a b.h5", "count=9", "device=cuda", "axes=[z]", "anything={a:[1]}", "inner.size=1"])
+    assert options == Options("a b.h5", 9, Device.cuda, ["z"], {"a": [1]}, Inner(1.0))
     assert parse(Options, ["file=a"]) == Options("a")
+
+
+def refused(told, call, *arguments):
+    with pytest.raises(ConfigError) as raised:
+        call(*arguments)
+    assert str(raised.value).startswith(told)
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -47,59 +54,45 @@ def test_a_command_line_is_a_dataclass():
         ("count=x", "count=x: Value 'x' of type 'str' could not be converted to Integer"),
         ("count=0", "count=0: must be between 1 and 9"),
         ("device=gpu", "device=gpu: Invalid value 'gpu', expected one of [cpu, cuda]"),
-        ("axes=3", "axes=3: Invalid value assigned: int is not a ListConfig, list or tuple."),
         ("inner=3", "inner=3: inner is a group of options"),
         ("count=1,2", "count=1,2: must be one value; a list is written as 'count=[a,b]'"),
         ("inner.size=nan", "inner.size=nan: must be a finite number"),
         ("file=[a", "file=[a: is not of the form name=value"),
-        ("nope", "nope: is not of the form name=value"),
         ("file=???", "file must be given: the file to read"),
         ("anything=${nope}", "anything: Interpolation key 'nope' not found"),
     ],
 )
-def test_what_cannot_be_read_is_told_in_one_line(argument, told):
-    with pytest.raises(ConfigError) as raised:
-        parse(Options, ["file=a", argument])
-    assert str(raised.value).startswith(told)
-    assert "\n" not in str(raised.value)
-
-
-def test_every_option_says_what_it_means():
-    for name, schema in SCHEMAS.items():
-        said = meanings(schema)
-        assert set(said) == set(option_types(schema)), name
-    unsaid = {name for name, meaning in meanings(SCHEMAS["sample"]).items() if not meaning}
-    assert unsaid == set()
+def test_what_cannot_be_read_is_one_line(argument, told):
+    refused(told, parse, Options, ["file=a", argument])
 
 
 @pytest.mark.parametrize(
     ("argument", "told"),
     [
-        ("sceen=a", "there is no option 'sceen'; did you mean scene?"),
         ("gamma=1", "there is no option 'gamma'; did you mean reinforcement.gamma?"),
         ("seed=x", "seed=x: Value 'x' of type 'str' could not be converted to Integer"),
         ("encoder=siamesse", "In 'train': Could not find 'encoder/siamesse' Available options in 'encoder': comparing"),
-        ("seed=1,2", "Ambiguous value for argument 'seed=1,2' 1. To use it as a list, use key=[value1,value2]"),
         ("reinforcement.gamma=2", "reinforcement.gamma=2.0: must be between 0 and 1"),
         ("hydra.nope=1", "Could not override 'hydra.nope'"),
     ],
 )
-def test_what_a_training_does_not_take_is_told_in_one_line(argument, told):
-    with pytest.raises(ConfigError) as raised:
-        typed(compose_training([argument]))
-    assert str(raised.value).startswith(told)
-    assert "\n" not in str(raised.value)
+def test_what_a_training_does_not_take_is_one_line(argument, told):
+    refused(told, lambda: typed(compose_training([argument])))
+
+
+def test_every_option_says_what_it_means():
+    for name, schema in SCHEMAS.items():
+        assert set(meanings(schema)) == set(option_types(schema)), name
+    assert all(meanings(SCHEMAS["sample"]).values())
 
 
 @pytest.mark.parametrize(
     ("argument", "prepared"),
     [
-        ("reinforcement.entropy_coef=0.01", "reinforcement.entropy_coef={start:0.01,end:0.01}"),
         ("imitation.bc_coef=0,0.5", "imitation.bc_coef={start:0,end:0},{start:0.5,end:0.5}"),
         ("imitation.bc_coef={start:1,end:0}", "imitation.bc_coef={start:1,end:0}"),
         ("encoder.width=8", "++encoder.width=8"),
         ("~heads.width", "~heads.width"),
-        ("encoder=siamese", "encoder=siamese"),
         ("hydra.run.dir=x", "hydra.run.dir=x"),
     ],
 )
@@ -108,7 +101,5 @@ def test_a_number_is_a_constant_schedule_and_options_of_components_may_be_added(
 
 
 def test_a_constant_schedule_reaches_the_loss():
-    assert train_config("reinforcement.entropy_coef=0.03").losses["a2c"]["entropy_coeff"] == {
-        "start": 0.03,
-        "end": 0.03,
-    }
+    constant = {"start": 0.03, "end": 0.03}
+    assert train_config("reinforcement.entropy_coef=0.03").losses["a2c"]["entropy_coeff"] == constant

@@ -1,6 +1,5 @@
 import errno
 import os
-import signal
 import subprocess
 import sys
 
@@ -15,10 +14,12 @@ HOLD += "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); time.s
 
 def test_another_process_is_named_and_its_death_frees_the_folder(tmp_path):
     with subprocess.Popen([sys.executable, "-c", HOLD, tmp_path], stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline() == b"held\n"
-        with pytest.raises(RunningError, match=f"{tmp_path}: process {process.pid} on .* is writing to it"):
-            FolderLock(tmp_path)
-        process.send_signal(signal.SIGKILL)
+        try:
+            assert process.stdout.readline() == b"held\n"
+            with pytest.raises(RunningError, match=f"{tmp_path}: process {process.pid} on .* is writing to it"):
+                FolderLock(tmp_path)
+        finally:
+            process.kill()
     assert (tmp_path / ".lock").exists()
     FolderLock(tmp_path).release()
     assert not (tmp_path / ".lock").exists()
@@ -38,11 +39,9 @@ def test_without_locks_the_run_goes_on_and_says_so(tmp_path, monkeypatch, capsys
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr("fcntl.flock", no_locks)
-    lock = FolderLock(tmp_path)
+    FolderLock(tmp_path).release()
     (told,) = capsys.readouterr().err.splitlines()
     assert told == f"{tmp_path}: cannot be locked (No locks available); do not resume this run while it runs"
-    lock.release()
-    FolderLock(tmp_path)
 
 
 def test_a_folder_is_claimed_once(tmp_path):
