@@ -100,10 +100,6 @@ def train(config, state, total, until=None):
     return loop.told
 
 
-def test_each_swap_takes_one_python_file_and_one_yaml_file_at_most():
-    assert len(FILES) == 13
-    yaml = re.findall(r"^:caption: (\S+\.yaml)$", PAGE, re.MULTILINE)
-    assert len(yaml) == len(set(yaml)) == 14
 
 
 @pytest.fixture
@@ -419,10 +415,6 @@ def test_a_training_goes_on_bit_for_bit_with_what_its_losses_hold(parts, options
         assert torch.equal(kept[:]["view_ids"], again[:]["view_ids"])
 
 
-def test_a_checkpoint_does_not_hold_the_policy_twice(parts):
-    _, _, state = parts(*SAC)
-    held = [name for name in state.state_dict()["losses"] if "actor_network" in name or name.startswith("trunk")]
-    assert held == []
 
 
 def test_the_seed_alone_decides_the_weights_of_a_loss(parts):
@@ -441,9 +433,6 @@ def test_a_loss_with_weights_of_its_own_is_refused_by_several_workers(parts):
         parts(*INVERSE, "reinforcement.workers=2")
 
 
-def test_a_loss_must_say_what_it_reads(parts):
-    with pytest.raises(ConfigError, match=r"losses\.bare: ReLU has no in_keys"):
-        parts("++losses.bare={_target_:torch.nn.ReLU}")
 
 
 class Nothing(torch.nn.Module):
@@ -461,17 +450,6 @@ def test_a_loss_must_write_one(parts):
         train(config, state, total=100)
 
 
-def test_heads_take_any_batch_dimensions_and_vmap():
-    torch.manual_seed(0)
-    heads = ActorCriticHeads(["bath", "bed", "kitchen"], 5, 4, width=7)
-    rows, scene = torch.randn(6, 8, 5), torch.randint(3, (6, 8))
-
-    def logits(rows, scene):
-        return heads.policy(heads.trunk(rows, scene), scene)
-
-    each = torch.stack([logits(some, of) for some, of in zip(rows, scene, strict=True)])
-    torch.testing.assert_close(logits(rows, scene), each)
-    torch.testing.assert_close(torch.vmap(logits)(rows, scene), each)
 
 
 def test_own_parameters_are_trained_with_the_policys(parts):

@@ -74,6 +74,3 @@ def test_a_tour_is_drawn_and_walked(world, watched_tab, tmp_path):
     assert "Stopped at the goal" in tab.inner_text("#outcome")
 
 
-def test_it_is_said_that_a_map_leads_to_the_goal(world, watched_tab, tmp_path):
-    tab = opened(world, watched_tab, tmp_path, 0)
-    assert "Led by the topological map of one walk to the goal; the greedy policy" in tab.inner_text("#facts")
