@@ -6,29 +6,338 @@
 Ends with status 1 if anything was not as docs/reliability.md promises, after a line for each such case.
 """
 
+import csv
+import functools
+import json
+import os
 import random
+import resource
 import shutil
+import signal
 import sys
 import tempfile
 import time
 from collections import Counter
+from itertools import count
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 
-from forks import warm_up
-from run_faults import CASES, Bench
+import torch
+from commands import SHORT, room_file
+from forks import Child, no_pictures, run, warm_up
+from injection import KINDS, Faults
+from rooms import grid_scene
 
-COUNTS = {
-    "kills": 4,
-    "signals": 2,
-    "faults": 6,
-    "bytes": 300,
-    "folders": 100,
-    "machine": 1,
-    "seed": 0,
-}
+from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
+from dirl.agent.mapping.walks import explore
+from dirl.reporting.sharing import save_pretrained
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.paths import RunError, is_finished, training_checkpoints
+
+COUNTS = {"kills": 4, "signals": 2, "faults": 6, "bytes": 300, "folders": 100, "machine": 1, "seed": 0}
 """How often each thing is tried; ``machine`` is a round of the cases that stand for themselves."""
+
+TIMES = ("seconds", "frames_per_second", "peak_memory_mb")
+"""What differs from run to run."""
+
+
+class Bench:
+    """A scene, a run that nothing happened to, and folders for those that something happens to.
+
+    Args:
+        folder: for all of them.
+    """
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.scene = room_file(folder)
+        self._numbers = count()
+        began = time.monotonic()
+        self.whole = self.new_folder()
+        counts = folder / "counts.json"
+        ended = self.train(self.whole, prepare=lambda: Faults(self.whole).install(counts))
+        assert ended.status == 0, ended.errors
+        self.seconds = time.monotonic() - began
+        self.calls = json.loads(counts.read_text())
+
+    @functools.cached_property
+    def stopped(self):
+        """The folder of a run that has stopped in the middle of its training."""
+        folder = self.new_folder()
+        fault = Faults(folder, "rename", 2 * self.calls["rename"] // 3)
+        ended = self.train(folder, prepare=fault.install)
+        assert ended.status, ended.told
+        return folder
+
+    def new_folder(self):
+        """A folder that is not there yet."""
+        return self.folder / f"run{next(self._numbers)}"
+
+    def options(self, folder):
+        """Of a run in a folder: begun, or gone on with if there is one."""
+        begun = (folder / "config.yaml").exists() or training_checkpoints(folder)
+        return [f"resume={folder}"] if begun else [f"scene={self.scene}", *SHORT, f"hydra.run.dir={folder}"]
+
+    def train(self, folder, prepare=lambda: None):
+        """Run to the end."""
+        return run(self.folder, "train", *self.options(folder), prepare=prepare)
+
+    def start(self, folder, prepare=lambda: None):
+        """Begin, without waiting."""
+        return Child(self.folder, "train", *self.options(folder), prepare=prepare)
+
+    def finish(self, folder):
+        """Go on with a run until it is finished; what is not as in the run that nothing happened to."""
+        if not is_finished(folder):
+            ended = self.train(folder, prepare=no_pictures)
+            if ended.status != 0:
+                return ended.problem or f"does not go on: {ended.told}"
+        elif (folder / "checkpoints").exists():  # an empty folder that could not be removed is removed by the next
+            problem = refused(self.train(folder), 1)
+            if problem:
+                return problem
+        difference = self.difference(folder)
+        shutil.rmtree(folder)
+        return difference
+
+    def difference(self, folder):
+        """What a finished run has otherwise than the one that nothing happened to; nothing is an empty text."""
+        # Where removing fails, the lock stays; that of a process that has ended is no obstacle.
+        names, expected = ({file.name for file in one.iterdir()} - {".lock"} for one in (folder, self.whole))
+        if names != expected:
+            return f"other files: {sorted(names)}"
+        for file in sorted(self.whole.glob("*.csv")):
+            if table(file) != table(folder / file.name):
+                return f"other rows: {file.name}"
+        first, second = (without_times(json.loads((one / "summary.json").read_text())) for one in (self.whole, folder))
+        if first != second:
+            return "another summary"
+        mine, theirs = (load_checkpoint(one)["network"] for one in (self.whole, folder))
+        return "" if all(torch.equal(mine[key], theirs[key]) for key in mine) else "other weights"
+
+
+def table(file):
+    """The rows of a CSV file without times."""
+    with file.open() as stream:
+        return [without_times(row) for row in csv.DictReader(stream)]
+
+
+def without_times(row):
+    """A row or summary without what differs from run to run."""
+    return {key: value for key, value in row.items() if key not in TIMES}
+
+
+def refused(ended, *statuses):
+    """What is wrong with the end of a recipe that should have refused; nothing is an empty text."""
+    if ended.problem:
+        return f"{ended.problem}: {ended.errors[-300:]}"
+    if ended.status == 0:
+        return "accepted"
+    if ended.status not in statuses:
+        return f"another status: {ended.status}, {ended.told}"
+    return "" if len(ended.told) == 1 else f"not one line: {ended.told}"
+
+
+def kills(bench, times, rng):
+    """SIGKILL at random moments, up to six in a run, that then goes on to its end."""
+    done = 0
+    while done < times:
+        folder, problem, killed = bench.new_folder(), "", 0
+        for _ in range(min(rng.randint(1, 6), times - done)):
+            child = bench.start(folder, no_pictures)
+            time.sleep(rng.uniform(0, bench.seconds))
+            child.kill()
+            ended = child.wait()
+            if ended.status == -signal.SIGKILL:
+                killed += 1
+                continue
+            problem = ended.problem if ended.status else ""
+            break
+        done += killed
+        problem = problem or bench.finish(folder)
+        yield from ((f"kill of {folder.name}", problem) for _ in range(killed))
+
+
+def signals(bench, times, rng):
+    """SIGINT and SIGTERM at random moments: one line, the status of the signal, and the run goes on."""
+    for number in range(times):
+        folder, sent = bench.new_folder(), (signal.SIGINT, signal.SIGTERM)[number % 2]
+        child = bench.start(folder)
+        time.sleep(rng.uniform(0.2, 1) * bench.seconds)
+        child.kill(sent)
+        ended = child.wait()
+        problem = "" if ended.status == 0 else refused(ended, 128 + sent)
+        yield f"{sent.name}, {ended.told}", problem or bench.finish(folder)
+
+
+def faults(bench, times, rng):
+    """The n-th call of a kind fails, once or from then on: one line, and the run goes on."""
+    calls = [(kind, number) for kind in KINDS for number in range(1, bench.calls[kind] + 1)]
+    for kind, number in rng.sample(calls, min(times, len(calls))):
+        folder, lasting = bench.new_folder(), rng.random() < 0.5
+        fault = Faults(folder, kind, number, lasting)
+        ended = bench.train(folder, prepare=fault.install)
+        problem = "" if ended.status == 0 else refused(ended, 74)
+        if not problem and [file for file in folder.rglob(".unfinished-*") if not (kind == "remove" and lasting)]:
+            problem = "left a temporary file"
+        yield f"{kind} {number} of {bench.calls[kind]}{' and all after' * lasting}", problem or bench.finish(folder)
+
+
+def stopped_run(bench):
+    """A run that has stopped in the middle of its training, with its latest checkpoint."""
+    folder = bench.new_folder()
+    shutil.copytree(bench.stopped, folder)
+    *_, latest = training_checkpoints(folder)
+    return folder, latest
+
+
+def read_or_refused(read, file):
+    """What became of reading a damaged file: an empty text for an error of one line; ``accepted`` for none."""
+    try:
+        return "accepted", read(file)
+    except (RunError, MapError) as error:
+        return "" if len(str(error).splitlines()) == 1 else f"not one line: {error}", None
+
+
+def damaged_bytes(bench, times, rng):
+    """A checkpoint with damaged bytes is not read; a run goes on from the one before."""
+    folder, latest = stopped_run(bench)
+    data, file = latest.read_bytes(), bench.folder / "damaged.pt"
+    for _ in range(times):
+        spoilt, what = spoil_bytes(data, rng)
+        if spoilt != data:
+            file.write_bytes(spoilt)
+            yield what, read_or_refused(load_checkpoint, file)[0]
+    latest.write_bytes(spoil_bytes(data, rng)[0])
+    yield "a damaged checkpoint in a run", bench.finish(folder)
+
+
+def folders(bench, times, rng):
+    """A shared policy or a saved map with a damaged file is refused, or read as it was: of JSON a space may be lost."""
+    explored = ImageGraph()
+    explore(grid_scene(), explored, 0, 12)
+    policy = save_pretrained(bench.whole, bench.folder / "policy")
+    readers = {policy: load_checkpoint, save_graph(explored, bench.folder / "map"): contents}
+    for _ in range(times):
+        folder, read = rng.choice(sorted(readers.items(), key=lambda item: item[0].name))
+        file = rng.choice(sorted(one for one in folder.iterdir() if one.suffix in (".safetensors", ".json", ".yaml")))
+        good, data = read(folder), file.read_bytes()
+        spoilt, what = spoil_bytes(data, rng)
+        if spoilt == data or file.name == "summary.json":
+            continue
+        file.write_bytes(spoilt)
+        problem, found = read_or_refused(read, folder)
+        if found is not None and file.suffix == ".json" and alike(found, good):
+            problem = ""
+        yield f"{file.name}: {what}", problem
+        file.write_bytes(data)
+
+
+def contents(folder):
+    """What a saved map holds."""
+    return {key: value for key, value in vars(load_graph(folder)).items() if key != "recogniser"}
+
+
+def alike(one, other):
+    """Whether two contents are the same, tensors included."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(alike(one[key], other[key]) for key in one)
+    if isinstance(one, list | tuple):
+        return len(one) == len(other) and all(alike(a, b) for a, b in zip(one, other, strict=True))
+    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
+
+
+def machine(bench, times, rng):
+    """Cases that stand for themselves, so many rounds of them."""
+    for _ in range(times):
+        for case in (same_second, double_resume, no_folder, file_limit, deleted_folder, broken_pipe):
+            yield case.__doc__.rstrip("."), case(bench)
+
+
+def same_second(bench):
+    """Two runs begun in the same second."""
+    folder = bench.folder / "2026-01-31_12-00-00"
+    children = [bench.start(folder, no_pictures) for _ in range(2)]
+    for ended in [child.wait() for child in children]:
+        if ended.status:
+            return ended.problem or f"does not run: {ended.told}"
+    second = folder.with_name(f"{folder.name}-2")
+    return bench.finish(folder) or bench.finish(second)
+
+
+def double_resume(bench):
+    """Two processes that resume the same run."""
+    folder, _ = stopped_run(bench)
+    children = [bench.start(folder, no_pictures) for _ in range(2)]
+    ended = sorted([child.wait() for child in children], key=lambda one: one.status or 0)
+    if ended[0].status != 0:
+        return ended[0].problem or f"does not run: {ended[0].told}"
+    return refused(ended[1], 1) or bench.finish(folder)
+
+
+def no_folder(bench):
+    """A folder that cannot be made."""
+    return refused(run(bench.folder, "train", f"scene={bench.scene}", *SHORT, "hydra.run.dir=/proc/run"), 74)
+
+
+def file_limit(bench):
+    """A limit of 25 kB a file, which a checkpoint does not keep."""
+    folder = bench.new_folder()
+    ended = bench.train(folder, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (25_000, 25_000)))
+    return refused(ended, 74) or bench.finish(folder)
+
+
+def deleted_folder(bench):
+    """The folder of a running run is deleted."""
+    folder = bench.new_folder()
+    child = bench.start(folder)
+    while not training_checkpoints(folder) and os.path.exists(f"/proc/{child.pid}/fd"):
+        time.sleep(0.01)
+    shutil.rmtree(folder, ignore_errors=True)
+    return refused(child.wait(), 74)
+
+
+def broken_pipe(bench):
+    """What a run prints to is closed."""
+
+    def closed():
+        reading, writing = os.pipe()
+        os.close(reading)
+        os.dup2(writing, 1)
+
+    folder = bench.new_folder()
+    return refused(bench.train(folder, closed), 141) or bench.finish(folder)
+
+
+def spoil_bytes(data, rng):
+    """One damage of a file's bytes, and what it is in words."""
+    what = rng.choice(["bit", "bit", "bit", "zeros", "cut", "longer", "swap"])
+    place = rng.randrange(len(data))
+    spoilt = bytearray(data)
+    if what == "bit":
+        spoilt[place] ^= 1 << rng.randrange(8)
+    elif what == "zeros":
+        spoilt[place : place + 512] = bytes(len(spoilt[place : place + 512]))
+    elif what == "cut":
+        del spoilt[place:]
+    elif what == "longer":
+        spoilt += b"\0"
+    else:
+        other = rng.randrange(len(data))
+        spoilt[place], spoilt[other] = spoilt[other], spoilt[place]
+    return bytes(spoilt), f"{what} at {place}"
+
+
+CASES = {
+    "kills": kills,
+    "signals": signals,
+    "faults": faults,
+    "bytes": damaged_bytes,
+    "folders": folders,
+    "machine": machine,
+}
+"""Each takes a `Bench`, how often, and a random number generator; yields what was done, and what was wrong with it."""
 
 
 def main(arguments):

@@ -1,5 +1,6 @@
 """The recipes as a user runs them, and a run that takes seconds."""
 
+import copy
 import functools
 import subprocess
 import sys
@@ -7,7 +8,7 @@ import time
 
 from fork_server import Started as start_recipe
 from forks import ROOT as ROOT
-from forks import copies, keep_compositions, recipe_file
+from forks import recipe_file
 from rooms import grid_scene
 
 from dirl.cli.parsing import compose_training, parsed
@@ -46,7 +47,7 @@ def done(folder, name, *arguments, by=run_recipe):
     return printed
 
 
-def wait_until(happens, patience=1800):
+def wait_until(happens, patience=600):
     """Wait until a function says so; on a busy machine what takes a second may take minutes."""
     began = time.monotonic()
     while not happens():
@@ -61,7 +62,7 @@ def run_program(folder, name, *arguments):
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=3600,
+        timeout=900,
         check=False,
     )
     return done.returncode, done.stdout, done.stderr.removeprefix("loading ...\n")
@@ -77,7 +78,7 @@ def room_file(folder, **options):
 def train_config(*options):
     """The configuration that ``recipes/train.py`` gets from these options."""
     others = tuple(option for option in options if not option.startswith("scene="))
-    composed = _composed(others)()
+    composed = copy.deepcopy(_composed(others))
     for option in options:
         if option.startswith("scene="):
             composed.scene = parsed(option).value()
@@ -87,5 +88,4 @@ def train_config(*options):
 @functools.cache
 def _composed(options):
     """What Hydra makes of options without a scene, which are often asked for again."""
-    keep_compositions()
-    return copies(compose_training(options))
+    return compose_training(options)

@@ -16,7 +16,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from forks import Child, Ended, no_pictures, quick_hydra, reading_in_process, warm_up
+from forks import Child, Ended, no_pictures, reading_in_process, warm_up
 
 
 class Started:
@@ -57,7 +57,6 @@ def _server(imported):
 
 def _serve(imported):
     if imported == "start":
-        quick_hydra()
         importlib.import_module("dirl.cli.help")
     else:
         warm_up("train", "evaluate", "report", "scenes", "benchmark")

@@ -4,11 +4,8 @@ A child is what ``python recipes/<name>.py <arguments>`` would be, after its imp
 """
 
 import atexit
-import functools
 import importlib
-import io
 import os
-import pickle
 import runpy
 import signal
 import sys
@@ -16,8 +13,7 @@ import tempfile
 import threading
 import time
 import traceback
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
 
@@ -65,7 +61,6 @@ class Child:
 
     def __init__(self, folder, name, *arguments, prepare=lambda: None):
         words = [str(argument) for argument in arguments]
-        compose_ahead(name, words)
         self.files = [tempfile.TemporaryFile() for _ in ("printed", "errors")]  # noqa: SIM115
         sys.stdout.flush()
         sys.stderr.flush()
@@ -77,7 +72,7 @@ class Child:
         """Send it a signal."""
         os.kill(self.pid, number)
 
-    def wait(self, timeout=120.0, patience=10):
+    def wait(self, timeout=120.0, patience=5):
         """Wait for its end; stop it after so many processor seconds, or ``patience`` times as many of the clock."""
         began, ended = time.monotonic(), 0
         while not ended:
@@ -98,113 +93,13 @@ class Child:
         return texts
 
 
-def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0, patience=10):
+def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0, patience=5):
     """Run a recipe to its end, see `Child`."""
     return Child(folder, name, *arguments, prepare=prepare).wait(timeout, patience)
 
 
-def quick_hydra():
-    """Let Hydra read YAML by libyaml, not compose to look for ``hydra.mode``, and not again what was checked."""
-    import yaml
-    from hydra._internal.config_loader_impl import ConfigLoaderImpl
-    from hydra._internal.hydra import Hydra
-    from hydra.core.utils import JobRuntime
-    from omegaconf import open_dict
-
-    from dirl.cli import parsing
-
-    yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    Hydra.get_mode = lambda *arguments, **named: None
-    parsing.register = functools.cache(parsing.register)
-    keep_compositions()
-    compose, composed = ConfigLoaderImpl.load_configuration, {}
-
-    def compose_once(loader, config_name, overrides, run_mode, **options):
-        key = config_name, run_mode, *(override for override in overrides if override != "hydra.mode=RUN")
-        if key not in composed:
-            composed[key] = copies(compose(loader, config_name, overrides, run_mode, **options))
-        config = composed[key]()
-        with open_dict(config.hydra):
-            config.hydra.job.name = JobRuntime().get("name")
-        return config
-
-    ConfigLoaderImpl.load_configuration = compose_once
-
-
-def copies(config):
-    """What gives copies of a configuration, ten times as fast as `copy.deepcopy`."""
-    stream, classes = io.BytesIO(), []
-
-    class Pickler(pickle.Pickler):
-        def persistent_id(self, found):
-            """Classes stay what they are: those of some schemas are in no module."""
-            if not isinstance(found, type):
-                return None
-            classes.append(found)
-            return len(classes) - 1
-
-    class Unpickler(pickle.Unpickler):
-        def persistent_load(self, number):
-            return classes[number]
-
-    Pickler(stream).dump(config)
-    return lambda: Unpickler(io.BytesIO(stream.getvalue())).load()
-
-
-@functools.cache
-def keep_compositions():
-    """Let Hydra keep what it makes of the files of this repository and of a choice of groups.
-
-    The values of options are put into it as ever. What is in other folders may change, and is read again.
-    """
-    from hydra._internal import config_loader_impl
-    from hydra._internal.config_loader_impl import ConfigLoaderImpl
-
-    find, combine = config_loader_impl.create_defaults_list, ConfigLoaderImpl._compose_config_from_defaults_list
-    kept = {}
-
-    def places(repository):
-        """Where the files are; None if some are elsewhere."""
-        found = [(source.scheme(), source.path) for source in repository.get_sources()]
-        own = all(Path(path).is_relative_to(ROOT) for scheme, path in found if scheme == "file")
-        return tuple(found) if own else None
-
-    def find_once(repo, config_name, overrides_list, **options):
-        if places(repo) is None:
-            return find(repo, config_name, overrides_list, **options)
-        given = [one for one in overrides_list if not one.is_sweep_override()]
-        values = [one for one in given if isinstance(one.value(), dict) or not repo.group_exists(one.key_or_group)]
-        choices = [one for one in given if one not in values]
-        key = (places(repo), config_name, *(one.input_line for one in choices), *options.values())
-        if key not in kept:
-            kept[key] = find(repo, config_name, choices, **options)
-        return replace(kept[key], config_overrides=values)
-
-    def combine_once(loader, defaults, repo):
-        if places(repo) is None:
-            return combine(loader, defaults, repo)
-        key = (places(repo), *map(repr, defaults))
-        if key not in kept:
-            kept[key] = copies(combine(loader, defaults, repo))
-        return kept[key]()
-
-    config_loader_impl.create_defaults_list = find_once
-    ConfigLoaderImpl._compose_config_from_defaults_list = combine_once
-
-
-def compose_ahead(name, arguments):
-    """Compose what a recipe will, so that forks find it kept; what is wrong with it the recipe tells."""
-    from dirl.cli.parsing import compose_training
-
-    chosen = [argument for argument in arguments if (ROOT / "conf" / argument.partition("=")[0]).is_dir()]
-    if name == "train":
-        with suppress(Exception):
-            compose_training(chosen)
-
-
 def warm_up(*names):
     """Import what recipes import, before any fork."""
-    quick_hydra()
     for name in names:
         sys.path.insert(0, str(recipe_file(name).parent))
         importlib.import_module(name)

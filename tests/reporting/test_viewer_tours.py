@@ -72,5 +72,3 @@ def test_a_tour_is_drawn_and_walked(world, watched_tab, tmp_path):
     assert tab.locator("#nodes .here").count() == tab.locator("#nodes .goal-node").count() == 1
     tab.press("body", "e")
     assert "Stopped at the goal" in tab.inner_text("#outcome")
-
-
