@@ -390,7 +390,7 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     from dirl.scenes import load_scenes
     from dirl.scenes.graph import turns_per_circle
     from dirl.scenes.io.write import replace_features
-    from dirl.training.load import load_trained
+    from dirl.training.build import load_trained
 
     encoder = load_encoder(ENCODER, patches=True)
     scene = load_scenes(str(file))[0]

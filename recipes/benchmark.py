@@ -58,8 +58,8 @@ from dirl.runs.memory import peak_memory_mb
 from dirl.scenes.io.atomic import write_json
 from dirl.training.build import build_world
 from dirl.training.job import Components, build_components
+from dirl.training.loops import TrainState
 from dirl.training.rollout import collect
-from dirl.training.state import TrainState
 
 SLOW = 20
 """The loops of other libraries make so many times fewer updates than ours."""

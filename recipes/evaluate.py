@@ -149,9 +149,8 @@ from dirl.runs.paths import RunError, packaged_agent
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, shortest_move
-from dirl.training.build import describe
+from dirl.training.build import Trained, describe, load_trained
 from dirl.training.live import check_simulator
-from dirl.training.load import Trained, load_trained
 
 MOST_EPISODES = 20_000
 """Of an evaluation for which no starts are asked for."""

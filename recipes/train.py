@@ -31,12 +31,18 @@ from dirl.runs.folder import Run
 from dirl.training import hogwild
 from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, run_job
-from dirl.training.loops import Updates, dagger_rounds, imitation_steps, updates, write_evaluation
-from dirl.training.losses import clip_gradients, demonstration_batches, minibatches, set_learning_rate, total_loss
-from dirl.training.objectives import bootstrap, make_advantages
+from dirl.training.loops import TrainState, Updates, dagger_rounds, imitation_steps, updates, write_evaluation
+from dirl.training.objectives import (
+    bootstrap,
+    clip_gradients,
+    demonstration_batches,
+    make_advantages,
+    minibatches,
+    set_learning_rate,
+    total_loss,
+)
 from dirl.training.pairs import Demonstrations
 from dirl.training.rollout import collect
-from dirl.training.state import TrainState
 from dirl.training.together import Job, goes_together, run_together, train_alone
 
 

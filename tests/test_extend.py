@@ -38,12 +38,11 @@ from dirl.training.build import (
     build_observation,
     build_protocol,
     build_world,
+    learning_policy,
     trained_parameters,
 )
 from dirl.training.job import begin
-from dirl.training.load import learning_policy
-from dirl.training.losses import ScheduledLoss, demonstration_batches
-from dirl.training.objectives import ImitationLoss
+from dirl.training.objectives import ImitationLoss, ScheduledLoss, demonstration_batches
 from dirl.training.rollout import collect
 
 PAGE = (ROOT / "docs" / "howto" / "extend.md").read_text()

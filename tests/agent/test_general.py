@@ -12,7 +12,7 @@ from dirl.perception.recognition import Learned
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import AGENTS
 from dirl.scenes import load_scenes
-from dirl.training.load import load_trained
+from dirl.training.build import load_trained
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from dirl.agent.loading import rebuild
 from dirl.config.saved import MAX_CHARACTERS, config_text, read_config
 from dirl.config.schemas import ConfigError
 from dirl.models import plain_weights
-from dirl.training.load import load_trained
+from dirl.training.build import load_trained
 
 
 def refusal(*arguments, **options):

@@ -16,7 +16,7 @@ from dirl.models import PlanningMemory
 from dirl.perception.recognition import NCC
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import make_world
-from dirl.training.load import Trained
+from dirl.training.build import Trained
 
 ROOMS = [grid_scene(3, 2, name=name, goals=(0, 13), seed=seed, looks=2) for seed, name in enumerate(("a", "b"))]
 

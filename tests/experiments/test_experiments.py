@@ -26,7 +26,7 @@ from dirl.scenes.collection import Entry, add_entry
 from dirl.scenes.goals import choose_goals
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.views import encode
-from dirl.training.load import load_trained
+from dirl.training.build import load_trained
 
 SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.fraction="))]
 

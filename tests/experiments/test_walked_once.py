@@ -20,7 +20,7 @@ from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.paths import RunError
 from dirl.scenes import make_world, read_dump, write_dump
-from dirl.training.load import Trained
+from dirl.training.build import Trained
 
 SIZE = {"feature_width": 64, "patches": True, "looks": 2, "noise": 0.05}
 

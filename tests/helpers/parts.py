@@ -9,9 +9,15 @@ from train import imitate, reinforce
 
 from dirl.models import plain_weights
 from dirl.runs.folder import Run
-from dirl.training.build import build_demonstrations, build_losses, build_observation, build_protocol, build_world
+from dirl.training.build import (
+    build_demonstrations,
+    build_losses,
+    build_observation,
+    build_protocol,
+    build_world,
+    learning_policy,
+)
 from dirl.training.job import begin
-from dirl.training.load import learning_policy
 from dirl.training.loops import noticing_divergence
 
 

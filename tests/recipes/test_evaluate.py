@@ -12,7 +12,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.scenes import make_world
-from dirl.training.load import Trained
+from dirl.training.build import Trained
 
 
 @pytest.mark.parametrize(("most", "each"), [(10_000, None), (24 * 23 - 1, 22), (100, 4), (3, 1)])

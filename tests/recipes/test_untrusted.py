@@ -11,7 +11,7 @@ from dirl.agent.navigator import Navigator
 from dirl.config.schemas import ConfigError
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.runs.folder import open_run
-from dirl.training.load import load_trained
+from dirl.training.build import load_trained
 
 TARGETS = [
     "os.system",

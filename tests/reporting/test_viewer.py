@@ -24,8 +24,7 @@ from dirl.reporting import viewer_pages
 from dirl.runs.folder import Run
 from dirl.scenes import World, write_dump
 from dirl.scenes.views import encode
-from dirl.training.build import build_demonstrations, build_observation, build_protocol, build_world
-from dirl.training.load import learning_policy
+from dirl.training.build import build_demonstrations, build_observation, build_protocol, build_world, learning_policy
 
 LIMIT = 30
 

@@ -14,12 +14,10 @@ from torch import nn
 
 from dirl.config.schemas import ConfigError
 from dirl.models import FeatureTable, ObservationTable, plain_weights, recurrent_keys
-from dirl.models.build import build_policy
-from dirl.models.weights import load_weights
+from dirl.models.build import build_policy, load_weights
 from dirl.scenes import SceneError, make_world, write_dump
-from dirl.training.build import build_env, build_goals, build_world
+from dirl.training.build import build_env, build_goals, build_world, trained_policy
 from dirl.training.job import tell_of_far_goals
-from dirl.training.load import trained_policy
 
 SMALL = ["encoder.width=8", "heads.width=8"]
 

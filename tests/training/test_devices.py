@@ -18,8 +18,8 @@ from dirl.perception.recognition.build import build_recogniser
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import config_file
 from dirl.scenes import World
+from dirl.training.build import load_trained
 from dirl.training.job import prepare_device, run_job
-from dirl.training.load import load_trained
 
 SMALL = [
     *TINY,

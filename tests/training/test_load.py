@@ -13,8 +13,7 @@ from dirl.envs import SurroundingViews
 from dirl.envs.transforms import front_only
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import write_dump
-from dirl.training.build import build_world
-from dirl.training.load import learning_policy, load_trained
+from dirl.training.build import build_world, learning_policy, load_trained
 
 SHAPES = {"left": (3, 2), "right": (2, 3)}
 

@@ -8,8 +8,15 @@ from parts import make_parts, train_in, train_state
 from dirl.config.schemas import Schedule
 from dirl.evaluation.protocol import metrics
 from dirl.models import recurrent_keys
-from dirl.training.losses import as_first_steps, clip_gradients, minibatches, set_learning_rate, total_loss
-from dirl.training.objectives import bootstrap, make_advantages
+from dirl.training.objectives import (
+    as_first_steps,
+    bootstrap,
+    clip_gradients,
+    make_advantages,
+    minibatches,
+    set_learning_rate,
+    total_loss,
+)
 from dirl.training.rollout import collect, summarise
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=30", "reinforcement.max_steps=9"]

@@ -13,8 +13,8 @@ from train import imitate, learn
 from dirl.config.schemas import Schedule
 from dirl.runs.folder import Run
 from dirl.runs.paths import RunError
-from dirl.training.losses import Losses, ScheduledLoss
-from dirl.training.state import restore_random_state
+from dirl.training.loops import restore_random_state
+from dirl.training.objectives import Losses, ScheduledLoss
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "reinforcement.max_steps=9"]
 KINDS = {

@@ -17,8 +17,7 @@ from dirl.config.saved import read_config
 from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
-from dirl.models.build import build_policy, reads_patches, saved_statistics
-from dirl.models.weights import check_extractor, load_weights
+from dirl.models.build import build_policy, check_extractor, load_weights, reads_patches, saved_statistics
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.registry import BATCH, LITE, packaged_encoder

@@ -23,7 +23,7 @@ from dirl.agent.mapping import ImageGraph, PlaceMap
 from dirl.agent.mapping.policy import LAST_STEPS, Guide, check_last_steps
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
-from dirl.models.weights import tell_of_turns, turns_of_training
+from dirl.models.build import tell_of_turns, turns_of_training
 from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint

@@ -35,8 +35,7 @@ from dirl.experiments.measures import (
 from dirl.experiments.results import Result, Table, grouped, write_tables
 from dirl.scenes import World
 from dirl.scenes.palette import GREEN, GREY, ORANGE, SKY, VERMILION, WINE
-from dirl.training.build import build_goals
-from dirl.training.load import Trained
+from dirl.training.build import Trained, build_goals
 
 DRAWN = {
     FOUR: WINE,  # of the system

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.ticker import EngFormatter
 
 from dirl.config.schemas import TrainConfig
-from dirl.evaluation.stability import NEAR, STABLE_ATL, WINDOW
+from dirl.evaluation.protocol import NEAR, STABLE_ATL, WINDOW
 from dirl.experiments.figures import band, panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, grouped, published, write_tables
 from dirl.reporting.curves import atl_axis, common_frames

@@ -20,7 +20,7 @@ from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
 from dirl.scenes.io.atomic import write_json
 from dirl.scenes.io.bounded import read_text
-from dirl.training.load import Trained, load_trained
+from dirl.training.build import Trained, load_trained
 
 FOUR, PHOTO = "four views of the goal", "one photo of the goal"
 WRONG, SWEEP, RANDOM = "another goal's views", "sweep that ignores the goal", "random walk"

@@ -18,7 +18,7 @@ from dirl.runs.paths import RunError, finished_folders
 from dirl.scenes.io.atomic import atomic_path, write_text
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import SYSTEM_COLORS
-from dirl.training.load import Trained, load_trained
+from dirl.training.build import Trained, load_trained
 
 NAMES = {
     "shortest_path": "shortest path",

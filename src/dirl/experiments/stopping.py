@@ -18,15 +18,14 @@ from dirl.experiments.figures import save_figure
 from dirl.experiments.measures import decimals
 from dirl.experiments.results import Result, Table, published, write_tables
 from dirl.models import FeatureTable
-from dirl.models.build import build_policy
-from dirl.models.weights import load_weights
+from dirl.models.build import build_policy, load_weights
 from dirl.perception.backbones import ViewEncoder, encode_views
 from dirl.perception.recognition.matching import ncc, template_vectors
 from dirl.reporting.style import plain, tell_cut
 from dirl.runs.paths import RunError
 from dirl.scenes import Scene
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, VERMILION
-from dirl.training.load import Trained
+from dirl.training.build import Trained
 
 DISTURBANCES: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "noise": ("deviation, grey levels", (8, 16, 32, 64)),

@@ -33,7 +33,7 @@ from dirl.scenes.collection import read_collection
 from dirl.scenes.graph import places
 from dirl.scenes.io.write import copy_with
 from dirl.scenes.palette import BLUE, GREEN, GREY, ORANGE
-from dirl.training.load import Trained
+from dirl.training.build import Trained
 
 STEPS = 3.0
 """Of a walk at most, for each state of the room."""

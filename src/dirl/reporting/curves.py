@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from dirl.evaluation.stability import STABLE_ATL, WINDOW
+from dirl.evaluation.protocol import STABLE_ATL, WINDOW
 from dirl.reporting.style import plain, write_figure
 from dirl.reporting.tables import read_columns, run_title
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, SKY, VERMILION

@@ -1,36 +1,71 @@
-"""The components of a run, built from its configuration by one function each."""
+"""The components of a run, built from its configuration by one function each; and trained policies with theirs."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import torch
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dirl.config.components import TARGET, components, make, schedules
-from dirl.config.schemas import ConfigError, Device, GoalView, Starts, Stop, TrainConfig
-from dirl.config.user_code import CODE, describe_error
+from dirl.config.saved import read_config
+from dirl.config.schemas import Axes, Cache, ConfigError, Device, GoalView, Starts, Stop, TrainConfig
+from dirl.config.user_code import CODE, describe_error, tried
 from dirl.envs import Reward, SequentialViews, SurroundingViews
-from dirl.envs.transforms import broken_promise
+from dirl.envs.transforms import broken_promise, front_only
 from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys, state_primer
-from dirl.models.build import reads_patches
+from dirl.models import (
+    FeatureTable,
+    LocalisingMemory,
+    ObservationTable,
+    PlanningMemory,
+    caching,
+    recurrent_keys,
+    state_primer,
+)
+from dirl.models.build import (
+    build_policy,
+    check_extractor,
+    feature_table,
+    load_weights,
+    reads_linearly,
+    reads_patches,
+    tell_of_turns,
+    turns_of_training,
+)
 from dirl.perception.backbones.registry import encoded_as
 from dirl.perception.recognition.build import build_recogniser, matching, set_memory_threshold
 from dirl.perception.recognition.matching import ScoreFunction, StopRule
 from dirl.perception.recognition.tables import VisitScores
-from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.paths import ARCHITECTURE, initial_weights_file
+from dirl.scenes import ACTIONS, Scene, SceneError, World, load_scenes, make_world
+from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals
+from dirl.scenes.scene import turns_of
 from dirl.scenes.world import Goals
-from dirl.training.live import open_live
-from dirl.training.losses import Losses, ScheduledLoss, trained_parameters
-from dirl.training.objectives import ImitationLoss
+from dirl.training.live import is_live, open_live
+from dirl.training.objectives import (
+    ImitationLoss,
+    Losses,
+    ScheduledLoss,
+    bootstrap,
+    make_advantages,
+    trained_parameters,
+)
 from dirl.training.pairs import Demonstrations, DrawnPairs
-from dirl.training.trials import try_expert
+from dirl.training.rollout import INTERMEDIATE
+
+ASKED = 1000
+"""States in which an expert of one's own is tried."""
 
 
 def build_world(config: TrainConfig, extractor: str | None = None) -> World:
@@ -99,14 +134,16 @@ def build_env(
             "stop.training=match: in training the stop is a table of states, and in a scene with looks it depends on "
             "them; use stop.training=goal"
         )
-    live = open_live(config, world, observation)
+    options: Mapping[str, Any] = config.env
     offered: dict[str, Any] = {}
-    if live is not None:
-        front = observation.goal_view == GoalView.front
-        offered = {"encode": live.encode, "table": policy.features, "front": front}
+    live = is_live(config)
+    if live:
+        simulator, encode = open_live(config, world, observation)
+        options = {**options, "simulator": simulator}
+        offered = {"encode": encode, "table": policy.features, "front": observation.goal_view == GoalView.front}
     env: EnvBase = make(
         "env",
-        config.env if live is None else {**config.env, "simulator": live.simulator},
+        options,
         config.trust,
         world=world,
         num_agents=agents or config.reinforcement.agents_per_scene * len(world.scenes),
@@ -116,7 +153,8 @@ def build_env(
         **offered,
     )
     transforms: list[Any] = [StepCounter(max_steps=config.reinforcement.max_steps)]
-    transforms += [observation.clone()] if live is None else []  # what is seen live, the environment writes
+    if not live:  # what is seen live, the environment writes
+        transforms.append(observation.clone())
     if recurrent_keys(policy):
         transforms += [InitTracker(), state_primer(policy)]
     return TransformedEnv(env, Compose(*transforms))
@@ -134,8 +172,16 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
         for name in ("front_only", "goals"):
             if getattr(options, name):
                 raise ConfigError(f"imitation.{name}: applies to sampled pairs only; add imitation.sampled=true")
-    if options.goals is not None:
-        world = _towards(config, world, options.goals)
+    if options.goals is not None:  # towards goals of their own, but for those that the run holds out
+        try:
+            chosen: Any = choose_goals(world.scenes, options.goals, seed=config.seed).trained
+        except SceneError as error:
+            raise SceneError(f"imitation.goals: {error}") from None
+        # Which places are held out depends on the run's goals where these are given by number.
+        held_out = build_goals(config, world.scenes).held_out
+        world = world.with_goals(
+            {name: sorted(set(chosen[name]) - set(held_out.get(name, ()))) for name in world.names}
+        )
     expert = build_expert(config, world)
     if not options.sampled:
         return demonstrations(world, expert, observation, options.fraction, options.rule, config.seed)
@@ -143,25 +189,34 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
     return DrawnPairs(world, expert, observation, shown, options.front_only, options.scenes_at_once)
 
 
-def _towards(config: TrainConfig, world: World, rule: str) -> World:
-    """The world with the goals that the expert walks to: those of a rule without those held out."""
-    try:
-        chosen: Any = choose_goals(world.scenes, rule, seed=config.seed).trained
-    except SceneError as error:
-        raise SceneError(f"imitation.goals: {error}") from None
-    # Which places are held out depends on the run's goals where these are given by number.
-    held_out = build_goals(config, world.scenes).held_out
-    return world.with_goals({name: sorted(set(chosen[name]) - set(held_out.get(name, ()))) for name in world.names})
-
-
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
-    """The expert that labels states with actions."""
+    """The expert that labels states with actions; one of your own is asked the way from some states before.
+
+    Raises:
+        ConfigError: it fails, or does not give actions.
+    """
     made: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
     if "expert_action" not in getattr(made, "out_keys", ()):
         raise ConfigError(f"expert: {type(made).__name__} is no expert: it writes no expert_action (out_keys)")
-    if not type(made).__module__.startswith("dirl."):  # another one is tried, as it may draw from a generator
-        try_expert(make("expert", config.expert, config.trust, world=world, seed=config.seed), world)
+    if type(made).__module__.startswith("dirl."):
+        return made
+    state = torch.arange(min(len(world), ASKED), device=world.device)
+    asked = TensorDict({"state": state, "goal": world.goals[:1].expand(len(state))}, batch_size=[len(state)])
+    expected = f"{torch.int64} {[len(state)]}"
+    with _without_a_trace(world.device), tried("expert", made, f", on {len(state)} states"):
+        # Another of its kind is asked, as it may draw from a generator of its own.
+        again: Any = make("expert", config.expert, config.trust, world=world, seed=config.seed)
+        action = again(asked)["expert_action"]
+        if (found := f"{action.dtype} {list(action.shape)}") != expected:
+            raise ValueError(f"gives expert_action {found}; expected {expected}")
+        if not -1 <= int(action.min()) <= int(action.max()) < len(ACTIONS):
+            raise ValueError(f"gives actions from {int(action.min())} to {int(action.max())}; expected -1 to 3")
     return made
+
+
+def _without_a_trace(device: torch.device) -> AbstractContextManager[None]:
+    """Within this context torch's generators may be drawn from; after it they are as before."""
+    return torch.random.fork_rng(devices=[device] if device.type == "cuda" else [])
 
 
 def build_imitation_loss(config: TrainConfig, policy: Any) -> Any:
@@ -192,25 +247,23 @@ def build_losses(config: TrainConfig, policy: Any, world: World, demos: Demonstr
         with torch.random.fork_rng(devices=[]):  # the seed alone decides the weights of a loss's own
             torch.manual_seed(config.seed)
             module = make(full, options, config.trust, **offered)
-        _check_loss(full, module, policy, config.reinforcement.workers)
+        kind = type(module).__name__
+        if not hasattr(module, "in_keys"):
+            raise ConfigError(f"{full}: {kind} has no in_keys; they list what it reads of a batch")
+        own_weights = len(trained_parameters(policy, module)) > len(trained_parameters(policy))
+        if config.reinforcement.workers > 1 and own_weights:
+            raise ConfigError(
+                f"{full}: {kind} has weights of its own, which several workers do not share; use one worker"
+            )
         loss = ScheduledLoss(module.to(world.device), changing)
         weight = changing["weight"]
         if loss.compares and not len(demos):
-            raise ConfigError(f"{full}: {type(module).__name__} reads demonstrations; use imitation.fraction above 0")
+            raise ConfigError(f"{full}: {kind} reads demonstrations; use imitation.fraction above 0")
         if not loss.on_demonstrations or (len(demos) and (weight.start or weight.end)):
             found[name] = loss
     # Of equal losses those on demonstrations come last, whatever the order of the configuration.
     ordered = dict(sorted(found.items(), key=lambda item: item[1].on_demonstrations))
     return Losses(policy, ordered, demos, config.imitation.batch_size)
-
-
-def _check_loss(name: str, module: Any, policy: nn.Module, workers: int) -> None:
-    """Raise `ConfigError` if a loss does not say what it reads, or has weights that workers do not share."""
-    kind = type(module).__name__
-    if not hasattr(module, "in_keys"):
-        raise ConfigError(f"{name}: {kind} has no in_keys; they list what it reads of a batch")
-    if workers > 1 and len(trained_parameters(policy, module)) > len(trained_parameters(policy)):
-        raise ConfigError(f"{name}: {kind} has weights of its own, which several workers do not share; use one worker")
 
 
 def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | None = None) -> Optimizer:
@@ -243,8 +296,13 @@ def build_protocol(
             f"episodic_memory: {type(memory).__name__} asks the policy what it would do facing the other views; with "
             "observation=sequential or a memory it depends on earlier steps too: choose episodic_memory=counts or none"
         )
-    if options.goals is not None:
-        world = world.with_goals(_some_goals(world, options.goals, config.seed))
+    if options.goals is not None:  # so many of each scene, sampled with the seed
+        generator = torch.Generator().manual_seed(config.seed)
+        some = {}
+        for index, name in enumerate(world.names):
+            own = world.local_goals(index).cpu()
+            some[name] = sorted(own[torch.randperm(len(own), generator=generator)[: options.goals]].tolist())
+        world = world.with_goals(some)
     if isinstance(memory, LocalisingMemory):
         other = torch.nonzero(world.turns != world.turns[0]).flatten().tolist()
         if other:
@@ -275,16 +333,6 @@ def build_protocol(
     )
 
 
-def _some_goals(world: World, count: int, seed: int) -> dict[str, list[int]]:
-    """Up to so many goals of each scene, sampled with the seed."""
-    generator = torch.Generator().manual_seed(seed)
-    chosen = {}
-    for index, name in enumerate(world.names):
-        own = world.local_goals(index).cpu()
-        chosen[name] = sorted(own[torch.randperm(len(own), generator=generator)[:count]].tolist())
-    return chosen
-
-
 def describe(config: TrainConfig, world: World) -> dict[str, Any]:
     """The facts of a run that tables and pictures state: scenes, source, system, preset, seed."""
     names = world.names
@@ -295,3 +343,201 @@ def describe(config: TrainConfig, world: World) -> dict[str, Any]:
         "preset": config.preset,
         "seed": config.seed,
     }
+
+
+def try_losses(config: TrainConfig, policy: Any, losses: Losses, agents: TensorDictBase) -> None:
+    """Compute each loss once, on a made-up step of two agents; nothing but the losses is changed by it.
+
+    Args:
+        config: of the training.
+        policy: see `dirl.models.ActorCritic`.
+        losses: made for this trial: what they hold, as a replay buffer does, is not that of the training.
+        agents: where they stand before the first step, ``[B]``.
+
+    Raises:
+        ConfigError: a loss fails, or does not give what it should, see docs/howto/extend.md.
+    """
+    operator, options = policy.operator(), config.reinforcement
+    advantages = make_advantages(options.gamma, options.lmbda)
+    for name, loss in list(losses.losses.items()):
+        losses.losses = {name: loss}
+        trial = tried(f"losses.{name}", loss.module, ", on a rollout")
+        with _without_a_trace(agents.device), caching(policy), trial:
+            with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+                step = operator(agents[:2].clone()).exclude(*INTERMEDIATE)
+            # A rollout of one step, [B, 1], whose action has no effect and no reward.
+            after = agents[:2].clone().set("reward", torch.zeros_like(step["done"], dtype=torch.float32))
+            rollout = step.set("next", after.update(step.get("next", {}))).unsqueeze(1)
+            rollout.names = [*rollout.names[:-1], "time"]
+            batch = advantages(bootstrap(losses.rewarded(rollout), operator.get_value_operator()))
+            for key, value in losses(batch if losses.recurrent else batch.reshape(-1), 1.0).items():
+                if key.startswith("loss_") and value.shape:
+                    raise ValueError(f"gives {key} {list(value.shape)}; expected one number, []")
+
+
+class Trained(NamedTuple):
+    """A trained policy."""
+
+    config: TrainConfig
+    policy: nn.Module
+    protocol: EvaluationProtocol
+    """Where and how it is evaluated."""
+
+
+def load_trained(
+    saved: Mapping[str, Any],
+    origin: str,
+    changes: Mapping[str, Any] | None = None,
+    trust: Collection[str] = (),
+) -> Trained:
+    """The policy of a checkpoint, in the world of its configuration.
+
+    Args:
+        saved: see `dirl.runs.checkpoints.load_checkpoint`.
+        origin: where it stood, for errors.
+        changes: options to replace in its configuration, by dotted name.
+        trust: packages whose classes it may name, see `dirl.config.components.find_class`.
+
+    Raises:
+        ConfigError: the configuration, or what it makes, cannot be used; or the weights do not fit.
+        SceneError: a scene or goal that does not exist or cannot be used.
+    """
+    given = dict(changes or {})
+    if "goals" in given:
+        given.setdefault("hold_out", 0.0)
+        given.setdefault("evaluation.goals", None)  # all that are named, though the run drew some of its own
+    if "scene" in given and collection_folder(given["scene"]) is None:  # else the rooms of the training's split
+        # Of other rooms their own goals, from every start, unless something else is said.
+        own = {"goals": None, "hold_out": 0.0, "evaluation.goals": None, "evaluation.starts": "every"}
+        given = {"split": None, "rooms": None, **own, **given}
+    # Goals are sampled with the seed of the training: with another, trained ones would count as held out.
+    seed = given.pop("seed", None)
+    config = read_config(saved["config"], origin, given, trust)
+    rooms = None if "scene" in given else collection_folder(config.scene or [])
+    if rooms is not None and not rooms.is_dir():
+        raise ConfigError(f"{origin}: its training rooms, {rooms}, are not here; say where to evaluate it: scene=...")
+    world = build_world(config, saved["extractor"])
+    tell_of_turns(turns_of_training(saved), turns_of(world.scenes), origin)
+    held_out = build_goals(config, world.scenes).held_out
+    if seed is not None:
+        config = replace(config, seed=seed)
+    observation = build_observation(config, world)
+    policy = trained_policy(saved, origin, config, world, observation)
+    return Trained(config, policy, build_protocol(config, world, observation, held_out))
+
+
+def learning_policy(
+    config: TrainConfig,
+    world: World,
+    observation: SurroundingViews,
+    initial: Mapping[str, Tensor] | None = None,
+    features: FeatureTable | None = None,
+) -> nn.Module:
+    """The policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
+
+    It begins with the weights ``initial``, see `initial_weights`, or with some sampled with the seed; then it can learn
+    in the principal axes of the observations. ``features`` are those of another run in the same world, if there is one.
+    """
+    everywhere = world
+    if held_out := build_goals(config, world.scenes).held_out:  # a policy that knows the world walks to all goals
+        trained = {name: world.local_goals(index).tolist() for index, name in enumerate(world.names)}
+        everywhere = world.with_goals({name: (*trained[name], *held_out[name]) for name in world.names})
+    views = len(observation.order)
+    live = is_live(config)
+    room = config.env["views"] if live else 0  # for views that are not in the world
+    table = features or feature_table(config, world, initial, str(config.init), room=room)
+    surrounding, front = (None, False) if live else _seen_of_each(observation, front=config.imitation.front_only > 0)
+    if (
+        features is None
+        and config.network.axes == Axes.principal
+        and config.network.cache == Cache.auto
+        and reads_linearly(config)
+        and initial is None  # given weights would change in the last digit
+        and config.imitation.noise == 0  # which is added to features
+        and not live
+        and not front
+        and (surrounding is not None or type(observation) is SequentialViews)  # one's own may hide views at any time
+        and len(world) <= world.features.shape[1]  # with more states there is next to nothing to save
+    ):
+        table = ObservationTable(table.features, table.mean, table.std, table.axes, surrounding, views)
+    policy: Any = build_policy(config, table, world.names, world=everywhere, views=views)
+    if initial is not None:
+        load_weights(policy, initial, str(config.init), world.names)
+    if config.network.cache == Cache.auto and hasattr(policy, "cache"):
+        policy.cache(surrounding, views=views, front=front)
+    return policy
+
+
+def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor | None, bool]:
+    """What is observed in each picture, int64 ``[N, V]``, and whether goals may be given by their front view alone.
+
+    It is what the transform says, not the world's own: one's own may hide views. None unless the first view id tells
+    the others of observation and goal, so that a cache may go by it. ``front`` is whether drawn pairs have such goals,
+    see `DrawnPairs`.
+    """
+    every = torch.arange(observation.pictures, device=observation.surrounding.device)
+    seen, goal = observation.reset_view_ids(every), observation.goal_view_ids(every)
+    alone = not torch.equal(goal, seen)
+    fronts = front or alone
+    told = torch.equal(seen[:, 0], every) and not (alone and not torch.equal(goal, front_only(seen, len(every))))
+    if observation.history or not told or (fronts and bool((seen == len(every)).any())):
+        return None, fronts
+    return seen, fronts
+
+
+def trained_policy(
+    saved: Mapping[str, Any], origin: str, config: TrainConfig, world: World, observation: SurroundingViews
+) -> nn.Module:
+    """The policy of a checkpoint, see `load_trained`, in a world of its configuration or with other goals.
+
+    Raises:
+        ConfigError: the scenes' features are of another extractor, or the weights do not fit the configuration.
+    """
+    check_extractor(saved, world.scenes[0].extractor, origin)
+    names = world.names
+    if not set(names) <= set(saved["scenes"]) and len(names) == len(saved["scenes"]):
+        names = saved["scenes"]  # its heads serve as many others, in order
+    table, views = feature_table(config, world, saved["network"], origin), len(observation.order)
+    policy: Any = build_policy(config, table, names, world=world, views=views)
+    load_weights(policy, saved["network"], origin, names)
+    if config.network.cache == Cache.auto and hasattr(policy, "cache"):
+        surrounding, front = _seen_of_each(observation, front=False)
+        policy.cache(surrounding, views=views, front=front)
+    return policy
+
+
+def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:
+    """The configuration with the architecture of the checkpoint that ``init`` names, and that checkpoint.
+
+    Without ``init`` the configuration is unchanged, and there is no checkpoint.
+
+    Raises:
+        ConfigError: an option of the architecture is given beside ``init``.
+        RunError: there is no such checkpoint, or it is damaged.
+    """
+    if config.init is None:
+        return config, None
+    saved = load_checkpoint(initial_weights_file(config.init, overrides))
+    trained = read_config(saved["config"], config.init, trust=config.trust or [])
+    return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
+
+
+def initial_weights(
+    config: TrainConfig, world: World, saved: Mapping[str, Any] | None = None
+) -> Mapping[str, Tensor] | None:
+    """The weights that a training begins with, by name; None without ``init``.
+
+    ``saved`` is the checkpoint that ``init`` names, if it has been read, or the one that the run itself resumes from.
+
+    Raises:
+        ConfigError: they were trained on the features of another extractor, or have heads for other scenes.
+        RunError: there is no such checkpoint, or it is damaged.
+    """
+    if config.init is None:
+        return None
+    saved = saved or load_checkpoint(config.init)
+    check_extractor(saved, world.scenes[0].extractor, f"init={config.init}")
+    unknown = sorted(set(world.names) - set(saved["scenes"]))
+    if unknown and not config.heads.get("shared"):
+        raise ConfigError(f"init={config.init}: has heads for the scenes {saved['scenes']}, none for {unknown[0]}")
+    return saved["network"]

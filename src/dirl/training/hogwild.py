@@ -29,13 +29,19 @@ from dirl.training.build import (
     build_observation,
     build_optimiser,
     build_world,
+    learning_policy,
 )
-from dirl.training.load import learning_policy
-from dirl.training.loops import Updates
-from dirl.training.losses import clip_gradients, minibatches, set_learning_rate, total_loss
-from dirl.training.objectives import TFRMSprop, bootstrap, make_advantages
+from dirl.training.loops import TrainState, Updates
+from dirl.training.objectives import (
+    TFRMSprop,
+    bootstrap,
+    clip_gradients,
+    make_advantages,
+    minibatches,
+    set_learning_rate,
+    total_loss,
+)
 from dirl.training.rollout import Update, collect, summarise
-from dirl.training.state import TrainState
 
 
 @dataclass

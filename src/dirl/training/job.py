@@ -19,8 +19,7 @@ from dirl.config.components import check_components, packages_to_trust
 from dirl.config.folders import command
 from dirl.config.schemas import Device, Precision, Starts, TrainConfig
 from dirl.config.values import typed
-from dirl.evaluation.protocol import EvaluationProtocol, assess, mean_shortest
-from dirl.evaluation.stability import EpisodeMeter
+from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess, mean_shortest
 from dirl.models import count_parameters, plain_weights
 from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
@@ -42,14 +41,15 @@ from dirl.training.build import (
     build_protocol,
     build_world,
     describe,
+    initial_weights,
+    learning_policy,
+    try_losses,
+    with_architecture,
 )
-from dirl.training.live import live_protocol, open_live
-from dirl.training.load import initial_weights, learning_policy, with_architecture
-from dirl.training.loops import noticing_divergence
-from dirl.training.losses import Losses
+from dirl.training.live import is_live, live_protocol, open_live
+from dirl.training.loops import TrainState, noticing_divergence
+from dirl.training.objectives import Losses
 from dirl.training.pairs import Demonstrations
-from dirl.training.state import TrainState
-from dirl.training.trials import try_losses
 
 
 @dataclass
@@ -158,7 +158,8 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None, like: C
         protocol = build_protocol(run.config, world, observation, goals.held_out)
     else:
         protocol = replace(like.protocol, seed=run.config.seed)
-    if (live := open_live(run.config, world, observation)) is not None:
+    if is_live(run.config):
+        live = open_live(run.config, world, observation)
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
     state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None
     if state is not None and packages_to_trust(run.config):

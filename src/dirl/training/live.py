@@ -28,16 +28,18 @@ class Live(NamedTuple):
     encode: Remembered
 
 
-def open_live(config: TrainConfig, world: World, observation: SurroundingViews) -> Live | None:
-    """The simulator of a run, the same at each call; None if the run has none.
+def is_live(config: TrainConfig) -> bool:
+    """True if a run is in a simulator."""
+    return config.env.get("simulator") is not None
+
+
+def open_live(config: TrainConfig, world: World, observation: SurroundingViews) -> Live:
+    """The simulator of a run, the same at each call.
 
     Raises:
         ConfigError: an option that is impossible in a simulator, or another simulator than the scene's.
         SceneError: the simulator does not start.
     """
-    file = config.env.get("simulator")
-    if file is None:
-        return None
     options = config.reinforcement
     agents = options.agents_per_scene
     needed = 8 * agents * (options.n_steps + 2)
@@ -56,7 +58,7 @@ def open_live(config: TrainConfig, world: World, observation: SurroundingViews) 
         if refused:
             raise ConfigError(f"env=live: {reason}")
     trust = None if config.trust is None else tuple(config.trust)
-    return _opened(file, trust, world.scenes[0], str(config.device), reads_patches(config))
+    return _opened(config.env["simulator"], trust, world.scenes[0], str(config.device), reads_patches(config))
 
 
 @lru_cache(maxsize=1)

@@ -1,18 +1,217 @@
-"""Losses, advantages and optimisers that TorchRL and torch lack, or have otherwise (paper sections 3.2 and 3.3)."""
+"""What an update minimises (paper sections 3.2 and 3.3): losses, advantages, and the steps of the optimiser.
 
-from collections.abc import Callable, Iterable
+One pass through the trunk, then every loss on the heads. Of single losses and optimisers here are those that TorchRL
+and torch lack, or have otherwise.
+"""
+
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase, dispatch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.distributions import Categorical
+from torch.nn.utils import clip_grad_norm_, get_total_norm
 from torch.optim import Optimizer
+from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import LossModule
 from torchrl.objectives.value import GAE
 from torchrl.objectives.value.functional import generalized_advantage_estimate
+
+from dirl.config.schemas import ConfigError, Schedule
+from dirl.models import initial_state, recurrent_keys
+from dirl.training.pairs import Demonstrations, DrawnPairs
+
+EXPERT = {"expert_action", "optimal_actions"}
+"""A loss that reads one of these keys is computed on demonstrations; every other one on rollouts, or on both."""
+
+FULL_BATCH = 20_000
+"""Demonstrations that an update learns from all together, unless ``imitation.batch_size`` says otherwise."""
+
+MINIBATCH = 512
+"""Of more than that so many are sampled."""
+
+
+@dataclass(frozen=True)
+class ScheduledLoss:
+    """A loss with the coefficients that change linearly over the training."""
+
+    module: Any
+    """Reads a batch and writes ``loss_*`` entries, as TorchRL's ``LossModule`` does."""
+    schedules: Mapping[str, Schedule]
+    """``weight``, which multiplies the loss, and attributes of the module by name."""
+
+    @property
+    def on_demonstrations(self) -> bool:
+        """Whether it is computed on demonstrations."""
+        return not EXPERT.isdisjoint(self.module.in_keys)
+
+    @property
+    def compares(self) -> bool:
+        """Whether it is computed on rollouts and demonstrations together: ``forward(batch, demonstrations)``."""
+        return "demonstrations" in list(inspect.signature(self.module.forward).parameters)[1:]
+
+
+class Losses(nn.Module):
+    """All losses of an update, by name.
+
+    The policy's trunk is computed once for all rows, and writes ``hidden`` with gradients; the losses read it. Losses
+    that have parameters of their own are trained with the policy.
+
+    Args:
+        policy: with a ``trunk`` from observations to ``hidden``, see `dirl.models.ActorCritic`.
+        losses: by name.
+        demonstrations: of an expert.
+        batch_size: of the demonstrations of an update, see `demonstration_batches`.
+    """
+
+    def __init__(
+        self,
+        policy: Any,
+        losses: Mapping[str, ScheduledLoss],
+        demonstrations: Demonstrations,
+        batch_size: int | None = None,
+    ) -> None:
+        super().__init__()
+        self.trunk: Any = policy.trunk()
+        self.modules_by_name = nn.ModuleDict({name: loss.module for name, loss in losses.items()})
+        self.losses = dict(losses)
+        self.recurrent = recurrent_keys(policy)
+        self.draw = demonstration_batches(policy, demonstrations, batch_size)
+
+    @property
+    def on_rollouts(self) -> bool:
+        """Whether any loss needs rollouts."""
+        return any(not loss.on_demonstrations for loss in self.losses.values())
+
+    def forward(self, batch: TensorDictBase, left: float) -> TensorDict:
+        """The weighted losses of a batch.
+
+        Args:
+            batch: steps with advantages, ``[B]``; ``[B, T]`` for a policy with memory.
+            left: the fraction of the training that is still to come, 1 to 0.
+
+        Returns:
+            ``loss_*`` entries, scalars that carry gradients, and what else the losses report.
+        """
+        demonstrated = any(loss.on_demonstrations or loss.compares for loss in self.losses.values())
+        return self.compute(batch, self.draw() if demonstrated else None, self.coefficients(left))
+
+    def coefficients(self, left: float) -> dict[str, dict[str, Any]]:
+        """The coefficients of each loss, by its name and theirs, when a fraction ``left`` of the training remains."""
+        return {
+            name: {option: schedule(left) for option, schedule in loss.schedules.items()}
+            for name, loss in self.losses.items()
+        }
+
+    def compute(
+        self,
+        batch: TensorDictBase,
+        rows: TensorDictBase | None,
+        coefficients: Mapping[str, Mapping[str, Any]],
+        reduce: Callable[[str, Tensor], Tensor] = lambda _, value: value,
+    ) -> TensorDict:
+        """The weighted losses of a batch and of demonstrations, see `forward`.
+
+        ``reduce`` makes one number of what the loss of a name gives for each row, if it is not reduced.
+        """
+        batch, rows = self._with_hidden(batch, rows)
+        result = TensorDict()
+        for name, loss in self.losses.items():
+            weight = coefficients[name]["weight"]
+            for option, value in coefficients[name].items():
+                if option != "weight":
+                    setattr(loss.module, option, value)
+            inputs = (batch, rows) if loss.compares else (rows,) if loss.on_demonstrations else (batch,)
+            values = loss.module(*inputs)
+            if twice := set(values.keys()) & set(result.keys()):
+                raise ConfigError(f"losses.{name}: writes {min(twice)}, as another loss does")
+            terms = {key for key in values.keys() if key.startswith("loss_")}  # noqa: SIM118, of a TensorDict
+            if not terms:
+                raise ConfigError(f"losses.{name}: {type(loss.module).__name__} writes no loss_* entry")
+            for key, value in values.items():
+                reduced = reduce(name, value)
+                result[key] = weight * reduced if key in terms else reduced
+        return result
+
+    @torch.no_grad()
+    def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
+        """A rollout, ``[B, T]``, with the reward of the losses that define one, as a discriminator does.
+
+        Their ``reward`` reads the rollout with ``hidden`` and returns the reward of each step, float32 ``[B, T, 1]``.
+
+        Raises:
+            ConfigError: it returns another shape.
+        """
+        for name, loss in self.losses.items():
+            if hasattr(loss.module, "reward"):
+                with set_recurrent_mode(bool(self.recurrent)):
+                    seen = self.trunk(batch.copy())
+                reward, shape = loss.module.reward(seen), batch["next", "reward"].shape
+                if reward.shape != shape:
+                    raise ConfigError(f"losses.{name}: reward() gives {list(reward.shape)}; expected {list(shape)}")
+                batch["next", "reward"] = reward
+        return batch
+
+    def _with_hidden(
+        self, batch: TensorDictBase, rows: TensorDictBase | None
+    ) -> tuple[TensorDictBase, TensorDictBase | None]:
+        """The batch, flat, and the demonstrations, both with ``hidden``."""
+        keys = self.trunk.in_keys
+        if self.recurrent:
+            with set_recurrent_mode(True):
+                batch = self.trunk(batch.copy()).reshape(-1)
+            return batch, None if rows is None else self.trunk(rows.copy())
+        if rows is None:
+            return batch.set("hidden", self.trunk(batch.select(*keys))["hidden"]), None
+        hidden = self.trunk(torch.cat([batch.select(*keys), rows.select(*keys)]))["hidden"]
+        batch.set("hidden", hidden[: len(batch)])
+        return batch, rows.copy().set("hidden", hidden[len(batch) :])
+
+
+def demonstration_batches(
+    policy: nn.Module, demonstrations: Demonstrations, batch_size: int | None
+) -> Callable[[], TensorDictBase]:
+    """A function that gives the demonstrations of an update, see `as_first_steps`.
+
+    Args:
+        policy: that learns from them.
+        demonstrations: ``[M]``; or pairs, of which a batch is sampled for each update.
+        batch_size: rows sampled anew for each update, uniformly with replacement; all of them if it is not less than M.
+            None: all, or `MINIBATCH` of more than `FULL_BATCH`; of pairs always `MINIBATCH`.
+    """
+    if isinstance(demonstrations, DrawnPairs):
+        return lambda: as_first_steps(policy, demonstrations.draw(batch_size or MINIBATCH))
+    count = len(demonstrations)
+    wanted = batch_size or (count if count <= FULL_BATCH else MINIBATCH)
+    if wanted >= count:
+        rows = as_first_steps(policy, demonstrations)
+        return lambda: rows
+    device = demonstrations["state"].device
+    return lambda: as_first_steps(policy, demonstrations[torch.randint(count, (wanted,), device=device)])
+
+
+def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorDictBase:
+    """Demonstrations as first steps of episodes, with the initial recurrent state of a policy with memory."""
+    count, device = len(demonstrations), demonstrations["state"].device
+    if not recurrent_keys(policy) or not count:
+        return demonstrations
+    begins = torch.ones((count, 1), dtype=torch.bool, device=device)
+    return demonstrations.copy().update({"is_init": begins, **initial_state(policy, count, device)})
+
+
+def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> list[nn.Parameter]:
+    """The parameters of the policy, then the losses' own; each once."""
+    both = [*policy.parameters(), *(losses.parameters() if losses is not None else [])]
+    return list(dict.fromkeys(parameter for parameter in both if parameter.requires_grad))
+
+
+def total_loss(losses: TensorDictBase) -> Tensor:
+    """The sum of the ``loss_*`` entries."""
+    return sum(value for key, value in losses.items() if key.startswith("loss_"))
 
 
 class ImitationLoss(LossModule):
@@ -138,6 +337,63 @@ def _bootstrap_all(batch: TensorDictBase, critic: TensorDictModuleBase) -> Tenso
     return batch
 
 
+def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: bool = False) -> Iterator[TensorDictBase]:
+    """The batches of the updates that follow one rollout ``[B, T]``: all of it, or shuffled parts, in several passes.
+
+    With ``by_agent`` the steps of an agent stay together and in order, ``[b, T]``, as a memory needs; else ``[b]``.
+    """
+    rows = batch if by_agent else batch.flatten(-2, -1)
+    for _ in range(epochs):
+        if count == 1:
+            yield rows
+        else:
+            yield from (rows[part] for part in torch.randperm(len(rows)).chunk(count))
+
+
+def clip_gradients(
+    parameters: list[nn.Parameter], max_norm: float, *, per_variable: bool, stacked: bool = False
+) -> Tensor:
+    """Scale gradients down to a norm: of all variables together, or of each variable as TensorFlow does.
+
+    With ``stacked`` variables are ``[R, ...]``, of R runs, and those of each run are scaled by themselves.
+
+    Returns:
+        The norm of all together as it was before, float32 ``[]``, or ``[R]``.
+    """
+    if stacked:
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        norms = [gradient.flatten(1).norm(dim=1) for gradient in gradients]
+        norm = torch.stack(norms).norm(dim=0)
+        together = (max_norm / (norm + 1e-6)).clamp(max=1)
+        for gradient, own in zip(gradients, norms, strict=True):
+            scale = max_norm / own.clamp(min=max_norm) if per_variable else together
+            gradient.mul_(scale.view(-1, *[1] * (gradient.ndim - 1)))
+        return norm
+    if not per_variable:
+        return clip_grad_norm_(parameters, max_norm)
+    norm = get_total_norm([parameter.grad for parameter in parameters if parameter.grad is not None])
+    clip_each(parameters, max_norm)
+    return norm
+
+
+def set_learning_rate(optimiser: Any, rate: Any) -> None:
+    """Give every group of parameters the same learning rate; in place where it is a tensor, as in a CUDA graph."""
+    for group in optimiser.param_groups:
+        if isinstance(group["lr"], Tensor):
+            group["lr"].copy_(rate)
+        else:
+            group["lr"] = rate
+
+
+@torch.no_grad()
+def clip_each(parameters: Iterable[Tensor], max_norm: float) -> None:
+    """Scale the gradient of each variable by itself to at most ``max_norm`` (TensorFlow's ``clip_by_norm``)."""
+    for parameter in parameters:
+        if parameter.grad is not None:
+            norm = parameter.grad.norm()
+            parameter.grad.mul_(max_norm / norm.clamp(min=max_norm))
+
+
 class TFRMSprop(Optimizer):
     """RMSProp as TensorFlow's ``ApplyRMSProp`` computes it.
 
@@ -177,12 +433,3 @@ class TFRMSprop(Optimizer):
             torch._foreach_sqrt_(roots)
             torch._foreach_addcdiv_(parameters, gradients, roots, -group["lr"])
         return loss
-
-
-@torch.no_grad()
-def clip_each(parameters: Iterable[Tensor], max_norm: float) -> None:
-    """Scale the gradient of each variable by itself to at most ``max_norm`` (TensorFlow's ``clip_by_norm``)."""
-    for parameter in parameters:
-        if parameter.grad is not None:
-            norm = parameter.grad.norm()
-            parameter.grad.mul_(max_norm / norm.clamp(min=max_norm))

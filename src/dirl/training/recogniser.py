@@ -14,7 +14,7 @@ from dirl.perception.recognition.learned import COLUMNS
 from dirl.perception.recognition.photo import PhotoOdds
 from dirl.scenes import World
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
-from dirl.training.losses import set_learning_rate
+from dirl.training.objectives import set_learning_rate
 
 SAME, ANY = 0.4, 0.15
 """Shares of the pairs: of the same state, and of any two states of a room; the others are of neighbours."""

@@ -28,7 +28,7 @@ from dirl.runs.paths import RunError
 from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, Stages, build_components, conclude, facts_of, open_job, run_one
 from dirl.training.loops import DIVERGED, Updates, due, write_evaluation
-from dirl.training.losses import FULL_BATCH, set_learning_rate, trained_parameters
+from dirl.training.objectives import FULL_BATCH, set_learning_rate, trained_parameters
 from dirl.training.rollout import Update
 from dirl.training.stacked import Stack, StackedOptimiser, walk_together
 

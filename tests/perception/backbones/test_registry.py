@@ -30,8 +30,7 @@ from dirl.perception.backbones.registry import encode_all, encoded_as
 from dirl.scenes import SceneError, make_world, read_dump, write_dump
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.views import encode as webp
-from dirl.training.build import build_observation, build_protocol, build_world
-from dirl.training.load import learning_policy
+from dirl.training.build import build_observation, build_protocol, build_world, learning_policy
 
 VIEWS = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (5, 30, 40, 3), np.uint8))
 
