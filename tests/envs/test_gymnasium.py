@@ -1,11 +1,8 @@
-import warnings
-
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import dirl  # noqa: F401  registers dirl/Navigation-v0
 from dirl.envs import Reward
@@ -119,21 +116,6 @@ def test_many_agents_step_as_single_ones_would(room):
         ended = terminated | truncated
 
 
-def test_gymnasiums_vector_wrappers_find_what_they_need(room):
-    env = RecordEpisodeStatistics(gymnasium.make_vec(NAME, num_envs=4, **room, max_episode_steps=5))
-    env.reset(seed=0)
-    assert any("episode" in env.step(env.action_space.sample())[-1] for _ in range(6))
-
-
-def test_no_warning_is_logged_for_making_and_walking(room):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for env in (gymnasium.make(NAME, **room), gymnasium.make_vec(NAME, num_envs=2, **room)):
-            env.reset(seed=0)
-            env.step(env.action_space.sample())
-            env.close()
-
-
 @pytest.mark.parametrize(
     ("given", "error", "said"),
     [
@@ -168,11 +150,3 @@ def test_wrong_actions_and_options_are_refused(room):
     for options in ({"state": 0}, {"goal": 5}, {"start": 1}):
         with pytest.raises(ValueError, match="reset"):
             single.reset(options=options)
-
-
-def test_the_vector_version_takes_a_seed_for_each_agent(room):
-    vector = gymnasium.make_vec(NAME, num_envs=4, **room)
-    seeds = ([1, 2, 3, 4], [1, 2, 3, 4], [5, 6, 7, 8])
-    first, again, other = (vector.reset(seed=seed)[1]["state"].tolist() for seed in seeds)
-    assert first == again
-    assert first != other

@@ -190,12 +190,6 @@ def test_what_is_impossible_in_a_simulator_is_one_line(options, option, message)
         train_state(make_parts(*options, option))
 
 
-def test_impossible_errors_of_moves():
-    for option in ({"slip": 1.0}, {"turn_error": -1.0}):
-        with pytest.raises(ValueError, match=next(iter(option))):
-            make_env(**option)
-
-
 def test_another_simulator_than_the_scenes_is_one_line():
     with pytest.raises(ConfigError, match=r"simulator=f\.yaml: is of field; .* is of "):
         live.check_simulator(Field(), replace(field_scene(), name="other"), "f.yaml")

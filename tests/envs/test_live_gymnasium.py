@@ -60,14 +60,6 @@ def test_a_blocked_move_is_a_collision(env, room):
         env.step(4)
 
 
-def test_a_seed_determines_goals_and_starts(room):
-    env = LiveGym(Dumped(room), room)
-    drawn = [env.reset(seed=seed)[1] for seed in (1, 1, *range(2, 12))]
-    assert drawn[0] == drawn[1]
-    assert len({info["goal"] for info in drawn}) > 1
-    assert {info["goal"] for info in drawn} <= set(room.goals)
-
-
 def test_torchrl_wraps_it_with_a_limit_of_steps_and_errors_of_moves(room):
     limited = gymnasium.wrappers.TimeLimit(LiveGym(Noisy(Dumped(room), slip=0.2), room), 5)
     env = GymWrapper(limited, categorical_action_encoding=True)

@@ -38,13 +38,6 @@ def test_surrounding_views_are_quarter_turns_apart_where_turns_are_smaller():
     assert SurroundingViews(world).reset_view_ids(torch.tensor([2, 22])).tolist() == [[2, 5, 8, 11], [22, 13, 16, 19]]
 
 
-def test_surrounding_views_depend_on_the_state_alone(world):
-    steps = rollout(world, SurroundingViews)
-    for part in (steps, steps["next"]):
-        assert torch.equal(part["view_ids"], world.surrounding[part["state"]])
-        assert torch.equal(part["goal_view_ids"], world.surrounding[part["goal"]])
-
-
 def test_sequential_views_begin_with_the_first_four_times_and_end_with_the_newest(world):
     observation = SequentialViews(world)
     views = observation.reset_view_ids(torch.tensor([7, 16]))
@@ -72,12 +65,6 @@ def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states
                 history = None
 
 
-def test_sequential_goal_views_are_the_goals_view_four_times(world):
-    steps = rollout(world, SequentialViews)
-    for part in (steps, steps["next"]):
-        assert torch.equal(part["goal_view_ids"], torch.stack([part["goal"]] * 4, -1))
-
-
 @BOTH
 def test_views_made_by_a_replay_buffer_are_those_recorded_in_the_env(world, kind):
     steps = rollout(world, kind)
@@ -93,23 +80,6 @@ def test_views_made_by_a_replay_buffer_are_those_recorded_in_the_env(world, kind
 
 
 @BOTH
-def test_what_begins_an_episode_is_what_is_recorded_at_its_begin(world, kind):
-    env = TransformedEnv(NavigationEnv(world, AGENTS), kind(world))
-    agents, observation = env.reset(), kind(world)
-    assert torch.equal(agents["view_ids"], observation.reset_view_ids(agents["state"]))
-    assert torch.equal(agents["goal_view_ids"], observation.reset_view_ids(agents["goal"]))
-
-
-@BOTH
-def test_views_are_declared_as_states_of_the_world(world, kind):
-    spec = TransformedEnv(NavigationEnv(world, AGENTS), kind(world)).observation_spec
-    for key in ("view_ids", "goal_view_ids"):
-        assert spec[key].shape == (AGENTS, 4)
-        assert spec[key].n == len(world) == 40
-        assert spec[key].dtype == torch.int64
-
-
-@BOTH
 def test_the_features_behind_the_views_are_looked_up_in_the_env(world, kind):
     transforms = Compose(StepCounter(5), kind(world), ViewFeatures(world.features))
     env = TransformedEnv(NavigationEnv(world, AGENTS), transforms)
@@ -120,19 +90,3 @@ def test_the_features_behind_the_views_are_looked_up_in_the_env(world, kind):
         assert part["observation"].shape == (AGENTS, STEPS, 4, 16)
         assert torch.equal(part["observation"], world.features[part["view_ids"]])
         assert torch.equal(part["goal_observation"], world.features[part["goal_view_ids"]])
-
-
-def test_the_features_behind_the_views_are_looked_up_in_a_replay_buffer(world):
-    stored = rollout(world, SurroundingViews).select("state", "goal", "view_ids", "goal_view_ids")
-    buffer = ReplayBuffer(storage=LazyTensorStorage(AGENTS), transform=ViewFeatures(world.features), batch_size=7)
-    buffer.extend(stored)
-    sample = buffer.sample()
-    assert torch.equal(sample["observation"], world.features[world.surrounding[sample["state"]]])
-    assert torch.equal(sample["goal_observation"], world.features[world.surrounding[sample["goal"]]])
-
-
-def test_what_the_four_views_are_is_said():
-    assert SurroundingViews.order == ("ahead", "right", "back", "left")
-    assert len(SequentialViews.order) == 4
-    assert SequentialViews.order[-1] == "now"
-    assert (SurroundingViews.history, SequentialViews.history) == (False, True)

@@ -66,12 +66,6 @@ def test_failures_count_as_the_limit(world, kind):
     assert found["spl"] == pytest.approx((1 / 1 + 2 / 2 + 1 / 3) / 23)
 
 
-@pytest.mark.parametrize(("max_steps", "success"), [(2, False), (3, True)])
-def test_the_last_step_still_counts(world, max_steps, success):
-    options = {"observation": SurroundingViews(world), "max_steps": max_steps}
-    assert run_episodes(always(RIGHT), world, from_states(0, 1), **options).success.tolist() == [success]
-
-
 @BOTH
 def test_a_stop_elsewhere_and_a_goal_not_recognised_are_failures(world, kind):
     stop = only_goals(world)
@@ -90,13 +84,6 @@ def test_a_stop_elsewhere_and_a_goal_not_recognised_are_failures(world, kind):
     assert (found["false_stop_rate"], found["missed_stop_rate"]) == (pytest.approx(0.4), pytest.approx(0.2))
 
 
-def test_of_equal_actions_the_greedy_one_is_the_first(world):
-    # One step back would lead to the goal, ahead leads away from it.
-    starts, observation = from_states(1, 17), SurroundingViews(world)
-    assert run_episodes(always(BACK), world, starts, observation=observation).success.tolist() == [True]
-    assert run_episodes(RandomPolicy(), world, starts, observation=observation).success.tolist() == [False]
-
-
 def test_sampled_actions_follow_the_policys_probabilities(world):
     # One step from 3: the goal by a right turn only.
     logits = torch.tensor([0.2, 0.5, 0.2, 0.1]).log()
@@ -105,14 +92,6 @@ def test_sampled_actions_follow_the_policys_probabilities(world):
         for kind in KINDS:
             episodes = run_episodes(policy, world, starts, observation=kind(world), max_steps=1, greedy=False)
             assert metrics(episodes)["sr"] == pytest.approx(share, abs=0.02)
-
-
-def test_sampling_wanders_where_the_greedy_expert_goes_straight(world):
-    options = {"world": world, "starts": every_start(world), "observation": SurroundingViews(world)}
-    greedy = metrics(run_episodes(expert(world, sureness=1.0), **options))
-    sampled = metrics(run_episodes(expert(world, sureness=1.0), **options, greedy=False))
-    assert greedy["spl"] == 1 > 0.7 > sampled["spl"]
-    assert sampled["atl"] > 1.5 * greedy["atl"]
 
 
 def test_draws_are_decided_by_the_seed_alone(world):
@@ -201,12 +180,6 @@ def test_agents_that_see_the_same_are_asked_once(world):
     assert policy.sizes == [2, 2, 1]
 
 
-def test_who_walks_in_a_circle_is_asked_once_for_each_view_of_it(world):
-    policy = always(RIGHT)
-    run_episodes(policy, world, from_states(0, 5), observation=SequentialViews(world), max_steps=100)
-    assert policy.sizes == [1] * 7  # three while the start is still in sight twice or more, and four
-
-
 def test_watching_shows_the_episodes_still_going_on_after_each_step(world):
     seen = []
     options = {"observation": SurroundingViews(world), "max_steps": 3}
@@ -230,11 +203,6 @@ def test_answers_are_those_of_the_policy_asked_for_each_pair(world):
         torch.testing.assert_close(of_goal, world.block(values, index))
 
 
-def test_a_policy_without_values_answers_zero(world):
-    _, values = answers(RandomPolicy(), world, SurroundingViews(world))
-    assert not values.any()
-
-
 @pytest.mark.parametrize("memory", [EpisodicMemory(), PlanningMemory()], ids=["counts", "planning"])
 def test_a_memory_ends_the_circles_of_a_greedy_policy(world, memory):
     """A policy that always turns right finds only goals in its place; with the memory it tries what it has not."""
@@ -246,18 +214,6 @@ def test_a_memory_ends_the_circles_of_a_greedy_policy(world, memory):
     assert remembered.success.all()
 
 
-@pytest.mark.parametrize("memory", [EpisodicMemory, PlanningMemory])
-def test_the_memory_knows_places_by_what_they_look_like(world, memory):
-    """Where everything looks alike, every action is soon tried everywhere: the count is of looks, not of states."""
-    starts = every_start(world)
-    options = {"observation": SurroundingViews(world), "max_steps": 30}
-    states, looks = [
-        run_episodes(always(RIGHT, 1.0), world, starts, memory=memory(threshold=threshold), **options)
-        for threshold in (0.9, -1.0)
-    ]
-    assert not torch.equal(states.steps, looks.steps)
-
-
 @pytest.mark.parametrize("memory", [EpisodicMemory(), PlanningMemory()], ids=["counts", "planning"])
 def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch, memory):
     starts, options = every_start(world), {"observation": SurroundingViews(world), "memory": memory}
@@ -265,19 +221,6 @@ def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch, memory):
     monkeypatch.setattr(episodes_module, "MANY", 7)
     parts = run_episodes(always(BACK, 1.0), world, starts, **options)
     assert all(torch.equal(a, b) for a, b in zip(vars(whole).values(), vars(parts).values(), strict=True))
-
-
-def test_a_plan_leads_straight_to_a_goal_that_was_seen(world):
-    """Whatever the policy says: facing one of the four views here, the agent would be at the goal."""
-    goal_index, start = every_start(world)
-    near = (world.surrounding[start] == world.goals[goal_index, None]).any(1)
-    starts = goal_index[near], start[near]
-    options = {"observation": SurroundingViews(world), "max_steps": 2}
-    assert near.any()
-    assert not run_episodes(always(BACK, 9.0), world, starts, **options).success.all()
-    found = run_episodes(always(BACK, 9.0), world, starts, memory=PlanningMemory(), **options)
-    assert found.success.all()
-    assert torch.equal(found.steps, found.shortest)
 
 
 def test_a_policy_may_be_shown_another_goal(world):

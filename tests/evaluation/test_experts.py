@@ -8,7 +8,6 @@ from tensordict.nn import TensorDictModule
 from dirl.envs import SequentialViews, SurroundingViews
 from dirl.evaluation.experts import (
     DEMONSTRATED,
-    RULES,
     RandomPolicy,
     ShortestPathExpert,
     ShortestPathPolicy,
@@ -67,21 +66,6 @@ def test_optimal_actions_are_all_that_come_nearer_and_the_expert_takes_the_first
         assert expert_action(world, *case).tolist() == [nearer.index(True)]
 
 
-@pytest.mark.parametrize(
-    ("state", "optimal", "chosen"),
-    [
-        pytest.param(2, [RIGHT, LEFT], RIGHT, id="either turn"),
-        pytest.param(14, [AHEAD, RIGHT, LEFT], AHEAD, id="turn before or after the step"),
-        pytest.param(13, [LEFT], LEFT, id="the nearer turn"),
-        pytest.param(12, [BACK], BACK, id="one way only"),
-    ],
-)
-def test_of_several_optimal_actions_the_first_is_taken(world, state, optimal, chosen):
-    case = torch.tensor([0]), torch.tensor([state])
-    assert optimal_actions(world, *case)[0].nonzero().flatten().tolist() == optimal
-    assert expert_action(world, *case).tolist() == [chosen]
-
-
 PLACE = torch.tensor([0, 0, 1, 1, 2, 0, 2, 3, 1, 3, 4, 4])
 
 
@@ -111,30 +95,10 @@ def test_random_shows_the_fraction_of_states_and_at_least_one(fraction, states):
     assert shown(fraction, "random", place, seed=1) != first
 
 
-@pytest.mark.parametrize("rule", RULES)
-def test_nothing_and_everything_are_fractions_too(rule):
-    assert shown(0, rule) == []
-    assert shown(1, rule) == list(range(12))
-
-
 @pytest.mark.parametrize("fraction", [-0.1, 1.01, float("nan")])
 def test_a_fraction_beyond_nothing_and_everything_is_refused(world, fraction):
     with pytest.raises(ValueError, match="between 0 and 1"):
         shown_by_expert(world, fraction)
-
-
-@pytest.mark.parametrize("fraction", [0, 0.1])
-def test_an_unknown_rule_is_refused_with_the_choices(world, fraction):
-    with pytest.raises(ValueError, match=r"no rule 'intervall'.*'interval_pos'"):
-        shown_by_expert(world, fraction, "intervall")
-
-
-def test_everything_is_shown_for_every_goal_but_the_goal_and_what_does_not_reach_it(world):
-    shows = shown_by_expert(world, 1)
-    rows = list(zip(shows["goal"].tolist(), shows["state"].tolist(), strict=True))
-    wanted = [(world.goals[index].item(), state) for index, state, _ in every_case(world)]
-    assert sorted(rows) == sorted(wanted)
-    assert shows.batch_size == (60,)
 
 
 def test_a_demonstration_holds_the_experts_action_and_the_scene(world):
@@ -158,20 +122,6 @@ def test_a_demonstration_holds_the_experts_action_and_the_scene(world):
 def test_states_are_counted_scene_by_scene(world, fraction, rule, states):
     reaching_another = set(states) - {37}
     assert set(shown_by_expert(world, fraction, rule)["state"].tolist()) == reaching_another
-
-
-def test_randomly_chosen_states_are_decided_by_the_seed_and_the_same_for_every_goal(world):
-    first, again, other = (shown_by_expert(world, 0.25, "random", seed)["state"] for seed in (4, 4, 5))
-    assert torch.equal(first, again)
-    assert set(first.tolist()) != set(other.tolist())
-    # A quarter of the first scene's 24 states, each for its two goals unless it is one of them.
-    in_room = first[first < 24].tolist()
-    assert len(set(in_room)) == 6
-    assert all(in_room.count(state) == 2 - (state in (0, 13)) for state in in_room)
-
-
-def test_no_fraction_gives_no_demonstrations(world):
-    assert shown_by_expert(world, 0).batch_size == (0,)
 
 
 @pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
@@ -199,14 +149,6 @@ def silent_in(world, *states):
         return torch.where(torch.isin(state, torch.tensor(states)), -1, known)
 
     return TensorDictModule(advise, in_keys=["state", "goal"], out_keys=["expert_action"])
-
-
-def test_states_without_advice_are_not_demonstrated(world):
-    everything = shown_by_expert(world, 1)
-    fewer = demonstrations(world, silent_in(world, 3, 4, 25), SurroundingViews(world), 1)
-    kept = ~torch.isin(everything["state"], torch.tensor([3, 4, 25]))
-    assert (~kept).sum() == 2 + 2 + 1
-    assert (fewer == everything[kept].select(*DEMONSTRATED)).all()
 
 
 def visited(world, goal_index, state, views=SurroundingViews):
@@ -243,10 +185,3 @@ def test_merged_demonstrations_keep_the_first_of_each_that_observe_the_same(worl
     assert rows[0, 7] == 9
     assert 9 not in (rows[0, 3], rows[0, 5], rows[13, 3])
     assert len(merge_demonstrations(merged, merged)) == 4
-
-
-def test_the_same_state_is_kept_twice_where_it_was_observed_otherwise(world):
-    one = label(ShortestPathExpert(world), visited(world, [0], [5], SequentialViews))
-    other = one.clone()
-    other["view_ids"] = torch.tensor([[4, 4, 4, 5]])
-    assert len(merge_demonstrations(one, other, one)) == 2

@@ -3,10 +3,8 @@ import math
 import pytest
 import torch
 from networks import (
-    FEATURES,
     SCENES,
     SURROUNDING,
-    WIDTH,
     batch_of,
     embedded_rows,
     make_policy,
@@ -14,12 +12,10 @@ from networks import (
     seen,
     standardised_policy,
 )
-from tensordict import TensorDict
 from torch import nn
 from torchrl.modules import set_recurrent_mode
 
-from dirl.evaluation.experts import RandomPolicy
-from dirl.models import caching, count_parameters, frozen, initial_state, plain_weights, recurrent_keys
+from dirl.models import count_parameters, initial_state, plain_weights, recurrent_keys
 
 OUTPUTS = ("hidden", "logits", "state_value")
 
@@ -68,28 +64,9 @@ def test_batches_of_agents_and_time_are_read_as_rows(policy, cached):
         torch.testing.assert_close(found[key].flatten(0, 1), expected[key])
 
 
-def test_its_keys_are_what_it_reads_and_writes(policy):
-    given = batch_of(*seen(rows=5))
-    assert set(policy.in_keys) == set(given.keys())
-    assert set(policy.out_keys) <= set(policy(given).keys())
-
-
 def test_the_published_network_has_its_number_of_parameters():
     made = make_policy(torch.zeros(1, 2048), ["a", "b", "c", "d"], width=512)
     assert count_parameters(made) == 5_780_500
-
-
-def test_shared_heads_are_one_scenes_heads():
-    shared = make_policy(torch.zeros(1, FEATURES), SCENES, shared=True)
-    single = make_policy(torch.zeros(1, FEATURES), SCENES[:1])
-    assert count_parameters(shared) == count_parameters(single)
-    assert "heads.policy.scenes.shared.weight" in shared.state_dict()
-
-
-def test_frozen_parameters_are_not_counted(policy):
-    before = count_parameters(policy)
-    policy.encoder.fusion.weight.requires_grad_(False)
-    assert count_parameters(policy) == before - WIDTH * WIDTH
 
 
 def test_weights_and_biases_start_within_one_over_the_root_of_fan_in():
@@ -117,33 +94,12 @@ def test_its_plain_weights_are_those_without_what_makes_it_fast(policy):
     torch.testing.assert_close(found, expected)
 
 
-def test_a_policy_that_cannot_be_cached_needs_no_context():
-    policy = RandomPolicy()
-    assert (plain_weights(policy), recurrent_keys(policy), count_parameters(policy)) == ({}, [], 0)
-    assert initial_state(policy, 3, torch.device("cpu")) == {}
-    for context in (caching, frozen):
-        with context(policy):
-            assert (
-                policy(TensorDict({"state": torch.zeros(2, dtype=torch.int64)}, [2]))["logits"].tolist()
-                == [[0] * 4] * 2
-            )
-
-
 @pytest.fixture
 def remembering():
     """A policy with a memory, cached."""
     made = standardised_policy(memory=True)
     made.cache(SURROUNDING)
     return made
-
-
-def test_a_memory_begins_empty(remembering, policy):
-    (key,) = recurrent_keys(remembering)
-    assert recurrent_keys(policy) == []
-    assert {"is_init", key} <= set(remembering.in_keys)
-    (state,) = initial_state(remembering, 5, torch.device("cpu")).values()
-    assert state.shape == (5, 1, WIDTH)
-    assert not state.any()
 
 
 def walked(policy, steps, begins):

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from hypothesis import given
 from hypothesis import strategies as st
-from networks import SURROUNDING, batch_of, gradients, plain, seen, standardised_policy
+from networks import SURROUNDING, gradients, plain, seen, standardised_policy
 from torch import nn
 
 from dirl.envs.transforms import front_only
@@ -92,13 +92,6 @@ class Attention(nn.Module):
         return self.fuse(self.embed(observation), self.embed(goal_observation))
 
 
-class Gated(SiameseEncoder):
-    """A Siamese encoder that fuses otherwise."""
-
-    def fuse(self, embedding, goal_embedding):
-        return super().fuse(embedding, goal_embedding) * embedding.sigmoid()
-
-
 class Comparing(ComparingEncoder):
     """An encoder that embeds goals otherwise than observations."""
 
@@ -106,18 +99,7 @@ class Comparing(ComparingEncoder):
         super().__init__(num_features, (2, 2), width, comparison=9, projection=3, view_projection=4, pair_width=5)
 
 
-class Whole(nn.Module):
-    """An encoder without parts to cache."""
-
-    def __init__(self, num_features, width):
-        super().__init__()
-        self.layer = nn.Bilinear(4 * num_features, 4 * num_features, width)
-
-    def forward(self, observation, goal_observation):
-        return self.layer(observation.flatten(1), goal_observation.flatten(1))
-
-
-OWN = pytest.mark.parametrize("encoder", [SiameseEncoder, Attention, Gated, Comparing])
+OWN = pytest.mark.parametrize("encoder", [SiameseEncoder, Attention, Comparing])
 SEEN = pytest.mark.parametrize("surrounding", [SURROUNDING, None], ids=["surrounding", "sequential"])
 
 
@@ -226,24 +208,3 @@ def test_after_the_context_nothing_is_kept(context):
             policy.cached(views, goal_views)
         policy.encoder.query.weight.data = policy.encoder.query.weight.data + 1  # without a trace in its version
         torch.testing.assert_close(policy.cached(views, goal_views), plain(policy, views, goal_views))
-
-
-def test_an_encoder_without_parts_trains_on_features():
-    policy, expected = cached_and_plain(Whole, SURROUNDING)
-    assert policy.cached is None
-    rows = batch_of(*seen())
-    (fused, logits), wanted = (policy.trunk()(rows.copy())[key] for key in ("fused", "hidden")), expected(rows.copy())
-    torch.testing.assert_close(fused, plain(expected, *seen()[:2]))
-    torch.testing.assert_close(logits, wanted["hidden"])
-    gradients(policy, policy(rows.copy())["logits"])
-    assert all(weight.grad.abs().sum() > 0 for weight in policy.encoder.parameters())
-
-
-def test_a_copy_of_a_cached_policy_embeds_with_its_own_weights():
-    policy, _ = cached_and_plain(Attention, SURROUNDING)
-    copied, (views, goal_views, _) = copy.deepcopy(policy), seen()
-    with torch.no_grad():
-        for parameter in copied.encoder.parameters():
-            parameter.mul_(2)
-    torch.testing.assert_close(copied.cached(views, goal_views), plain(copied, views, goal_views))
-    torch.testing.assert_close(policy.cached(views, goal_views), plain(policy, views, goal_views))

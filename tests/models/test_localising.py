@@ -44,14 +44,6 @@ def test_a_square_closes_by_motion_alone():
     assert (places.node[0] // 4).unique().tolist() == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("turns", [8, 12])
-def test_a_square_closes_by_motion_where_turns_are_small(turns):
-    quarter = [(RIGHT, {})] * (turns // 4)
-    places = walk(LocalisingMemory(), *[(AHEAD, {}), *quarter] * 4, turns=turns)
-    assert places.here.item() == 0
-    assert len((places.node[0] // turns).unique()) == 4
-
-
 def test_a_triangle_closes_over_the_diagonal():
     corner = [(RIGHT, {})] * 3
     places = walk(LocalisingMemory(), (AHEAD, {}), *corner, (AHEAD, {}), *corner, (AHEAD, {}), turns=8)
@@ -144,25 +136,6 @@ def test_who_knows_the_whole_place_stops_at_the_most_probable_node():
     assert memory.stops(closed).item()
     assert not memory.stops(open_ahead).item()
     assert not LocalisingMemory(settle=0.95).stops(closed).item()
-
-
-def test_with_a_map_of_an_earlier_walk_moves_not_tried_are_no_reason_to_search_on():
-    memory = LocalisingMemory()
-    seen = walk(memory, (AHEAD, {0: -3.0}), goal={1: {0: 2.5}})
-    assert not memory.stops(seen).item()
-    seen.mapped[:] = True
-    assert memory.stops(seen).item()
-    assert not LocalisingMemory(settle=0.999).stops(seen).item()
-
-
-def test_more_places_that_may_look_like_the_goal_ask_for_more_evidence():
-    seen = walk(LocalisingMemory(), goal={0: {0: 4.0}})
-    assert [LocalisingMemory(elsewhere=value).stops(seen).item() for value in (0.002, 0.2)] == [True, False]
-
-
-def test_more_confidence_asks_for_more_evidence():
-    seen = walk(LocalisingMemory(), goal={0: {0: 4.0}})
-    assert [LocalisingMemory(confidence=value).stops(seen).item() for value in (0.9, 0.99)] == [True, False]
 
 
 def test_where_all_was_tried_an_uncertain_place_is_seen_again():

@@ -2,7 +2,6 @@ import copy
 
 import torch
 from networks import FEATURES, WIDTH
-from torch import nn
 
 from dirl.models import SiameseEncoder
 
@@ -25,12 +24,6 @@ def test_four_views_are_embedded_together_and_both_embeddings_fused():
     torch.testing.assert_close(made(observation, goal_observation), torch.stack(rows))
 
 
-def test_it_fuses_what_it_embeds():
-    made, (observation, goal_observation) = encoder(), observations(9)
-    fused = made.fuse(made.embed(observation), made.embed_goal(goal_observation))
-    torch.testing.assert_close(made(observation, goal_observation), fused)
-
-
 def test_observation_and_goal_are_embedded_by_the_same_weights():
     made, (observation, goal_observation) = encoder(), observations(9)
     swapped = copy.deepcopy(made)
@@ -41,18 +34,4 @@ def test_observation_and_goal_are_embedded_by_the_same_weights():
     assert [name for name, _ in swapped.named_parameters()] == [
         "embedding.weight", "embedding.bias", "fusion.weight", "fusion.bias",
         "goal_fusion.weight",
-    ]  # fmt: skip
-
-
-def test_any_dimensions_may_lead():
-    made, both = encoder(), observations(3, 5)
-    fused = made(*both)
-    assert fused.shape == (3, 5, WIDTH)
-    torch.testing.assert_close(fused.flatten(0, 1), made(*both.flatten(1, 2)))
-
-
-def test_its_layers_are_two_the_second_in_halves():
-    layers = [module for module in encoder().modules() if isinstance(module, nn.Linear)]
-    assert [(layer.in_features, layer.out_features) for layer in layers] == [
-        (4 * FEATURES, WIDTH), (WIDTH, WIDTH), (WIDTH, WIDTH)
     ]  # fmt: skip

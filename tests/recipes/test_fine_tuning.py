@@ -5,12 +5,11 @@ import signal
 
 import pytest
 import torch
-from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, train_config, wait_until
+from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, wait_until
 from rooms import grid_scene
 
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import write_dump
-from dirl.training.build import build_world, initial_weights, with_architecture
 
 OTHER = [*(option for option in TINY if ".width" not in option), "scene=other.h5", "system=dirl"]
 """Reinforcement in another room; the architecture is the checkpoint's."""
@@ -64,14 +63,6 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
     done(pretrained, "train", "resume=killed")
     first, second = (load_checkpoint(run)["network"] for run in (whole, killed))
     assert all(torch.equal(first[key], second[key]) for key in first)
-
-
-def test_the_checkpoint_is_read_once(pretrained, monkeypatch):
-    monkeypatch.chdir(pretrained)
-    config, saved = with_architecture(train_config(*OTHER, "init=run"), ["init=run"])
-    monkeypatch.setattr("dirl.training.build.load_checkpoint", None)
-    world = build_world(config)
-    assert initial_weights(config, world, saved) is saved["network"]
 
 
 @pytest.mark.parametrize(

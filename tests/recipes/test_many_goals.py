@@ -107,13 +107,6 @@ def test_goals_that_are_named_are_all_evaluated(any_goal):
     assert len(counted["all"]) > 20
 
 
-def test_an_unknown_choice_is_one_line(any_goal):
-    status, _, errors = run_recipe(any_goal, "evaluate", "checkpoint=run", "episodic_memory=some")
-    assert status == 1
-    told = "episodic_memory=some: choose from counts, localising, none, planning, or a file of your own, with .yaml"
-    assert errors.splitlines()[-1].endswith(told)
-
-
 def test_a_room_without_patches_is_told_before_anything_is_made(any_goal):
     write_dump(any_goal / "bare.h5", grid_scene(goals=(0, 13), feature_width=32))
     status, _, errors = run_recipe(any_goal, "train", *ANY_GOAL, "scene=bare.h5", "hydra.run.dir=bare")

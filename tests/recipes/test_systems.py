@@ -30,15 +30,6 @@ def test_a_system_that_learns_nothing_is_measured_like_the_others(tmp_path, syst
     assert "| greedy " in printed
 
 
-def test_an_image_graph_is_measured_like_the_others(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *TINY, "system=graph_memory", "hydra.run.dir=run"]
-    done(tmp_path, "train", *options)
-    summary = summary_of(tmp_path / "run")
-    assert summary["greedy"] == summary["sampled"]
-    assert summary["greedy"]["sr"] == 1
-    assert summary["greedy"]["spl"] > 0.95
-
-
 def test_a_memory_that_localises_goes_on_with_the_map_of_a_walk(tmp_path):
     """Of a policy that has hardly learnt, in a room that changes."""
     room = room_file(tmp_path, looks=2, patches=True)

@@ -55,18 +55,6 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     assert all(again[mode] == summary[mode] for mode in ("greedy", "sampled", "random", "shortest_path"))
 
 
-def test_products_can_be_rounded_to_bfloat16_but_not_the_weights(tmp_path):
-    weights = []
-    for precision in ("float32", "bfloat16"):
-        options = [f"scene={room_file(tmp_path)}", *TINY, f"precision={precision}", f"hydra.run.dir={precision}"]
-        options += ["imitation.max_steps=5", "reinforcement.frames_per_scene=60", "evaluation.times=0"]
-        done(tmp_path, "train", *options)
-        weights.append(torch.load(tmp_path / precision / "network.pt", weights_only=True)["network"])
-        (tmp_path / "room.h5").unlink()
-    assert {weight.dtype for weight in weights[1].values()} == {torch.float32}
-    assert not torch.equal(*(of_run["encoder.fusion.weight"] for of_run in weights))
-
-
 @pytest.mark.parametrize(
     "options",
     [

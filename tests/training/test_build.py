@@ -1,22 +1,26 @@
 """From a configuration to the parts of a run; what does not fit together is one line."""
 
+import json
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from commands import room_file, train_config
-from networks import make_policy
+from commands import TINY, done, room_file, run_recipe, train_config
 from parts import make_parts
 from rooms import grid_scene
 from torch import nn
 
+from dirl.agent.decisions import observe
 from dirl.config.schemas import ConfigError
+from dirl.envs import SurroundingViews
+from dirl.envs.transforms import front_only
 from dirl.models import FeatureTable, ObservationTable, plain_weights, recurrent_keys
-from dirl.models.build import build_policy, load_weights
+from dirl.models.build import build_policy
+from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import SceneError, make_world, write_dump
-from dirl.training.build import build_env, build_goals, build_world, trained_policy
+from dirl.training.build import build_env, build_goals, build_world, learning_policy, load_trained, trained_policy
 from dirl.training.job import tell_of_far_goals
 
 SMALL = ["encoder.width=8", "heads.width=8"]
@@ -57,20 +61,11 @@ class Narrow(nn.Module):
         return self.layer(observation - goal_observation).mean(1)
 
 
-class Silent(nn.Module):
-    def __init__(self, num_features):
-        super().__init__()
-
-    def forward(self, observation, goal_observation):
-        return None
-
-
 @pytest.mark.parametrize(
     ("name", "told"),
     [
         ("Flat", r"encoder: gives \[28\] for one row; expected \[1, width\]"),
         ("Narrow", r"encoder: cannot be called as it should, on features \[1, 4, 7\]: mat1 and mat2"),
-        ("Silent", r"encoder: gives NoneType for one row"),
     ],
 )
 def test_an_encoder_that_does_not_encode_rows_is_refused(name, told, monkeypatch):
@@ -82,9 +77,14 @@ def test_an_encoder_that_does_not_encode_rows_is_refused(name, told, monkeypatch
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("observation", ["surrounding", "sequential"])
 @pytest.mark.parametrize(
-    ("axes", "width", "principal"), [("principal", 32, True), ("principal", 16, False), ("features", 32, False)]
+    ("observation", "axes", "width", "principal"),
+    [
+        ("surrounding", "principal", 32, True),
+        ("sequential", "principal", 32, True),
+        ("surrounding", "principal", 16, False),
+        ("surrounding", "features", 32, False),
+    ],
 )
 def test_principal_axes_are_used_where_there_are_no_more_states_than_features(
     tmp_path, observation, axes, width, principal
@@ -110,17 +110,6 @@ def test_an_agents_memory_is_emptied_with_every_episode(tmp_path):
     assert torch.equal(begins[:, 1:], steps["next", "done"][:, :-1, 0])
     assert not steps[key][begins].any()
     assert steps[key][~begins].any(-1).all()
-
-
-def test_weights_of_some_scenes_are_loaded_by_name():
-    features = torch.rand(6, 3)
-    whole, part = make_policy(features, ["a", "b", "v1.0"], seed=1), make_policy(features, ["v1.0", "a"], seed=2)
-    load_weights(part, plain_weights(whole), "here", ["v1.0", "a"])
-    for name in ("a", "v1_0"):
-        for layers in ("trunk", "policy", "value"):
-            key = f"heads.{layers}.scenes.{name}.{'0.' if layers == 'trunk' else ''}weight"
-            assert torch.equal(part.state_dict()[key], whole.state_dict()[key])
-    assert torch.equal(part.encoder.fusion.weight, whole.encoder.fusion.weight)
 
 
 def test_features_of_another_extractor_are_refused(tmp_path):
@@ -151,12 +140,11 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
         make_parts(*options, "imitation.sampled=true", "imitation.goals=some")
 
 
-@pytest.mark.parametrize("options", [["memory=gru"], ["observation=sequential"]])
-def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path, options):
+def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path):
     with pytest.raises(
         ConfigError, match=r"^episodic_memory: PlanningMemory asks .*choose episodic_memory=counts or none$"
     ):
-        make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=planning", *options, *SMALL)
+        make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=planning", "memory=gru", *SMALL)
 
 
 @pytest.mark.parametrize(
@@ -181,3 +169,86 @@ def test_goals_that_few_states_reach_are_told(capsys):
     )
     tell_of_far_goals(make_world([room]))
     assert not capsys.readouterr().out
+
+
+SHAPES = {"left": (3, 2), "right": (2, 3)}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A folder with dumps of two rooms and a run that was trained in both."""
+    folder = tmp_path_factory.mktemp("two")
+    for seed, (name, shape) in enumerate(SHAPES.items()):
+        write_dump(folder / f"{name}.h5", grid_scene(*shape, name=name, goals=(0, 5), feature_width=64, seed=seed))
+    scenes = ",".join(str(folder / f"{name}.h5") for name in SHAPES)
+    done(folder, "train", f"scene=[{scenes}]", *TINY, "hydra.run.dir=run")
+    return folder
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_policy_of_two_scenes_decides_by_the_layers_of_the_one_it_is_in(trained, name):
+    saved = load_checkpoint(trained / "run")
+    _, both, protocol = load_trained(saved, "run")
+    _, one, alone = load_trained(saved, "run", {"scene": str(trained / f"{name}.h5")})
+    whole, part = protocol.run(both), alone.run(one)
+    inside = whole.select(protocol.world.scene_of[whole.start] == protocol.world.names.index(name))
+    for field in ("steps", "success", "shortest"):
+        assert torch.equal(getattr(inside, field), getattr(part, field))
+
+
+class OnlyAhead(SurroundingViews):
+    """A transform of one's own that shows the view ahead, and hides the others."""
+
+    def reset_view_ids(self, picture):
+        return front_only(super().reset_view_ids(picture), self.pictures)
+
+
+@pytest.mark.parametrize("axes", ["principal", "features"])
+def test_a_cached_policy_sees_what_the_observation_shows_and_nothing_else(tmp_path, axes):
+    write_dump(tmp_path / "room.h5", grid_scene(3, 2, goals=(0, 5), feature_width=64))
+    found = []
+    for cache in ("auto", "off"):
+        config = train_config(f"scene={tmp_path / 'room.h5'}", f"network.cache={cache}", f"network.axes={axes}")
+        world = build_world(config)
+        observation = OnlyAhead(world)
+        policy = learning_policy(config, world, observation)
+        state, goal = torch.arange(24), torch.zeros(24, dtype=torch.int64)
+        found.append(policy(observe(world, observation, state, observation.reset_view_ids(state), goal))["logits"])
+    torch.testing.assert_close(*found, atol=1e-5, rtol=0)
+
+
+def test_a_dump_that_has_moved_or_has_another_name_is_named_anew(trained, tmp_path):
+    summary = json.loads((trained / "run" / "summary.json").read_text())
+    for name in SHAPES:
+        (trained / f"{name}.h5").rename(tmp_path / f"{name}_moved.h5")
+    try:
+        status, _, errors = run_recipe(tmp_path, "evaluate", f"checkpoint={trained / 'run'}")
+        assert status == 1
+        assert errors.count("\n") == 1
+        scenes = f"scene=[{','.join(str(tmp_path / f'{name}_moved.h5') for name in SHAPES)}]"
+        given = ("seed=3", "max_steps=50", "out=result.json")
+        done(tmp_path, "evaluate", f"checkpoint={trained / 'run'}", scenes, *given)
+        result = json.loads((tmp_path / "result.json").read_text())
+        assert {key: result["greedy"][key] for key in ("atl", "sr")} == {
+            key: summary["greedy"][key] for key in ("atl", "sr")
+        }
+    finally:
+        for name in SHAPES:
+            (tmp_path / f"{name}_moved.h5").rename(trained / f"{name}.h5")
+
+
+def test_turns_that_the_training_did_not_have_are_told_of_in_one_line(trained, tmp_path, capsys):
+    for headings in (4, 8):
+        room = grid_scene(3, 2, name="left", goals=(0, 5), feature_width=64, headings=headings)
+        write_dump(tmp_path / f"room_{headings}.h5", room)
+    saved = load_checkpoint(trained / "run")
+    assert saved["turns"] == [4]
+    load_trained(saved, "run", {"scene": str(tmp_path / "room_4.h5")})
+    assert capsys.readouterr().err == ""
+    told = "warning: run: was trained with turns of 90 degrees; with turns of 45 degrees its paths may be much longer"
+    for known in (saved, {key: value for key, value in saved.items() if key != "turns"}):  # none stood there before
+        load_trained(known, "run", {"scene": str(tmp_path / "room_8.h5")})
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(told)
+    load_trained({**saved, "turns": [4, 8]}, "run", {"scene": str(tmp_path / "room_8.h5")})
+    assert capsys.readouterr().err == ""

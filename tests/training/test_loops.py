@@ -1,17 +1,181 @@
-"""What the loops of the training refuse, and what they leave as it was."""
+"""The loops of a training: it goes on from what is saved to the same weights, bit for bit; what it refuses."""
+
+import io
 
 import pytest
+import torch
 from commands import room_file, train_config
-from parts import make_parts, train_in
-from train import train
+from parts import Loop, make_parts, train_in, train_state
+from tensordict import TensorDict
+from torch import nn
+from train import imitate, learn, train
 
-from dirl.config.schemas import ConfigError
+from dirl.config.schemas import ConfigError, Schedule
 from dirl.runs.folder import Run
 from dirl.runs.paths import RunError
 from dirl.training.job import build_components
+from dirl.training.loops import restore_random_state
+from dirl.training.objectives import Losses, ScheduledLoss
 
-SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "evaluation.times=0"]
-SMALL += ["reinforcement.frames_per_scene=2000"]
+SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "reinforcement.max_steps=9"]
+KINDS = {
+    "surrounding": [],
+    "sequential": ["observation=sequential", "preset=paper", "reinforcement.max_steps=9"],
+    "gru": ["memory=gru", "memory.hidden_size=8"],
+    "ppo": ["objective=ppo", "reinforcement.minibatches=3"],
+    "uncached": ["network.cache=off"],
+}
+
+
+def walk(parts, state, frames):
+    """Updates until so many frames, as the recipe does them."""
+
+    learn(parts.config, state, Loop(state, frames))
+
+
+def through_a_file(saved):
+    """As a checkpoint holds it."""
+    stream = io.BytesIO()
+    torch.save(saved, stream)
+    stream.seek(0)
+    return torch.load(stream, weights_only=True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
+    options = [f"scene={room_file(tmp_path)}", *SMALL, *KINDS[kind]]
+    whole, first, second = (make_parts(*options) for _ in range(3))  # `first` stays as it begins
+    stop = []
+    torch.manual_seed(0)
+    state = train_state(whole)
+
+    def save_once(state):
+        if not stop and state.frames >= 120:
+            stop.append(through_a_file(state.state_dict()))
+
+    learn(whole.config, state, Loop(state, 300, save_once))
+    torch.manual_seed(99)
+    resumed = train_state(second)
+    resumed.load_state_dict(stop[0])
+    assert resumed.frames == stop[0]["frames"] >= 120
+    walk(second, resumed, 300)
+    assert (resumed.frames, resumed.meter.state_dict()) == (state.frames, state.meter.state_dict())
+    for name, value in state.policy.state_dict().items():
+        assert torch.equal(value, resumed.policy.state_dict()[name]), name
+    assert (resumed.agents == state.agents).all()
+    initial = first.policy.state_dict()
+    assert not torch.equal(initial["encoder.embedding.weight"], state.policy.state_dict()["encoder.embedding.weight"])
+
+
+@pytest.fixture
+def imitated(tmp_path, monkeypatch):
+    """Imitate from a checkpoint, or from the beginning; gives the parts, and a checkpoint of each step."""
+    options = [f"scene={room_file(tmp_path)}", *SMALL, "system=any_goal", "encoder=siamese", "episodic_memory=none"]
+    options += ["network.components=8", "imitation.max_steps=6", "imitation.batch_size=16", "evaluation.times=0"]
+    saved = []
+    monkeypatch.setattr(Run, "save", lambda _, state: saved.append(through_a_file(state)))
+
+    def imitate_from(checkpoint=None):
+        parts = make_parts(*options, "checkpoint.every_seconds=0")
+        saved.clear()
+        steps = imitate(
+            Run(tmp_path, parts.config, checkpoint and {**checkpoint, "seconds": 0.0}), parts.policy, parts.demos
+        )
+        return parts, steps, list(saved)
+
+    return imitate_from
+
+
+def test_an_imitation_goes_on_from_its_state_to_the_same_end(imitated):
+    """Pairs, noise and the falling learning rate included; nothing is done twice."""
+    whole, steps, saved = imitated()
+    assert (steps, [state["imitation"]["step"] for state in saved]) == (6, [1, 2, 3, 4, 5, 6])
+    for begins in (saved[1], saved[5]):
+        torch.manual_seed(99)
+        resumed, steps, after = imitated(begins)
+        assert (steps, len(after)) == (6, 6 - begins["imitation"]["step"])
+        for name, value in whole.policy.state_dict().items():
+            assert torch.equal(value, resumed.policy.state_dict()[name]), name
+    weights = [state["learning"]["encoder.embedding.weight"] for state in saved]
+    assert not torch.equal(weights[1], weights[5])
+
+
+def test_a_checkpoint_that_is_not_of_this_imitation_is_refused(imitated):
+    _, _, (saved, *_) = imitated()
+    other = {**saved["optimiser"], "param_groups": []}
+    for change in ({"learning": {}}, {"optimiser": other}, {"random": {}}, {"random": {"cpu": torch.zeros(3)}}):
+        with pytest.raises(RunError, match="its checkpoint does not fit this run"):
+            imitated(saved | change)
+
+
+def test_a_state_says_the_weights_for_everyone_else(tmp_path):
+    room = f"scene={room_file(tmp_path)}"
+    parts, plain = make_parts(room, *SMALL), make_parts(room, *SMALL, "network.cache=off")
+    saved = train_state(parts).state_dict()
+    assert set(saved["network"]) == set(plain.policy.state_dict())
+    rows = parts.demos.select("view_ids", "goal_view_ids", "scene")
+    expected = plain.policy(rows.copy())["logits"]  # the weights differ in what the world never shows
+    plain.policy.load_state_dict(saved["network"])
+    torch.testing.assert_close(plain.policy(rows.copy())["logits"], expected)
+    assert not any("weight" in name or "bias" in name for name in saved["losses"])  # those are the policy's
+
+
+class Guess(nn.Module):
+    """A loss with a layer of its own, on what the trunk makes of a rollout."""
+
+    in_keys = ("hidden", "reward")
+
+    def __init__(self, width):
+        super().__init__()
+        self.layer = nn.Linear(width, 1)
+
+    def forward(self, batch):
+        return TensorDict({"loss_guess": (self.layer(batch["hidden"]) - batch["next", "reward"]).square().mean()})
+
+
+def with_own_loss(parts, seed):
+    torch.manual_seed(seed)
+    guess = ScheduledLoss(Guess(8), {"weight": Schedule(1.0, 1.0)})
+    parts.losses = Losses(parts.policy, {**parts.losses.losses, "guess": guess}, parts.demos)
+    return train_state(parts)
+
+
+def test_the_losses_own_parameters_are_trained_saved_and_restored(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *SMALL]
+    parts, others = make_parts(*options), make_parts(*options)
+    state, other = with_own_loss(parts, 1), with_own_loss(others, 2)
+    layer, fresh = (s.losses.modules_by_name["guess"].layer for s in (state, other))
+    assert any(p is layer.weight for group in state.optimiser.param_groups for p in group["params"])
+    before = layer.weight.detach().clone()
+    walk(parts, state, 60)
+    assert not torch.equal(layer.weight, before)
+    saved = through_a_file(state.state_dict())
+    other.load_state_dict(saved)
+    assert torch.equal(layer.weight, fresh.weight)
+    for one, made in ((state, parts), (other, others)):
+        one.env.base_env.generator.set_state(saved["random"]["env"])
+        restore_random_state(saved["random"])
+        walk(made, one, 120)
+    assert torch.equal(layer.weight, fresh.weight)
+    assert torch.equal(state.policy.encoder.fusion.weight, other.policy.encoder.fusion.weight)
+
+
+def test_without_a_cache_the_same_is_learnt_up_to_rounding(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *SMALL, "network.axes=features"]
+    weights, episodes = [], []
+    for cache in ("auto", "off"):
+        parts = make_parts(*options, f"network.cache={cache}")
+        assert (parts.policy.cached is None) == (cache == "off")
+        state = train_state(parts)
+        walk(parts, state, 240)
+        weights.append(state.state_dict()["network"])
+        episodes.append(state.meter.state_dict())
+    assert episodes[0] == episodes[1]
+    torch.testing.assert_close(*weights, rtol=1e-3, atol=1e-4)
+
+
+DIVERGING = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "evaluation.times=0"]
+DIVERGING += ["reinforcement.frames_per_scene=2000"]
 
 
 @pytest.mark.parametrize(
@@ -29,7 +193,7 @@ SMALL += ["reinforcement.frames_per_scene=2000"]
     ids=["imitation", "reinforcement"],
 )
 def test_a_training_that_diverges_ends_in_one_line(tmp_path, options, says):
-    parts = make_parts(f"scene={room_file(tmp_path)}", *SMALL, *options)
+    parts = make_parts(f"scene={room_file(tmp_path)}", *DIVERGING, *options)
     with pytest.raises(RunError, match=says):
         train_in(tmp_path / "run", parts)
 
@@ -51,12 +215,12 @@ def test_a_training_that_diverges_ends_in_one_line(tmp_path, options, says):
 )
 def test_a_component_that_cannot_be_made_is_one_line(tmp_path, options, says):
     with pytest.raises(ConfigError, match=says):
-        train_in(tmp_path / "run", make_parts(f"scene={room_file(tmp_path)}", *SMALL, *options))
+        train_in(tmp_path / "run", make_parts(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
 
 
 def test_a_reinforcement_after_dagger_tells_its_own_frames(tmp_path):
     options = ["imitation.rounds=1", "imitation.max_steps=3", "reinforcement.frames_per_scene=60"]
-    run = Run(tmp_path / "run", train_config(f"scene={room_file(tmp_path)}", *SMALL, *options))
+    run = Run(tmp_path / "run", train_config(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
     components = build_components(run)
     run.begin(components.protocol.world, components.protocol.observation.order)
     told = train(run, components)

@@ -33,17 +33,6 @@ def test_pairs_are_drawn_by_goal_and_then_among_the_states_of_its_scene(world):
     assert torch.equal(drawn["view_ids"], world.surrounding[drawn["state"]])
 
 
-def test_the_expert_says_all_optimal_actions(world):
-    drawn = pairs(world).draw(500)
-    rows = torch.arange(len(drawn))
-    assert drawn["optimal_actions"][rows, drawn["expert_action"]].all()
-    assert drawn["optimal_actions"].sum(1).max() > 1
-    there = world.graph[drawn["state"]]
-    goal_index = world.goal_index[drawn["goal"]]
-    nearer = world.distance(goal_index.unsqueeze(1), there) < world.distance(goal_index, drawn["state"]).unsqueeze(1)
-    assert torch.equal(drawn["optimal_actions"], nearer)
-
-
 def test_a_share_of_the_goals_is_shown_by_its_front_view(world):
     drawn = pairs(world, front_only=0.3).draw(5000)
     photo = drawn["goal_view_ids"][:, 1] == len(world)

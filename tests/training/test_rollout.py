@@ -2,11 +2,8 @@ import pytest
 import torch
 from networks import make_policy
 from rooms import grid_scene
-from tensordict.nn import TensorDictModule
-from torch.distributions import Categorical
 from torch.utils._python_dispatch import TorchDispatchMode
 from torchrl.envs import Compose, StepCounter, TransformedEnv
-from torchrl.modules import ProbabilisticActor
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.models import distinct
@@ -30,22 +27,6 @@ def make_env(world, views=SurroundingViews, agents=AGENTS):
 @pytest.fixture
 def policy(world):
     return make_policy(world.features, world.names, width=8).operator()
-
-
-def always(*probabilities):
-    """An actor with the same probabilities everywhere."""
-    logits = torch.tensor(probabilities).log()
-    module = TensorDictModule(lambda state: logits.expand(len(state), 4), ["state"], ["logits"])
-    return ProbabilisticActor(module, in_keys=["logits"], distribution_class=Categorical)
-
-
-def test_every_agent_takes_the_steps(world, policy):
-    env = make_env(world)
-    batch, agents = collect(env, policy, env.reset(), STEPS)
-    assert batch.batch_size == (AGENTS, STEPS)
-    assert batch.names == [None, "time"]
-    assert agents.batch_size == (AGENTS,)
-    assert torch.equal(batch["next", "state"], world.graph[batch["state"], batch["action"]])
 
 
 def test_a_step_holds_what_the_losses_need_and_no_intermediate_result(world, policy):
@@ -100,14 +81,6 @@ def test_two_short_calls_are_one_long_call(world, policy, views):
     whole, parts = in_calls_of(15), in_calls_of(4, 1, 10)
     assert (whole[0] == parts[0]).all()
     assert (whole[1] == parts[1]).all()
-
-
-def test_actions_are_sampled(world):
-    env = make_env(world, agents=500)
-    torch.manual_seed(0)
-    batch, _ = collect(env, always(0.1, 0.2, 0.4, 0.3), env.reset(), 20)
-    share = batch["action"].flatten().bincount() / 10_000
-    assert share.tolist() == pytest.approx([0.1, 0.2, 0.4, 0.3], abs=0.02)
 
 
 class Questions(TorchDispatchMode):

@@ -56,8 +56,7 @@ def learned(stack, updates):
     return loop.reports
 
 
-@pytest.mark.parametrize("scenes", [1, 2])
-def test_each_run_of_a_stack_learns_what_it_learns_alone(scenes, tmp_path):
+def test_each_run_of_a_stack_learns_what_it_learns_alone(tmp_path):
     room = room_file(tmp_path)
     stack = make_stack(room)
     reports = learned(stack, 3)

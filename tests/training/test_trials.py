@@ -13,7 +13,7 @@ from dirl.config.schemas import ConfigError
 from dirl.envs import NavigationEnv
 from dirl.evaluation.experts import ShortestPathExpert
 from dirl.models import ActorCritic
-from dirl.training.job import build_components, how_to_evaluate
+from dirl.training.job import build_components
 
 SMALL = ["encoder.width=32", "heads.width=32", "evaluation.times=0", "reinforcement.agents_per_scene=32"]
 
@@ -32,11 +32,6 @@ class Nothing(Own):
         return TensorDict({"reported": batch["hidden"].mean()})
 
 
-class Misspelt(Own):
-    def forward(self, batch):
-        return TensorDict({"loss_own": batch["hiden"].mean()})
-
-
 class Each(Own):
     def forward(self, batch):
         return TensorDict({"loss_own": batch["hidden"].mean(-1)})
@@ -48,11 +43,6 @@ class Rewards(Own):
 
     def forward(self, batch):
         return TensorDict({"loss_own": batch["hidden"].mean()})
-
-
-class Unmade(Own):
-    def __init__(self, policy):
-        self.own = policy
 
 
 class Headless(torch.nn.Module):
@@ -69,14 +59,6 @@ class NoScenes(torch.nn.Module):
 class Mute(ActorCritic):
     def forward(self, tensordict):
         return super().forward(tensordict).exclude("logits")
-
-
-class Columns(ShortestPathExpert):
-    def __init__(self, world):
-        super().__init__(world)
-
-    def forward(self, tensordict):
-        return tensordict.set("expert_action", torch.zeros(len(tensordict), 1, dtype=torch.int64))
 
 
 class Fifth(ShortestPathExpert):
@@ -100,17 +82,10 @@ def components_with(tmp_path, monkeypatch, group, made):
     ("group", "made", "told"),
     [
         ("losses", Nothing, r"losses\.own: Nothing writes no loss_\* entry"),
-        (
-            "losses",
-            Misspelt,
-            r'losses\.own: .*, on a rollout: KeyError: key "hiden" not .*\(test_trials\.py, line \d+\)',
-        ),
         ("losses", Each, r"losses\.own: .*gives loss_own \[2\]; expected one number, \[\]"),
         ("losses", Rewards, r"losses\.own: reward\(\) gives \[2, 1\]; expected \[2, 1, 1\]"),
-        ("losses", Unmade, r"losses\.own: Unmade cannot be made: AttributeError: .* \(test_trials\.py, line \d+\)"),
         ("heads", Headless, r"heads: .*, on rows \[1, 32\]: policy gives \[1, 3\] for one row; expected \[1, 4\]"),
         ("policy", Mute, r'policy: .*, on view ids \[1, 4\]: KeyError: key "logits" .*'),
-        ("expert", Columns, r"expert: .*gives expert_action \S*int64 \[\d+, 1\]; expected \S*int64 \[\d+\]"),
         ("expert", Fifth, "expert: .*gives actions from 4 to 4; expected -1 to 3"),
     ],
 )
@@ -163,12 +138,3 @@ def test_an_environment_of_ones_own_needs_no_option_of_dirls(monkeypatch):
     monkeypatch.setattr(Windy, "__module__", "own")
     own = {"env": {"_target_": "own.Windy", "wind": 0.1}}
     assert read_config(config_text(train_config()), "run", own, trust=["own"]).env == own["env"]
-
-
-def test_the_command_that_evaluates_a_run_with_classes_of_ones_own_can_be_pasted(monkeypatch):
-    monkeypatch.delenv("DIRL_COMMAND", raising=False)
-    config = train_config()
-    assert how_to_evaluate(config, "runs/a") == ""
-    config.losses["own"] = {"_target_": "own.Counts"}
-    told = how_to_evaluate(config, "my runs/a")
-    assert told == "evaluate it with: python recipes/evaluate.py 'checkpoint=my runs/a' 'trust=[own]'"

@@ -96,9 +96,9 @@ class NavigationEnv(EnvBase):
 
     def _draw(self) -> Tensor:
         """Two numbers from 0 to 1 for each agent, float32 ``[2, *batch]``."""
-        shape = self.batch_size if len(self.generators) == 1 else self.batch_size[1:]
-        drawn = [torch.rand((2, *shape), generator=own, device=self.device) for own in self.generators]
-        return drawn[0] if len(drawn) == 1 else torch.stack(drawn, 1)
+        runs, *agents = self.batch_size
+        each = (2, runs // len(self.generators), *agents)
+        return torch.cat([torch.rand(each, generator=own, device=self.device) for own in self.generators], 1)
 
     def _any_look(self) -> Tensor:
         return torch.randint(self.world.looks, self.batch_size, generator=self.generator, device=self.device)

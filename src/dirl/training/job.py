@@ -13,11 +13,10 @@ from typing import Any
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from torch import nn
 
 from dirl.config.components import check_components, packages_to_trust
 from dirl.config.folders import command
-from dirl.config.schemas import Device, Precision, Starts, TrainConfig
+from dirl.config.schemas import Device, Precision, Starts
 from dirl.config.values import typed
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess, mean_shortest
 from dirl.models import count_parameters, plain_weights
@@ -111,10 +110,7 @@ def run_one(
         components = build_components(run, initial)
         run.begin(components.protocol.world, components.protocol.observation.order)
     with one_line_exits(run.how_to_go_on) if alone else nullcontext():
-        try:
-            return _train(run, components, stages)
-        except SimulatorError as error:
-            raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
+        return run_stages(run, components, stages)
 
 
 def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[Run, Mapping[str, Any] | None]:
@@ -200,34 +196,33 @@ def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -
     return state
 
 
-def _train(run: Run, components: Components, stages: Stages) -> dict[str, Any]:
-    """Run the stages; evaluate, and write the summary. A policy that learns nothing is evaluated only."""
+def run_stages(run: Run, components: Components, stages: Stages) -> dict[str, Any]:
+    """Run the stages; evaluate, and write the summary. A policy that learns nothing is evaluated only.
+
+    Raises:
+        RunError: the policy has diverged, or its simulator has failed.
+    """
     policy, protocol = components.policy, components.protocol
     if run.saved is None:
         torch.manual_seed(run.config.seed)
     facts = facts_of(run, components)
     print(f"{run_title(facts)}: {run.folder}")
     if not count_parameters(policy):
-        return _conclude_untrained(run, policy, protocol, facts)
-    with noticing_divergence():
-        trained = stages(run, components)
-        return conclude(run, policy, protocol, facts | trained)
+        summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
+        run.write_summary(summary)
+        print(summary_table(summary))
+        run.clean_up(summary)
+        return summary
+    try:
+        with noticing_divergence():
+            return conclude(run, policy, protocol, facts | stages(run, components))
+    except SimulatorError as error:
+        raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
 
 
 def facts_of(run: Run, components: Components) -> dict[str, Any]:
     """The facts of a run that its summary begins with."""
     return describe(run.config, components.protocol.world) | {"demonstrations": len(components.demos)}
-
-
-def _conclude_untrained(
-    run: Run, policy: nn.Module, protocol: EvaluationProtocol, facts: dict[str, Any]
-) -> dict[str, Any]:
-    """Evaluate a policy that learns nothing, and write the summary."""
-    summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
-    run.write_summary(summary)
-    print(summary_table(summary))
-    run.clean_up(summary)
-    return summary
 
 
 def conclude(
@@ -247,13 +242,7 @@ def conclude(
         draw_scene(policy, protocol, index, run.folder, matching=stop, facts=summary)
     run.clean_up(summary)
     print(f"pictures, metrics and weights: {run.folder}")
-    if hint := how_to_evaluate(run.config, run.folder):
-        print(hint)
+    if outside := packages_to_trust(run.config):
+        options = shlex.join([f"checkpoint={run.folder}", f"trust=[{','.join(outside)}]"])
+        print(f"evaluate it with: {command('evaluate')} {options}")
     return summary
-
-
-def how_to_evaluate(config: TrainConfig, folder: Path) -> str:
-    """The command that evaluates a run with classes outside of dirl, as a shell takes it; of other runs nothing."""
-    outside = packages_to_trust(config)
-    options = shlex.join([f"checkpoint={folder}", f"trust=[{','.join(outside)}]"])
-    return f"evaluate it with: {command('evaluate')} {options}" if outside else ""

@@ -76,7 +76,8 @@ class TrainState:
 
     def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> Update:
         """The report of an update."""
-        return summarise(self.env, batch, losses)
+        (report,) = summarise(self.env, batch.unsqueeze(0), losses.unsqueeze(0))
+        return report
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -171,13 +172,15 @@ class ImitationSteps:
     loss: float = math.inf
     """Of the latest step, as is the accuracy: the fraction of its rows in which the most probable action is right."""
     accuracy: float = 0.0
-    bar: Any = None
+    saves: bool = True
+    """False where the steps are not saved, and a run that is killed in them begins anew."""
+    bar: Any = field(default_factory=lambda: tqdm(disable=True))
     signals: list[int] = field(default_factory=list)
     """Signals that ask the loop to end."""
 
     @property
     def goes_on(self) -> bool:
-        """Whether there are steps left to do."""
+        """True if there are steps left to do."""
         options = self.run.config.imitation
         return self.step - self.first < options.max_steps and self.loss >= options.loss_threshold and not self.signals
 
@@ -200,7 +203,7 @@ class ImitationSteps:
         self.step += 1
         self.run.write("imitation", self.step, {"step": self.step, "loss": self.loss, "accuracy": self.accuracy})
         self.bar.update()
-        if (self.run.save_due() or self.signals) and not self.first:
+        if self.saves and (self.run.save_due() or self.signals):
             self.run.save(self.state_dict())
 
     def state_dict(self) -> dict[str, Any]:
@@ -226,7 +229,8 @@ class ImitationSteps:
 def imitation_steps(run: Run, policy: Any, first: int) -> Iterator[ImitationSteps]:
     """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved."""
     options = run.config.imitation
-    steps = ImitationSteps(run, policy, torch.optim.Adam(policy.parameters(), lr=options.lr), first, first)
+    optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)
+    steps = ImitationSteps(run, policy, optimiser, first, first, saves=not first)
     if run.saved is not None and "imitation" in run.saved and not first:
         with restoring(run.folder):
             steps.load_state_dict(run.saved)

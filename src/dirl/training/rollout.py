@@ -59,20 +59,23 @@ class Update(NamedTuple):
     """Losses, and what describes the update beside them."""
 
 
-def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Update:
-    """The report of an update, from its rollout ``[B, T]`` and the losses of its last pass.
+def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
+    """The reports of an update of R runs, from their rollouts ``[R, B, T]`` and the losses of its last pass, ``[R]``.
 
     With them comes the fraction of the variance of the returns that the critic explains: 1 is a perfect one, 0 one that
     says the same of every state.
     """
-    # In the order they ended.
-    over = batch["next"].select("goal", "step_count").transpose(0, 1)[batch["next", "done"].squeeze(-1).T]
-    values = {key: value.detach().float().reshape(()) for key, value in sorted(losses.items()) if value.numel() == 1}
-    target, value = batch["value_target"].float(), batch["state_value"].float()
-    values["explained_variance"] = 1 - (target - value).var() / target.var()
-    return Update(
-        frames=batch.numel(),
-        goal_index=env.base_env.goal_index[over["goal"]].tolist(),
-        steps=over["step_count"].squeeze(-1).tolist(),
-        values=dict(zip(values, torch.stack(list(values.values())).tolist(), strict=True)),  # one synchronisation
-    )
+    told = {key: value.float() for key, value in sorted(losses.items()) if value.ndim == 1}
+    target, value = batch["value_target"].float().flatten(1), batch["state_value"].float().flatten(1)
+    told["explained_variance"] = 1 - (target - value).var(1) / target.var(1)
+    values = torch.stack(list(told.values()), 1).tolist()  # one synchronisation, another one below
+    after, goal_index = batch["next"], env.base_env.goal_index
+    ends = [after["done"].squeeze(-1), goal_index[after["goal"]], after["step_count"].squeeze(-1)]
+    over = torch.stack([end.long().mT.flatten(1) for end in ends]).cpu().numpy()  # in the order they ended
+    reports = []
+    for done, goal, steps, own in zip(*over, values, strict=True):
+        ended = done.nonzero()
+        reports.append(
+            Update(len(done), goal[ended].tolist(), steps[ended].tolist(), dict(zip(told, own, strict=True)))
+        )
+    return reports

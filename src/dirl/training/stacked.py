@@ -27,7 +27,7 @@ from dirl.scenes import World
 from dirl.training.build import build_env, build_losses
 from dirl.training.loops import TrainState
 from dirl.training.objectives import Losses, set_learning_rate
-from dirl.training.rollout import Update
+from dirl.training.rollout import Update, summarise
 
 Result = TypeVar("Result")
 
@@ -39,7 +39,7 @@ SEEN = ("view_ids", "goal_view_ids", "scene")
 
 
 class Stack:
-    """R trainings that differ in numbers and demonstrations only, see `dirl.training.jobs.why_alone`.
+    """R trainings that differ in numbers and demonstrations only, see `dirl.training.together.why_alone`.
 
     Args:
         configs: of the runs.
@@ -63,14 +63,14 @@ class Stack:
         first, self.device = states[0], states[0].env.device
         self.config: TrainConfig = with_tensors(configs, self.device)
         # One policy with its losses is the form that the weights of every run are put into. Its features are shared.
-        kept = {id(first.policy.features): first.policy.features}
-        self.form: Any = copy.deepcopy(first.policy, kept)
+        self.form: Any = copy.deepcopy(first.policy, {id(first.policy.features): first.policy.features})
         self.form.cached = None
         for module in self.form.modules():
             if hasattr(module, "sorts"):
                 module.sorts = False  # by scene, which has shapes that depend on values
         if isinstance(self.form.encoder, Cacheable) and type(observation) is SurroundingViews:
             self.form.cached = EmbeddedOnce(self.form, world, observation)
+        self._embedded: tuple[Tensor, ...] = ()
         self.weights = _stack_weights([state.policy for state in states])
         self.parameters = list(self.weights.values(True, True))
         self.optimiser = StackedOptimiser([state.optimiser for state in states], self.parameters, self.device)
@@ -79,15 +79,22 @@ class Stack:
         self.generators: list[torch.Generator] = [state.generator or drawn[0] for state in states]
         if self.device.type != "cpu":
             self.generators = drawn[:1]
-        shape = (len(states), *first.agents.shape)
-        self.env = build_env(self.config, world, observation, self.form, agents=shape)
+        self.env = build_env(self.config, world, observation, self.form, agents=(len(states), *first.agents.shape))
         self.env.base_env.generators = drawn[: len(self.generators)]
         self._agents: TensorDictBase = torch.stack([state.agents for state in states])
         self.left = torch.ones((), dtype=torch.float64, device=self.device)
-        self.policy = StackedPolicy(self)
-        self.losses = StackedLosses(
-            self, [state.losses for state in states], build_losses(configs[0], self.form, world, demos[0]), demos
-        )
+        losses = build_losses(configs[0], self.form, world, demos[0])
+        self.losses = StackedLosses(self, [state.losses for state in states], losses, demos)
+
+    @property
+    def policy(self) -> "Stack":
+        """What is asked of a policy, `operator` and `caching`, the stack answers for all runs."""
+        return self
+
+    @property
+    def cached(self) -> "Stack | None":
+        """Itself if observations are embedded once, see `dirl.models.caching`."""
+        return None if self.form.cached is None else self
 
     @property
     def agents(self) -> TensorDictBase:
@@ -98,63 +105,41 @@ class Stack:
     def agents(self, after: TensorDictBase) -> None:
         self._agents.update_(after.select(*self._agents.keys(True, True)))
 
-    def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
-        """The update as a CUDA graph, where there is a GPU."""
-        return Captured(update, {*self.generators, *self.env.base_env.generators}, self.device)
-
-    def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
-        """The report of each run's update; all values are read together."""
-        told = {key: value.detach().float() for key, value in sorted(losses.items())}
-        target, value = batch["value_target"].flatten(1), batch["state_value"].flatten(1)
-        told["explained_variance"] = 1 - (target - value).var(1) / target.var(1)
-        values = torch.stack(list(told.values()), 1).tolist()
-        after, goal_index = batch["next"], self.env.base_env.goal_index
-        ends = [after["done"].squeeze(-1), goal_index[after["goal"]], after["step_count"].squeeze(-1)]
-        over = torch.stack([end.long().mT.flatten(1) for end in ends]).cpu().numpy()  # in the order they ended
-        reports = []
-        for done, goal, steps, own in zip(*over, values, strict=True):
-            ended = done.nonzero()
-            told_of_run = dict(zip(told, own, strict=True))
-            reports.append(Update(len(done), goal[ended].tolist(), steps[ended].tolist(), told_of_run))
-        return reports
-
-    def separate(self) -> None:
-        """Give each run's state what the stack holds for it besides the weights."""
-        for state, agents in zip(self.states, self._agents.unbind(0), strict=True):
-            state.agents = agents.clone()
-
-    def finite(self) -> list[bool]:
-        """Whether the weights of each run are numbers still."""
-        found: list[bool] = (
-            torch.stack([value.flatten(1).isfinite().all(1) for value in self.parameters]).all(0).tolist()
-        )
-        return found
+    def operator(self) -> "StackedOperator":
+        """What takes the agents ``[R, B]`` through the policies of their runs."""
+        return StackedOperator(self)
 
     def each(self, function: Callable[..., Any], *rows: Any) -> Any:
         """The function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
 
-        def of_run(weights: TensorDictBase, embedded: Any, *own: Any) -> Any:
+        def of_run(weights: TensorDictBase, embedded: tuple[Tensor, ...], *own: Any) -> Any:
             with weights.to_module(self.form, preserve_module_state=False):
-                if self.form.cached is None:
-                    return function(*own)
-                with self.form.cached.reading(embedded):
-                    return function(*own)
+                if self.form.cached is not None:
+                    self.form.cached.rows = embedded
+                return function(*own)
 
-        return vmap(of_run)(self.weights, self.policy.embedded(), *rows)
+        embedded: tuple[Tensor, ...] = ()
+        if self.form.cached is not None:
+            embedded = self._embedded or self._embed()
+            if not torch.is_grad_enabled():
+                embedded = tuple(rows.detach() for rows in embedded)
+        try:
+            return vmap(of_run)(self.weights, embedded, *rows)
+        finally:
+            if self.form.cached is not None:
+                self.form.cached.rows = ()  # nothing of their graph is kept until the next update
 
+    def _embed(self) -> tuple[Tensor, ...]:
+        def of_run(weights: TensorDictBase) -> tuple[Tensor, ...]:
+            with weights.to_module(self.form, preserve_module_state=False):
+                return self.form.cached.embed()
 
-class StackedPolicy:
-    """The policies of a stack, as `ActorCritic` is one: an operator that draws actions, and a context of caching."""
-
-    def __init__(self, stack: Stack) -> None:
-        self.stack = stack
-        self.cached = self if stack.form.cached is not None else None
-        self._embedded: tuple[Tensor, ...] = ()
+        return vmap(of_run)(self.weights)
 
     @contextmanager
     def caching(self) -> Iterator[None]:
         """A context, of one update, in which the observations are embedded once: for the rollout and for the losses."""
-        if self.cached is not None:
+        if self.form.cached is not None:
             with torch.enable_grad():
                 self._embedded = self._embed()
         try:
@@ -162,23 +147,24 @@ class StackedPolicy:
         finally:
             self._embedded = ()
 
-    def embedded(self) -> tuple[Tensor, ...]:
-        """What `EmbeddedOnce` reads in each run, ``[R, ...]``; empty for an encoder that does not say how it embeds."""
-        if self.cached is None:
-            return ()
-        found = self._embedded or self._embed()
-        return found if torch.is_grad_enabled() else tuple(one.detach() for one in found)
+    def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
+        """The update as a CUDA graph, where there is a GPU."""
+        return Captured(update, {*self.generators, *self.env.base_env.generators}, self.device)
 
-    def _embed(self) -> tuple[Tensor, ...]:
-        def of_run(weights: TensorDictBase) -> tuple[Tensor, ...]:
-            with weights.to_module(self.stack.form, preserve_module_state=False):
-                return self.stack.form.cached.embed()
+    def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
+        """The report of each run's update."""
+        return summarise(self.env, batch, losses)
 
-        return vmap(of_run)(self.stack.weights)
+    def separate(self) -> None:
+        """Give each run's state what the stack holds for it besides the weights."""
+        for state, agents in zip(self.states, self._agents.unbind(0), strict=True):
+            state.agents = agents.clone()
 
-    def operator(self) -> "StackedOperator":
-        """What takes the agents ``[R, B]`` through the policies of their runs."""
-        return StackedOperator(self.stack)
+    def finite(self) -> list[bool]:
+        """True for each run whose weights are numbers still."""
+        by_layer = [value.flatten(1).isfinite().all(1) for value in self.parameters]
+        found: list[bool] = torch.stack(by_layer).all(0).tolist()
+        return found
 
 
 class StackedOperator:
@@ -208,15 +194,11 @@ class StackedOperator:
             return written
         choice = Categorical(logits=logits, validate_args=False)
         # What torch.multinomial does where one number is drawn, by the generators of the runs.
-        action = (choice.probs / self._exponential(logits)).argmax(-1)
-        return written.update({"action": action, "action_log_prob": choice.log_prob(action)})
-
-    def _exponential(self, like: Tensor) -> Tensor:
         generators = self.stack.generators
-        if len(generators) == 1:
-            return torch.empty_like(like).exponential_(generator=generators[0])
-        drawn = [torch.empty_like(one).exponential_(generator=own) for one, own in zip(like, generators, strict=True)]
-        return torch.stack(drawn)
+        parts = zip(logits.chunk(len(generators)), generators, strict=True)
+        drawn = torch.cat([torch.empty_like(part).exponential_(generator=own) for part, own in parts])
+        action = (choice.probs / drawn).argmax(-1)
+        return written.update({"action": action, "action_log_prob": choice.log_prob(action)})
 
 
 class StackedLosses:
@@ -228,18 +210,15 @@ class StackedLosses:
         self.stack, self.form = stack, form
         self.demos, self.shown = padded(demos)
         self.reductions = {name: loss.module.reduction for name, loss in form.losses.items()}
-        for loss in form.losses.values():
+        self.schedules: dict[str, dict[str, tuple[Tensor, Tensor]]] = {}
+        for name, loss in form.losses.items():
             loss.module.reduction = "none"  # rows are reduced without those that only fill up
-        self.schedules = {
-            name: {
-                option: [
-                    torch.tensor([end(one.losses[name].schedules[option]) for one in losses], device=stack.device)
-                    for end in (lambda schedule: schedule.end, lambda schedule: schedule.start - schedule.end)
-                ]
-                for option in loss.schedules
-            }
-            for name, loss in form.losses.items()
-        }
+            self.schedules[name] = {}
+            for option in loss.schedules:
+                of_runs = [own.losses[name].schedules[option] for own in losses]
+                end = torch.tensor([schedule.end for schedule in of_runs], device=stack.device)
+                span = torch.tensor([schedule.start - schedule.end for schedule in of_runs], device=stack.device)
+                self.schedules[name][option] = (end, span)
 
     def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
         """The rollout as it is: losses that define a reward are not stacked."""
@@ -315,16 +294,8 @@ class EmbeddedOnce(nn.Module):
         states = torch.arange(len(world), device=world.device)
         self.views, self.goal_views = observation.reset_view_ids(states), observation.goal_view_ids(world.goals)
         self.goal_index = world.goal_index
-        self._rows: tuple[Tensor, ...] = ()
-
-    @contextmanager
-    def reading(self, rows: tuple[Tensor, ...]) -> Iterator[None]:
-        """A context in which these are the embeddings; nothing of their graph must be kept until the next update."""
-        self._rows = rows
-        try:
-            yield
-        finally:
-            self._rows = ()
+        self.rows: tuple[Tensor, ...] = ()
+        """What `embed` gave, of the run that is computed."""
 
     def embed(self) -> tuple[Tensor, Tensor]:
         """The embeddings of all states and of all goals, ``[N, E]`` and ``[G, E]``."""
@@ -334,10 +305,9 @@ class EmbeddedOnce(nn.Module):
 
     def forward(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
         """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
-        rows, goal_rows = self._rows
-        fused: Tensor = self._form[0].encoder.fuse(
-            rows[view_ids[:, 0]], goal_rows[self.goal_index[goal_view_ids[:, 0]]]
-        )
+        rows, goal_rows = self.rows
+        goals = goal_rows[self.goal_index[goal_view_ids[:, 0]]]
+        fused: Tensor = self._form[0].encoder.fuse(rows[view_ids[:, 0]], goals)
         return fused
 
 
@@ -384,23 +354,23 @@ class StackedDecisions:
 @torch.no_grad()
 def walk_together(stack: Stack, protocols: Sequence[EvaluationProtocol], *, assess: bool = False) -> list[Any]:
     """The protocols of the runs, equal but for their starts, with their episodes; to assess, with all that needs."""
-    world, starts = protocols[0].world, [protocol.starts for protocol in protocols]
+    world, observation = protocols[0].world, protocols[0].observation
     operator, (goals, states) = StackedOperator(stack, acts=False), world.pairs()
     logits = []
-    with stack.policy.caching():
+    with stack.caching():
         for place in torch.arange(len(goals), device=world.device).split(max(1, PAIRS_AT_ONCE // len(protocols))):
-            seen = protocols[0].observation.reset_view_ids(states[place])
-            asked = observe(world, protocols[0].observation, states[place], seen, goals[place])
+            asked = observe(world, observation, states[place], observation.reset_view_ids(states[place]), goals[place])
             logits.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
-    joined = replace(protocols[0], starts=(torch.cat([g for g, _ in starts]), torch.cat([s for _, s in starts])))
+    every_goal, every_start = zip(*(protocol.starts for protocol in protocols), strict=True)
+    joined = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
     # A run that has diverged is walked too, as no other must wait for it.
-    policies: Any = StackedDecisions(torch.cat(logits, 1).nan_to_num(), world, len(starts[0][0]))
+    policies: Any = StackedDecisions(torch.cat(logits, 1).nan_to_num(), world, len(every_start[0]))
     walked = [joined.run(policies)]
     if assess:
         walked += [joined.run(policies, greedy=False), joined.run_random()]
     rows = torch.arange(len(joined.starts[0]), device=world.device).split(policies.episodes)
     return [
-        StackedEpisodes(protocol, *(one.select(own) for one in walked))
+        StackedEpisodes(protocol, *(episodes.select(own) for episodes in walked))
         for protocol, own in zip(protocols, rows, strict=True)
     ]
 
@@ -411,13 +381,10 @@ def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainC
     def by_run(values: Iterable[float], dims: int) -> Any:
         return torch.tensor(list(values), device=device).view(-1, *[1] * dims)
 
-    first, rewards = configs[0], [config.reward for config in configs]
-    reward = {option.name: by_run([getattr(own, option.name) for own in rewards], 1) for option in fields(first.reward)}
-    options = [config.reinforcement for config in configs]
-    discount = {name: by_run([getattr(own, name) for own in options], 3) for name in ("gamma", "lmbda")}
-    return replace(
-        first, reward=replace(first.reward, **reward), reinforcement=replace(first.reinforcement, **discount)
-    )
+    reward, options = configs[0].reward, configs[0].reinforcement
+    rewards = {one.name: by_run((getattr(own.reward, one.name) for own in configs), 1) for one in fields(reward)}
+    discount = {name: by_run((getattr(own.reinforcement, name) for own in configs), 3) for name in ("gamma", "lmbda")}
+    return replace(configs[0], reward=replace(reward, **rewards), reinforcement=replace(options, **discount))
 
 
 def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase | None, Tensor | None]:
@@ -454,16 +421,15 @@ class Captured(Generic[Result]):
         device: where it computes; it is only captured on a GPU.
     """
 
+    graph: torch.cuda.CUDAGraph | None = None
+    result: Result | None = None
+
     def __init__(
         self, function: Callable[[], Result], generators: Collection[torch.Generator], device: torch.device
     ) -> None:
         self.function, self.generators = function, generators
-        self.calls, self.graph, self.result = 0, None, None
-        self.captures = is_gpu(device)
+        self.calls, self.captures = 0, is_gpu(device)
         self.stream: Any = torch.cuda.Stream() if self.captures else None
-
-    graph: torch.cuda.CUDAGraph | None
-    result: Result | None
 
     def __call__(self) -> Result:
         """Call the function; from the fourth time on by its graph."""

@@ -26,8 +26,8 @@ from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
 from dirl.runs.paths import RunError
 from dirl.training.build import build_imitation_loss
-from dirl.training.job import Components, Stages, build_components, conclude, facts_of, open_job, run_one
-from dirl.training.loops import DIVERGED, Updates, due, write_evaluation
+from dirl.training.job import Components, Stages, build_components, conclude, facts_of, open_job, run_stages
+from dirl.training.loops import DIVERGED, ImitationSteps, TrainState, Updates, due, write_evaluation
 from dirl.training.objectives import FULL_BATCH, set_learning_rate, trained_parameters
 from dirl.training.rollout import Update
 from dirl.training.stacked import Stack, StackedOptimiser, walk_together
@@ -62,13 +62,14 @@ class Job:
     overrides: list[str]
 
 
-def why_alone(config: TrainConfig) -> str | None:
+def why_alone(run: Run, components: Components) -> str | None:
     """What keeps a run from being trained in a stack, in words; None if nothing does."""
-    options, imitation = config.reinforcement, config.imitation
+    config, state, world = run.config, components.state, components.protocol.world
+    if state is None:
+        return "it learns nothing by reinforcement"
+    options, imitation, losses = config.reinforcement, config.imitation, state.losses.losses.values()
     optimiser = find_class("optimiser", config.optimiser[TARGET], config.trust)
-    on_gpu = config.device == Device.cuda
     reasons = {
-        "it learns nothing by reinforcement": set(config.losses) <= {"imitation"},
         "several workers": options.workers > 1,
         "a memory": config.memory[TARGET] is not None,
         "views of earlier steps": config.observation[TARGET] != "dirl.envs.SurroundingViews",
@@ -76,58 +77,41 @@ def why_alone(config: TrainConfig) -> str | None:
         "several updates from a rollout": options.epochs * options.minibatches > 1,
         "rollouts longer than episodes": options.n_steps > options.max_steps,
         "precision=bfloat16": config.precision == Precision.bfloat16,
-        "sampled demonstrations": imitation.sampled or imitation.batch_size is not None,
+        "sampled demonstrations": imitation.sampled
+        or imitation.batch_size is not None
+        or len(components.demos) > FULL_BATCH,
         "DAgger": imitation.rounds > 0,
+        "its imitation has begun": run.saved is not None and "imitation" in run.saved,
         "held-out goals": config.hold_out > 0,
         "noise on the views": imitation.noise > 0,
         "an environment of its own": config.env != {TARGET: "dirl.envs.NavigationEnv", "slip": 0.0},
-        "an optimiser without capturable": on_gpu and "capturable" not in class_parameters(optimiser),
-    }
-    return next((reason for reason, holds in reasons.items() if holds), None)
-
-
-def _why_alone(run: Run, components: Components) -> str | None:
-    """The same of what was made of a configuration."""
-    state = components.state
-    if state is None:
-        return "it learns nothing by reinforcement"
-    world, losses = components.protocol.world, [loss.module for loss in state.losses.losses.values()]
-    reasons = {
-        "its imitation has begun": run.saved is not None and "imitation" in run.saved,
+        "an optimiser without capturable": config.device == Device.cuda
+        and "capturable" not in class_parameters(optimiser),
         "a world that changes": world.looks > 1,
         "on a CPU several scenes, whose layers a stack applies to all rows": world.device.type == "cpu"
         and len(world.scenes) > 1,
-        "sampled demonstrations": len(components.demos) > FULL_BATCH,
         "a policy without features": not hasattr(components.policy, "features"),
         "a loss with weights of its own": len(state.parameters) > len(trained_parameters(components.policy)),
-        "a loss that defines the reward": any(hasattr(loss, "reward") for loss in losses),
-        "a loss that is not reduced by reduction": not all(hasattr(loss, "reduction") for loss in losses),
-        "a loss that compares": any(loss.compares for loss in state.losses.losses.values()),
+        "a loss that defines the reward": any(hasattr(loss.module, "reward") for loss in losses),
+        "a loss that is not reduced by reduction": not all(hasattr(loss.module, "reduction") for loss in losses),
+        "a loss that compares": any(loss.compares for loss in losses),
     }
     return next((reason for reason, holds in reasons.items() if holds), None)
 
 
 def goes_together(run: Run, components: Components) -> bool:
     """True if a run alone on a GPU can be a stack of one; if not, the reason is told."""
-    reason = why_alone(run.config) or _why_alone(run, components)
+    reason = why_alone(run, components)
     if reason is not None:
         print(f"no CUDA graph, each kernel is launched by itself: {reason}", file=sys.stderr, flush=True)
     return reason is None
 
 
-def _kind(config: TrainConfig) -> str:
-    """The options that all runs of a stack have in common, as a text."""
-    fixed = {name: value for name, value in leaves(plain(config)).items() if not name.startswith(VARIED)}
-    if config.goals is not None or config.evaluation.goals is not None:  # they may be drawn with the seed
-        fixed["seed"] = config.seed
-    return json.dumps([fixed, sorted(config.losses)], default=str, sort_keys=True)
-
-
 def run_together(jobs: Sequence[Job], stages: Stages, learn: Learn) -> list[dict[str, Any] | Exception]:
-    """Run the jobs, as many of them as one program as can be.
+    """Run the jobs of a sweep, as many of them as one program as can be.
 
     Args:
-        jobs: of a sweep.
+        jobs: of the sweep.
         stages: of one run, `train` of ``recipes/train.py``.
         learn: its loop of reinforcement.
 
@@ -135,22 +119,37 @@ def run_together(jobs: Sequence[Job], stages: Stages, learn: Learn) -> list[dict
         The summary of each, or the error that ended it; the others are run to their end.
     """
     results: list[Any] = [None] * len(jobs)
-    stacks: dict[str, list[int]] = {}
+    kinds: dict[str, list[int]] = {}
     for number, job in enumerate(jobs):
         with _kept(results, number):
             config = typed(job.composed)
-            results[number] = why_alone(config)
-            if results[number] is None:
-                stacks.setdefault(_kind(config), []).append(number)
-    for numbers in stacks.values():
-        found = _run_stack([jobs[number] for number in numbers], learn)
-        for number, result in zip(numbers, found, strict=True):
-            results[number] = result
-    for number, (job, reason) in enumerate(zip(jobs, results, strict=True)):
-        if isinstance(reason, str):
-            print(f"by itself: {job.folder}: {reason}", flush=True)
+            fixed = {name: value for name, value in leaves(plain(config)).items() if not name.startswith(VARIED)}
+            if config.goals is not None or config.evaluation.goals is not None:  # they may be drawn with the seed
+                fixed["seed"] = config.seed
+            kind = json.dumps([fixed, sorted(config.losses)], default=str, sort_keys=True)
+            kinds.setdefault(kind, []).append(number)
+    for numbers in kinds.values():
+        stacks: dict[tuple[Any, ...], dict[int, tuple[Run, Components]]] = {}
+        first: Components | None = None
+        for number in numbers:
             with _kept(results, number):
-                results[number] = run_one(job.composed, job.folder, job.overrides, stages)
+                run, initial = open_job(jobs[number].composed, jobs[number].folder, jobs[number].overrides)
+                if run.finished:
+                    results[number] = json.loads((run.folder / "summary.json").read_text())
+                    continue
+                components = build_components(run, initial, first)
+                if (reason := why_alone(run, components)) is not None:
+                    print(f"by itself: {run.folder}: {reason}", flush=True)
+                    results[number] = run_stages(run, components, stages)
+                    continue
+                first = components
+                # Runs that stand at the same frame, with the same losses and about as many demonstrations.
+                at = 0 if run.saved is None else run.saved["frames"]
+                alike = (at, *components.state.losses.losses, len(components.demos).bit_length())  # type: ignore[union-attr]
+                stacks.setdefault(alike, {})[number] = (run, components)
+        for members in stacks.values():
+            for number, result in zip(members, _run_stack(list(members.values()), learn), strict=True):
+                results[number] = result
     for job, result in zip(jobs, results, strict=True):
         if isinstance(result, Exception):
             print(f"failed: {job.folder}: {result}", file=sys.stderr, flush=True)
@@ -166,43 +165,15 @@ def _kept(results: list[Any], number: int) -> Iterator[None]:
         results[number] = error
 
 
-def _run_stack(jobs: Sequence[Job], learn: Learn) -> list[Any]:
-    """The summaries or errors of jobs of one kind; of those that cannot be stacked after all the reason, a text."""
-    results: list[Any] = [None] * len(jobs)
-    members: dict[tuple[Any, ...], dict[int, tuple[Run, Components]]] = {}
-    first: Components | None = None
-    for number, job in enumerate(jobs):
-        with _kept(results, number):
-            run, initial = open_job(job.composed, job.folder, job.overrides)
-            if run.finished:
-                results[number] = json.loads((run.folder / "summary.json").read_text())
-                continue
-            components = first = build_components(run, initial, first)
-            results[number] = _why_alone(run, components)
-            if results[number] is not None:
-                run.close()
-                continue
-            # Runs that stand at the same frame, with the same losses and about as many demonstrations.
-            at = 0 if run.saved is None else run.saved["frames"]
-            alike = (at, *components.state.losses.losses, len(components.demos).bit_length())  # type: ignore[union-attr]
-            members.setdefault(alike, {})[number] = (run, components)
-    for stack in members.values():
-        for number, result in zip(stack, _train_stack(list(stack.values()), learn), strict=True):
-            results[number] = result
-    return results
-
-
-def _train_stack(members: Sequence[tuple[Run, Components]], learn: Learn) -> list[dict[str, Any] | Exception]:
-    """Train runs that stand at the same frame; the summary of each, or why it has none."""
-    runs = [run for run, _ in members]
-    print(f"{len(runs)} runs as one: {', '.join(str(run.folder) for run in runs)}", flush=True)
+def _run_stack(members: Sequence[tuple[Run, Components]], learn: Learn) -> list[dict[str, Any] | Exception]:
+    """Run those that stand at the same frame to their end; the summary of each, or why it has none."""
+    print(f"{len(members)} runs as one: {', '.join(str(run.folder) for run, _ in members)}", flush=True)
     facts = []
     for run, components in members:
         run.begin(components.protocol.world, components.protocol.observation.order)
         facts.append(facts_of(run, components))
-    trained = train_stack(members, learn)
     results: list[Any] = []
-    for (run, components), fact, (result, walked) in zip(members, facts, trained, strict=True):
+    for (run, components), fact, (result, walked) in zip(members, facts, train_stack(members, learn), strict=True):
         if not isinstance(result, Exception):
             result = conclude(run, components.policy, walked, fact | result, shown=False)
         results.append(result)
@@ -215,33 +186,33 @@ def train_stack(members: Sequence[tuple[Run, Components]], learn: Learn) -> list
     Returns:
         What the summary of each says of them, or why it has none, and its protocol with all episodes.
     """
-    runs, every = [run for run, _ in members], [components for _, components in members]
-    protocols = [components.protocol for components in every]
-    for run, components in members:
-        _own_generator(run, components)
-    stack = Stack(
-        [run.config for run in runs],
-        [components.state for components in every],  # type: ignore[misc]
-        [components.demos for components in every],
-        protocols[0].world,
-        protocols[0].observation,
-    )
-    if every[0].before_reinforcement:
+    runs = [run for run, _ in members]
+    protocols = [components.protocol for _, components in members]
+    states: list[TrainState] = [components.state for _, components in members]  # type: ignore[misc]
+    world = protocols[0].world
+    if world.device.type == "cpu":  # a generator each for its actions, which draws what torch's own would for it alone
+        for run, state in zip(runs, states, strict=True):
+            state.generator = torch.Generator().manual_seed(run.config.seed)
+            if run.saved is not None:
+                state.generator.set_state(run.saved["random"]["cpu"])
+    demos: Any = [components.demos for _, components in members]
+    stack = Stack([run.config for run in runs], states, demos, world, protocols[0].observation)
+    if members[0][1].before_reinforcement:
         if stack.losses.demos is not None:
             imitate_together(stack, runs)
         if runs[0].config.evaluation.times:
-            for (run, components), walked in zip(members, walk_together(stack, protocols), strict=True):
-                write_evaluation(run, components.policy, walked, 0)
-    with together(runs, stack, every) as loop:
+            for run, state, walked in zip(runs, states, walk_together(stack, protocols), strict=True):
+                write_evaluation(run, state.policy, walked, 0)
+    with together(runs, stack, protocols) as loop:
         learn(stack.config, stack, loop)
     stack.separate()
     for number, finite in enumerate(stack.finite()):
         if not finite:
             loop.failed[number] = RunError(DIVERGED)
-    walked = walk_together(stack, protocols, assess=True)
+    walked_by_all = walk_together(stack, protocols, assess=True)
     return [
-        (loop.failed.get(number) or state.summary, own)
-        for number, (state, own) in enumerate(zip(stack.states, walked, strict=True))
+        (loop.failed.get(number) or state.summary, walked)
+        for number, (state, walked) in enumerate(zip(states, walked_by_all, strict=True))
     ]
 
 
@@ -251,15 +222,6 @@ def train_alone(run: Run, components: Components, learn: Learn) -> dict[str, Any
     if isinstance(result, Exception):
         raise result
     return result
-
-
-def _own_generator(run: Run, components: Components) -> None:
-    """Give a run on the CPU the generator of its actions, which draws what torch's own would draw for it alone."""
-    if components.protocol.world.device.type == "cpu":
-        generator = torch.Generator().manual_seed(run.config.seed)
-        if run.saved is not None:
-            generator.set_state(run.saved["random"]["cpu"])
-        components.state.generator = generator  # type: ignore[union-attr]
 
 
 def imitate_together(stack: Stack, runs: Sequence[Run]) -> None:
@@ -295,26 +257,18 @@ def imitate_together(stack: Stack, runs: Sequence[Run]) -> None:
         return torch.stack([loss.detach(), accuracy])
 
     update = stack.prepared(step)
-    steps, accuracy, behind = [0] * len(runs), [0.0] * len(runs), []
-    alive = [True] * len(runs)
-    while any(alive):
-        behind.append(update().clone())
-        if len(behind) < READ_AT_ONCE:
-            continue
-        for losses, accuracies in torch.stack(behind).tolist():
-            for number, (run, option) in enumerate(zip(runs, options, strict=True)):
-                if not alive[number]:
-                    continue
-                if not math.isfinite(losses[number]):
-                    raise RunError(f"{run.folder}: the imitation has diverged; lower imitation.lr")
-                steps[number] += 1
-                accuracy[number] = accuracies[number]
-                row = {"step": steps[number], "loss": losses[number], "accuracy": accuracies[number]}
-                run.write("imitation", steps[number], row)
-                alive[number] = losses[number] >= option.loss_threshold and steps[number] < option.max_steps
-        behind.clear()
-    for run, taken, right in zip(runs, steps, accuracy, strict=True):
-        print(f"{run.folder}: {taken} steps of imitation: {right:.1%} of the actions learned")
+    steps = [
+        ImitationSteps(run, state.policy, own, 0, 0, saves=False)
+        for run, state, own in zip(runs, stack.states, adam, strict=True)
+    ]
+    while any(own.goes_on for own in steps):
+        behind = torch.stack([update().clone() for _ in range(READ_AT_ONCE)]).tolist()
+        for losses, accuracies in behind:
+            for own, loss, accuracy in zip(steps, losses, accuracies, strict=True):
+                if own.goes_on:
+                    own.record(loss, accuracy)
+    for own in steps:
+        print(f"{own.run.folder}: {own.step} steps of imitation: {own.accuracy:.1%} of the actions learned")
 
 
 @dataclass
@@ -344,9 +298,8 @@ class StackedUpdates:
         """Count an update of every run; write, evaluate and save all of them when it is due."""
         took = time.perf_counter() - self.began
         first = self.loops[0]
-        saves = any(loop.run.save_due() for loop in self.loops)
         before, after = first.state.frames, first.state.frames + reports[0].frames
-        saves = saves or after >= first.total
+        saves = any(loop.run.save_due() for loop in self.loops) or after >= first.total
         if saves:
             self.stack.separate()
         if due(before, after, first.total, first.run.config.evaluation.times):
@@ -360,36 +313,29 @@ class StackedUpdates:
                 continue
             loop.state.began = time.perf_counter() - took
             loop.record(update, saves=saves)
-        self.stack.left.fill_(self.loops[0].left)
+        self.stack.left.fill_(first.left)
         self.bar.update(reports[0].frames * len(reports))
         self.began = time.perf_counter()
 
 
 @contextmanager
-def together(runs: Sequence[Run], stack: Stack, every: Sequence[Components]) -> Iterator[StackedUpdates]:
+def together(runs: Sequence[Run], stack: Stack, protocols: list[EvaluationProtocol]) -> Iterator[StackedUpdates]:
     """The updates of the reinforcement of a stack, from its present state on."""
-    frames = runs[0].config.reinforcement.frames_per_scene * len(every[0].protocol.world.scenes)
+    frames = runs[0].config.reinforcement.frames_per_scene * len(protocols[0].world.scenes)
     shown: dict[str, Any] = {"total": frames * len(runs), "initial": stack.states[0].frames * len(runs)}
     with interruptible() as signals, tqdm(**shown, unit=" frames", unit_scale=True, mininterval=bar_interval()) as bar:
         silent = tqdm(disable=True)
         loops = [
-            Updates(run, state, components.protocol, frames, silent, signals)
-            for run, state, components in zip(runs, stack.states, every, strict=True)
+            Updates(run, state, protocol, frames, silent, signals)
+            for run, state, protocol in zip(runs, stack.states, protocols, strict=True)
         ]
         stack.left.fill_(loops[0].left)
-        protocols = [components.protocol for components in every]
-        loop = StackedUpdates(stack, loops, protocols, bar, signals)
-        yield loop
+        yield StackedUpdates(stack, loops, protocols, bar, signals)
         if signals and not loops[0].done:
             stack.separate()
             for own in loops:
                 own.run.save(own.state.state_dict())
             bar.close()
-            leave("interrupted", 128 + signals[0], lambda: _how_to_go_on(runs))
-
-
-def _how_to_go_on(runs: Sequence[Run]) -> str:
-    if len(runs) == 1:
-        return runs[0].how_to_go_on()
-    folder = runs[0].folder.parent
-    return f"all checkpoints are safe; go on with the same command and existing=keep hydra.sweep.dir={folder}"
+            same = f"existing=keep hydra.sweep.dir={runs[0].folder.parent}"
+            advice = f"all checkpoints are safe; go on with the same command and {same}"
+            leave("interrupted", 128 + signals[0], runs[0].how_to_go_on if len(runs) == 1 else lambda: advice)

@@ -1,5 +1,8 @@
+"""Losses, advantages and optimisers against their formulas."""
+
 import pytest
 import torch
+import torch.nn.functional as F
 from commands import train_config
 from networks import make_policy
 from rooms import grid_scene
@@ -9,7 +12,14 @@ from torchrl.envs import Compose, StepCounter, TransformedEnv
 from dirl.config.components import make
 from dirl.envs import NavigationEnv, SurroundingViews
 from dirl.scenes import make_world
-from dirl.training.objectives import bootstrap, make_advantages
+from dirl.training.objectives import (
+    ImitationLoss,
+    OptimalActionsLoss,
+    TFRMSprop,
+    bootstrap,
+    clip_gradients,
+    make_advantages,
+)
 from dirl.training.rollout import collect
 
 STATES, SCENES, ROWS = 20, ("a", "b"), 12
@@ -81,8 +91,7 @@ def test_a2c_is_the_papers_formula(network, frames, reduction):
     check_losses(network, loss, frames, gain, 0.02, 0.25, getattr(torch, reduction))
 
 
-@pytest.mark.parametrize("reduction", ["mean", "sum"])
-def test_ppo_clips_the_ratio(network, frames, reduction):
+def test_ppo_clips_the_ratio(network, frames):
     old = heads_of(network, frames)[0].detach() + torch.linspace(-0.6, 0.6, ROWS)
     frames["action_log_prob"] = old
 
@@ -90,17 +99,8 @@ def test_ppo_clips_the_ratio(network, frames, reduction):
         ratio = (taken - old).exp()
         return torch.minimum(ratio * advantage, ratio.clamp(0.7, 1.3) * advantage)
 
-    loss = made("ppo", network, 0.02, 0.25, f"reinforcement.reduction={reduction}", "losses.ppo.clip_epsilon=0.3")
-    check_losses(network, loss, frames, gain, 0.02, 0.25, getattr(torch, reduction))
-
-
-def test_ppos_first_step_is_a2cs(network, frames):
-    frames["action_log_prob"] = heads_of(network, frames)[0].detach()
-    ppo = made("ppo", network, 0, 0)(frames)
-    a2c = made("a2c", network, 0, 0)(frames)
-    torch.testing.assert_close(ppo["loss_objective"], -frames["advantage"].mean())
-    first, same = (gradients(network, losses["loss_objective"]) for losses in (ppo, a2c))
-    torch.testing.assert_close(first, same)
+    loss = made("ppo", network, 0.02, 0.25, "losses.ppo.clip_epsilon=0.3")
+    check_losses(network, loss, frames, gain, 0.02, 0.25, torch.mean)
 
 
 @pytest.fixture(scope="module")
@@ -130,17 +130,7 @@ def test_bootstrap_gives_the_critics_value_of_each_next_state(rollout):
     assert values.shape == (10, 15, 1)
 
 
-def test_bootstrap_asks_the_critic_only_behind_the_last_step_and_where_an_episode_was_cut_off(rollout):
-    operators, batch = rollout
-    critic, sizes = operators.get_value_operator(), []
-    critic.register_forward_hook(lambda module, inputs, output: sizes.append(len(output)))
-    bootstrap(batch.clone(), critic)
-    truncated = batch["next", "truncated"]
-    assert truncated[:, :-1].any()
-    assert sizes == [truncated[:, :-1].sum() + 10]
-
-
-@pytest.mark.parametrize(("gamma", "lmbda"), [(0.9, 1.0), (0.99, 0.95), (0.9, 0.0)])
+@pytest.mark.parametrize(("gamma", "lmbda"), [(0.9, 1.0), (0.99, 0.95)])
 def test_advantages_equal_the_sum_over_time(rollout, gamma, lmbda):
     operators, batch = rollout
     following = next_values(rollout)
@@ -158,3 +148,114 @@ def test_advantages_equal_the_sum_over_time(rollout, gamma, lmbda):
             advantage = error + (0.0 if terminated or truncated else gamma * lmbda * advantage)
             assert batch["advantage"][agent, time].item() == pytest.approx(advantage, abs=1e-4)
             assert batch["value_target"][agent, time].item() == pytest.approx(advantage + value, abs=1e-4)
+
+
+@pytest.fixture
+def demonstrations():
+    torch.manual_seed(0)
+    return TensorDict(
+        {
+            "view_ids": torch.randint(STATES, (ROWS, 4)),
+            "goal_view_ids": torch.randint(STATES, (ROWS, 4)),
+            "scene": torch.randint(2, (ROWS,)),
+            "expert_action": torch.randint(4, (ROWS,)),
+        },
+        [ROWS],
+    )
+
+
+def logits_of(network, batch):
+    return network(batch.copy())["logits"]
+
+
+def imitation(network, **options):
+    return ImitationLoss(network.operator().get_policy_operator(), **options)
+
+
+@pytest.mark.parametrize("reduction", [{}, {"reduction": "sum"}, {"reduction": "none"}])
+def test_imitation_is_cross_entropy(network, demonstrations, reduction):
+    found = imitation(network, **reduction)(demonstrations)["loss_imitation"]
+    expected = F.cross_entropy(logits_of(network, demonstrations), demonstrations["expert_action"], **reduction)
+    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(gradients(network, found.sum()), gradients(network, expected.sum()))
+
+
+def test_accuracy_is_the_share_of_expert_actions_that_are_the_most_probable(network, demonstrations):
+    best = logits_of(network, demonstrations).argmax(-1)
+    demonstrations["expert_action"] = torch.where(torch.arange(ROWS) < 9, best, (best + 1) % 4)
+    assert imitation(network)(demonstrations)["accuracy"] == 0.75
+
+
+def test_imitation_has_the_keys_of_a_torchrl_loss(network, demonstrations):
+    loss = imitation(network)
+    assert set(loss.in_keys) == {"view_ids", "goal_view_ids", "scene", "expert_action"}
+    assert set(loss(demonstrations).keys()) == set(loss.out_keys) == {"loss_imitation", "accuracy"}
+    value, _ = loss(**{key: demonstrations[key] for key in loss.in_keys})
+    loss.set_keys(expert_action="label")
+    renamed = demonstrations.rename_key_("expert_action", "label")
+    torch.testing.assert_close(value, loss(renamed)["loss_imitation"])
+
+
+def test_any_optimal_action_is_right(network, demonstrations):
+    optimal = torch.rand(ROWS, 4, generator=torch.Generator().manual_seed(1)) < 0.5
+    optimal[torch.arange(ROWS), demonstrations["expert_action"]] = True
+    batch = network.trunk()(demonstrations.copy()).set("optimal_actions", optimal)
+    result = OptimalActionsLoss(network.operator().get_policy_head())(batch)
+    logits = logits_of(network, demonstrations)
+    chance = (logits.softmax(-1) * optimal).sum(-1)
+    torch.testing.assert_close(result["loss_imitation"], -chance.log().mean())
+    right = optimal[torch.arange(ROWS), logits.argmax(-1)]
+    assert result["accuracy"].item() == pytest.approx(right.float().mean().item())
+
+
+def by_formula(weight, gradient_steps, lr, alpha=0.99, eps=0.1):
+    """TensorFlow's update, written out."""
+    square = 1.0
+    for gradient in gradient_steps:
+        square = alpha * square + (1 - alpha) * gradient**2
+        weight = weight - lr * gradient / (square + eps) ** 0.5
+    return weight
+
+
+def test_rmsprop_is_tensorflows():
+    torch.manual_seed(0)
+    weights, gradient_steps = torch.randn(3, dtype=torch.float64), torch.randn(30, 3, dtype=torch.float64) * 5
+    parameter = torch.nn.Parameter(weights.clone())
+    optimiser = TFRMSprop([parameter], lr=0.1)
+    for gradient in gradient_steps:
+        parameter.grad = gradient.clone()
+        optimiser.step()
+    torch.testing.assert_close(parameter.data, by_formula(weights, gradient_steps, 0.1))
+
+
+def test_rmsprop_leaves_what_has_no_gradient_and_starts_its_mean_square_late():
+    first, late = (torch.nn.Parameter(torch.ones(1, dtype=torch.float64)) for _ in range(2))
+    optimiser = TFRMSprop([{"params": [first]}, {"params": [late]}], lr=0.1)
+    first.grad = torch.ones(1, dtype=torch.float64)
+    optimiser.step()
+    assert late.item() == 1
+    first.grad, late.grad = None, torch.full((1,), 2.0, dtype=torch.float64)
+    optimiser.step()
+    assert first.item() == pytest.approx(by_formula(1, [1], 0.1))
+    assert late.item() == pytest.approx(by_formula(1, [2], 0.1))
+
+
+def test_rmsprop_goes_on_from_a_state_dict():
+    parameter = torch.nn.Parameter(torch.ones(2, dtype=torch.float64))
+    optimiser = TFRMSprop([parameter], lr=0.1)
+    for gradient in (1.0, -4.0):
+        parameter.grad = torch.full((2,), gradient, dtype=torch.float64)
+        optimiser.step()
+        state = optimiser.state_dict()
+        optimiser = TFRMSprop([parameter])
+        optimiser.load_state_dict(state)
+    assert parameter.tolist() == pytest.approx([by_formula(1, [1, -4], 0.1)] * 2)
+
+
+@pytest.mark.parametrize(("per_variable", "expected"), [(False, [[0.6, 0.0], [0.0, 0.8]]), (True, [[1, 0], [0, 1]])])
+def test_gradients_are_clipped_together_or_each(per_variable, expected):
+    parameters = [torch.nn.Parameter(torch.zeros(2)) for _ in range(2)]
+    parameters[0].grad, parameters[1].grad = torch.tensor([3.0, 0.0]), torch.tensor([0.0, 4.0])
+    assert clip_gradients(parameters, 1.0, per_variable=per_variable).item() == pytest.approx(5.0)
+    for parameter, gradient in zip(parameters, expected, strict=True):
+        assert parameter.grad.tolist() == pytest.approx(gradient, abs=1e-4)
