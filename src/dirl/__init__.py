@@ -2,22 +2,12 @@
 
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
-
 if TYPE_CHECKING:
     from dirl.agent.mapping.guide import Guide
     from dirl.agent.navigator import Navigator
     from dirl.training.python import evaluate, train
 
 __all__ = ["Guide", "Navigator", "__version__", "evaluate", "train"]
-
-# Entry points are strings, so that `import dirl` stays light.
-gymnasium.register(
-    id="dirl/Navigation-v0",
-    entry_point="dirl.envs.gymnasium:NavigationGym",
-    vector_entry_point="dirl.envs.gymnasium:NavigationVector",
-    max_episode_steps=200,
-)
 
 
 def __dir__() -> list[str]:

@@ -493,6 +493,9 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, observation,
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         export_onnx(navigator, tmp_path / "policy.onnx")
+        if match == "front":
+            with pytest.raises(NavigatorError, match="opset=17: torch cannot export this policy for it, but for 18"):
+                export_onnx(navigator, tmp_path / "old.onnx", opset=17)
     assert capfd.readouterr() == ("", "")
     (tmp_path / "moved").mkdir()
     session = runtime.InferenceSession((tmp_path / "policy.onnx").rename(tmp_path / "moved" / "policy.onnx"))

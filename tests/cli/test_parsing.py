@@ -73,6 +73,7 @@ def test_what_cannot_be_read_is_one_line(argument, told):
         ("seed=x", "seed=x: Value 'x' of type 'str' could not be converted to Integer"),
         ("encoder=siamesse", "In 'train': Could not find 'encoder/siamesse' Available options in 'encoder': comparing"),
         ("reinforcement.gamma=2", "reinforcement.gamma=2.0: must be between 0 and 1"),
+        ("logger=[]", "logger=[]: must name a choice of logger"),
         ("hydra.nope=1", "Could not override 'hydra.nope'"),
     ],
 )

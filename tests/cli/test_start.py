@@ -56,7 +56,7 @@ def test_any_options_are_let_go_on_or_refused_with_one_line(tmp_path_factory, rn
 @pytest.mark.parametrize(
     ("number", "line", "when"),
     [
-        (signal.SIGINT, "interrupted", "start('')"),
+        (signal.SIGINT, "interrupted; nothing was written", "start('')"),
         (signal.SIGTERM, "terminated", "start(''); run(lambda: None)"),
     ],
     ids=["while it imports", "after its end"],

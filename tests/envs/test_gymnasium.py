@@ -4,7 +4,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import dirl  # noqa: F401  registers dirl/Navigation-v0
+import dirl.envs  # noqa: F401  registers dirl/Navigation-v0
 from dirl.envs import Reward
 from dirl.scenes import SceneError
 

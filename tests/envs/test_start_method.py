@@ -7,10 +7,10 @@ import pytest
 
 PROGRAM = """
 import multiprocessing, sys
-import gymnasium, dirl
+import gymnasium
 if {chosen!r}:
     multiprocessing.set_start_method({chosen!r})
-env = gymnasium.make("dirl/Navigation-v0", scene="bathroom_02", goal=26)
+env = gymnasium.make("dirl.envs:dirl/Navigation-v0", scene="bathroom_02", goal=26)
 env.reset(seed=0)
 assert "torchrl" in sys.modules
 print(multiprocessing.get_start_method(allow_none=True))

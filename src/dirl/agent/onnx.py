@@ -15,7 +15,7 @@ from dirl.models import initial_state
 from dirl.scenes.io.atomic import atomic_path
 
 
-def export_onnx(navigator: Navigator, file: str | Path) -> None:
+def export_onnx(navigator: Navigator, file: str | Path, opset: int | None = None) -> None:
     """Export the policy to ONNX: features to logits, value and matching coefficient, for any number of agents.
 
     Inputs are ``features`` and ``goal_features``, float32 ``[B, 4, D]`` as the backbone returns them; outputs
@@ -24,8 +24,13 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
     the navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and
     ``threshold``. It does not contain the encoder.
 
+    Args:
+        navigator: whose policy is exported.
+        file: to write.
+        opset: the version of ONNX's operators that the runtime knows; that which torch prefers if left out.
+
     Raises:
-        NavigatorError: a package that the export needs is not installed.
+        NavigatorError: a package that the export needs is not installed, or torch cannot export for this version.
     """
     try:
         import onnx  # noqa: F401
@@ -46,10 +51,13 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
             output_names=["logits", "value", "matching", *(f"next_{name}" for name in state)],
             dynamic_shapes={"features": batch, "goal_features": batch}
             | ({"state": (batch,) * len(state)} if state else {}),
+            opset_version=opset,
             dynamo=True,
             verbose=False,
         )
     assert program is not None
+    if opset not in (None, made := program.model.opset_imports[""]):  # torch goes back to another with a warning
+        raise NavigatorError(f"opset={opset}: torch cannot export this policy for it, but for {made}")
     views = ",".join(navigator.view_order)
     program.model.metadata_props.update(navigator.facts | {"views": views, "threshold": str(navigator.threshold)})
     with atomic_path(Path(file)) as temporary:
@@ -58,12 +66,14 @@ def export_onnx(navigator: Navigator, file: str | Path) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress torch's warnings about its own deprecated functions and a missing torchvision."""
-    log = logging.getLogger("torch.onnx")
-    level = log.level
-    log.setLevel(logging.ERROR)
+    """Suppress warnings about deprecated functions of torch, a missing torchvision, and an operator set in vain."""
+    logs = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript")]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL)
     try:
         with warnings.catch_warnings(action="ignore"):
             yield
     finally:
-        log.setLevel(level)
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)

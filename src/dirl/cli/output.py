@@ -1,6 +1,7 @@
 """Files and folders that a command is to write: refused before its work where they cannot be."""
 
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,9 @@ def check_writable(name: str) -> None:
 
 
 def unwritten(options: Any) -> str:
-    """Return what an interrupted command has left of its ``out``, for the last line."""
+    """Return what an interrupted command has left of its ``out``, for the last line; None are those of a training."""
+    if options is None:  # of a sweep, some runs may be finished
+        return "" if {"-m", "--multirun"} & set(sys.argv) else "nothing was trained"
     out = getattr(options, "out", None)
     if out is None or not os.path.exists(out):
         return "nothing was written"

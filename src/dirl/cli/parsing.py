@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 from hydra._internal.utils import get_args_parser
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import ChoiceSweep, Override, QuotedString, Sweep
+from hydra.core.override_parser.types import ChoiceSweep, Override, QuotedString
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -148,6 +148,8 @@ def prepare(arguments: Sequence[str]) -> list[str]:
         name = override.key_or_group
         group = re.split(r"[/.]", name)[0]
         if group == "hydra" or "@" in text.partition("=")[0] or (CONF / name).is_dir():
+            if group != "hydra" and any(isinstance(value, list | dict) for value in _values(override)):
+                raise ConfigError(f"{text}: must name a choice of {name}: --help lists them")
             prepared.append(text)
         elif "." in name and group in GROUPS:
             prepared.append(text if text.startswith(("+", "~")) else f"++{text}")
@@ -157,13 +159,15 @@ def prepare(arguments: Sequence[str]) -> list[str]:
     return prepared
 
 
+def _values(override: Override) -> list[Any]:
+    """Return the values that an argument gives, of a range its description."""
+    value = None if override.is_delete() else override.value()
+    return list(value.list) if isinstance(value, ChoiceSweep) else [value]
+
+
 def _constant(name: str, override: Override) -> str:
     """Return a number given for a schedule as a constant schedule; any other argument unchanged."""
-    value = None if override.is_delete() else override.value()
-    values = value.list if isinstance(value, ChoiceSweep) else [value]
-    plain = [one.text if isinstance(one, QuotedString) else one for one in values]
-    if isinstance(value, Sweep) and not isinstance(value, ChoiceSweep):
-        return str(override.input_line)
+    plain = [one.text if isinstance(one, QuotedString) else one for one in _values(override)]
     if any(not isinstance(one, int | float) or isinstance(one, bool) for one in plain):
         return str(override.input_line)
     return f"{name}=" + ",".join(f"{{start:{one},end:{one}}}" for one in plain)

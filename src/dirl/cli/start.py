@@ -27,16 +27,16 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
     Raises:
         SystemExit: help was asked for, or the command line is wrong.
     """
+    from dirl.runs.errors import end_at_once, one_line_exits
+
+    end_at_once(b"; nothing was written")
     shows = not SHOWING.isdisjoint(argument.partition("=")[0] for argument in sys.argv[1:])
     if not shows:
         print("loading ...", file=sys.stderr, flush=True)  # before anything that takes time
     # Threads of OpenMP that wait for each other spin, and beside other processes they wait for most of the time
     # (docs/performance.md). Read when torch is imported, also by the processes that this one starts.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    from dirl.runs.errors import end_at_once, one_line_exits
-
-    end_at_once()
-    with one_line_exits():
+    with one_line_exits(lambda: "nothing was written"):
         from dirl.cli import help, parsing
         from dirl.config.values import check_choice
 
@@ -66,17 +66,18 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
 def run(main: Callable[[], Any], options: Any = None) -> None:
     """Run a recipe's function; a wrong input, an interrupt or an error of the machine ends it with one line.
 
-    That of an interrupt says whether what ``options`` tell to write was written.
+    That of an interrupt says whether what ``options`` tell to write was written; a run tells it itself once it trains.
 
     Raises:
         SystemExit: see `dirl.runs.errors`.
     """
     from dirl.cli.output import unwritten
     from dirl.cli.parsing import one_line_errors
-    from dirl.runs.errors import one_line_exits
+    from dirl.runs.errors import end_at_once, one_line_exits
 
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells errors in many lines
     gc.freeze()  # what the imports made is not looked through again
     gc.enable()
-    with one_line_exits(lambda: "" if options is None else unwritten(options)), one_line_errors():
+    end_at_once()  # from here on something may have been written
+    with one_line_exits(lambda: unwritten(options)), one_line_errors():
         main()

@@ -1,6 +1,6 @@
 """The navigation task for Gymnasium: ``dirl/Navigation-v0``, one agent or a batch of them.
 
-`import dirl` registers both; this module is imported when one is made. The rules are those of `NavigationEnv`: it
+`import dirl.envs` registers both. The rules are those of `NavigationEnv`: it
 computes every transition once, and from then on a step is a look-up in NumPy arrays.
 """
 

@@ -23,6 +23,7 @@ from dirl.experiments.results import Table, write_tables
 from dirl.scenes.io.processes import in_processes
 from dirl.scenes.live import simulator_errors
 from dirl.scenes.scene import SceneError
+from dirl.sources.vizdoom import end_with_this_process
 
 GOALS = ("tall_red_pillar", "candelabra", "tall_blue_torch", "short_green_pillar")
 STARTS = ("map02", "map03", "map04", "map05")
@@ -100,6 +101,7 @@ class Game:
             game.set_window_visible(False)
             game.set_screen_format(vizdoom.ScreenFormat.RGB24)
             game.set_seed(seed)
+            end_with_this_process(self, game)
             game.init()
             self._buttons = [button.name for button in game.get_available_buttons()]
             self.act(IDLE, WAIT)

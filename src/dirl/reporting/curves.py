@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dirl.evaluation.protocol import STABLE_ATL, WINDOW
 from dirl.reporting.style import plain, write_figure
 from dirl.reporting.tables import read_columns, run_title
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, SKY, VERMILION
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +33,7 @@ def draw_learning_curve(folder: Path, file: Path) -> None:
     Raises:
         FileNotFoundError: there is no ``summary.json``.
     """
-    summary = json.loads((folder / "summary.json").read_text())
+    summary = json.loads(read_text(folder / "summary.json"))
     figure = Figure(figsize=(8.5, 5.5), layout="constrained")
     figure.suptitle(run_title(summary))
     upper, lower = figure.subplots(2, sharex=True)

@@ -13,6 +13,7 @@ from dirl.perception.backbones.registry import packaged_encoder
 from dirl.reporting.tables import run_title, summary_table
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.export import write_shared
+from dirl.scenes.io.bounded import read_text
 
 CARD = """---
 library_name: dirl
@@ -73,7 +74,7 @@ def save_pretrained(run: str | Path, folder: str | Path, *, name: str = "", lice
         raise HubError(f"{run}: is not the folder of a finished run with weights; train first, or resume the run")
     if folder.exists() and any(folder.iterdir()):
         raise HubError(f"{folder}: is not empty; choose a new folder")
-    saved, summary = load_checkpoint(run), json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    saved, summary = load_checkpoint(run), json.loads(read_text(run / "summary.json"))
     folder.mkdir(parents=True, exist_ok=True)
     write_shared(saved, folder)
     pictures = sorted([*run.glob("*.png"), *run.glob("*.gif")])

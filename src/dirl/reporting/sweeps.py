@@ -5,13 +5,14 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml  # PyYAML comes with OmegaConf
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
+from dirl.config.saved import plain_mapping
 from dirl.config.values import leaves
 from dirl.reporting.seeds import FEW, draw_seeds, seed_table
 from dirl.reporting.tables import result_table
+from dirl.scenes.io.bounded import read_text
 
 
 class SweepTable(Callback):
@@ -30,10 +31,10 @@ class SweepTable(Callback):
 def told_of_seeds(folder: Path) -> None:
     """Print and draw the spread of a sweep's runs if they differ in their seed only."""
     files = [file for file in sorted(folder.glob("**/summary.json")) if file.with_name("config.yaml").is_file()]
-    configs = [leaves(yaml.safe_load(file.with_name("config.yaml").read_text(encoding="utf-8"))) for file in files]
+    configs = [leaves(plain_mapping(read_text(file.with_name("config.yaml")))) for file in files]
     differing = {name for config in configs for name in config if config.get(name) != configs[0].get(name)}
     if len(files) >= FEW and differing == {"seed"}:
-        summaries = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+        summaries = [json.loads(read_text(file)) for file in files]
         draw_seeds(summaries, folder / "seeds.png")
         print(f"\nOver the seeds (picture: {folder / 'seeds.png'}):\n\n{seed_table(summaries)}")
 
@@ -46,10 +47,10 @@ def sweep_table(folder: Path, options: Collection[str]) -> str:
     runs: dict[Path, dict[str, Any]] = {}
     measures: dict[Path, Mapping[str, Any]] = {}
     for file in sorted(folder.glob("**/summary.json"), key=lambda file: (len(file.parent.name), str(file))):
-        summary = json.loads(file.read_text(encoding="utf-8"))
+        summary = json.loads(read_text(file))
         config = file.with_name("config.yaml")
         if config.is_file() and "greedy" in summary:
-            runs[file.parent] = leaves(yaml.safe_load(config.read_text(encoding="utf-8")))
+            runs[file.parent] = leaves(plain_mapping(read_text(config)))
             measures[file.parent] = summary["greedy"]
     if len(runs) < 2:
         return ""

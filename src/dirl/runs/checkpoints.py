@@ -10,7 +10,6 @@ states, with whole numbers as keys and tuples, would need a format of their own.
 import hashlib
 import io
 import sys
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +21,8 @@ from dirl.runs.export import read_shared
 from dirl.runs.paths import RunError, find_checkpoint, training_checkpoints
 from dirl.runs.schema import check_entries
 from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes
+from dirl.scenes.io.tensors import unpack_tensors
 
 SEAL = b"dirl sha256 "
 DIGITS = 64
@@ -99,10 +100,13 @@ def read_checkpoint(file: Path) -> dict[str, Any]:
     Raises:
         RunError: it is damaged, or no checkpoint of this version of dirl.
     """
-    data = file.read_bytes()
+    try:
+        data = read_bytes(file, MOST_WEIGHTS)
+    except ValueError as error:
+        raise RunError(str(error)) from None
     _check_digest(data, file)
     try:
-        state = _unpack(data)
+        state = unpack_tensors(data)
     except Exception as error:  # zipfile and torch raise many kinds for what they cannot read
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{file}: is no checkpoint of dirl ({reason})") from None
@@ -121,15 +125,6 @@ def restoring(origin: Path) -> Iterator[None]:
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
         raise RunError(f"{origin}: its checkpoint does not fit this run ({reason})") from None
-
-
-def _unpack(data: bytes) -> Any:
-    """Return the content of an archive of ``torch.save``; ours are not compressed, others could unpack to any size."""
-    archive = io.BytesIO(data)
-    if sum(entry.file_size for entry in zipfile.ZipFile(archive).infolist()) > len(data):
-        raise ValueError("its parts are larger than the file")
-    archive.seek(0)
-    return torch.load(archive, map_location="cpu", weights_only=True)
 
 
 def _check_digest(data: bytes, file: Path) -> None:

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -35,20 +36,25 @@ class Terminated(BaseException):
     """SIGTERM as an exception, as ``KeyboardInterrupt`` is for SIGINT."""
 
 
-def end_at_once() -> None:
+def end_at_once(advice: bytes = b"") -> None:
     """From now on SIGINT and SIGTERM end the program with one line where no context of this module handles them.
 
     That is while a recipe imports torch, and after it has ended: there is nothing to save then. Python's own handlers
-    would print a traceback, or nothing.
+    would print a traceback, or nothing. The line ends with ``advice``.
     """
     for number, own in {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}.items():
-        if signal.getsignal(number) is own and threading.current_thread() is threading.main_thread():
-            signal.signal(number, _end_at_once)
+        now = signal.getsignal(number)
+        if (now is own or _is_ours(now)) and threading.current_thread() is threading.main_thread():
+            signal.signal(number, partial(_end_at_once, advice))
 
 
-def _end_at_once(number: int, _: Any) -> NoReturn:
-    os.write(2, b"interrupted\n" if number == signal.SIGINT else b"terminated\n")
+def _end_at_once(advice: bytes, number: int, _: Any) -> NoReturn:
+    os.write(2, (b"interrupted" if number == signal.SIGINT else b"terminated") + advice + b"\n")
     os._exit(128 + number)
+
+
+def _is_ours(handler: Any) -> bool:
+    return isinstance(handler, partial) and handler.func is _end_at_once
 
 
 @contextlib.contextmanager
@@ -57,7 +63,7 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
 
     Args:
         advice: called where the input is not to blame: what is safe, and how to continue.
-        folder: made by Hydra beforehand; deleted again if the input is wrong and nothing has been written there.
+        folder: made by Hydra beforehand; deleted again if nothing has been written there.
 
     Raises:
         SystemExit: with a status of the table above.
@@ -72,11 +78,10 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
                     raise raised[0] from None
                 raise
     except ValueError as error:
-        if folder is not None:
-            with contextlib.suppress(OSError):
-                os.removedirs(folder)
+        _remove_empty(folder)
         raise SystemExit(f"error: {one_line(str(error), 2000)}") from None
     except KeyboardInterrupt:
+        _remove_empty(folder)
         leave("interrupted", 128 + signal.SIGINT, advice)
     except Terminated:
         leave("terminated", 128 + signal.SIGTERM, advice)
@@ -91,6 +96,13 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
         if not _is_memory(error):
             raise
         leave("error: memory ran out; make the run smaller, or free some", MEMORY, advice)
+
+
+def _remove_empty(folder: Path | None) -> None:
+    """Delete a folder, and those above it, as far as they are empty."""
+    if folder is not None:
+        with contextlib.suppress(OSError):
+            os.removedirs(folder)
 
 
 def one_line(text: str, most: int = 300) -> str:
@@ -115,7 +127,8 @@ def _raising(raised: list[BaseException]) -> dict[signal.Signals, Any]:
         raised.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated())
         raise raised[-1]
 
-    own = signal.getsignal(signal.SIGINT) in (_end_at_once, signal.default_int_handler)
+    now = signal.getsignal(signal.SIGINT)
+    own = now is signal.default_int_handler or _is_ours(now)
     return dict.fromkeys(SIGNALS if own else SIGNALS[1:], raise_)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from dirl.runs.paths import WEIGHTS, RunError
 from dirl.runs.schema import check_entries
 from dirl.scenes.io.atomic import atomic_path, write_json, write_text
-from dirl.scenes.io.bounded import read_text
+from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes, read_text
 from dirl.scenes.io.digest import check_seal, sealed
 
 CONFIG, FACTS = "config.yaml", "dirl.json"
@@ -50,8 +50,8 @@ def read_shared(folder: Path) -> dict[str, Any]:
     except ImportError:
         raise RunError(f"{folder}: {MISSING}") from None
     file = folder / WEIGHTS
-    data = file.read_bytes()
     try:
+        data = read_bytes(file, MOST_WEIGHTS)
         facts = json.loads(read_text(folder / FACTS))
         state = {key: facts[key] for key in KEYS if key in facts}
         state["config"] = read_text(folder / CONFIG)

@@ -20,6 +20,7 @@ from dirl.config.saved import config_text
 from dirl.config.schemas import ConfigError, LoggerName, TrainConfig
 from dirl.config.values import leaves, plain
 from dirl.scenes.io.atomic import write_text
+from dirl.scenes.io.bounded import read_text
 
 PACKAGES = {
     LoggerName.wandb: ("wandb", "pip install wandb"),
@@ -68,7 +69,7 @@ class WandbLogger:
                 group=options.group or folder.resolve().parent.name,
                 tags=[tag[:64] for tag in dict.fromkeys(tags)],  # the service takes no longer ones
                 name=folder.name,
-                id=known.read_text(encoding="utf-8").strip(),
+                id=read_text(known).strip(),
                 resume="allow",
                 config=plain(config),
                 dir=str(folder),

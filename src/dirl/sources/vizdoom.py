@@ -100,8 +100,7 @@ class VizDoom:
         game.add_game_args("+sv_nomonsters 1 +sv_cheats 1 +freeze 1")
         game.set_seed(1)
         with simulator_errors(f"{self.name}: VizDoom"):
-            if Path("/proc").is_dir():  # elsewhere than on Linux a killed program leaves its Doom behind
-                _end_with_this_process(self, game)
+            end_with_this_process(self, game)
             game.init()
             self._clear()
         with suppress(OSError):  # an empty folder that Doom leaves
@@ -194,11 +193,13 @@ class VizDoom:
             self._tics(off, 0, 1)
 
 
-def _end_with_this_process(owner: VizDoom, game: Any) -> None:
+def end_with_this_process(owner: object, game: Any) -> None:
     """Let a Doom end with its owner and with this process, even if that is killed: Doom waits for orders for ever.
 
     It is called before the Doom starts, which takes a second.
     """
+    if not Path("/proc").is_dir():  # elsewhere than on Linux a killed program leaves its Doom behind
+        return
     word = f"-dirl{secrets.token_hex(8)}"
     game.add_game_args(word)  # which Doom ignores
     watch = subprocess.Popen(["sh", "-c", WATCH, word], stdin=subprocess.PIPE, start_new_session=True)

@@ -29,6 +29,7 @@ from dirl.runs.loggers import check_logger
 from dirl.runs.memory import peak_memory_mb
 from dirl.runs.paths import RunError
 from dirl.scenes import World
+from dirl.scenes.io.bounded import read_text
 from dirl.scenes.live import SimulatorError
 from dirl.training.build import (
     build_demonstrations,
@@ -101,11 +102,11 @@ def run_one(
     A run that is ``alone`` ends the program with one line if something is wrong; others raise.
     """
     # Hydra would say something of its own about an error before `dirl.cli.start.run` does.
-    with one_line_exits(folder=folder) if alone else nullcontext():
+    with one_line_exits(lambda: "nothing was trained", folder) if alone else nullcontext():
         run, initial = open_job(composed, folder, overrides)
         if run.finished:
             print(f"finished before: {run.folder}")
-            summary: dict[str, Any] = json.loads((run.folder / "summary.json").read_text())
+            summary: dict[str, Any] = json.loads(read_text(run.folder / "summary.json"))
             return summary
         components = build_components(run, initial)
         run.begin(components.protocol.world, components.protocol.observation.order)

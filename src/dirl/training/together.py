@@ -25,6 +25,7 @@ from dirl.evaluation.episodes import EvaluationProtocol, bar_interval
 from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
 from dirl.runs.paths import RunError
+from dirl.scenes.io.bounded import read_text
 from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, Stages, build_components, conclude, facts_of, open_job, run_stages
 from dirl.training.loops import DIVERGED, ImitationSteps, TrainState, Updates, due, write_evaluation
@@ -135,7 +136,7 @@ def run_together(jobs: Sequence[Job], stages: Stages, learn: Learn) -> list[dict
             with _kept(results, number):
                 run, initial = open_job(jobs[number].composed, jobs[number].folder, jobs[number].overrides)
                 if run.finished:
-                    results[number] = json.loads((run.folder / "summary.json").read_text())
+                    results[number] = json.loads(read_text(run.folder / "summary.json"))
                     continue
                 components = build_components(run, initial, first)
                 if (reason := why_alone(run, components)) is not None:

@@ -16,6 +16,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 COLUMNS = 40
+from dirl.scenes.io.tensors import read_tensors
 
 WEIGHTS = Path(__file__).parent / "columns.pt"
 """Trained by examples/train_columns.py."""
@@ -117,7 +118,7 @@ class ColumnNet(nn.Module):
 def load_column_net(file: str | Path = WEIGHTS) -> ColumnNet:
     """The network with the weights of the package, or of a file, for `ColumnNet.describe`."""
     net = ColumnNet()
-    stored = torch.load(file, map_location="cpu", weights_only=True)
+    stored = read_tensors(Path(file))
     net.load_state_dict({name: value.float() if value.is_floating_point() else value for name, value in stored.items()})
     return net.eval()
 

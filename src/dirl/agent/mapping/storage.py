@@ -17,7 +17,7 @@ from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.export import MISSING
 from dirl.scenes.graph import ACTIONS
 from dirl.scenes.io.atomic import atomic_path, write_json
-from dirl.scenes.io.bounded import read_text
+from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes, read_text
 from dirl.scenes.io.digest import check_seal, sealed
 
 TENSORS, FACTS = "map.safetensors", "map.json"
@@ -92,7 +92,7 @@ def load_graph(
         raise MapError(f"{folder}: holds no map; it has no {TENSORS}")
     try:
         facts = json.loads(read_text(folder / FACTS))
-        content = (folder / TENSORS).read_bytes()
+        content = read_bytes(folder / TENSORS, MOST_WEIGHTS)
         check_seal(facts, content)
         places = facts.get("kind") == "places"
         if not places:

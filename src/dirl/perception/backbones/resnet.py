@@ -20,6 +20,7 @@ SIZE = (224, 224)
 """Height and width, in pixels, that views are resized to unless a caller says otherwise."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of ImageNet's red, green and blue, on a scale from 0 to 1."""
+from dirl.scenes.io.tensors import read_tensors
 
 DATA = Path(__file__).parent / "data"
 
@@ -164,7 +165,7 @@ def load_backbone(path: str | Path) -> ResNet50:
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
     try:
-        stored = torch.load(path, map_location="cpu", weights_only=True)
+        stored = read_tensors(path)
     except Exception as error:  # what unpickling a broken file raises can be anything
         reason = str(error).split("\n")[0]
         raise ValueError(f"{path}: not a file of weights that torch can load safely ({reason})") from error

@@ -12,6 +12,7 @@ from dirl.perception.backbones.patches import are_fine, coarse
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.photo import PhotoOdds
 from dirl.perception.recognition.recogniser import Thresholds
+from dirl.scenes.io.tensors import read_tensors
 
 WEIGHTS = Path(__file__).parents[2] / "agents" / "general" / "recogniser.pt"
 """Those of the agent `general`, for features and patches of EfficientNet-Lite0."""
@@ -205,7 +206,7 @@ def _read(file: Path) -> dict[str, Tensor]:
     if not file.is_file():
         raise ValueError(f"weights={file}: there is no such file")
     try:
-        stored = torch.load(file, map_location="cpu", weights_only=True)
+        stored = read_tensors(file)
     except Exception as error:  # what unpickling a broken file raises can be anything
         raise ValueError(f"weights={file}: torch cannot read it as weights ({error!r:.200})") from None
     if not (isinstance(stored, dict) and all(isinstance(value, Tensor) for value in stored.values())):

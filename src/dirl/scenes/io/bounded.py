@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 MOST = 64 * 2**20
 """Bytes that are read of a file. The longest table of a run has a row a step of imitation, 40 bytes each."""
 
+MOST_WEIGHTS = 4 * 2**30
+"""Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
+
 FREELY_UNPACKED, MOST_RATIO = 2**28, 100
 """Arrays of more bytes may only be so many times larger than their file: gzip packs zeros a thousand times."""
 
@@ -26,10 +29,11 @@ def read_bytes(file: Path, most: int = MOST) -> bytes:
     """
     waiting = getattr(os, "O_NONBLOCK", 0)  # else opening a pipe waits for somebody to write
     with open(file, "rb", opener=lambda path, flags: os.open(path, flags | waiting)) as stream:
-        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        status = os.fstat(stream.fileno())
+        if not stat.S_ISREG(status.st_mode):
             raise ValueError(f"{file}: is no regular file")
-        data = stream.read(most + 1)
-    if len(data) > most:
+        data = stream.read(most + 1) if status.st_size <= most else b""
+    if max(status.st_size, len(data)) > most:
         raise ValueError(f"{file}: has more than {most} bytes, which no such file of dirl has")
     return data
 
@@ -57,7 +61,10 @@ def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
     try:
         with file.open("rb") as stream, zipfile.ZipFile(stream) as archive:
             entries, packed = archive.infolist(), os.fstat(stream.fileno()).st_size
-            if (unpacked := sum(entry.file_size for entry in entries)) > max(FREELY_UNPACKED, MOST_RATIO * packed):
+            if (unpacked := sum(entry.file_size for entry in entries)) > max(MOST_WEIGHTS = 4 * 2**30
+"""Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
+
+FREELY_UNPACKED, MOST_RATIO * packed):
                 raise ValueError(f"{packed} bytes would unpack to {unpacked}")
             for entry in entries:
                 _check_header(archive, entry)
