@@ -124,6 +124,8 @@ def test_the_end_of_a_recipe_is_one_line(capsys, monkeypatch):
     with pytest.raises(SystemExit) as raised:
         run(fails_with(OSError(28, "No space left on device", "x.h5")))
     assert raised.value.code == 74
-    assert capsys.readouterr().err == "error: x.h5: No space left on device; make room on the disk\n"
+    assert (
+        capsys.readouterr().err == "error: x.h5: No space left on device; make room on the disk; nothing was trained\n"
+    )
     with pytest.raises(KeyError):
         run(fails_with(KeyError("a bug")))

@@ -20,10 +20,9 @@ from dirl.agent.mapping.columns import load_column_net
 from dirl.agent.mapping.follow import BUTTONS, IDLE, Follower, Memory
 from dirl.experiments.measures import kept
 from dirl.experiments.results import Table, write_tables
-from dirl.scenes.io.processes import in_processes
+from dirl.scenes.io.processes import end_with_this_process, in_processes
 from dirl.scenes.live import simulator_errors
 from dirl.scenes.scene import SceneError
-from dirl.sources.vizdoom import end_with_this_process
 
 GOALS = ("tall_red_pillar", "candelabra", "tall_blue_torch", "short_green_pillar")
 STARTS = ("map02", "map03", "map04", "map05")

@@ -1,19 +1,16 @@
 """VizDoom: the maps of Doom and of Freedoom, which come with it, without monsters and without things to take."""
 
 import os
-import secrets
 import struct
-import subprocess
-import weakref
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
+from dirl.scenes.io.processes import end_with_this_process
 from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 
@@ -37,19 +34,6 @@ SETTLED = 12
 
 MOST_LUMPS = 100_000
 """Entries of a WAD file's directory that are read; Freedoom 2 has 3,000."""
-
-WATCH = r"""
-read -r _ || sleep 1  # a Doom that is just being started has no name yet
-for arguments in /proc/[0-9]*/cmdline; do
-  if grep -qs -e "$0" "$arguments"; then
-    name=$(tr '\0' '\n' < "$arguments" | sed -n '/^+viz_instance_id$/{n;p;}')
-    process=${arguments%/cmdline}
-    if [ -n "$name" ]; then kill -9 "${process#/proc/}"; rm -f "/dev/shm/ViZDoom"*"$name"; fi
-  fi
-done
-"""
-"""Of a shell: wait for the end of its input, then end the Doom that has a word among its arguments, and remove what it
-shared."""
 
 SCENERY = {"Self", "Decoration", "Vegetation", "LightSource", "Gore", "Hazard", "Unknown"}
 """Categories of things that stay; others change the views once they are taken."""
@@ -191,24 +175,6 @@ class VizDoom:
             if abs(off) < 0.05:
                 return
             self._tics(off, 0, 1)
-
-
-def end_with_this_process(owner: object, game: Any) -> None:
-    """Let a Doom end with its owner and with this process, even if that is killed: Doom waits for orders for ever.
-
-    It is called before the Doom starts, which takes a second.
-    """
-    if not Path("/proc").is_dir():  # elsewhere than on Linux a killed program leaves its Doom behind
-        return
-    word = f"-dirl{secrets.token_hex(8)}"
-    game.add_game_args(word)  # which Doom ignores
-    watch = subprocess.Popen(["sh", "-c", WATCH, word], stdin=subprocess.PIPE, start_new_session=True)
-    weakref.finalize(owner, _close, game, watch)
-
-
-def _close(game: Any, watch: subprocess.Popen[bytes]) -> None:
-    game.close()
-    watch.communicate(b"\n")
 
 
 def _check_map(wad: Path, name: str) -> None:

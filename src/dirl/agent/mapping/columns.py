@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-COLUMNS = 40
 from dirl.scenes.io.tensors import read_tensors
+
+COLUMNS = 40
 
 WEIGHTS = Path(__file__).parent / "columns.pt"
 """Trained by examples/train_columns.py."""

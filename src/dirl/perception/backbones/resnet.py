@@ -16,11 +16,12 @@ from PIL import Image
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from dirl.scenes.io.tensors import read_tensors
+
 SIZE = (224, 224)
 """Height and width, in pixels, that views are resized to unless a caller says otherwise."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of ImageNet's red, green and blue, on a scale from 0 to 1."""
-from dirl.scenes.io.tensors import read_tensors
 
 DATA = Path(__file__).parent / "data"
 

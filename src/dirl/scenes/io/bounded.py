@@ -16,6 +16,9 @@ MOST = 64 * 2**20
 MOST_WEIGHTS = 4 * 2**30
 """Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
 
+MOST_WEIGHTS = 4 * 2**30
+"""Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
+
 FREELY_UNPACKED, MOST_RATIO = 2**28, 100
 """Arrays of more bytes may only be so many times larger than their file: gzip packs zeros a thousand times."""
 
@@ -61,10 +64,7 @@ def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
     try:
         with file.open("rb") as stream, zipfile.ZipFile(stream) as archive:
             entries, packed = archive.infolist(), os.fstat(stream.fileno()).st_size
-            if (unpacked := sum(entry.file_size for entry in entries)) > max(MOST_WEIGHTS = 4 * 2**30
-"""Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
-
-FREELY_UNPACKED, MOST_RATIO * packed):
+            if (unpacked := sum(entry.file_size for entry in entries)) > max(FREELY_UNPACKED, MOST_RATIO * packed):
                 raise ValueError(f"{packed} bytes would unpack to {unpacked}")
             for entry in entries:
                 _check_header(archive, entry)

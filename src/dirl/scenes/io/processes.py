@@ -1,14 +1,31 @@
-"""Work that is shared among processes."""
+"""Work that is shared among processes, and processes that end with this one."""
 
+import secrets
+import subprocess
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 from dirl.scenes.scene import SceneError
 
 Result = TypeVar("Result")
+
+WATCH = r"""
+read -r _ || sleep 1  # a Doom that is just being started has no name yet
+for arguments in /proc/[0-9]*/cmdline; do
+  if grep -qs -e "$0" "$arguments"; then
+    name=$(tr '\0' '\n' < "$arguments" | sed -n '/^+viz_instance_id$/{n;p;}')
+    process=${arguments%/cmdline}
+    if [ -n "$name" ]; then kill -9 "${process#/proc/}"; rm -f "/dev/shm/ViZDoom"*"$name"; fi
+  fi
+done
+"""
+"""Of a shell: wait for the end of its input, then end the Doom that has a word among its arguments, and remove what it
+shared."""
 
 
 def in_processes(tasks: Sequence[Callable[[], Result]], processes: int, name: str) -> Iterator[Result]:
@@ -41,3 +58,21 @@ def _start() -> None:
     import torch
 
     torch.set_num_threads(1)  # each process has one core
+
+
+def end_with_this_process(owner: object, game: Any) -> None:
+    """Let a Doom end with its owner and with this process, even if that is killed: Doom waits for orders for ever.
+
+    It is called before the Doom starts, which takes a second.
+    """
+    if not Path("/proc").is_dir():  # elsewhere than on Linux a killed program leaves its Doom behind
+        return
+    word = f"-dirl{secrets.token_hex(8)}"
+    game.add_game_args(word)  # which Doom ignores
+    watch = subprocess.Popen(["sh", "-c", WATCH, word], stdin=subprocess.PIPE, start_new_session=True)
+    weakref.finalize(owner, _close, game, watch)
+
+
+def _close(game: Any, watch: subprocess.Popen[bytes]) -> None:
+    game.close()
+    watch.communicate(b"\n")

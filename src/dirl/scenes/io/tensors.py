@@ -23,15 +23,13 @@ def unpack_tensors(data: bytes) -> Any:
         Exception: of torch, whatever it is for what it cannot read.
     """
     archive = io.BytesIO(data)
-    if zipfile.is_zipfile(archive) and sum(entry.file_size for entry in zipfile.ZipFile(archive).infolist()) > len(
-        data
-    ):
-        raise ValueError("its parts are larger than the file")
+    if zipfile.is_zipfile(archive):  # what older versions of torch wrote is none
+        parts = zipfile.ZipFile(archive).infolist()
+        if sum(part.file_size for part in parts) > len(data):
+            raise ValueError("its parts are larger than the file")
     archive.seek(0)
     stored = torch.load(archive, map_location="cpu", weights_only=True)
-    tensors = (
-        [value for value in stored.values() if isinstance(value, torch.Tensor)] if isinstance(stored, dict) else []
-    )
-    if any(tensor.nbytes > len(data) for tensor in tensors):
+    values = stored.values() if isinstance(stored, dict) else ()
+    if any(isinstance(value, torch.Tensor) and value.nbytes > len(data) for value in values):
         raise ValueError("a tensor is larger than the file")
     return stored
