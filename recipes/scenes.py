@@ -71,6 +71,14 @@ class EncodedPatches(Encoded):
 
 
 @dataclass
+class EncodedForGeneral(EncodedPatches):
+    """The encoder of a command that takes photographs: that of the agent `general`."""
+
+    encoder: str | None = option("what makes the features, see encode; null = none yet", "efficientnet_lite0")
+    patches: bool = option("also features of the parts of each view, as `general` reads them", True)
+
+
+@dataclass
 class VisitChanges:
     """How visits of a place differ."""
 
@@ -181,7 +189,7 @@ class DraftOptions:
 
 
 @dataclass
-class PhotosOptions(EncodedPatches):
+class PhotosOptions(EncodedForGeneral):
     """Make a scene dump from photographs: a folder of images with states.csv, which says where each was taken.
 
     states.csv has a row for each image: image,location,heading,x,z,ahead (and back,goal,shot if needed).
@@ -197,8 +205,6 @@ class PhotosOptions(EncodedPatches):
     name: str | None = option("name of the scene; null = the folder's name", None)
     height: Pixels = option("pixels; images are cropped at the centre to this aspect ratio and scaled", 300)
     width: Pixels = option("likewise", 400)
-    encoder: str | None = option("what makes the features, see encode; null = none yet", "efficientnet_lite0")
-    patches: bool = option("also features of the parts of each view, as `general` reads them", True)
 
 
 @dataclass
@@ -226,7 +232,7 @@ class RecordingOptions:
 
 
 @dataclass
-class TourOptions(EncodedPatches):
+class TourOptions(EncodedForGeneral):
     """Make a scene dump from a 360-degree tour: Marzipano, krpano, Pannellum, panoramas with links.csv, ZInD.
 
     Examples:
@@ -253,9 +259,9 @@ class TourOptions(EncodedPatches):
     reach: Annotated[float, Bounds(0.1, 100)] = option(
         "metres between linked panoramas of the Zillow dataset, whose files have no links", 3.0
     )
-    height: Pixels = option(OF_VIEW, 300)
-    width: Pixels = option(OF_VIEW, 400)
-    field_of_view: FieldOfView = option("horizontal, degrees", 90)
+    height: Pixels = option(OF_VIEW, 224)
+    width: Pixels = option(OF_VIEW, 224)
+    field_of_view: FieldOfView = option("horizontal, degrees", 75)
     pitch: Annotated[float, Bounds(-80, 80)] = option("degrees that a view looks up, down if negative", 0)
 
 
@@ -282,12 +288,10 @@ class BuildOptions(Encoded):
 
 
 @dataclass
-class LookChanges:
+class LookChanges(VisitChanges):
     """How looks of a built room differ."""
 
     position: NotNegative = option("metres, along each axis", 0.05)
-    heading: NotNegative = option("degrees", 5.0)
-    exposure: NotNegative = option("of the logarithm of the brightness: 0.05 is about 5 %", 0.15)
     white_balance: NotNegative = option("of the logarithm of red and of blue", 0.0)
     camera_height: NotNegative = option("metres", 0.0)
     lamps: Fraction = option(
@@ -300,21 +304,6 @@ class LookChanges:
     objects: Fraction = option("probability that a small thing, such as a vase or a picture, is gone", 0.0)
     vary: Fraction = option(
         "each look has all of these times a factor sampled from 1 - vary to 1 + vary; for rooms to train in", 0.0
-    )
-
-
-@dataclass
-class PhotoLooks:
-    """The camera of looks."""
-
-    aside: NotNegative = option("degrees that it is turned to one side or the other", 0.0)
-    fov: NotNegative = option("its horizontal field of view, degrees; 0 = that of the agent's, 75", 0.0)
-    tilt: NotNegative = option("degrees that it is rolled to one side or the other", 0.0)
-    portrait: bool = option("held upright", False)
-    jpeg: Annotated[int, Bounds(0, 100)] = option("compressed with this quality; 0 = not", 0)
-    warmth: float = option("of the light: logarithm of more red, and less blue", 0.0)
-    corrected: bool = option(
-        "field of view and tilt are known: scaled and rotated to what the agent's camera would see", False
     )
 
 
@@ -345,9 +334,8 @@ class SampleOptions(EncodedPatches):
     precision: Precision = option(
         "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", Precision.float32
     )
-    looks: Looks = option(f"{LOOKS} and photo", 0)
+    looks: Looks = option(LOOKS, 0)
     changes: LookChanges = option(CHANGES, LookChanges)
-    photo: PhotoLooks = option("the camera of the looks, for photos as goals", PhotoLooks)
     sheet: bool = option("draw a contact sheet, rooms.png, of 32 rooms at most", True)
 
 
@@ -477,7 +465,7 @@ from dirl.sources.photos import draft_table, encoded_photos, read_photos
 from dirl.sources.recordings import unpack_recording
 from dirl.sources.rooms import build_room, read_description
 from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
-from dirl.sources.rooms.looks import Changes, PhotoCamera
+from dirl.sources.rooms.looks import Changes
 from dirl.sources.rooms.sampling import KINDS
 from dirl.sources.rooms.sheet import draw_sheet, preview
 from dirl.sources.simulators import take_look, take_scene
@@ -636,8 +624,7 @@ def sample(options: SampleOptions) -> None:
     check_writable(options.out)
     folder, kinds = Path(options.out), [kind for kind in KINDS if options.kind in (kind, "all")]
     values = {field.name: getattr(options, field.name) for field in fields(RoomSettings)}
-    values |= {"changes": Changes(**vars(options.changes)), "photo": PhotoCamera(**vars(options.photo))}
-    settings = RoomSettings(**values)
+    settings = RoomSettings(**{**values, "changes": Changes(**vars(options.changes))})
     seeds = range(options.seed, options.seed + options.count)
     wanted = [(kind, seed) for seed in seeds for kind in kinds]
     todo = missing_rooms(folder, wanted, settings.stored(settings.load_encoder()))

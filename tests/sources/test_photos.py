@@ -34,7 +34,7 @@ def folder_of(path, lines, header=HEADER):
     return path
 
 
-@pytest.mark.parametrize("turns", [4, 8, 12])
+@pytest.mark.parametrize("turns", [4, 12])
 def test_a_table_becomes_a_scene(tmp_path, turns):
     scene, images = read_photos(folder_of(tmp_path, corridor(turns)))
     assert (scene.name, scene.source, scene.extractor) == (tmp_path.name, "photos", "none")
@@ -61,24 +61,20 @@ def test_rows_may_be_in_any_order_with_spaces_semicolons_and_a_byte_order_mark(t
     assert (again.graph == np.where(scene.graph >= 0, (scene.graph + 4) % 8, -1)[[4, 5, 6, 7, 0, 1, 2, 3]]).all()
 
 
+def test_moves_back_and_goals_may_be_said(tmp_path):
+    said = {"hall_3": "door,", "door_1": ",yes"}
+    lines = [f"{line},{said.get(line.partition('.')[0], ',')}" for line in corridor()]
+    scene, _ = read_photos(folder_of(tmp_path, lines, f"{HEADER},back,goal"))
+    assert scene.graph[:, 3].tolist() == [-1, -1, -1, 7, -1, -1, -1, -1]
+    assert scene.goals == (5,)
+
+
 def test_headings_may_be_a_little_off_and_begin_anywhere(tmp_path):
     lines = corridor(offset=-20.4)
     lines[2] = lines[2].replace("159.6", "160.3")
     scene, _ = read_photos(folder_of(tmp_path, lines))
     assert scene.headings.tolist() == pytest.approx([69.6, 160.3, 249.6, 339.6, 69.6, 159.6, 249.6, 339.6])
     assert (scene.graph[:, 0] >= 0).sum() == 2
-
-
-def test_moves_back_may_be_said(tmp_path):
-    lines = [f"{line},{'door' if line.startswith('hall_3') else ''}" for line in corridor()]
-    scene, _ = read_photos(folder_of(tmp_path, lines, f"{HEADER},back"))
-    assert scene.graph[:, 3].tolist() == [-1, -1, -1, 7, -1, -1, -1, -1]
-
-
-def test_goals_are_marked(tmp_path):
-    lines = [f"{line},{'yes' if line.startswith('door_1') else ''}" for line in corridor()]
-    scene, _ = read_photos(folder_of(tmp_path, lines, f"{HEADER},goal"))
-    assert scene.goals == (5,)
 
 
 @given(width=st.integers(1, 3), depth=st.integers(1, 3), turns=st.sampled_from([4, 8, 12]), data=st.data())
@@ -113,56 +109,34 @@ def changed(line, old, new):
     [
         ([], "states.csv: has no rows of first shots"),
         (changed(0, "hall_0.png", "hall_9.jpg"), "line 2: image: there is no file 'hall_9.jpg' in"),
-        (changed(0, "hall_0.png", ""), "line 2: image: is missing"),
+        (changed(0, "hall_0.png", "../secret.png"), "line 2: image: '.*' lies outside of "),
         (changed(2, ",hall,", ",,"), "line 4: location: is missing"),
         (changed(2, ",180,", ",south,"), "line 4: heading: must be a valid number, .* found 'south'"),
         (changed(2, ",180,", ",nan,"), "line 4: heading: must be less than or equal to 1000000, found 'nan'"),
-        (changed(2, ",0,0,", ",0,,"), "line 4: z: is missing"),
         (changed(2, ",0,0,", ",0,0,,,"), "line 4: 8 cells for 6 columns"),
-        (
-            changed(2, ",180,", ",170,"),
-            "line 3: location 'hall': from heading 90 to the next, 170, are 80 degrees; 4",
-        ),
-        (changed(2, ",180,", ",90,"), "line 3: location 'hall': from heading 90 to the next, 90, are 0 degrees"),
+        (changed(2, ",180,", ",170,"), "line 3: location 'hall': from heading 90 to the next, 170, are 80 degrees; 4"),
         (changed(2, ",0,0,", ",0,3,"), r"line 4: location 'hall' is at \(0.0, 3.0\), but at \(0.0, 0.0\) in .* line 2"),
         (changed(1, ",door", ",dor"), "line 3: ahead: there is no location 'dor'; did you mean 'door'"),
         (changed(1, ",door", ",hall"), "line 3: ahead: leads to 'hall' itself; leave it empty"),
-        (corridor() * 2, "location 'hall': from heading 0 to the next, 0, are 0 degrees; 8 headings must be 45 apart"),
+        (corridor()[:7], "line 6: location 'door' has 3 headings; expected the same mult"),
+        (corridor()[:4] + corridor(offset=30)[4:], "line 3: ahead: 'door' has no image with heading 90; a move keeps"),
         (
-            corridor()[:7],
-            "line 6: location 'door' has 3 headings; .* a multiple|has 3 headings; expected the same mult",
+            [*corridor(), *(line.replace("hall", "yard") for line in corridor()[:4])],
+            "ahead: 'door' is also ahead of 'hall', .*; add a column back",
         ),
-        (corridor()[1:4], "line 2: location 'hall' has 3 headings; expected the same multiple of four everywhere"),
-        ([line.replace("door,45", "door,46") for line in corridor(8, offset=1)], None),
     ],
 )
 def test_a_table_that_makes_no_sense_is_refused(tmp_path, lines, says):
     folder_of(tmp_path, lines)
-    if says is None:
-        read_photos(tmp_path)
-        return
     with pytest.raises(SceneError, match=says) as caught:
         read_photos(tmp_path)
     assert str(caught.value).startswith(str(tmp_path))
     assert "\n" not in str(caught.value)
 
 
-def test_a_move_between_headings_that_do_not_match_is_refused(tmp_path):
-    lines = corridor()[:4] + corridor(offset=30)[4:]
-    with pytest.raises(SceneError, match="line 3: ahead: 'door' has no image with heading 90; a move keeps it"):
-        read_photos(folder_of(tmp_path, lines))
-
-
-def test_a_way_back_that_is_open_to_doubt_is_refused(tmp_path):
-    lines = [*corridor(), *(line.replace("hall", "yard") for line in corridor()[:4])]
-    with pytest.raises(SceneError, match=r"ahead: 'door' is also ahead of 'hall', .*; add a column back"):
-        read_photos(folder_of(tmp_path, lines))
-
-
 @pytest.mark.parametrize(
     ("header", "says"),
     [
-        ("", "line 1: the column 'image' is missing"),
         ("image,location,heading,x,z", "line 1: the column 'ahead' is missing; found image, location"),
         ("image,location,headng,x,z,ahead", "line 1: columns: there is no 'headng'; did you mean 'heading'"),
         ("image,location,heading,x,z,ahead,ahead", "line 1: the column 'ahead' is named twice"),
@@ -176,12 +150,12 @@ def test_a_header_that_is_wrong_is_refused(tmp_path, header, says):
 def test_a_folder_without_a_table_an_empty_one_and_one_that_is_no_text_are_refused(tmp_path):
     with pytest.raises(SceneError, match=r"holds no states.csv; it has a row for each image: image,location"):
         read_photos(tmp_path)
-    (tmp_path / "states.csv").write_bytes(b"")
-    with pytest.raises(SceneError, match=r"states.csv: is empty"):
-        read_photos(tmp_path)
-    (tmp_path / "states.csv").write_bytes(b"image,location\n\xff\xfe,1\n")
-    with pytest.raises(SceneError, match=r"states.csv: is not UTF-8 text"):
-        read_photos(tmp_path)
+    for content, says in ((b"", "is empty"), (b"image\n\xff\xfe,1\n", "is not UTF-8 text")):
+        (tmp_path / "states.csv").write_bytes(content)
+        with pytest.raises(SceneError, match=f"states.csv: {says}"):
+            read_photos(tmp_path)
+    with pytest.raises(SceneError, match="a scene cannot be called"):  # before an image is read
+        read_photos(folder_of(tmp_path, corridor()), name="../x")
 
 
 def test_images_are_turned_upright_cropped_and_scaled(tmp_path):
@@ -221,14 +195,6 @@ def test_grey_of_16_bits_keeps_its_upper_eight(tmp_path):
     assert abs(decode((tmp_path / "a.png").read_bytes())[15, 20].astype(float) - 132).max() < 3
 
 
-def test_images_outside_of_the_folder_are_refused(tmp_path):
-    lines, folder = corridor(), tmp_path / "shared"
-    folder.mkdir()
-    for name in ("../secret.png", str(tmp_path / "secret.png")):
-        with pytest.raises(SceneError, match=r"states\.csv: line 2: image: '.*' lies outside of "):
-            read_photos(folder_of(folder, [lines[0].replace("hall_0.png", name), *lines[1:]]))
-
-
 def test_a_table_with_decimal_commas_is_read(tmp_path):
     lines = [line.replace(",1,0,", ",1.25,-0.5,") for line in corridor()]
     folder_of(tmp_path, lines)
@@ -237,27 +203,16 @@ def test_a_table_with_decimal_commas_is_read(tmp_path):
     assert read_photos(tmp_path)[0].positions[-1].tolist() == [1.25, -0.5]
 
 
-def test_an_image_that_cannot_be_read_is_named(tmp_path):
+def test_a_panorama_and_what_is_no_image_are_no_views(tmp_path):
+    mark = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><GPano:ProjectionType>x</GPano:ProjectionType></x:xmpmeta>'
+    for size, options in (((400, 200), {}), ((4000, 1990), {}), ((400, 300), {"xmp": mark})):
+        Image.new("RGB", size).save(tmp_path / "a.jpg", **options)
+        with pytest.raises(
+            SceneError, match=r"a\.jpg: \d+x\d+ pixels are a panorama, which shows all headings at once"
+        ):
+            list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
     (tmp_path / "a.jpg").write_bytes(b"no image")
     with pytest.raises(SceneError, match=r"a.jpg: not a readable image"):
-        list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
-
-
-@pytest.mark.parametrize("size", [(400, 200), (4000, 1990)])
-def test_a_panorama_is_no_view(tmp_path, size):
-    Image.new("RGB", size).save(tmp_path / "a.jpg")
-    with pytest.raises(
-        SceneError, match=r"a\.jpg: \d+x\d+ pixels are a panorama, which shows all headings at once; cut"
-    ):
-        list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
-
-
-def test_an_image_that_says_it_is_a_panorama_is_no_view(tmp_path):
-    mark = (
-        b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><GPano:ProjectionType>equirectangular</GPano:ProjectionType></x:xmpmeta>'
-    )
-    Image.new("RGB", (400, 300)).save(tmp_path / "a.jpg", xmp=mark)
-    with pytest.raises(SceneError, match=r"a\.jpg: 400x300 pixels are a panorama"):
         list(encoded_photos([tmp_path / "a.jpg"], 30, 40))
 
 
@@ -266,12 +221,6 @@ def test_views_twice_as_wide_as_high_may_be_asked_for(tmp_path):
     Image.new("RGB", (300, 200)).save(tmp_path / "b.jpg")
     views = encoded_photos([tmp_path / "a.jpg", tmp_path / "b.jpg"], 30, 60)
     assert [decode(view).shape for view in views] == [(30, 60, 3)] * 2
-
-
-@pytest.mark.parametrize("name", ["../x", "keys", "$a$", "x" * 240])
-def test_a_name_that_will_not_do_is_refused_before_an_image_is_read(tmp_path, name):
-    with pytest.raises(SceneError, match="a scene cannot be called"):
-        read_photos(folder_of(tmp_path, corridor()), name=name)
 
 
 def shots(lines, count):

@@ -1,4 +1,5 @@
 import csv
+import os
 
 import h5py
 import numpy as np
@@ -82,19 +83,17 @@ def test_places_without_pictures_are_left_out(record):
     ("options", "told"),
     [
         ({"axes": ["place", "heading"]}, "positions: name the dataset"),
-        ({"axes": ["x", "z", "heading"], "positions": "at"}, "positions: name the dataset"),
         ({"axes": ["x", "heading", "shot"]}, "expected heading, and place or x and z"),
         ({"axes": ["place", "place", "heading"], "positions": "at"}, "expected each once, of place, x, z"),
         ({"axes": ["place", "heading"], "positions": "at"}, r"images: expected shape"),
         ({"axes": ["heading", "place", "shot"], "positions": "at"}, "images: 6 headings; expected a multiple of four"),
         ({"axes": ["place", "heading", "shot"], "positions": "nowhere"}, "has no dataset 'nowhere'"),
         ({"axes": ["place", "heading", "shot"], "positions": "far"}, "far: holds values that are not finite"),
-        ({"axes": ["place", "heading", "shot"], "positions": "few"}, r"few: expected shape \(6, 2\)"),
     ],
 )
 def test_what_does_not_fit_is_told_in_one_line_and_nothing_stays(record, options, told):
     at = np.array(GRID, float)
-    file = record(pictures(), at=at, far=at + np.inf, few=at[:3])
+    file = record(pictures(), at=at, far=at + np.inf)
     with pytest.raises(SceneError, match=told) as caught:
         unpacked(file, **options)
     assert "\n" not in str(caught.value)
@@ -102,6 +101,9 @@ def test_what_does_not_fit_is_told_in_one_line_and_nothing_stays(record, options
 
 
 def test_a_file_that_is_none_is_told(tmp_path):
+    os.mkfifo(tmp_path / "pipe.h5")  # is not waited for
+    with pytest.raises(SceneError, match=r"pipe\.h5: there is no such file"):
+        unpacked(tmp_path / "pipe.h5", axes=["x", "z", "heading"])
     (tmp_path / "robot.h5").write_text("no")
     with pytest.raises(SceneError, match=r"robot\.h5: not a readable HDF5 file"):
         unpacked(tmp_path / "robot.h5", axes=["x", "z", "heading"])
@@ -111,15 +113,13 @@ def test_a_file_that_is_none_is_told(tmp_path):
         unpacked(tmp_path / "robot.h5", axes=["x", "z", "heading"])
 
 
-@pytest.mark.parametrize("damage", ["chunk", "end", "group", "link"])
+@pytest.mark.parametrize("damage", ["chunk", "end", "group"])
 def test_a_damaged_recording_is_one_line_that_names_it_and_nothing_stays(tmp_path, damage):
     file = tmp_path / "robot.h5"
     noise = np.random.default_rng(0).integers(0, 256, (2, 2, 4, 12, 16, 3), np.uint8)
     with h5py.File(file, "w") as made:
         if damage == "group":
             made.create_group("images")
-        elif damage == "link":
-            made["images"] = h5py.SoftLink("/nowhere")
         else:
             made.create_dataset("images", data=noise, chunks=(1, 1, 4, 12, 16, 3), compression="gzip")
     data = bytearray(file.read_bytes())

@@ -56,8 +56,10 @@ def test_pictures_that_are_not_read_are_refused_and_not_left_out(tmp_path):
         list(Recording(folder))
     with pytest.raises(SceneError, match="holds no images"):
         Recording(tmp_path)
-    with pytest.raises(SceneError, match="there is no such"):
-        Recording(tmp_path / "none")
+    os.mkfifo(tmp_path / "pipe.mp4")
+    for name in ("none", "pipe.mp4"):
+        with pytest.raises(SceneError, match="there is no such"):
+            Recording(tmp_path / name)
 
 
 def test_photos_are_upright_and_tell_their_field_of_view(tmp_path):
@@ -94,28 +96,25 @@ def test_frames_of_a_video_are_chosen_by_their_time_stamps(tmp_path, ffmpeg):
     assert frames[0].image.shape == (HIGH, WIDE, 3)
 
 
-@pytest.mark.parametrize("name", ["walk.mp4", "walk.webm"])
-def test_a_video_that_is_cut_off_is_refused(tmp_path, ffmpeg, name):
-    file = make_video(ffmpeg, tmp_path, name)
+def test_a_video_that_is_cut_off_is_refused(tmp_path, ffmpeg):
+    file = make_video(ffmpeg, tmp_path, "walk.mp4")
     assert 3 <= len(list(Recording(file, every=1.0))) <= 5
     file.write_bytes(file.read_bytes()[: os.path.getsize(file) * 2 // 3])
     with pytest.raises(SceneError, match=r"is damaged after|is no video that is read"):
         list(Recording(file))
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("notes.txt", "a text that ffmpeg would draw\n" * 40),
-        ("list.mp4", "ffconcat version 1.0\nfile walk.mp4\n"),
-        ("list.m3u8", "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nwalk.mp4\n#EXT-X-ENDLIST\n"),
-    ],
-)
-def test_texts_and_lists_of_other_files_are_no_videos(tmp_path, ffmpeg, name, text):
+def test_texts_and_lists_of_other_files_are_no_videos(tmp_path, ffmpeg):
     make_video(ffmpeg, tmp_path, "walk.mp4")
-    (tmp_path / name).write_text(text)
-    with pytest.raises(SceneError, match="is no video that is read"):
-        Recording(tmp_path / name)
+    texts = {
+        "notes.txt": "a text that ffmpeg would draw\n" * 40,
+        "list.mp4": "ffconcat version 1.0\nfile walk.mp4\n",
+        "list.m3u8": "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nwalk.mp4\n#EXT-X-ENDLIST\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+        with pytest.raises(SceneError, match="is no video that is read"):
+            Recording(tmp_path / name)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +170,7 @@ def write_bag(path, stores, kind, encoding="rgb8", second=False):
     return path
 
 
-@pytest.mark.parametrize(("kind", "encoding"), [("bag", "rgb8"), ("sqlite", "bgr8"), ("mcap", "jpeg"), ("bag", "jpeg")])
+@pytest.mark.parametrize(("kind", "encoding"), [("bag", "rgb8"), ("sqlite", "bgr8"), ("mcap", "jpeg")])
 def test_bags_of_ros_1_and_2_are_read_with_their_odometry(tmp_path, store, kind, encoding):
     path = write_bag(tmp_path / ("walk.bag" if kind == "bag" else "walk"), store, kind, encoding)
     paths = [path, *path.glob("*.mcap")] if path.is_dir() else [path]

@@ -66,6 +66,8 @@ def unpack_recording(
     """
     folder, unfinished = Path(folder), Path(f"{folder}.unfinished")
     _check_axes(axes, positions)
+    if not Path(file).is_file():  # h5py would wait for a pipe
+        raise SceneError(f"{file}: there is no such file")
     with _reading(file):
         recording = h5py.File(file, rdcc_nbytes=MAX_CHUNK_BYTES)  # of a chunk the images are read one by one
     with recording:

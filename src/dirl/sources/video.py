@@ -84,7 +84,7 @@ class Recording:
         if self.source.is_dir() and not (self.source / "metadata.yaml").is_file():
             self._list_images()
             self.count = len(self.files)
-        elif not self.source.exists():
+        elif not self.source.is_dir() and not self.source.is_file():  # ffmpeg would wait for a pipe
             raise SceneError(f"{self.source}: there is no such video, folder of images or bag")
         else:
             duration = _bag_duration(self.source) if self.is_bag else _video_duration(self.source)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
+from dirl.scenes.io.bounded import open_regular
 from dirl.scenes.io.processes import end_with_this_process
 from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
@@ -180,14 +181,14 @@ class VizDoom:
 def _check_map(wad: Path, name: str) -> None:
     """Raise `SceneError` unless a WAD file holds a map: Doom starts without one, somewhere else."""
     try:
-        with wad.open("rb") as file:
+        with open_regular(wad) as file:
             kind, count, at = struct.unpack("<4sii", file.read(12))
             file.seek(at)
             directory = file.read(16 * min(count, MOST_LUMPS))
             lumps = [
                 directory[i : i + 8].rstrip(b"\0").decode("ascii", "replace") for i in range(8, len(directory), 16)
             ]
-    except (OSError, struct.error) as error:
+    except (OSError, ValueError, struct.error) as error:
         raise SceneError(f"{wad}: not a readable WAD file ({error})") from None
     maps = [lump for lump, after in pairwise(lumps) if after in ("THINGS", "TEXTMAP")]
     if kind not in (b"IWAD", b"PWAD") or name.upper() not in maps:

@@ -51,14 +51,10 @@ def test_rooms_become_a_collection(drawn, tmp_path):
     with h5py.File(tmp_path / "bathroom_30001.h5") as file:
         assert file.attrs["seed"] == 30_001
     assert list(collection.damaged()) == []
-
-
-def test_what_is_there_is_not_made_again(drawn, tmp_path):
-    list(make_rooms(tmp_path, WANTED[:2], PLAIN, workers=1))
-    assert missing_rooms(tmp_path, WANTED, PLAIN.stored(None)) == WANTED[2:]
+    assert missing_rooms(tmp_path, WANTED, PLAIN.stored(None)) == []
     with (tmp_path / "bathroom_10000.h5").open("ab") as file:
         file.write(b"x")
-    assert missing_rooms(tmp_path, WANTED, PLAIN.stored(None)) == [WANTED[0], WANTED[2]]
+    assert missing_rooms(tmp_path, WANTED, PLAIN.stored(None)) == WANTED[:1]
 
 
 def test_a_killed_job_goes_on(drawn, tmp_path):
@@ -79,19 +75,14 @@ def test_a_killed_job_goes_on(drawn, tmp_path):
         missing_rooms(tmp_path, WANTED, PLAIN.stored(None))
 
 
-@pytest.mark.parametrize(("key", "value"), [("width", 40), ("fine", True), ("precision", "bfloat16"), ("turn", 45)])
-def test_rooms_of_one_collection_are_made_alike(drawn, tmp_path, key, value):
-    list(make_rooms(tmp_path, WANTED[:1], PLAIN, workers=1))
-    other = replace(PLAIN, **{key: value}).stored(None)
-    with pytest.raises(SceneError, match=f"bathroom_10000 was made with {key}=.*, not {value}; give the same options"):
-        missing_rooms(tmp_path, WANTED, other)
-
-
-def test_a_seed_without_a_room_does_not_stop_the_others(drawn, tmp_path):
+def test_a_seed_without_a_room_does_not_stop_the_others_and_rooms_of_a_collection_are_made_alike(drawn, tmp_path):
     error, entry = make_rooms(tmp_path, [("bathroom", 13), ("bathroom", 14)], PLAIN, workers=1)
     assert "none of 60 rooms passed" in str(error)
-    assert entry.name == "bathroom_14"
-    assert len(read_collection(tmp_path)) == 1
+    assert [entry.name] == [one.name for one in read_collection(tmp_path).entries] == ["bathroom_14"]
+    for key, value in {"width": 40, "precision": "bfloat16"}.items():
+        other = replace(PLAIN, **{key: value}).stored(None)
+        with pytest.raises(SceneError, match=f"bathroom_14 was made with {key}=.*, not {value}; give the same options"):
+            missing_rooms(tmp_path, WANTED, other)
 
 
 def test_the_views_of_the_look_are_those_that_a_build_would_take(drawn, tmp_path):
@@ -125,9 +116,3 @@ def test_two_processes_make_rooms(tmp_path, monkeypatch):
     assert collection.entries == tuple(sorted(made, key=lambda entry: entry.seed))
     assert list(collection.damaged()) == []
     assert (collection[0].views[0] != collection[1].views[0]).any()
-
-
-def test_nobody_to_do_the_work_is_refused(tmp_path):
-    with pytest.raises(SceneError, match="workers=0: at least one process is needed"):
-        list(make_rooms(tmp_path / "new", WANTED, PLAIN, workers=0))
-    assert not (tmp_path / "new").exists()

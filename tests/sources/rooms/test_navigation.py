@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dirl.scenes import SceneError
-from dirl.scenes.graph import AHEAD, BACK, check_graph
+from dirl.scenes.graph import AHEAD, BACK
 from dirl.sources.rooms.build import scene_of
 from dirl.sources.rooms.navigation import clearance, walk
 
@@ -22,17 +22,13 @@ def test_the_distance_of_a_segment_is_that_of_its_nearest_point(a, b, middle, ha
     share = np.linspace(0, 1, 2001)[:, None]
     points = np.array(a) * (1 - share) + np.array(b) * share
     dense = clearance(points, points, rectangle).min()
-    spacing = np.hypot(*np.subtract(a, b)) / 2000
-    assert dense - spacing <= exact <= dense + 1e-9
+    assert dense - np.hypot(*np.subtract(a, b)) / 2000 <= exact <= dense + 1e-9
 
 
-def test_a_point_has_its_distance_to_a_turned_rectangle():
+def test_the_distance_of_points_and_grazing_segments_is_exact():
     square = np.array([[0.0, 0.0, 1.0, 1.0, np.pi / 4]])
     points = np.array([[2.0, 0.0], [0.0, 0.0], [2.0, 2.0]])
     assert np.allclose(clearance(points, points, square), [2 - 2**0.5, 0, 8**0.5 - 1])
-
-
-def test_a_segment_that_grazes_a_corner_between_its_ends_is_seen():
     box = np.array([[0.0, 0.0, 0.5, 0.5, 0.0]])
     found = clearance(np.array([[-1.0, 0.6], [0.4, 1.2]]), np.array([[1.0, 0.6], [1.2, 0.4]]), box)
     assert np.allclose(found, [0.1, 0.6 / 2**0.5])
@@ -41,7 +37,6 @@ def test_a_segment_that_grazes_a_corner_between_its_ends_is_seen():
 def test_the_stool_takes_the_place_it_stands_on():
     way = walk(closet())
     assert way.places.round(3).tolist() == [[0.4, 0.4], [0.4, 0.9], [0.9, 0.4], [0.9, 0.9], [1.4, 0.4]]
-    check_graph(way.graph)
     north_of_last = 4 * 4
     assert way.graph[north_of_last, AHEAD] == -1
     assert way.graph[north_of_last + 3, AHEAD] == 4 * 2 + 3  # west
@@ -56,21 +51,14 @@ def test_smaller_turns_have_more_headings_and_move_only_onto_the_grid(turn, head
     assert (way.graph[:, AHEAD] >= 0).sum() == (way.graph[:, BACK] >= 0).sum() == moves
     moving = np.flatnonzero(way.graph[:, AHEAD] >= 0)
     step = scene.positions[way.graph[moving, AHEAD]] - scene.positions[moving]
-    angle = np.degrees(np.arctan2(step[:, 0], step[:, 1])) % 360
-    assert np.allclose(angle, scene.headings[moving])
+    assert np.allclose(np.degrees(np.arctan2(step[:, 0], step[:, 1])) % 360, scene.headings[moving])
 
 
-@pytest.mark.parametrize("turn", [0, -90, 50, 180, 89.9])
-def test_a_turn_that_does_not_go_into_90_degrees_is_refused(turn):
-    with pytest.raises(SceneError, match="must go into 90 degrees"):
-        walk(closet(), turn)
-
-
-def test_another_number_of_places_than_described_is_refused():
+def test_turns_and_grids_that_leave_no_scene_are_refused():
+    for turn in (0, -90, 50, 180, 89.9):
+        with pytest.raises(SceneError, match="must go into 90 degrees"):
+            walk(closet(), turn)
     with pytest.raises(SceneError, match=r"\[grid\] places: the room has 5 places, not 6"):
         walk(closet("places = 5", "places = 6"))
-
-
-def test_a_room_without_a_place_is_refused():
     with pytest.raises(SceneError, match="there is no place where the agent can stand"):
         walk(closet("origin = [0.4, 0.4]", "origin = [0.4, 0.4]\nradius = 0.9"))

@@ -19,8 +19,7 @@ def errors(found, truth, here=None):
     return np.abs(wrap(np.degrees(off - np.angle(np.exp(1j * off).mean()))))
 
 
-@pytest.mark.parametrize("share", [0.3, 1.0])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("share", "seed"), [(0.3, 0), (1.0, 1)])
 def test_panoramas_turned_at_random_are_aligned_again(share, seed):
     truth = turned(grid_truth(6, 5), share, seed)
     found = align(tour_of(truth))
@@ -40,7 +39,7 @@ def test_links_that_are_a_little_off_are_averaged():
     assert found.rejected == []
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_links_that_are_all_wrong_are_found_and_left_out(seed):
     truth = turned(grid_truth(6, 5), 1.0, seed)
     rng = np.random.default_rng(seed)
@@ -75,9 +74,5 @@ def test_what_is_on_no_loop_is_unchecked():
     found = align(tour_of(truth, dropped=alone))
     assert (len(found.loops), found.unchecked) == (1, [4, 5])
 
-
-def test_a_tour_without_links_has_parts_of_one():
-    truth = replace(grid_truth(2, 1), links=[])
-    found = align(tour_of(truth))
-    assert found.part.tolist() == [0, 1]
-    assert found.unchecked == [0, 1]
+    alone = align(tour_of(replace(grid_truth(2, 1), links=[])))
+    assert (alone.part.tolist(), alone.unchecked) == ([0, 1], [0, 1])

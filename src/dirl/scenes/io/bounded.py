@@ -5,7 +5,7 @@ import stat
 import zipfile
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,20 +23,32 @@ FREELY_UNPACKED, MOST_RATIO = 2**28, 100
 """Arrays of more bytes may only be so many times larger than their file: gzip packs zeros a thousand times."""
 
 
+def open_regular(file: Path) -> BinaryIO:
+    """Open a regular file to read it; a pipe or a device, which may never end, is not waited for.
+
+    Raises:
+        ValueError: it is no regular file.
+        OSError: it cannot be opened.
+    """
+    waiting = getattr(os, "O_NONBLOCK", 0)  # else opening a pipe waits for somebody to write
+    stream = open(file, "rb", opener=lambda path, flags: os.open(path, flags | waiting))  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        raise ValueError(f"{file}: is no regular file")
+    return stream
+
+
 def read_bytes(file: Path, most: int = MOST) -> bytes:
-    """Return the content of a regular file; a pipe or a device, which may never end, is not waited for.
+    """Return the content of a regular file, see `open_regular`.
 
     Raises:
         ValueError: it is longer than ``most`` bytes, or no regular file.
         OSError: it cannot be read.
     """
-    waiting = getattr(os, "O_NONBLOCK", 0)  # else opening a pipe waits for somebody to write
-    with open(file, "rb", opener=lambda path, flags: os.open(path, flags | waiting)) as stream:
-        status = os.fstat(stream.fileno())
-        if not stat.S_ISREG(status.st_mode):
-            raise ValueError(f"{file}: is no regular file")
-        data = stream.read(most + 1) if status.st_size <= most else b""
-    if max(status.st_size, len(data)) > most:
+    with open_regular(file) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        data = stream.read(most + 1) if size <= most else b""
+    if max(size, len(data)) > most:
         raise ValueError(f"{file}: has more than {most} bytes, which no such file of dirl has")
     return data
 
@@ -62,7 +74,7 @@ def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
         OSError: it cannot be read.
     """
     try:
-        with file.open("rb") as stream, zipfile.ZipFile(stream) as archive:
+        with open_regular(file) as stream, zipfile.ZipFile(stream) as archive:
             entries, packed = archive.infolist(), os.fstat(stream.fileno()).st_size
             if (unpacked := sum(entry.file_size for entry in entries)) > max(FREELY_UNPACKED, MOST_RATIO * packed):
                 raise ValueError(f"{packed} bytes would unpack to {unpacked}")

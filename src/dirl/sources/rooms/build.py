@@ -131,19 +131,18 @@ def write_room(
     ``provenance`` is where the encoder's weights come from, if it does not say so itself.
     """
     scene = scene_of(room, way, source=source)
-    about, about_patches = {"extractor": "none"}, {}
+    about, about_patches = {"extractor": "none"}, dict[str, str]()
     if encoder is not None:
-        from dirl.perception.backbones.registry import encode_all
+        from dirl.perception.backbones import encode_all
 
-        found, *again = (
-            encode_all(encoder, taken, len(scene), str(out), progress=progress)
-            for taken in ((decode(view.encoded) for view in views), *looks)
-        )
-        features = [one.features.astype(np.float16) for one in (found, *again)]
-        scene = replace(scene, features=features[0], extractor=encoder.extractor, patches=found.patches)
+        shown = [(decode(view.encoded) for view in views), *map(iter, looks)]
+        found, *again = (encode_all(encoder, images, len(scene), str(out), progress=progress) for images in shown)
+        features = found.features.astype(np.float16)
+        scene = replace(scene, features=features, extractor=encoder.extractor, patches=found.patches)
         if again:
+            look_features = np.stack([one.features.astype(np.float16) for one in again])
             parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
-            scene = replace(scene, look_features=np.stack(features[1:]), look_patches=parts)
+            scene = replace(scene, look_features=look_features, look_patches=parts)
         about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
         about_patches = dict(encoder.patch_attributes) if found.patches is not None else {}
     write_dump(

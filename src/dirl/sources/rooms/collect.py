@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from dirl.scenes.io.processes import in_processes
 from dirl.sources.rooms.build import check_arguments, poses, take_views, write_room
 from dirl.sources.rooms.checks import far_apart
 from dirl.sources.rooms.description import RoomDescription, description_text
-from dirl.sources.rooms.looks import Changes, PhotoCamera, look_views
+from dirl.sources.rooms.looks import Changes, look_views
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.sampling.sample import LOOK, sample_views
 from dirl.sources.rooms.sampling.splits import split_of
@@ -45,7 +45,6 @@ class RoomSettings:
         device: of the encoder; the only setting that rooms of one collection need not share.
         looks: further looks of each state; needs an encoder, since their views are not stored.
         changes: by how much these differ from the views of the dump.
-        photo: the camera that these are taken with.
     """
 
     height: int = 300
@@ -59,7 +58,6 @@ class RoomSettings:
     device: str = "cpu"
     looks: int = 0
     changes: Changes = field(default_factory=Changes)
-    photo: PhotoCamera = field(default_factory=PhotoCamera)
 
     def load_encoder(self) -> "ViewEncoder | None":
         """The encoder that the settings name."""
@@ -74,8 +72,7 @@ class RoomSettings:
         """The settings as the index stores them: the encoder by its description, not by its name."""
         kept = {key: getattr(self, key) for key in ("height", "width", "turn", "fine", "precision")}
         if self.looks:
-            kept["looks"] = self.looks
-            kept |= {f"{of}.{key}": value for of in ("changes", "photo") for key, value in asdict(self)[of].items()}
+            kept |= {"looks": self.looks, **{f"changes.{name}": value for name, value in vars(self.changes).items()}}
         kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
         if encoder is not None and (self.patches or self.fine_patches):
             kept |= {"patches": "; ".join(encoder.patch_attributes.values())}
@@ -105,9 +102,7 @@ def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]
     collection = read_collection(folder)
     for entry in collection.entries:
         for key, value in stored.items():
-            # Collections made before there was such a change do not tell it.
-            older = 0.0 if key.startswith(("changes.", "photo.")) else None
-            if entry.settings.get(key, older) != value:
+            if entry.settings.get(key) != value:
                 raise SceneError(
                     f"{folder}: {entry.name} was made with {key}={entry.settings.get(key)}, not {value}; give the same "
                     "options, or another folder"
@@ -171,13 +166,12 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
         if not checked:
             views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
         first, taken = LOOK_SEEDS * seed, partial(look_views, renderer, room, way, size, settings.changes)
-        looks = [list(taken(first + k, fine=settings.fine, photo=settings.photo)) for k in range(settings.looks)]
+        looks = [list(taken(first + k, fine=settings.fine)) for k in range(settings.looks)]
     dump = folder / f"{room.name}.h5"
     unfinished = folder / f"{room.name}.toml.tmp"
     unfinished.write_text(description_text(room), encoding="utf-8")
     os.replace(unfinished, folder / f"{room.name}.toml")  # also over what a killed job left
-    about = {"turn": settings.turn, "seed": seed}
-    problems = write_room(dump, room, way, views, encoder, about, looks=looks)
+    problems = write_room(dump, room, way, views, encoder, {"turn": settings.turn, "seed": seed}, looks=looks)
     scene = read_dump(dump, isolated=False)  # just written here
     return Entry(
         name=room.name,

@@ -3,14 +3,11 @@
 The room itself may differ too: lamps off, another daylight, chairs elsewhere, small things gone.
 """
 
-import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from PIL import Image
 
-from dirl.perception.photos import as_seen_by
 from dirl.scenes import SceneError
 from dirl.scenes.views import decode, encode
 from dirl.sources.rooms.build import QUALITY, poses
@@ -83,49 +80,6 @@ class Changes:
         )
 
 
-@dataclass(frozen=True)
-class PhotoCamera:
-    """How a photo is taken that is no view of the agent's camera: the same error either way for every state.
-
-    Args:
-        aside: degrees that it is turned to one side, sampled for each state.
-        fov: its horizontal field of view, degrees; 0 for the agent's.
-        tilt: degrees that it is rolled to one side, likewise.
-        portrait: whether it is held upright: height and width are exchanged.
-        jpeg: its quality, 0 to 95; 0 for none.
-        warmth: of the light: logarithm of how much more red there is, and less blue.
-        corrected: whether field of view and tilt are known, and the photo made what the agent's camera would have
-            seen, see `dirl.perception.photos.as_seen_by`.
-
-    Raises:
-        SceneError: a value beyond these.
-    """
-
-    aside: float = 0.0
-    fov: float = 0.0
-    tilt: float = 0.0
-    portrait: bool = False
-    jpeg: int = 0
-    warmth: float = 0.0
-    corrected: bool = False
-
-    def __post_init__(self) -> None:
-        for name, most in {"aside": 180, "fov": 150, "tilt": 45, "jpeg": 95, "warmth": 1}.items():
-            if not 0 <= getattr(self, name) <= most:
-                raise SceneError(f"photo.{name}={getattr(self, name):g}: must be 0 to {most:g}")
-
-    def developed(self, view: Array) -> Array:
-        """The view in the photo's light, compressed like it; uint8 ``[H, W, 3]``."""
-        if self.warmth:
-            gains = np.exp([self.warmth, 0.0, -self.warmth])
-            view = np.clip(view * gains, 0, 255).astype(np.uint8)
-        if not self.jpeg:
-            return view
-        file = io.BytesIO()
-        Image.fromarray(view).save(file, "JPEG", quality=self.jpeg)
-        return np.asarray(Image.open(file))
-
-
 def look_views(
     renderer: Renderer,
     room: RoomDescription,
@@ -135,18 +89,14 @@ def look_views(
     seed: int,
     *,
     fine: bool = True,
-    photo: PhotoCamera | None = None,
 ) -> Iterator[Array]:
     """The views of one look, uint8 ``[height, width, 3]``, in the order of the states, as they would be stored.
 
     The error of a visit is sampled once for each place: all views from there share it, as those of a robot that turns
-    on the spot do. ``fine`` is the light of a room that is changed, see `Renderer.of`; ``photo`` is another camera than
-    the agent's.
+    on the spot do. ``fine`` is the light of a room that is changed, see `Renderer.of`.
     """
-    rng, photo = np.random.default_rng(seed), photo or PhotoCamera()
+    rng = np.random.default_rng(seed)
     turns, places = len(way.headings), len(way.places)
-    sides = np.random.default_rng((seed, 2)).choice([-1, 1], (places * turns, 2))
-    shape = size[::-1] if photo.portrait else size
     if changes.vary:
         changes = changes.times(float(rng.uniform(1 - changes.vary, 1 + changes.vary)))
     if changes.lamps or changes.daylight or changes.furniture or changes.objects:
@@ -158,13 +108,8 @@ def look_views(
     for state, (x, y, heading) in enumerate(poses(way)):
         place = state // turns
         seen = Renderer(renderer.scenery, renderer.light, renderer.exposure * float(brightness[place]))
-        height = room.camera.height + float(raised[place])
-        camera = replace(room.camera, height=height, fov=photo.fov or room.camera.fov)
-        aside, tilt = sides[state] * [photo.aside, photo.tilt]
-        pose = (x + moved[place, 0], y + moved[place, 1], heading + turned[place] + aside)
-        view = photo.developed(seen.view(camera, pose, shape, roll=float(tilt)))
-        if photo.corrected:
-            view = as_seen_by(view, size, fov=camera.fov, own=room.camera.fov, tilt=float(tilt))
+        camera = replace(room.camera, height=room.camera.height + float(raised[place]))
+        view = seen.view(camera, (x + moved[place, 0], y + moved[place, 1], heading + turned[place]), size)
         if changes.white_balance:
             gains = np.array([tint[place, 0], 1.0, tint[place, 1]])
             view = np.clip(view * gains, 0, 255).astype(np.uint8)

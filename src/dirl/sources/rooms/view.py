@@ -62,11 +62,8 @@ class Renderer:
         renderer.exposure = exposure(renderer, size, height)
         return renderer
 
-    def view(self, camera: Camera, pose: Pose, size: tuple[int, int], roll: float = 0.0) -> Array:
-        """The view from a pose, uint8 ``[height, width, 3]``; ``size`` is height and width in pixels.
-
-        The camera is rolled to the left by ``roll`` degrees.
-        """
+    def view(self, camera: Camera, pose: Pose, size: tuple[int, int]) -> Array:
+        """The view from a pose, uint8 ``[height, width, 3]``; ``size`` is height and width in pixels."""
         (x, y, heading), (height, width) = pose, size
         half = np.tan(np.radians(camera.fov / 2))
         turn, pitch = np.radians(heading), np.radians(camera.pitch)
@@ -74,9 +71,6 @@ class Renderer:
         ahead = flat * np.cos(pitch) + [0, 0, np.sin(pitch)]
         right = np.array([flat[1], -flat[0], 0])
         up = np.cross(right, ahead)
-        if roll:
-            sine, cosine = np.sin(np.radians(roll)), np.cos(np.radians(roll))
-            right, up = cosine * right + sine * up, cosine * up - sine * right
 
         def way(across: Array, down: Array) -> Array:
             return ahead + across[None, :, None] * half * right - down[:, None, None] * half * height / width * up

@@ -83,12 +83,15 @@ def _cube(scene: Mapping[str, Any], name: str, file: Path, where: str) -> Cube:
 SCENES = re.compile(r"""(?:"scenes"|'scenes'|\bscenes)\s*:""")
 """What the configuration of a tour has, and little else."""
 
-NAMES = re.compile(
-    r"""["](?:[^"\\]|\\.)*+(?:["]|\Z)|['](?:[^'\\]|\\.)*+(?:[']|\Z)|//[^\n]*|/\*.*?(?:\*/|\Z)"""
-    r"""|(?<=:)(\s*+(?!(?:true|false|null|NaN|Infinity)\b)[A-Za-z_$][\w$.]*+)(?=\s*+[,}])""",
+TOKENS = re.compile(
+    r"""["](?:[^"\\\n]|\\.)*+["]?|['](?:[^'\\\n]|\\.)*+[']?|[`](?:[^`\\]|\\.)*+[`]?|//[^\n]*|/\*.*?(?:\*/|\Z)"""
+    r"""|(?P<name>(?<=:)\s*+(?!(?:true|false|null|NaN|Infinity)\b)[A-Za-z_$][\w$.]*+(?=\s*+[,}]))"""
+    # Up to the brace of the body; no scan passes a colon, where the next one may begin.
+    r"""|(?P<function>(?<=:)\s*+(?:function\b[^(){}:]*+\([^(){}:]*+\)|(?:\([^(){}:]*+\)|[\w$]++)\s*+=>)\s*+\{)"""
+    r"""|(?P<brace>[{}])""",
     re.DOTALL,
 )
-"""Values that are names of functions, as custom hot spots have them; texts and comments are passed over."""
+"""Texts, comments and braces of JavaScript, and values that are functions, named or written out."""
 
 MOST_OBJECTS = 100
 """That may begin before the scenes in the same text and be no configuration."""
@@ -99,7 +102,7 @@ MOST_PARSED = 2**28
 
 def read_pannellum(file: Path) -> Tour:
     """The tour that a configuration describes."""
-    text = NAMES.sub(lambda found: found[0] if found[1] is None else " null", tour_text(file))
+    text = _without_functions(tour_text(file))
     data = read_json(text, file) if text.lstrip().startswith("{") else _within(text, file)
     common = data.get("default")
     common = common if isinstance(common, Mapping) else {}
@@ -108,6 +111,19 @@ def read_pannellum(file: Path) -> Tour:
         (name, partial(_of_pannellum, name, scene, common, file)) for name, scene in scenes.items()
     )
     return Tour(str(common.get("title") or file.resolve().parent.name), panoramas, (), str(file), unusable)
+
+
+def _without_functions(text: str) -> str:
+    """Return a text with null for each function that is a value, as custom hot spots have them: none is run."""
+    kept, copied, depth = [], 0, 0
+    for token in TOKENS.finditer(text):
+        if depth:  # in the body of a function, whose own functions begin with a brace too
+            depth += 1 if token["function"] else {"{": 1, "}": -1}.get(token[0], 0)
+            copied = token.end()
+        elif token["name"] or token["function"]:
+            kept += [text[copied : token.start()], " null"]
+            copied, depth = token.end(), int(token["function"] is not None)
+    return "".join([*kept, text[copied:]])
 
 
 def _within(text: str, file: Path) -> dict[str, Any]:
