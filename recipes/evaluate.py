@@ -4,7 +4,6 @@
     python recipes/evaluate.py checkpoint=... starts=sampled episodes_per_goal=500 max_steps=500
     python recipes/evaluate.py checkpoint=... 'goals=[51]' stop=goal
     python recipes/evaluate.py checkpoint=... viewer=true              # a web page to step through episodes
-    python recipes/evaluate.py checkpoint=... video=true               # an MP4 of greedy episodes
 
 All options: `Options` below.
 """
@@ -64,10 +63,6 @@ class Options:
         "write viewer_<scene>.html into the run's folder: step through episodes, walk the room", False
     )
     beside: str | None = option("with viewer=true: another checkpoint, whose agent can be shown beside this one", None)
-    video: bool = option(
-        "write episodes_<scene>.mp4 into the run's folder: greedy episodes from far starts of up to five goals",
-        False,
-    )
     simulator: str | None = option(
         "live, the navigator in place of the tables: a YAML file with a simulator's class, or dump: its pictures",
         None,
@@ -120,7 +115,6 @@ class Options:
 if __name__ == "__main__":
     options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
-import importlib.util
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import count
@@ -142,7 +136,7 @@ from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.perception.backbones.registry import packaged_encoder
 from dirl.perception.recognition.build import build_recogniser, matching
 from dirl.perception.recognition.recogniser import NCC
-from dirl.reporting import draw_paths, film_scene, run_title, summary_table, viewer_pages, write_goals
+from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import RunError, packaged_agent
@@ -236,8 +230,6 @@ def evaluate(options: Options) -> Result:
     result.written = []
     if packaged_agent(options.checkpoint) is not None and not live:
         result.written += leave_pictures(trained, facts, result)
-    if options.video:
-        result.written += film(trained, facts, run_folder(options.checkpoint))
     if options.out is not None:
         write_json(Path(options.out), result)
         result.written.append(f"all measures: {options.out}")
@@ -271,12 +263,10 @@ def check(options: Options) -> None:
         raise ConfigError(f"last_steps={options.last_steps}: only where a map leads; give map=2 too")
     if options.simulator is None and (options.slip or options.turn_error):
         raise ConfigError("slip, turn_error: only in a live world; give simulator=dump or a YAML file too")
-    if options.simulator is not None and (options.viewer or options.video or options.map is not None):
-        raise ConfigError("simulator: a live world has no viewer, no video and no map; leave them out")
+    if options.simulator is not None and (options.viewer or options.map is not None):
+        raise ConfigError("simulator: a live world has no viewer and no map; leave them out")
     if options.simulator is not None and (options.arrows or options.panorama):
         raise ConfigError("arrows, panorama: a live world shows neither; leave them out")
-    if options.video and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise ConfigError("video=true needs a package that is not installed: pip install imageio-ffmpeg")
     if options.out is not None:
         new_file(options.out, ending="")
     if options.beside is not None and not options.viewer:
@@ -436,16 +426,6 @@ def viewer(trained: Trained, facts: Mapping[str, Any], others: Mapping[str, tupl
         graphs=None if led is None else led.memory.graphs,
         last_steps=0 if led is None else led.last_steps,
     )
-
-
-def film(trained: Trained, facts: Mapping[str, Any], folder: Path) -> list[str]:
-    """Write a video of each scene, under the conditions of the evaluation; what was written."""
-    written = []
-    for index, scene in enumerate(trained.protocol.world.scenes):
-        file = folder / f"episodes_{scene.name}.mp4"
-        film_scene(trained.policy, trained.protocol, index, file, facts=facts)
-        written.append(f"video: {file}, {file.stat().st_size / 1e6:.1f} MB")
-    return written
 
 
 def agent_name(checkpoint: str) -> str:

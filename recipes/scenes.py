@@ -451,7 +451,7 @@ from dirl.config.folders import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import Inspection, inspect_scene
-from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
+from dirl.reporting import draw_contact_sheet, draw_false_stops, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
 from dirl.scenes.io.checked import check_choice
@@ -731,7 +731,6 @@ def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: fl
     """The pictures of a scene and of what was found in it."""
     folder.mkdir(parents=True)
     draw_scene_map(scene, found.parts, folder / "map.png")
-    draw_distances(scene, folder / "distances.png")
     if scene.views is not None:
         draw_contact_sheet(scene, folder / "contact_sheet.jpg")
     if found.errors:

@@ -93,18 +93,17 @@ class Bench:
             ended = self.train(folder, prepare=no_pictures)
             if ended.status != 0:
                 return ended.problem or f"does not go on: {ended.told}"
-        elif (folder / "checkpoints").exists():  # an empty folder that could not be removed is removed by the next
-            problem = refused(self.train(folder), 1)
-            if problem:
-                return problem
         difference = self.difference(folder)
         shutil.rmtree(folder)
         return difference
 
     def difference(self, folder):
         """What a finished run has otherwise than the one that nothing happened to; nothing is an empty text."""
-        # Where removing fails, the lock stays; that of a process that has ended is no obstacle.
-        names, expected = ({file.name for file in one.iterdir()} - {".lock"} for one in (folder, self.whole))
+        # Where removing fails, the lock or an empty folder stays; neither is an obstacle.
+        names, expected = (
+            {file.name for file in one.iterdir() if file.is_file() and file.name != ".lock"}
+            for one in (folder, self.whole)
+        )
         if names != expected:
             return f"other files: {sorted(names)}"
         for file in sorted(self.whole.glob("*.csv")):

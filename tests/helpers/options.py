@@ -19,50 +19,35 @@ SCHEMAS |= {name: recipe.Options for name, recipe in RECIPES.items() if name != 
 """The options of every recipe, and of every command of ``recipes/scenes.py``."""
 
 NOT_FINITE = ("nan", "inf", "-inf", "1e400", "-1e400")
-NUMBERS = (*NOT_FINITE, "-1", "0", "1", "2", "0.5", "-0.0", "1e-320", "1e15", "9" * 19, "9" * 40, "01", "0x10", "1_0")
-NESTED = ("[]", "[1]", "[a,b]", "[[1,[2]]]", "[null]", "{}", "{a:1}", "{a:{b:[1]}}", "{start:1,end:nan}", "{1:2}")
-SWEEPS = ("a,b", "1,2", "range(0,3)", "choice(1,2)", "glob(*)", "interval(0,1)", "shuffle(1,2)", "sort(2,1)")
-RESOLVED = ("${seed}", "${nope}", "${oc.env:HOME}", "${oc.env:NO_SUCH_VARIABLE}", "${oc.create:{a:1}}", "${now:%Y}")
-RESOLVED += ("???", "${", "${}", "${a.${b}}", "${oc.decode:'['}", "${run_folder:1}", "${..seed}", "a${seed}b")
-UNBALANCED = ("'", '"a', "'a", "[1", "{a:", "[", "}", ")", "(", "\\", "a:b", "a=b", "=", "a b", " ", "", "''", "','")
-TEXTS = ("nope", "all", "true", "no", "null", "~", "ünïcödé", "名前", "\u202eabc", "a\nb", "a\tb", "\x1b[31m", "%s{0}")
-TEXTS += (
-    "x" * 3000,
-    "..",
-    "../x",
-    "a/b/c.h5",
-    "x.h5",
-    "collection:x",
-    "every:0",
-    "fraction:nan",
-    "1:30",
-    "_target_",
-    "$x",
-)
-VALUES = NUMBERS + NESTED + SWEEPS + RESOLVED + UNBALANCED + TEXTS
+VALUES = (
+    *NOT_FINITE, "-1", "0", "1", "0.5", "1e-320", "1e15", "9" * 19, "9" * 40, "0x10", "1_0",
+    "[]", "[1]", "[a,b]", "[[1,[2]]]", "[null]", "{}", "{a:{b:[1]}}", "{start:1,end:nan}", "{1:2}",
+    "a,b", "1,2", "range(0,3)", "choice(1,2)", "glob(*)", "interval(0,1)", "shuffle(1,2)",
+    "${seed}", "${nope}", "${oc.env:HOME}", "${oc.create:{a:1}}", "???", "${", "${a.${b}}", "${..seed}", "a${seed}b",
+    "'", '"a', "[1", "{a:", "}", ")", "\\", "a:b", "a=b", "=", "a b", " ", "", "''", "','",
+    "nope", "all", "true", "null", "~", "ünïcödé", "名前", "\u202eabc", "a\nb", "a\tb", "\x1b[31m", "%s{0}", "x" * 3000,
+    "..", "../x", "a/b/c.h5", "x.h5", "collection:x", "every:0", "fraction:nan", "1:30", "_target_", "$x",
+)  # fmt: skip
+"""Numbers, lists and mappings, sweeps, interpolations, unbalanced quotes, texts and names of files."""
 
-MALFORMED = ("=", "=5", "scene", "~scene", "~nope", "~seed=1", "+", "++", "~", "a.=1", ".a=1", "a..b=1", "a@b=c")
-MALFORMED += ("seed =1", "seed= 1", "seed==1", "1=2", "se ed=1", "[a]=1", "{}=1", "+seed=1", "++nope=1", "+nope=1")
-MALFORMED += ("scene.a=1", "seed.a=1", "scene[0]=1", "@=1", "hydra=1", "hydra.nope=1", "hydra/launcher=nope")
-MALFORMED += ("hydra.verbose=[", "hydra.job.chdir=x", "hydra.sweeper=1", "hydra/nope=x", "hydra.mode=nope", "ß=1")
-MALFORMED += ("--nope", "-x", "--config-dir=nope", "--config-name=nope", "--cfg=nope", "--cfg", "--info=nope", "-m")
-MALFORMED += ("--package=nope", "--experimental-rerun=nope", "--resolve", "", " ", "seed", "?seed=1", "seed:1")
+MALFORMED = (
+    "=", "=5", "scene", "~scene", "~nope", "+", "++", "a.=1", ".a=1", "a..b=1", "a@b=c", "seed =1", "seed==1", "1=2",
+    "[a]=1", "{}=1", "++nope=1", "+nope=1", "scene.a=1", "seed.a=1", "scene[0]=1", "hydra=1", "hydra.nope=1",
+    "hydra/launcher=nope", "hydra.verbose=[", "hydra.sweeper=1", "hydra/nope=x", "hydra.mode=nope", "ß=1", "--nope",
+    "-x", "--config-dir=nope", "--config-name=nope", "--cfg=nope", "--cfg", "--info=nope", "-m", "--package=nope",
+    "--experimental-rerun=nope", "", " ", "?seed=1", "seed:1",
+)  # fmt: skip
 
-COMPONENTS = ("encoder.width", "encoder.nope", "encoder._target_", "encoder", "heads.width", "heads.nope.deep")
-COMPONENTS += ("memory._target_", "optimiser.lr", "optimiser.eps", "optimiser.betas", "optimiser._target_", "optimiser")
-COMPONENTS += ("losses.a2c.gamma", "losses.a2c.entropy_coeff", "losses.a2c.weight", "losses.nope.weight", "losses.a2c")
-COMPONENTS += ("losses.imitation.weight", "losses.a2c._target_", "policy._target_", "expert._target_", "expert.seed")
-COMPONENTS += ("observation._target_", "observation.goal_view", "episodic_memory._target_", "losses", "heads._target_")
-TARGETS = ("os.system", "nope", "nope.Nope", "torch.nn.Linear", "dirl.models.SiameseEncoder", "torch.optim.SGD")
-TARGETS += (
-    "dirl.models.nope",
-    "torch.nn.Identity",
-    "dirl.evaluation.experts.RandomPolicy",
-    "a..b",
-    ".",
-    "builtins.eval",
-    "5",
-)
+COMPONENTS = (
+    "encoder.width", "encoder.nope", "encoder._target_", "encoder", "heads.nope.deep", "memory._target_",
+    "optimiser.lr", "optimiser.betas", "optimiser._target_", "losses.a2c.gamma", "losses.a2c.entropy_coeff",
+    "losses.a2c.weight", "losses.nope.weight", "losses.a2c", "losses.a2c._target_", "policy._target_", "expert.seed",
+    "observation.goal_view", "episodic_memory._target_", "losses",
+)  # fmt: skip
+TARGETS = (
+    "os.system", "nope.Nope", "torch.nn.Linear", "dirl.models.SiameseEncoder", "torch.optim.SGD", "dirl.models.nope",
+    "dirl.evaluation.experts.RandomPolicy", "a..b", ".", "builtins.eval", "5",
+)  # fmt: skip
 
 
 def base(recipe, files, tiny=()):

@@ -135,7 +135,7 @@ def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
     np.testing.assert_allclose(read_dump("at_once.h5").features, scene.features, rtol=1e-4, atol=1e-6)
     run("inspect scene=encoded.h5 out=pictures")
     assert "| turn          | 45 degrees |" in capsys.readouterr().out
-    names = {"map.png", "contact_sheet.jpg", "distances.png", "false_stops.png"}
+    names = {"map.png", "contact_sheet.jpg", "false_stops.png"}
     assert {path.name for path in (here / "pictures").iterdir()} == names
 
 

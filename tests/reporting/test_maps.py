@@ -1,15 +1,12 @@
 """Maps of a policy, animations, and learning curves of several runs."""
 
-import subprocess
-
 import numpy as np
 import pytest
-from imageio_ffmpeg import get_ffmpeg_exe
 from PIL import Image
 from rooms import grid_scene
 
 from dirl.reporting import draw_learning_curves, draw_policy, write_gif
-from dirl.reporting.animation import FPS, FRAME_MS, HOLD_MS, MAX_FRAMES, episode_frames, write_mp4
+from dirl.reporting.animation import MAX_FRAMES
 from dirl.reporting.curves import common_frames
 from dirl.reporting.maps import never_arrives, wedge_corners
 from dirl.scenes.graph import AHEAD, RIGHT
@@ -52,23 +49,6 @@ def test_gif_has_a_frame_for_each_state_up_to_a_limit(tmp_path, path, frames):
     write_gif(grid_scene(), 0, path, tmp_path / "e.gif", title="an episode", success=False)
     with Image.open(tmp_path / "e.gif") as image:
         assert image.n_frames == frames
-
-
-def test_video_holds_the_last_picture_of_each_episode(tmp_path):
-    scene = grid_scene()
-    episodes = [episode_frames(scene, 0, path, title="an episode", success=True) for path in ([7, 4], [8])]
-    write_mp4(episodes, tmp_path / "e.mp4")
-    width, height = (size + size % 2 for size in episodes[0][0].size)
-    raw = ["-loglevel", "error", "-i", str(tmp_path / "e.mp4"), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    video = subprocess.run([get_ffmpeg_exe(), *raw], capture_output=True, check=True).stdout
-    pictures = np.frombuffer(video, np.uint8).reshape(-1, height, width, 3)
-    assert len(pictures) == FPS * (FRAME_MS + 2 * HOLD_MS) // 1000
-    width, height = episodes[0][0].size
-    first, last = (np.asarray(episodes[place][place], np.float32) for place in (0, -1))
-    assert np.abs(pictures[0][:height, :width] - first).mean() < 3
-    assert np.abs(pictures[-1][:height, :width] - last).mean() < 3 < np.abs(first - last).mean()
-    with pytest.raises(OSError, match="no_such"):
-        write_mp4(episodes, tmp_path / "no_such" / "e.mp4")
 
 
 def test_runs_are_compared_where_all_of_them_have_values():

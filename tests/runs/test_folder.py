@@ -132,18 +132,15 @@ def test_a_run_that_could_not_begin_leaves_nothing_behind(tmp_path, monkeypatch)
     assert not (tmp_path / "2026-01-31_12-00-00-2").exists()
 
 
-def test_the_configuration_is_written_once_and_taken_from_a_checkpoint_if_it_was_lost(tmp_path, capsys):
+def test_the_configuration_is_written_once_and_a_run_without_it_is_none(tmp_path):
     saved_run(tmp_path, 10)
     file = tmp_path / "config.yaml"
-    before, text = file.stat(), file.read_text()
+    before = file.stat()
     begin(resumed(tmp_path)).close()
     assert (file.stat().st_ino, file.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
-    for lose in (lambda: file.write_text(""), file.unlink):
-        lose()
-        run = resumed(tmp_path)
-        assert "config.yaml: is empty or missing; taken from a checkpoint" in capsys.readouterr().err
-        begin(run).close()
-        assert file.read_text() == text
+    file.unlink()
+    with pytest.raises(RunError, match=r"is not the folder of a run; it has no config\.yaml"):
+        resumed(tmp_path)
 
 
 def test_a_damaged_checkpoint_is_set_aside_and_the_one_before_is_gone_on_from(tmp_path, capsys):
@@ -222,18 +219,4 @@ def test_resume_takes_no_other_option_and_no_finished_run(tmp_path):
     run.finish(state(0), {})
     with pytest.raises(RunError, match="is finished"):
         resumed(tmp_path)
-
-
-@pytest.mark.parametrize("again", ["resume", "existing=keep"])
-def test_a_run_killed_while_it_cleans_up_leaves_nothing(tmp_path, again):
-    run = begun(tmp_path)
-    run.finish(state(10), {})
-    run.clean_up({})
-    (tmp_path / "checkpoints").mkdir()
-    (tmp_path / ".lock").write_text("process 1 on another")
-    if again == "resume":
-        with pytest.raises(RunError, match="is finished"):
-            resumed(tmp_path)
-    else:
-        assert opened(tmp_path, again).finished
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["config.yaml", "network.pt", "summary.json"]
+    assert opened(tmp_path, "existing=keep").finished

@@ -2,16 +2,15 @@
 
 from dirl.reporting.animation import write_gif
 from dirl.reporting.curves import draw_learning_curve, draw_learning_curves
-from dirl.reporting.inspection import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
+from dirl.reporting.inspection import draw_contact_sheet, draw_false_stops, draw_scene_map
 from dirl.reporting.maps import draw_policy
-from dirl.reporting.pictures import draw_paths, draw_scene, film_scene
+from dirl.reporting.pictures import draw_paths, draw_scene
 from dirl.reporting.tables import result_table, run_title, summary_table, write_goals
 from dirl.reporting.trajectories import draw_trajectories
 from dirl.reporting.viewer import viewer_pages
 
 __all__ = [
     "draw_contact_sheet",
-    "draw_distances",
     "draw_false_stops",
     "draw_learning_curve",
     "draw_learning_curves",
@@ -20,7 +19,6 @@ __all__ = [
     "draw_scene",
     "draw_scene_map",
     "draw_trajectories",
-    "film_scene",
     "result_table",
     "run_title",
     "summary_table",

@@ -1,10 +1,8 @@
-"""Episodes as GIF and MP4: the agent's view, the goal's view, and the path so far."""
+"""Episodes as GIF: the agent's view, the goal's view, and the path so far."""
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from dirl.envs.rendering import RoomMap
@@ -22,8 +20,6 @@ FRAME_MS, HOLD_MS = 400, 2500
 MAP_SIZE, VIEW_WIDTH, GAP, LINE = 300, 190, 12, 20
 """Pixels: longer side of the map, width of a view, space between them, height of a line of text."""
 
-FPS = 10
-"""A step is shown for several frames: players do not like slower videos."""
 
 SMOOTH = 3
 """See `RoomMap`."""
@@ -57,33 +53,6 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
     durations = [FRAME_MS] * (len(frames) - 1) + [HOLD_MS]
     with atomic_path(file) as temporary:
         first.save(temporary, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
-
-
-def write_mp4(episodes: Sequence[Sequence[Image.Image]], file: Path) -> None:
-    """Write episodes, each a row of pictures of any sizes, as one MP4 (H.264); the last picture of each is held.
-
-    Raises:
-        ImportError: imageio-ffmpeg is not installed.
-        OSError: the file cannot be written.
-    """
-    from imageio_ffmpeg import write_frames
-
-    frames = [frame for episode in episodes for frame in episode]
-    width, height = (2 * -(-max(frame.size[axis] for frame in frames) // 2) for axis in (0, 1))  # H.264: even sizes
-    with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / "video.mp4"
-        video = write_frames(str(made), (width, height), fps=FPS, macro_block_size=2, ffmpeg_log_level="error")
-        video.send(None)
-        for episode in episodes:
-            for frame in episode:
-                canvas = Image.new("RGB", (width, height), "white")
-                canvas.paste(frame)
-                shown = HOLD_MS if frame is episode[-1] else FRAME_MS
-                for _ in range(shown * FPS // 1000):
-                    video.send(np.asarray(canvas).tobytes())
-        video.close()
-        with atomic_path(file) as temporary:
-            temporary.write_bytes(made.read_bytes())
 
 
 def episode_frames(scene: Scene, goal: int, path: Sequence[int], *, title: str, success: bool) -> list[Image.Image]:

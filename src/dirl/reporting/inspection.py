@@ -1,4 +1,4 @@
-"""Pictures of a scene: its map, all its views, the distances of its states, and the errors of template matching."""
+"""Pictures of a scene: its map, all its views, and the errors of template matching."""
 
 import math
 from pathlib import Path
@@ -103,19 +103,6 @@ def draw_contact_sheet(scene: Scene, file: Path) -> None:
             sheet.paste(view, (left + turn * (THUMBNAIL + 1), top + LABEL))
     with atomic_path(file) as temporary:
         sheet.save(temporary, quality=85)
-
-
-def draw_distances(scene: Scene, file: Path) -> None:
-    """Draw the distribution of distances between states, in actions, as a PNG."""
-    reached = scene.distances[scene.distances > 0]
-    figure = Figure((6, 3.2), layout="constrained")
-    axes = figure.subplots()
-    axes.hist(reached, bins=[edge + 0.5 for edge in range(reached.max() + 1)], color=COLORS[0], rwidth=0.9)
-    axes.axvline(reached.mean(), color=COLORS[1], label=f"mean {reached.mean():.1f}")
-    axes.set(xlabel="actions from state to state", ylabel="pairs", title=f"{scene.name} ({scene.source})")
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    write_figure(figure, file)
 
 
 def draw_false_stops(scene: Scene, found: Inspection, threshold: float, file: Path) -> None:

@@ -1,4 +1,4 @@
-"""Pictures and films of a trained policy in one scene."""
+"""Pictures of a trained policy in one scene."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +9,7 @@ from torch import nn
 
 from dirl.evaluation.protocol import EvaluationProtocol, action_values
 from dirl.perception.recognition.matching import TemplateStop
-from dirl.reporting.animation import episode_frames, write_gif, write_mp4
+from dirl.reporting.animation import write_gif
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.tables import run_title
 from dirl.reporting.trajectories import draw_trajectories
@@ -80,23 +80,3 @@ def draw_paths(
     success = episodes.success.tolist()
     draw_trajectories(scene, goal, walked, file, success=success, title=title)
     return goal, walked[0], success[0], title
-
-
-def film_scene(
-    policy: nn.Module, protocol: EvaluationProtocol, index: int, file: Path, *, facts: Mapping[str, Any], count: int = 5
-) -> None:
-    """Write a video of greedy episodes in one scene, each from the start that is farthest from its goal.
-
-    There are ``count`` at most, of goals spread evenly over those of the scene; the others are as of `draw_scene`.
-    """
-    world, scene, offset = protocol.world, protocol.world.scenes[index], protocol.world.offsets[index]
-    among = world.goals_in(index)
-    goals = [among[place] for place in torch.linspace(0, len(among) - 1, min(count, len(among))).long().tolist()]
-    starts = [int(world.block(world.distances, goal).argmax()) + offset for goal in goals]
-    episodes, paths = protocol.trajectories(policy, (torch.tensor(goals), torch.tensor(starts)))
-    films = []
-    for goal, path, success in zip(goals, paths, episodes.success.tolist(), strict=True):
-        state, walked = int(world.goals[goal]) - offset, [passed - offset for passed in path]
-        title = f"{run_title({**facts, 'scene': scene.name, 'source': scene.source})}, goal {state}"
-        films.append(episode_frames(scene, state, walked, title=title, success=success))
-    write_mp4(films, file)

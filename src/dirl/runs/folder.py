@@ -4,7 +4,6 @@ import csv
 import math
 import os
 import shutil
-import sys
 import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
@@ -17,7 +16,7 @@ from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, TrainConfig
 from dirl.config.values import leaves, plain
 from dirl.runs.checkpoints import latest_checkpoint, save_checkpoint
-from dirl.runs.locks import FolderLock, claim, finish_cleaning, is_numbered
+from dirl.runs.locks import FolderLock, claim, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.runs.paths import RunError, config_file, find_unfinished, is_finished, training_checkpoints
 from dirl.runs.schema import SCHEMA, TABLES
@@ -82,7 +81,7 @@ class Run:
             self.logger = make_logger(self.config, self.folder, self.saved["frames"] if self.saved else 0)
             self._facts = facts(self.config, world, view_order)
             self._tidy_up()
-            if not _config_text(self.folder):
+            if not config_file(self.folder).exists():
                 write_text(config_file(self.folder), self._facts["config"])
         except BaseException:
             self.close()
@@ -217,7 +216,6 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
             it; its checkpoints are damaged; or options were given together with ``resume``.
         ConfigError: the saved configuration cannot be used.
     """
-    finish_cleaning(Path(config.resume or folder))
     if config.resume is None:
         if not config_file(folder).exists():
             return Run(folder, config)
@@ -255,19 +253,10 @@ def check_tables(file: Path, state: Mapping[str, Any]) -> None:
             raise RunError(f"{file}: does not fit {table}, which is shorter than it was, or missing")
 
 
-def _config_text(folder: Path) -> str:
-    """The text of a run's configuration file; nothing if it is missing, or empty as a full disk leaves it."""
-    file = config_file(folder)
-    return read_text(file, errors="replace").strip() if file.is_file() else ""
-
-
 def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:
-    """The configuration of a run, from its file, or else from its latest checkpoint."""
-    text, file = _config_text(folder), config_file(folder)
-    if text or not training_checkpoints(folder):
-        return read_config(text, origin=str(file), trust=trust)
-    print(f"{file}: is empty or missing; taken from a checkpoint", file=sys.stderr, flush=True)
-    return read_config(latest_checkpoint(folder)[0]["config"], origin=str(folder / "checkpoints"), trust=trust)
+    """The configuration of a run."""
+    file = config_file(folder)
+    return read_config(read_text(file, errors="replace"), origin=str(file), trust=trust)
 
 
 def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from dirl.runs.paths import RunError, config_file, is_finished
+from dirl.runs.paths import RunError, config_file
 
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 """What file systems answer that have no locks; those that do not know the call at all, ``filelock`` sees to."""
@@ -77,18 +77,6 @@ def _release(lock: FileLock, file: Path, owner: int) -> None:
         file.unlink()  # before the release: afterwards it could be another's
     with suppress(OSError):
         lock.release(force=True)
-
-
-def finish_cleaning(folder: Path) -> None:
-    """Remove what a run leaves behind that was killed while it cleaned up: its lock, and an empty folder."""
-    left = [folder / "checkpoints", folder / ".lock"]
-    if not is_finished(folder) or not any(one.exists() for one in left):
-        return
-    with suppress(OSError, RunningError):  # it is cleaning up now, or nothing can be removed here
-        lock = FolderLock(folder)
-        with suppress(OSError):
-            left[0].rmdir()
-        lock.release()
 
 
 def is_numbered(folder: Path) -> bool:

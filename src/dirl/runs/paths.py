@@ -79,7 +79,7 @@ def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:
     if others:
         raise RunError(f"resume uses the saved configuration; leave out {' '.join(others)}")
     folder = Path(resume)
-    if not config_file(folder).is_file() and not training_checkpoints(folder):
+    if not config_file(folder).is_file():
         raise RunError(f"{folder}: is not the folder of a run; it has no {config_file(folder).name}")
     if is_finished(folder):
         raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")

@@ -11,7 +11,7 @@ from stops import stop_errors
 from dirl.perception.recognition.diagnostics import CORRELATIONS, EVERY, MISSED, OWN, inspect_scene
 from dirl.perception.recognition.learned import Learned
 from dirl.perception.recognition.matching import TemplateStop
-from dirl.reporting import draw_contact_sheet, draw_distances, draw_false_stops, draw_scene_map
+from dirl.reporting import draw_contact_sheet, draw_false_stops, draw_scene_map
 from dirl.scenes import SceneError, make_world, read_dump, write_dump
 from dirl.scenes.views import encode
 
@@ -188,9 +188,8 @@ def test_the_pictures_show_the_room(tmp_path, headings):
     found = inspect_scene(room)
     draw_scene_map(room, found.parts, tmp_path / "map.png")
     draw_contact_sheet(room, tmp_path / "sheet.jpg")
-    draw_distances(room, tmp_path / "distances.png")
     draw_false_stops(room, found, 0.9, tmp_path / "stops.png")
-    for name in ("map.png", "sheet.jpg", "distances.png", "stops.png"):
+    for name in ("map.png", "sheet.jpg", "stops.png"):
         with Image.open(tmp_path / name) as image:
             assert min(image.size) > 150, name
             assert np.asarray(image.convert("L")).std() > 10, name
