@@ -13,19 +13,19 @@ from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.runs.folder import open_run
 from dirl.training.build import load_trained
 
-TARGETS = [
-    "os.system",
-    "builtins.eval",
-    "torch.load",
-    "pathlib.Path",
-    "subprocess.Popen",
-    "trap.Trap",
-    "dirl.runs.folder.os.system",
-    "dirl.training.build.torch.load",
-    "dirl.runs.folder.Run",
-    "torch.optim.Optimizer",
+CASES = [
+    ("observation", "os.system"),
+    ("encoder", "trap.Trap"),
+    ("memory", "pathlib.Path"),
+    ("heads", "subprocess.Popen"),
+    ("policy", "dirl.runs.folder.os.system"),
+    ("expert", "builtins.eval"),
+    ("losses.a2c", "dirl.training.build.torch.load"),
+    ("losses.new", "trap.Trap"),
+    ("optimiser", "torch.optim.Optimizer"),
+    ("env", "dirl.runs.folder.Run"),
 ]
-GROUPS = ["observation", "encoder", "memory", "heads", "policy", "expert", "losses.a2c", "losses.new", "optimiser"]
+"""A group of components each, and what must not be built for it."""
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +68,7 @@ def one_line(error):
     assert "_target_=" in str(error.value) or "there is no option" in str(error.value)
 
 
-@pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize(("group", "target"), CASES)
 def test_a_configuration_from_a_file_builds_nothing_foreign(trained, composed, trap, tmp_path, group, target):
     saved = load_checkpoint(trained / "run")
     text = poisoned(saved["config"], group, target)
@@ -78,6 +77,9 @@ def test_a_configuration_from_a_file_builds_nothing_foreign(trained, composed, t
     (resumed / "config.yaml").write_text(text)
     with pytest.raises(ConfigError) as error:
         open_run(replace(composed, resume=str(resumed)), resumed, [f"resume={resumed}"])
+    one_line(error)
+    with pytest.raises(ConfigError) as error:  # as a grid comes back to it
+        open_run(replace(composed, existing="keep"), resumed, [])
     one_line(error)
     with pytest.raises(ConfigError) as error:
         load_trained({**saved, "config": text}, "the checkpoint")
@@ -90,41 +92,22 @@ def test_a_configuration_from_a_file_builds_nothing_foreign(trained, composed, t
     assert "trap" not in sys.modules
 
 
-def test_a_folder_that_a_grid_comes_back_to_builds_nothing_foreign(trained, trap, tmp_path):
-    saved = load_checkpoint(trained / "run")
-    (tmp_path / "kept").mkdir()
-    (tmp_path / "kept" / "config.yaml").write_text(poisoned(saved["config"], "encoder", "trap.Trap"))
-    with pytest.raises(ConfigError) as error:
-        open_run(train_config(f"scene={trained / 'room.h5'}", *TINY, "existing=keep"), tmp_path / "kept", [])
-    one_line(error)
-    assert not trap.exists()
-
-
 def test_the_recipes_say_it_in_one_line(trained, trap, tmp_path):
     saved = load_checkpoint(trained / "run")
-    text = poisoned(saved["config"], "encoder", "trap.Trap")
-    (tmp_path / "resumed").mkdir()
-    (tmp_path / "resumed" / "config.yaml").write_text(text)
-    save_checkpoint(tmp_path / "other" / "network.pt", {**saved, "config": text})
-    for recipe, option in (("train", "resume=resumed"), ("evaluate", "checkpoint=other")):
-        status, _, errors = run_recipe(tmp_path, recipe, option)
-        assert status == 1
-        assert errors.count("\n") == 1
-        assert "a configuration from a file names a class of 'trap'; trust=[trap] allows it" in errors
+    save_checkpoint(tmp_path / "other" / "network.pt", {**saved, "config": poisoned(saved["config"], *CASES[1])})
+    status, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=other")
+    assert (status, errors.count("\n")) == (1, 1)
+    assert "a configuration from a file names a class of 'trap'; trust=[trap] allows it" in errors
     assert not trap.exists()
 
 
-def test_a_trusted_package_is_built_from(trained, trap):
+def test_trust_counts_only_where_the_user_gives_it(trained, trap):
     saved = load_checkpoint(trained / "run")
-    text = poisoned(saved["config"], "encoder", "trap.Trap")
+    text = poisoned(saved["config"], *CASES[1])
+    config = yaml.safe_dump({**yaml.safe_load(text), "trust": ["trap"]})
+    with pytest.raises(ConfigError, match="trust=\\[trap\\] allows it"):
+        load_trained({**saved, "config": config}, "the checkpoint")
+    assert not trap.exists()
     with pytest.raises(ConfigError, match=r"no option 'encoder.command'"):
         load_trained({**saved, "config": text}, "the checkpoint", trust=["trap"])
     assert trap.exists()
-
-
-def test_trust_that_stands_in_the_file_counts_for_nothing(trained, trap):
-    saved = load_checkpoint(trained / "run")
-    config = yaml.safe_load(poisoned(saved["config"], "encoder", "trap.Trap"))
-    with pytest.raises(ConfigError, match="trust=\\[trap\\] allows it"):
-        load_trained({**saved, "config": yaml.safe_dump({**config, "trust": ["trap"]})}, "the checkpoint")
-    assert not trap.exists()

@@ -1,18 +1,33 @@
-"""The results of a sweep, as a table at its end."""
+"""The results of a sweep at its end: a table of its runs, and their spread where they differ in their seed only."""
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from hydra.experimental.callback import Callback
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from dirl.config.saved import plain_mapping
 from dirl.config.values import leaves
-from dirl.reporting.seeds import FEW, draw_seeds, seed_table
-from dirl.reporting.tables import result_table
+from dirl.reporting.style import plain, write_figure
+from dirl.reporting.tables import result_table, run_title
 from dirl.scenes.io.bounded import read_text
+from dirl.scenes.palette import BLUE
+
+FEW = 4
+"""Runs of which there is no spread to tell."""
+
+SPREAD = {
+    "SR": ("greedy", "sr"),
+    "SPL": ("greedy", "spl"),
+    "ATL": ("greedy", "atl"),
+    "stable at": ("stable_at_frame",),
+}
+"""What of a summary its spread is told of, and where it stands."""
 
 
 class SweepTable(Callback):
@@ -20,51 +35,97 @@ class SweepTable(Callback):
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Print it; a run that failed has no summary, and no row."""
-        swept = config.hydra
+        swept, folder = config.hydra, Path(config.hydra.sweep.dir)
         given = [override.partition("=")[0].lstrip("+~") for override in swept.overrides.task]
-        table = sweep_table(Path(swept.sweep.dir), {*given, *(swept.sweeper.get("params") or {})})
-        if table:
-            print(f"\nGreedy policies of {swept.sweep.dir}:\n\n{table}")
-        told_of_seeds(Path(swept.sweep.dir))
+        runs = finished(folder)
+        if len(runs) > 1:
+            table = sweep_table(runs, folder, {*given, *(swept.sweeper.get("params") or {})})
+            print(f"\nGreedy policies of {folder}:\n\n{table}")
+        if len(runs) >= FEW and differing(runs) == {"seed"}:
+            summaries = [run.summary for run in runs]
+            draw_seeds(summaries, folder / "seeds.png")
+            print(f"\nOver the seeds (picture: {folder / 'seeds.png'}):\n\n{seed_table(summaries)}")
 
 
-def told_of_seeds(folder: Path) -> None:
-    """Print and draw the spread of a sweep's runs if they differ in their seed only."""
-    files = [file for file in sorted(folder.glob("**/summary.json")) if file.with_name("config.yaml").is_file()]
-    configs = [leaves(plain_mapping(read_text(file.with_name("config.yaml")))) for file in files]
-    differing = {name for config in configs for name in config if config.get(name) != configs[0].get(name)}
-    if len(files) >= FEW and differing == {"seed"}:
-        summaries = [json.loads(read_text(file)) for file in files]
-        draw_seeds(summaries, folder / "seeds.png")
-        print(f"\nOver the seeds (picture: {folder / 'seeds.png'}):\n\n{seed_table(summaries)}")
+class Swept(NamedTuple):
+    """A finished run of a sweep."""
+
+    folder: Path
+    config: dict[str, Any]
+    """Values by dotted name."""
+    summary: dict[str, Any]
 
 
-def sweep_table(folder: Path, options: Collection[str]) -> str:
-    """The greedy measures of the finished runs in a sweep's folder, Markdown; empty where there are fewer than two.
+def finished(folder: Path) -> list[Swept]:
+    """Return the evaluated runs below a folder, job 2 before job 10."""
+    runs = []
+    for file in sorted(folder.glob("**/summary.json"), key=lambda file: (len(file.parent.name), str(file))):
+        summary, config = json.loads(read_text(file)), file.with_name("config.yaml")
+        if config.is_file() and "greedy" in summary:
+            runs.append(Swept(file.parent, leaves(plain_mapping(read_text(config))), summary))
+    return runs
+
+
+def differing(runs: Sequence[Swept]) -> set[str]:
+    """Return the options in which runs differ."""
+    names = {name for run in runs for name in run.config}
+    return {name for name in names if len({str(run.config.get(name)) for run in runs}) > 1}
+
+
+def sweep_table(runs: Sequence[Swept], folder: Path, options: Collection[str]) -> str:
+    """Return the greedy measures of runs in a sweep's folder, Markdown.
 
     Of the options that were given, by name, those that differ between the runs tell them apart.
     """
-    runs: dict[Path, dict[str, Any]] = {}
-    measures: dict[Path, Mapping[str, Any]] = {}
-    for file in sorted(folder.glob("**/summary.json"), key=lambda file: (len(file.parent.name), str(file))):
-        summary = json.loads(read_text(file))
-        config = file.with_name("config.yaml")
-        if config.is_file() and "greedy" in summary:
-            runs[file.parent] = leaves(plain_mapping(read_text(config)))
-            measures[file.parent] = summary["greedy"]
-    if len(runs) < 2:
-        return ""
     inside = tuple(f"{option}." for option in options)
-    given = {name for config in runs.values() for name in config if f"{name}.".startswith(inside)}
-    told = [name for name in sorted(given) if len({str(config.get(name)) for config in runs.values()}) > 1]
+    told = [name for name in sorted(differing(runs)) if f"{name}.".startswith(inside)]
     rows = {}
-    for run, found in runs.items():
-        label = ", ".join(_told(name, found.get(name)) for name in told)
-        rows[f"{run.relative_to(folder)}: {label}" if label else str(run.relative_to(folder))] = measures[run]
+    for run in runs:
+        label = ", ".join(_told(name, run.config.get(name)) for name in told)
+        name = str(run.folder.relative_to(folder))
+        rows[f"{name}: {label}" if label else name] = run.summary["greedy"]
     return result_table(rows, leave_out=["false", "missed", "episodes"])
 
 
 def _told(name: str, value: Any) -> str:
-    """An option and its value in few letters: its last name, of a component its group and class."""
+    """Return an option and its value in few letters: its last name, of a component its group and class."""
     group, _, last = name.rpartition(".")
     return f"{group}={str(value).rpartition('.')[2]}" if last == "_target_" else f"{last}={value}"
+
+
+def seed_table(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """Return the spread of runs, Markdown: of each measure mean, standard deviation, lowest, quartiles and highest.
+
+    Runs that never became stable are counted, and are in no other number of that row.
+    """
+    lines = ["| | runs | mean | sd | lowest | quarter | median | three quarters | highest |", "|---" + "|--:" * 8 + "|"]
+    for name in SPREAD:
+        values = _values(summaries, name)
+        if not len(values):
+            lines.append(f"| {name} | 0 of {len(summaries)} |" + " - |" * 7)
+            continue
+        numbers = [values.mean(), values.std(), *np.quantile(values, (0, 0.25, 0.5, 0.75, 1))]
+        shown = [f"{number:,.0f}" if values.max() > 1000 else f"{number:.3f}" for number in numbers]
+        lines.append(f"| {name} | {len(values)} of {len(summaries)} | {' | '.join(shown)} |")
+    return "\n".join(lines)
+
+
+def draw_seeds(summaries: Sequence[Mapping[str, Any]], file: Path) -> None:
+    """Draw which part of the runs reaches an SPL, and is stable by a frame, as a PNG."""
+    figure = Figure(figsize=(8.5, 3.5), layout="constrained")
+    figure.suptitle(f"{run_title({**summaries[0], 'seed': None})}, {len(summaries)} seeds")
+    for axes, name in zip(figure.subplots(1, 2, sharey=True), ("SPL", "stable at"), strict=True):
+        values = np.sort(_values(summaries, name))
+        axes.step(values, np.arange(1, len(values) + 1) / len(summaries), where="post", color=BLUE)
+        axes.plot(values, np.zeros_like(values), "|", color=BLUE, markersize=12)
+        axes.set(xlabel="SPL, greedy" if name == "SPL" else "stable at frame", ylim=(0, 1.02))
+        plain(axes)
+    figure.axes[0].set_ylabel("fraction of the seeds at or below")
+    write_figure(figure, file)
+
+
+def _values(summaries: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
+    """Return a measure of `SPREAD` of the runs that have it."""
+    *groups, last = SPREAD[name]
+    inner = [summary[groups[0]] if groups else summary for summary in summaries]
+    return np.array([one[last] for one in inner if one[last] is not None], float)

@@ -1,12 +1,12 @@
-"""The spread of runs that differ in their seed only."""
+"""The table of a sweep, and the spread of runs that differ in their seed only."""
 
 import json
 
 import pytest
 import yaml
+from omegaconf import OmegaConf
 
-from dirl.reporting.seeds import seed_table
-from dirl.reporting.sweeps import told_of_seeds
+from dirl.reporting.sweeps import SweepTable, seed_table
 
 
 def summary(seed, spl, stable):
@@ -24,14 +24,22 @@ def test_the_spread_is_that_of_the_values_and_runs_that_never_were_stable_are_co
     assert seed_table([summary(0, 0.9, None)]).splitlines()[-1].startswith("| stable at | 0 of 1 | - |")
 
 
-@pytest.mark.parametrize(("other", "told"), [({}, True), ({"optimiser": {"lr": 0.1}}, False)])
-def test_a_sweep_over_seeds_alone_is_told_and_drawn(other, told, tmp_path, capsys):
+def swept(folder, *names):
+    """What Hydra hands the callback at the end of a sweep over these options."""
+    overrides = {"task": [f"{name}=1,2" for name in names]}
+    return OmegaConf.create({"hydra": {"sweep": {"dir": str(folder)}, "overrides": overrides, "sweeper": {}}})
+
+
+@pytest.mark.parametrize("other", [{}, {"optimiser": {"lr": 0.1}}])
+def test_a_sweep_is_a_table_and_one_over_seeds_alone_is_told_and_drawn(other, tmp_path, capsys):
     for run in RUNS:
         folder = tmp_path / str(run["seed"])
         folder.mkdir()
         (folder / "summary.json").write_text(json.dumps(run))
         config = {"seed": run["seed"], "optimiser": {"lr": 0.001}} | (other if run["seed"] == 3 else {})
         (folder / "config.yaml").write_text(yaml.safe_dump(config))
-    told_of_seeds(tmp_path)
-    assert (tmp_path / "seeds.png").exists() is told
-    assert ("Over the seeds" in capsys.readouterr().out) is told
+    SweepTable().on_multirun_end(swept(tmp_path, "seed", "optimiser.lr"))
+    printed = capsys.readouterr().out
+    assert ("| 1: lr=0.001, seed=1 " if other else "| 1: seed=1 ") in printed
+    assert (tmp_path / "seeds.png").exists() is not bool(other)
+    assert ("Over the seeds" in printed) is not bool(other)
