@@ -42,7 +42,7 @@ def test_an_agent_beside_another_is_called_by_its_folder_or_its_name_in_the_pack
 
 @pytest.mark.parametrize(
     ("looks", "recogniser", "stop", "told"),
-    [(2, "ncc", "match", True), (0, "ncc", "match", False), (2, "ncc", "goal", False), (2, "patches", "match", False)],
+    [(2, "ncc", "match", True), (0, "ncc", "match", False), (2, "ncc", "goal", False), (2, "learned", "match", False)],
 )
 def test_a_stop_by_correlation_is_told_of_where_no_place_looks_the_same_twice(looks, recogniser, stop, told):
     world = make_world([grid_scene(3, 2, looks=looks)])
