@@ -3,7 +3,7 @@
 import json
 import math
 
-from dirl.evaluation.stability import WINDOW, EpisodeMeter
+from dirl.evaluation.protocol import WINDOW, EpisodeMeter
 
 
 def episodes(meter, goal, steps, count, frames=0):
