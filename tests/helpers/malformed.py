@@ -1,8 +1,9 @@
-"""Malformed dumps: what is done to a good file of 24 states.
+"""Malformed dumps: what is done to a good file of 24 states; each way to spoil one is given the open file.
 
 What the one error says is in docs/howto/malformed_dumps.md; ``python tests/helpers/malformed.py`` writes its table.
 """
 
+import io
 import re
 import sys
 import tempfile
@@ -10,27 +11,13 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from found import FOUND
+import pytest
+from PIL import Image
 from rooms import grid_scene, published_dump
-from spoil import (
-    attribute,
-    cell,
-    dangling,
-    elsewhere,
-    feature_attribute,
-    group,
-    hollow,
-    instead,
-    named_type,
-    no_states,
-    of_states,
-    partly_written,
-    refused,
-    squeezed,
-    unknown_filter,
-    webp,
-    without,
-)
+
+from dirl.scenes import SceneError, read_dump
+from dirl.scenes.io.digest import write_digest
+from dirl.scenes.views import encode
 
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "malformed_dumps.md"
 BEGIN = "| file | message |\n|---|---|"
@@ -44,85 +31,264 @@ UNEVEN = np.array([[-1, (i + 1) % 4, (i - 1) % 4, -1] for i in range(4)])
 UNEVEN = np.concatenate([UNEVEN, [[-1, 4 + (i + 1) % 20, 4 + (i - 1) % 20, -1] for i in range(20)]])
 RING = np.array([[-1, (i + 1) % 400, (i - 1) % 400, -1] for i in range(400)])
 
+
+def without(name):
+    return lambda file: file.pop(name)
+
+
+def instead(name, value):
+    def spoil(file):
+        file.pop(name, None)
+        file[name] = value
+
+    return spoil
+
+
+def cell(name, where, value):
+    def spoil(file):
+        values = file[name][:]
+        values[where] = value
+        instead(name, values)(file)
+
+    return spoil
+
+
+def attribute(name, value):
+    return lambda file: file.attrs.update({name: value})
+
+
+def hollow(name, shape, dtype="f4"):
+    """A dataset of that shape that was never filled."""
+
+    def spoil(file):
+        file.pop(name, None)
+        file.create_dataset(name, shape, dtype, chunks=tuple(min(size, 64) for size in shape))
+
+    return spoil
+
+
+def elsewhere(name, kind):
+    """The dataset's values lie in another (existing, good) file or under another name."""
+
+    def spoil(file):
+        shape, dtype = file[name].shape, file[name].dtype
+        another = file.filename + ".other"
+        with h5py.File(another, "w") as other:
+            other[name] = file[name][:]
+        file.move(name, "hidden")
+        if kind == "virtual":
+            layout = h5py.VirtualLayout(shape, dtype)
+            layout[:] = h5py.VirtualSource(another, name, shape)
+            file.create_virtual_dataset(name, layout)
+        elif kind == "storage":
+            with open(file.filename + ".raw", "wb") as raw:
+                raw.write(file["hidden"][:].tobytes())
+            file.create_dataset(name, shape, dtype, external=[(file.filename + ".raw", 0, h5py.h5f.UNLIMITED)])
+        else:
+            file[name] = h5py.SoftLink("/hidden") if kind == "soft" else h5py.ExternalLink(another, name)
+
+    return spoil
+
+
+def group(name):
+    def spoil(file):
+        del file[name]
+        file.create_group(name)
+
+    return spoil
+
+
+def no_states(file):
+    for name in ("resnet_feature", "observation", "shortest_path_distance"):
+        del file[name]
+    for name, shape in (("graph", (0, 4)), ("location", (0, 2)), ("rotation", (0,))):
+        instead(name, np.zeros(shape, int))(file)
+
+
+def webp(dtype):
+    return lambda file: file.create_dataset("observation_webp", (24,), dtype)
+
+
+def feature_attribute(name, value):
+    return lambda file: file["resnet_feature"].attrs.update({name: value})
+
+
+def of_states(graph):
+    """The graph instead of the file's own, and everything else of as many states as it has."""
+
+    def spoil(file):
+        no_states(file)
+        for name, value in (
+            ("graph", graph),
+            ("location", np.zeros((len(graph), 2))),
+            ("rotation", np.arange(len(graph)) % 360),
+        ):
+            instead(name, value)(file)
+
+    return spoil
+
+
+def partly_written(name):
+    """Only the first chunk of four has been written."""
+
+    def spoil(file):
+        del file[name]
+        dataset = file.create_dataset(name, (24, 8), "f4", chunks=(6, 8))
+        dataset[:6] = 1.0
+
+    return spoil
+
+
+def squeezed(name, shape):
+    """Zeros, packed as well as gzip can."""
+
+    def spoil(file):
+        del file[name]
+        file.create_dataset(name, data=np.zeros(shape, "f4"), compression="gzip", chunks=(shape[0], 2**14))
+
+    return spoil
+
+
+def unknown_filter(name):
+    """The values are packed by a filter that this machine has never heard of."""
+
+    def spoil(file):
+        values = file[name][:]
+        del file[name]
+        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        properties.set_chunk(values.shape)
+        properties.set_filter(32123, h5py.h5z.FLAG_OPTIONAL, ())
+        space, kind = h5py.h5s.create_simple(values.shape), h5py.h5t.py_create(values.dtype)
+        dataset = h5py.h5d.create(file.id, name.encode(), kind, space, properties)
+        dataset.write_direct_chunk((0,) * values.ndim, values.tobytes(), filter_mask=0)
+
+    return spoil
+
+
+def refused(path):
+    """What the one `SceneError` says after the name of the file."""
+    with pytest.raises(SceneError) as caught:
+        read_dump(path, isolated=False)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert caught.value.__cause__ is None
+    assert caught.value.__context__ is None or caught.value.__suppress_context__  # one error, not a chain
+    assert "\n" not in message
+    return message.removeprefix(f"{path}: ")
+
+
+VIEW = encode(np.arange(12 * 16 * 3, dtype=np.uint8).reshape(12, 16, 3))
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\nshowpage\n"
+
+
+def chunk(name, stored, **options):
+    """The dataset in one chunk that takes these bytes in the file."""
+
+    def spoil(file):
+        values = file[name][:]
+        del file[name]
+        dataset = file.create_dataset(name, values.shape, values.dtype, chunks=values.shape, **options)
+        dataset.id.write_direct_chunk((0,) * values.ndim, stored)
+
+    return spoil
+
+
+def crumbs(file):
+    """Features in a quarter of a million chunks of one value."""
+    del file["resnet_feature"]
+    file.create_dataset("resnet_feature", (24, 10_000), "f4", chunks=(1, 1))
+
+
+def squeezed_doubles(file):
+    """Features of 75 megabytes in one tenth of one."""
+    del file["resnet_feature"]
+    values = np.repeat(np.arange(24.0)[:, None], 6 * 2**16, 1)
+    file.create_dataset("resnet_feature", data=values, compression="gzip", chunks=(24, 2**16))
+
+
+def views(*last):
+    """Encoded views that are good but for the last ones."""
+
+    def spoil(file):
+        stored = file.create_dataset("observation_webp", (24,), h5py.vlen_dtype(np.uint8))
+        for state, data in enumerate([VIEW] * (24 - len(last)) + list(last)):
+            stored[state] = np.frombuffer(data, np.uint8)
+
+    return spoil
+
+
+def picture(kind, size=(16, 12), mode="RGB"):
+    """A black image as the bytes of a file."""
+    buffer = io.BytesIO()
+    Image.new(mode, size).save(buffer, kind)
+    return buffer.getvalue()
+
+
+def changed_later(name, where, value):
+    """A file with a digest of which one value was changed."""
+
+    def spoil(file):
+        write_digest(file)
+        file[name][where] = value
+
+    return spoil
+
+
+def digest_lost(file):
+    write_digest(file)
+    del file["graph"].attrs["digest"]
+
+
 SHAPES = {
     "no `graph`": without("graph"),
-    "no `location`": without("location"),
-    "no `rotation`": without("rotation"),
     "`graph` of six actions": instead("graph", np.zeros((24, 6), int)),
-    "`graph` of one dimension": instead("graph", np.zeros(24, int)),
     "`graph` empty": instead("graph", h5py.Empty("i4")),
     "`location` with a height": instead("location", np.zeros((24, 3))),
-    "`location` of one state fewer": instead("location", np.zeros((23, 2))),
     "`rotation` of two dimensions": instead("rotation", np.zeros((24, 1))),
     "`resnet_feature` of one state fewer": instead("resnet_feature", np.zeros((23, 8))),
-    "`resnet_feature` of one dimension": instead("resnet_feature", np.zeros(24)),
     "`resnet_feature` not pooled": instead("resnet_feature", np.zeros((24, 2, 2, 2))),
     "`resnet_feature` of width 0": instead("resnet_feature", np.zeros((24, 0))),
-    "`resnet_feature` of no crops": instead("resnet_feature", np.zeros((24, 0, 8))),
     "distances of some goals only": instead("shortest_path_distance", np.zeros((24, 5))),
     "grey views": instead("observation", np.zeros((24, 3, 4), "u1")),
-    "views with an alpha channel": instead("observation", np.zeros((24, 3, 4, 4), "u1")),
     "no states": no_states,
 }
 
 TYPES = {
     "`graph` of floats": instead("graph", np.zeros((24, 4))),
-    "`graph` of booleans": instead("graph", np.zeros((24, 4), bool)),
-    "`graph` of records": instead("graph", np.zeros((24, 4), [("to", "i4")])),
-    "`graph` of texts": instead("graph", np.full((24, 4), b"1")),
     "`graph` is a group": group("graph"),
-    "`graph` is a type": named_type("graph"),
-    "`resnet_feature` is a group": group("resnet_feature"),
     "`location` of texts": instead("location", np.full((24, 2), b"x")),
-    "`rotation` of complex numbers": instead("rotation", np.zeros(24, complex)),
-    "`resnet_feature` of integers": instead("resnet_feature", np.zeros((24, 8), int)),
     "views of 16 bits": instead("observation", np.zeros((24, 3, 4, 3), "u2")),
-    "views of floats": instead("observation", np.zeros((24, 3, 4, 3))),
-    "encoded views of fixed length": instead("observation_webp", np.full(24, b"RIFF", "S4")),
     "encoded views as texts": webp(h5py.string_dtype()),
-    "encoded views as references": webp(h5py.ref_dtype),
 }
 
 VALUES = {
     "a link to a state that is not there": cell("graph", (5, 0), 24),
     "a link of -2": cell("graph", ([20, 9], 3), -2),
-    "-1 stored as an unsigned 32-bit number": instead("graph", grid_scene().graph.astype("u4")),
     "-1 stored as an unsigned 64-bit number": instead("graph", grid_scene().graph.astype("u8")),
     "a right turn that is blocked": cell("graph", (6, 1), -1),
     "a right turn that is one-way": cell("graph", (7, 1), 5),
-    "a left turn that is blocked": cell("graph", (6, 2), -1),
     "columns in another order, undeclared": instead("graph", grid_scene().graph[:, [0, 3, 2, 1]]),
     "turns of 60 degrees": instead("graph", TURN_OF_SIX),
     "different turns at different places": instead("graph", UNEVEN),
     "a ring of 400 turns": of_states(RING),
-    "no moves at all": instead("graph", np.full((24, 4), -1)),
     "a turn that moves the agent": cell("location", (11, 0), 9.0),
     "a location that is infinite": cell("location", (4, 1), np.inf),
     "a location on the moon": cell("location", (4, 1), 4e8),
     "a rotation that is NaN": instead("rotation", np.where(np.arange(24) == 8, np.nan, 0)),
-    "a rotation beyond reason": instead("rotation", np.where(np.arange(24) == 8, 1e300, 0)),
     "features with NaN": cell("resnet_feature", ([17, 3], 0, 2), np.nan),
     "features that overflow float32": instead("resnet_feature", np.full((24, 8), 1e300)),
 }
 
 ATTRIBUTES = {
     "a goal beyond the states": attribute("goals", [3, 24]),
-    "a goal of -1": attribute("goals", [-1]),
     "a goal named twice": attribute("goals", [3, 4, 3]),
     "goals as text": attribute("goals", "abc"),
-    "goals as NaN": attribute("goals", np.nan),
-    "goals as fractions": attribute("goals", [1.5]),
     "goals as a table": attribute("goals", [[1, 2]]),
-    "goals empty": attribute("goals", h5py.Empty("i8")),
     "an unknown action": attribute("actions", ["ahead", "right", "left", "up"]),
     "three actions": attribute("actions", ["ahead", "right", "left"]),
-    "an action twice": attribute("actions", ["ahead", "ahead", "left", "back"]),
-    "five actions": attribute("actions", ["ahead", "right", "left", "back", "back"]),
-    "actions as numbers": attribute("actions", [0, 1, 2, 3]),
     "a name that is not UTF-8": attribute("name", np.bytes_(b"\xff\xfe")),
     "a name that is a number": attribute("name", 7),
     "a name with slashes": attribute("name", "../../etc/room"),
-    "a name of a thousand letters": attribute("name", "x" * 1000),
     "a source of two lines": attribute("source", "thor\nrooms"),
     "an extractor that is a list": feature_attribute("extractor", [1, 2]),
 }
@@ -131,41 +297,40 @@ STORAGE = {
     "`graph` is a soft link": elsewhere("graph", "soft"),
     "`graph` is an external link": elsewhere("graph", "external"),
     "`graph` is a virtual dataset": elsewhere("graph", "virtual"),
-    "`graph` is an external link to nothing": dangling("graph"),
-    "`location` is a virtual dataset": elsewhere("location", "virtual"),
-    "`resnet_feature` is a soft link": elsewhere("resnet_feature", "soft"),
-    "`resnet_feature` is an external link": elsewhere("resnet_feature", "external"),
-    "`resnet_feature` is a link to itself": instead("resnet_feature", h5py.SoftLink("/resnet_feature")),
-    "`resnet_feature` is an external link to nothing": dangling("resnet_feature"),
     "features stored in another file": elsewhere("resnet_feature", "storage"),
-    "views behind an external link": elsewhere("observation", "external"),
-    "views behind an external link to nothing": dangling("observation"),
     "features never written": hollow("resnet_feature", (24, 8)),
     "features written by half": partly_written("resnet_feature"),
-    "encoded views never written": webp(h5py.vlen_dtype(np.uint8)),
     "a compression that is not installed": unknown_filter("graph"),
 }
 
 ABSURD = {
     "a trillion states": hollow("graph", (HUGE, 4), "i4"),
-    "a trillion locations": hollow("location", (HUGE, 2)),
-    "a trillion rotations": hollow("rotation", (HUGE,)),
     "a trillion features": hollow("resnet_feature", (24, HUGE)),
-    "a trillion features of two crops": hollow("resnet_feature", (24, 2, HUGE)),
-    "features of a trillion states": hollow("resnet_feature", (HUGE, 1, 8)),
-    "distances of a trillion states": hollow("shortest_path_distance", (HUGE, HUGE)),
-    "views of a trillion states": hollow("observation", (HUGE, 3, 4, 3), "u1"),
     "views a trillion pixels high": hollow("observation", (24, HUGE, 4, 3), "u1"),
     "`graph` in one chunk of two gigabytes": lambda file: (
         file.pop("graph"),
         file.create_dataset("graph", (24, 4), "i8", maxshape=(None, None), chunks=(2**14, 2**14)),
     ),
-    "features in one chunk of a gigabyte": lambda file: (
-        file.pop("resnet_feature"),
-        file.create_dataset("resnet_feature", (24, 8), "f4", maxshape=(None, None), chunks=(2**14, 2**14)),
-    ),
     "features that unpack to a thousand times their size": squeezed("resnet_feature", (24, 2**20)),
 }
+
+FOUND = {
+    "a chunk of one byte with a checksum of four": chunk("graph", b"x", fletcher32=True),
+    "features in 240,000 chunks": crumbs,
+    "8,000 goals": attribute("goals", np.arange(8000)),
+    "a view that is no image": views(b"RIFF----WEBP"),
+    "a view in PostScript": views(POSTSCRIPT),
+    "a view of 17 million pixels": views(picture("PNG", (4096, 4097), "1")),
+    "features that are all the same": instead("resnet_feature", np.ones((24, 8), "f4")),
+    "headings that are all the same": instead("rotation", np.full(24, 90)),
+    "a name of a dictionary's method": attribute("name", "keys"),
+    "a name of 240 letters": attribute("name", "x" * 240),
+    "a name that is a folder": attribute("name", ".."),
+    "a graph that was changed after it was written": changed_later("graph", (0, 3), 8),
+    "a pixel that was changed after it was written": changed_later("observation", (7, 0, 1, 2), 99),
+    "a digest that is lost in one of two places": digest_lost,
+}
+"""Once they crashed, hung, took memory, or failed long after they were read."""
 
 MALFORMED = {**SHAPES, **TYPES, **VALUES, **ATTRIBUTES, **STORAGE, **ABSURD, **FOUND}
 

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from found import POSTSCRIPT, VIEW, picture
+from malformed import POSTSCRIPT, VIEW, picture
 from PIL import Image
 from rooms import grid_scene, read_here
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from malformed import instead, refused
 from rooms import grid_scene, published_dump, read_here
-from spoil import instead, refused
 
 from dirl.scenes import SceneError
 

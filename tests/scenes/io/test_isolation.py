@@ -7,8 +7,7 @@ import tracemalloc
 import h5py
 import numpy as np
 import pytest
-from found import VIEW, picture, views
-from malformed import make
+from malformed import VIEW, make, picture, views
 from rooms import grid_scene, published_dump, read_here
 
 from dirl.scenes import SceneError, SceneWarning, load_scenes, read_dump, write_dump

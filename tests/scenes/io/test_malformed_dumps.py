@@ -6,9 +6,8 @@ import tracemalloc
 import h5py
 import numpy as np
 import pytest
-from malformed import ABSURD, BEGIN, MALFORMED, PAGE, make, row
+from malformed import ABSURD, BEGIN, MALFORMED, PAGE, hollow, make, refused, row
 from rooms import grid_scene, read_here
-from spoil import hollow, refused
 
 from dirl.scenes import write_dump
 from dirl.scenes.io import hdf5

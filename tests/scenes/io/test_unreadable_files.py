@@ -2,7 +2,7 @@
 
 import h5py
 import pytest
-from spoil import refused
+from malformed import refused
 
 BROKEN = "not a readable HDF5 file, perhaps a broken download"
 
