@@ -8,21 +8,20 @@ rooms, with modules to swap, checkpoints and measures; its constants (`conf/pres
 """
 
 import argparse
-import time
 from importlib.util import find_spec
 from pathlib import Path
 
 import h5py
-import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 from torch import Tensor, nn
 
 AGENTS, STEPS, LIMIT = 64, 5, 200  # that walk together; between two updates; of an episode
 GAMMA, LAMBDA, RATE = 0.95, 0.95, 1e-3
 SHOWN, WIDTH, THRESHOLD = 0.05, 512, 0.9  # of all states, by the expert; of the layers; of the stop
+
+Rows = dict[str, Tensor]  # of frames, by what they say
+Shown = tuple[Tensor, Tensor, Tensor]  # state, goal and action of each demonstration
 
 
 class Room:
@@ -48,9 +47,9 @@ class Room:
         template = features[surrounding].flatten(1)
         template = F.normalize(template - template.mean(1, keepdim=True), dim=1)
         self.stop = template @ template[self.goals].T > THRESHOLD  # [N, goals]
-        edges = (self.graph.flatten().numpy(), states.repeat_interleave(4).numpy())  # backwards, from after to before
-        back = csr_array((np.ones(graph.numel()), edges), shape=(len(states), len(states)))
-        self.distance = torch.from_numpy(dijkstra(back, unweighted=True, indices=self.goals.numpy()).T)  # [N, goals]
+        self.distance = torch.where(states[:, None] == self.goals, 0.0, torch.inf)  # in actions, [N, goals]
+        for _ in states:
+            self.distance = torch.minimum(self.distance, 1 + self.distance[self.graph].amin(1))
         self.distance[self.distance.isinf()] = -1  # the goal cannot be reached
 
     def starts(self, count: int) -> tuple[Tensor, Tensor]:
@@ -79,16 +78,16 @@ class Policy(nn.Module):
         return self.actor(hidden), self.critic(hidden).squeeze(1)
 
 
-def demonstrate(room: Room) -> tuple[Tensor, Tensor, Tensor]:
+def demonstrate(room: Room) -> Shown:
     """3.3: the expert shows the first action of a shortest path, in a few states, for every goal."""
     shown = torch.randperm(len(room.graph))[: round(SHOWN * len(room.graph))]
-    state, goal = torch.cartesian_prod(shown, torch.arange(len(room.goals))).T
-    state, goal = (rows[room.distance[state, goal] > 0] for rows in (state, goal))
+    place, goal = torch.nonzero(room.distance[shown] > 0).T
+    state = shown[place]
     nearer = room.distance[room.graph[state], goal[:, None]] == room.distance[state, goal][:, None] - 1
     return state, goal, torch.multinomial(nearer.float(), 1).squeeze(1)
 
 
-def imitate(policy: Policy, shown: tuple[Tensor, Tensor, Tensor]) -> None:
+def imitate(policy: Policy, shown: Shown) -> None:
     """3.3: clone the expert, by the cross-entropy (12) of the softmax (11) of the logits."""
     state, goal, action = shown
     optimiser = torch.optim.Adam(policy.parameters(), lr=3e-4)
@@ -102,7 +101,7 @@ def imitate(policy: Policy, shown: tuple[Tensor, Tensor, Tensor]) -> None:
 
 
 @torch.no_grad()
-def walk(policy: Policy, state: Tensor, goal: Tensor, age: Tensor) -> tuple[dict[str, Tensor], tuple[Tensor, ...]]:
+def walk(policy: Policy, state: Tensor, goal: Tensor, age: Tensor) -> tuple[Rows, tuple[Tensor, ...]]:
     """3.2: let every agent take some steps; a new episode begins where one ends, at the goal or at the limit."""
     room, steps = policy.room, []
     for _ in range(STEPS):
@@ -110,8 +109,7 @@ def walk(policy: Policy, state: Tensor, goal: Tensor, age: Tensor) -> tuple[dict
         after, age = room.graph[state, action], age + 1
         arrived = after == room.goals[goal]
         reward = torch.where(arrived, 10.0, torch.where(after == state, -0.1, -0.01)) * 0.1  # 4.2, scaled
-        cut = ~arrived & (age >= LIMIT)
-        over = arrived | cut
+        over = arrived | (age >= LIMIT)
         step = {"state": state, "goal": goal, "action": action, "after": after}
         steps.append(step | {"reward": reward, "arrived": arrived, "over": over})
         fresh, fresh_goal = room.starts(len(state))
@@ -121,22 +119,18 @@ def walk(policy: Policy, state: Tensor, goal: Tensor, age: Tensor) -> tuple[dict
 
 
 @torch.no_grad()
-def advantages(policy: Policy, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+def advantages(policy: Policy, batch: Rows) -> tuple[Tensor, Tensor]:
     """The error (6) of the values, and their targets (5); with LAMBDA < 1 averaged over all numbers of steps."""
     goal, shape = batch["goal"].flatten(), batch["reward"].shape
     value, following = (policy(batch[key].flatten(), goal)[1].view(shape) for key in ("state", "after"))
     error = batch["reward"] + GAMMA * following * ~batch["arrived"] - value  # (4), less the value
-    advantage = torch.zeros(shape)
-    running = torch.zeros(shape[1])
-    for step in reversed(range(STEPS)):
-        running = error[step] + GAMMA * LAMBDA * running * ~batch["over"][step]
-        advantage[step] = running
+    advantage = error.clone()
+    for step in reversed(range(STEPS - 1)):
+        advantage[step] += GAMMA * LAMBDA * advantage[step + 1] * ~batch["over"][step]
     return advantage.flatten(), (advantage + value).flatten()
 
 
-def losses(
-    policy: Policy, batch: dict[str, Tensor], shown: tuple[Tensor, Tensor, Tensor], left: float
-) -> dict[str, Tensor]:
+def losses(policy: Policy, batch: Rows, shown: Shown, left: float) -> Rows:
     """What is minimised while a fraction ``left`` of the training, 1 to 0, is still to come."""
     advantage, target = advantages(policy, batch)
     state, goal, action = shown
@@ -152,7 +146,7 @@ def losses(
     }
 
 
-def reinforce(policy: Policy, shown: tuple[Tensor, Tensor, Tensor], total: int) -> None:
+def reinforce(policy: Policy, shown: Shown, total: int) -> None:
     """3.2: walk, and improve actor and critic, again and again."""
     optimiser = torch.optim.Adam(policy.parameters(), lr=RATE, eps=1e-5)
     agents: tuple[Tensor, ...] = (*policy.room.starts(AGENTS), torch.zeros(AGENTS, dtype=torch.int64))
@@ -172,18 +166,14 @@ def evaluate(policy: Policy) -> dict[str, float]:
     """4.3: walk from every start to every goal, greedily, until template matching (3.4) says that it is there."""
     room = policy.room
     start, goal = torch.nonzero(room.distance > 0).T
-    state, steps = start.clone(), torch.full((len(start),), float(LIMIT))
-    found, walking = torch.zeros(len(start), dtype=torch.bool), torch.arange(len(start))
+    state, steps = start, torch.full((len(start),), float(LIMIT))
+    found, walking = torch.zeros(len(start), dtype=torch.bool), torch.ones(len(start), dtype=torch.bool)
     for step in range(1, LIMIT + 1):
-        at, to = state[walking], goal[walking]
-        at = room.graph[at, policy(at, to)[0].argmax(1)]
-        stops, right = room.stop[at, to], at == room.goals[to]
-        state[walking] = at
-        found[walking] = stops & right  # a stop anywhere else is a failure
-        steps[walking[stops & right]] = step
-        walking = walking[~stops]
-        if not len(walking):
-            break
+        state = room.graph[state, policy(state, goal)[0].argmax(1)]
+        stops = walking & room.stop[state, goal]
+        arrives = stops & (state == room.goals[goal])  # a stop anywhere else is a failure
+        found, walking = found | arrives, walking & ~stops
+        steps[arrives] = step
     shortest = room.distance[start, goal]
     spl = found * shortest / torch.maximum(steps, shortest)
     return {"sr": found.float().mean().item(), "spl": spl.mean().item(), "atl": steps.mean().item()}
@@ -207,7 +197,5 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--frames", type=int, default=200_000)
     options = parser.parse_args()
-    began = time.perf_counter()
-    measures = train(options.room, options.seed, options.frames)
-    shown_measures = ", ".join(f"{name.upper()} {value:.3f}" for name, value in measures.items())
-    print(f"{options.frames} frames, {time.perf_counter() - began:.0f} s: {shown_measures}")
+    for name, value in train(options.room, options.seed, options.frames).items():
+        print(f"{name.upper()} {value:.3f}")

@@ -1,9 +1,5 @@
 """Training in a simulator: agents in turns, views that are encoded when they are seen, moves that go wrong."""
 
-from ctypes.util import find_library
-from dataclasses import replace
-from importlib.util import find_spec
-
 import numpy as np
 import pytest
 import torch
@@ -19,7 +15,6 @@ from dirl.models import FeatureTable
 from dirl.scenes import make_world, write_dump
 from dirl.scenes.live import Pose
 from dirl.scenes.scene import Scene, SceneError
-from dirl.sources.miniworld import MiniWorld
 from dirl.sources.simulators import take_scene
 from dirl.training import live
 from dirl.training.live import Live, live_protocol, open_live
@@ -179,8 +174,6 @@ def test_the_recipe_trains_and_the_navigator_is_evaluated_in_it(options):
     ("option", "message"),
     [
         ("observation=sequential", "use observation=surrounding"),
-        ("reinforcement.workers=2", "use reinforcement.workers=1"),
-        ("imitation.rounds=1", "use imitation.rounds=0"),
         ("stop.training=match", "use stop.training=goal"),
         ("env.views=100", "6 agents see up to 336 views between updates; give env.views"),
     ],
@@ -188,23 +181,3 @@ def test_the_recipe_trains_and_the_navigator_is_evaluated_in_it(options):
 def test_what_is_impossible_in_a_simulator_is_one_line(options, option, message):
     with pytest.raises(ConfigError, match=message):
         train_state(make_parts(*options, option))
-
-
-def test_another_simulator_than_the_scenes_is_one_line():
-    with pytest.raises(ConfigError, match=r"simulator=f\.yaml: is of field; .* is of "):
-        live.check_simulator(Field(), replace(field_scene(), name="other"), "f.yaml")
-
-
-def test_agents_in_miniworld_see_what_its_dump_shows():
-    if not find_spec("miniworld") or not find_library("EGL"):
-        pytest.skip("the extra miniworld, or EGL, is not installed")
-    simulator = MiniWorld("MazeS3", seed=1, height=12, width=16)
-    scene, _ = take_scene(simulator, source="miniworld", step=1.0, turn=90, most=4)
-    world = make_world([encoded(scene, simulator, goals=(0,))])
-    table = FeatureTable(world.features, room=200)
-    env = LiveEnv(world, 3, simulator=simulator, encode=encode, table=table, views=200)
-    steps = walk(env, 20)
-    around = world.surrounding[steps["state"]]
-    known = (env.places[steps["state"]] - steps["pose"]).abs().amax(-1) < 1e-9
-    assert known.any()
-    assert torch.equal(table.table[steps["view_ids"]][known], world.features[around][known])

@@ -1,5 +1,3 @@
-import math
-
 import pytest
 import torch
 from networks import (
@@ -12,7 +10,6 @@ from networks import (
     seen,
     standardised_policy,
 )
-from torch import nn
 from torchrl.modules import set_recurrent_mode
 
 from dirl.models import count_parameters, initial_state, plain_weights, recurrent_keys
@@ -67,23 +64,6 @@ def test_batches_of_agents_and_time_are_read_as_rows(policy, cached):
 def test_the_published_network_has_its_number_of_parameters():
     made = make_policy(torch.zeros(1, 2048), ["a", "b", "c", "d"], width=512)
     assert count_parameters(made) == 5_780_500
-
-
-def test_weights_and_biases_start_within_one_over_the_root_of_fan_in():
-    made = make_policy(torch.zeros(1, 64), SCENES, width=64)
-    layers = [module for module in made.modules() if isinstance(module, nn.Linear)]
-    assert len(layers) == 3 + 3 * len(SCENES)
-    fan_in = {layer: layer.in_features for layer in layers}
-    for half in (made.encoder.fusion, made.encoder.goal_fusion):
-        fan_in[half] *= 2
-    biases = []
-    for layer, inputs in fan_in.items():
-        bound = 1 / math.sqrt(inputs)
-        assert 0.9 * bound < layer.weight.abs().max() <= bound
-        biases += [] if layer.bias is None else [layer.bias / bound]
-    biases = torch.cat(biases)
-    assert biases.abs().max() <= 1
-    assert biases.abs().max() > 0.9
 
 
 def test_its_plain_weights_are_those_without_what_makes_it_fast(policy):

@@ -44,12 +44,6 @@ def test_a_square_closes_by_motion_alone():
     assert (places.node[0] // 4).unique().tolist() == [0, 1, 2, 3]
 
 
-def test_a_triangle_closes_over_the_diagonal():
-    corner = [(RIGHT, {})] * 3
-    places = walk(LocalisingMemory(), (AHEAD, {}), *corner, (AHEAD, {}), *corner, (AHEAD, {}), turns=8)
-    assert places.here.item() == 6
-
-
 def test_a_blocked_move_is_known_by_what_is_seen():
     moved = walk(LocalisingMemory(), (AHEAD, {0: -3.0}))
     blocked = walk(LocalisingMemory(), (AHEAD, {0: 3.0}))
@@ -108,14 +102,6 @@ def test_what_is_somewhat_like_the_goal_is_left_to_see_its_neighbours_and_return
     assert position == (0, 0)
     assert facing % 4 == 0
     assert sum(action in (AHEAD, BACK) for action in actions) == 8  # four neighbours, there and back
-
-
-def test_an_equal_elsewhere_keeps_an_agent_from_stopping():
-    memory = LocalisingMemory()
-    alone = walk(memory, (AHEAD, {0: -3.0}), goal={1: {0: 5.0}})
-    twice = walk(memory, (AHEAD, {0: -3.0}), goal={0: {0: 4.9}, 1: {0: 5.0}})
-    assert memory.stops(alone).item()
-    assert not memory.stops(twice).item()
 
 
 def test_who_knows_the_whole_place_stops_at_the_most_probable_node():

@@ -38,16 +38,13 @@ def test_imitation_alone_learns_what_the_expert_shows(tmp_path):
     assert after["spl"] == 1
 
 
-@pytest.mark.parametrize(
-    ("how", "spl"), [(["objective=a2c"], 0.85), (["objective=ppo"], 0.85), (GRU, 0.75)], ids=["a2c", "ppo", "gru"]
-)
-def test_reinforcement_alone_finds_every_goal(tmp_path, how, spl):
-    options = ["imitation.fraction=0", "optimiser.lr=4e-3", *how]
+def test_reinforcement_alone_finds_every_goal(tmp_path):
+    options = ["imitation.fraction=0", "optimiser.lr=4e-3", *GRU]
     sizes = ["reinforcement.frames_per_scene=20_000", "reinforcement.agents_per_scene=40"]
     before, after = learn(tmp_path, *options, *sizes)
     assert before["sr"] < 0.5
     assert after["sr"] == 1
-    assert after["spl"] > spl
+    assert after["spl"] > 0.75
 
 
 @pytest.fixture

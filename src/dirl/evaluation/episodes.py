@@ -46,6 +46,13 @@ class Episodes:
         never = (torch.zeros_like(start, dtype=torch.bool) for _ in range(3))
         return cls(goal_index, start, shortest, torch.full_like(start, max_steps), *never)
 
+    def record(self, episode: Tensor, at_goal: Tensor, stopped: Tensor, step: int) -> None:
+        """Note where agents stopped after a step, or should have, bool ``[W]``, of episodes int64 ``[W]``."""
+        self.success[episode] = stopped & at_goal
+        self.false_stop[episode] = stopped & ~at_goal
+        self.missed_stop[episode] |= at_goal & ~stopped
+        self.steps[episode[stopped & at_goal]] = step
+
     def select(self, chosen: Tensor) -> "Episodes":
         """Some of the episodes, by mask or index."""
         return Episodes(*(value[chosen] for value in vars(self).values()))
@@ -204,7 +211,13 @@ def run_episodes(
             besides = None if photos else goals // len(world.goals)
             return drawn_looks(state, len(world), world, generator, besides, looks)
 
-        for walking in _together(start, world, memory is not None, maps is not None):
+        all_episodes = torch.arange(len(start), device=world.device)
+        # A memory of many episodes takes much space until they have ended.
+        together = list(all_episodes.split(MANY if memory is not None else max(1, len(start))))
+        if maps is not None:
+            scene_of_start = world.scene_of[start]
+            together = [all_episodes[scene_of_start == scene] for scene in scene_of_start.unique()]
+        for walking in together:
             here, goals = start[walking], wanted[walking]
             ahead = ahead_in(here, goals)
             walk = AgentBatch(known, walking, goals, here, ahead, observation.reset_view_ids(ahead))
@@ -220,7 +233,7 @@ def run_episodes(
                 state = world.graph[walk.state, action]
                 walk = walk.after(state, ahead_in(state, walk.wanted))
                 stopped = agent.arrive(walk)
-                _record(episodes, walk, stopped, step)
+                episodes.record(walk.episode, walk.state == world.goals[goal_index[walk.episode]], stopped, step)
                 if watch is not None:
                     watch(walk.episode, walk.state, action)
                 going = torch.nonzero(~stopped).flatten()
@@ -230,24 +243,6 @@ def run_episodes(
                 agent.select(going)
                 walk = walk.select(going)
     return episodes
-
-
-def _record(episodes: Episodes, walk: AgentBatch, stopped: Tensor, step: int) -> None:
-    """Note where the agents stopped, bool ``[W]``, or should have."""
-    at_goal = walk.state == walk.known.world.goals[episodes.goal_index[walk.episode]]
-    episodes.success[walk.episode] = stopped & at_goal
-    episodes.false_stop[walk.episode] = stopped & ~at_goal
-    episodes.missed_stop[walk.episode] |= at_goal & ~stopped
-    episodes.steps[walk.episode[stopped & at_goal]] = step
-
-
-def _together(start: Tensor, world: World, memory: bool, maps: bool) -> list[Tensor]:
-    """The episodes that are walked at the same time, by their places in ``start``."""
-    episodes = torch.arange(len(start), device=world.device)
-    if maps:
-        return [episodes[world.scene_of[start] == scene] for scene in world.scene_of[start].unique()]
-    # A memory of many episodes takes much space until they have ended.
-    return list(episodes.split(MANY if memory else max(1, len(start))))
 
 
 def drawn_looks(

@@ -116,9 +116,6 @@ class Cacheable(Protocol):
     def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
         """``[B, E]`` twice, to ``[B, width]``."""
 
-    def parameters(self) -> Iterator[nn.Parameter]:
-        """As of every module."""
-
 
 class Embeddings:
     """The embeddings of the observations that have been asked for, with the graph that leads to them.
@@ -179,7 +176,6 @@ class CachedEncoder(nn.Module):
         self.register_buffer("surrounding", surrounding, persistent=False)
         self._keeps = self._learns = False
         self._kept: tuple[Embeddings, Embeddings] | None = None
-        self._versions: list[int] = []
 
     surrounding: Tensor | None
 
@@ -210,14 +206,10 @@ class CachedEncoder(nn.Module):
         return self.keys.unpack(keys) if self.surrounding is None else self.surrounding[keys]
 
     def _valid(self) -> tuple[Embeddings, Embeddings]:
-        """The embeddings of observations and of goals, new ones if the weights have changed.
-
-        Each change in place counts a tensor's version up.
-        """
+        """The embeddings of observations and of goals: kept in a context, until a loss has gone back through them."""
         encoder, table = self._wrapped
         learns = torch.is_grad_enabled() or self._learns
-        versions = [parameter._version for parameter in encoder.parameters()]
-        if self._kept is None or not self._keeps or versions != self._versions or learns > self._kept[0].learns:
+        if self._kept is None or not self._keeps or learns > self._kept[0].learns:
             # To find what is distinct, the CPU would wait for a GPU: there all observations are embedded at once.
             known = self.surrounding if reading_waits(table.table) else None
             every = None if known is None else len(known)
@@ -227,7 +219,7 @@ class CachedEncoder(nn.Module):
 
             observed = embeddings(encoder.embed)
             wanted = embeddings(encoder.embed_goal) if hasattr(encoder, "embed_goal") else observed
-            self._kept, self._versions = (observed, wanted), versions
+            self._kept = (observed, wanted)
         return self._kept
 
     @contextmanager
@@ -240,7 +232,7 @@ class CachedEncoder(nn.Module):
             self._keeps, self._learns, self._kept = False, False, None
 
     def caching(self) -> AbstractContextManager[None]:
-        """A context for learning, in which embeddings are kept until the weights change or a loss has read them."""
+        """A context for learning, in which embeddings are kept until a loss has read them; then weights may change."""
         return self._keeping(learns=True)
 
     def frozen(self) -> AbstractContextManager[None]:

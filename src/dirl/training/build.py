@@ -52,7 +52,6 @@ from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.scene import turns_of
 from dirl.scenes.world import Goals
-from dirl.training.live import is_live, open_live
 from dirl.training.objectives import (
     ImitationLoss,
     Losses,
@@ -94,6 +93,11 @@ def build_world(config: TrainConfig, extractor: str | None = None) -> World:
 def build_goals(config: TrainConfig, scenes: Sequence[Scene]) -> ChosenGoals:
     """Which goals are trained and which are held out."""
     return choose_goals(scenes, config.goals, config.hold_out, config.seed)
+
+
+def is_live(config: TrainConfig) -> bool:
+    """True if a run is in a simulator."""
+    return config.env.get("simulator") is not None
 
 
 def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
@@ -138,6 +142,8 @@ def build_env(
     offered: dict[str, Any] = {}
     live = is_live(config)
     if live:
+        from dirl.training.live import open_live  # late: with it comes all that a navigator needs
+
         simulator, encode = open_live(config, world, observation)
         options = {**options, "simulator": simulator}
         offered = {"encode": encode, "table": policy.features, "front": observation.goal_view == GoalView.front}

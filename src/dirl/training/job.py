@@ -42,11 +42,11 @@ from dirl.training.build import (
     build_world,
     describe,
     initial_weights,
+    is_live,
     learning_policy,
     try_losses,
     with_architecture,
 )
-from dirl.training.live import is_live, live_protocol, open_live
 from dirl.training.loops import TrainState, noticing_divergence
 from dirl.training.objectives import Losses
 from dirl.training.pairs import Demonstrations
@@ -156,6 +156,8 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None, like: C
     else:
         protocol = replace(like.protocol, seed=run.config.seed)
     if is_live(run.config):
+        from dirl.training.live import live_protocol, open_live  # late, see `build_env`
+
         live = open_live(run.config, world, observation)
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
     state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None

@@ -28,11 +28,6 @@ class Live(NamedTuple):
     encode: Remembered
 
 
-def is_live(config: TrainConfig) -> bool:
-    """True if a run is in a simulator."""
-    return config.env.get("simulator") is not None
-
-
 def open_live(config: TrainConfig, world: World, observation: SurroundingViews) -> Live:
     """The simulator of a run, the same at each call.
 

@@ -14,7 +14,6 @@ from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase, dispatch
 from torch import Tensor, nn
 from torch.distributions import Categorical
-from torch.nn.utils import clip_grad_norm_, get_total_norm
 from torch.optim import Optimizer
 from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import LossModule
@@ -350,6 +349,7 @@ def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: boo
             yield from (rows[part] for part in torch.randperm(len(rows)).chunk(count))
 
 
+@torch.no_grad()
 def clip_gradients(
     parameters: list[nn.Parameter], max_norm: float, *, per_variable: bool, stacked: bool = False
 ) -> Tensor:
@@ -360,19 +360,12 @@ def clip_gradients(
     Returns:
         The norm of all together as it was before, float32 ``[]``, or ``[R]``.
     """
-    if stacked:
-        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
-        norms = [gradient.flatten(1).norm(dim=1) for gradient in gradients]
-        norm = torch.stack(norms).norm(dim=0)
-        together = (max_norm / (norm + 1e-6)).clamp(max=1)
-        for gradient, own in zip(gradients, norms, strict=True):
-            scale = max_norm / own.clamp(min=max_norm) if per_variable else together
-            gradient.mul_(scale.view(-1, *[1] * (gradient.ndim - 1)))
-        return norm
-    if not per_variable:
-        return clip_grad_norm_(parameters, max_norm)
-    norm = get_total_norm([parameter.grad for parameter in parameters if parameter.grad is not None])
-    clip_each(parameters, max_norm)
+    gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+    norms = [gradient.flatten(int(stacked)).norm(dim=-1) for gradient in gradients]
+    norm = torch.stack(norms).norm(dim=0)
+    for gradient, own in zip(gradients, norms, strict=True):
+        scale = max_norm / own.clamp(min=max_norm) if per_variable else (max_norm / (norm + 1e-6)).clamp(max=1)
+        gradient.mul_(scale.view(*scale.shape, *[1] * (gradient.ndim - scale.ndim)))
     return norm
 
 
@@ -383,15 +376,6 @@ def set_learning_rate(optimiser: Any, rate: Any) -> None:
             group["lr"].copy_(rate)
         else:
             group["lr"] = rate
-
-
-@torch.no_grad()
-def clip_each(parameters: Iterable[Tensor], max_norm: float) -> None:
-    """Scale the gradient of each variable by itself to at most ``max_norm`` (TensorFlow's ``clip_by_norm``)."""
-    for parameter in parameters:
-        if parameter.grad is not None:
-            norm = parameter.grad.norm()
-            parameter.grad.mul_(max_norm / norm.clamp(min=max_norm))
 
 
 class TFRMSprop(Optimizer):
@@ -412,12 +396,8 @@ class TFRMSprop(Optimizer):
         super().__init__(params, {"lr": lr, "alpha": alpha, "eps": eps})
 
     @torch.no_grad()
-    def step(self, closure: Callable[[], float] | None = None) -> float | None:  # type: ignore[override]
+    def step(self, closure: None = None) -> None:  # type: ignore[override]
         """Update every parameter that has a gradient."""
-        loss = None
-        if closure is not None:
-            with torch.enable_grad():
-                loss = closure()
         for group in self.param_groups:
             parameters = [p for p in group["params"] if p.grad is not None]
             if not parameters:
@@ -432,4 +412,3 @@ class TFRMSprop(Optimizer):
             roots = torch._foreach_add(squares, group["eps"])
             torch._foreach_sqrt_(roots)
             torch._foreach_addcdiv_(parameters, gradients, roots, -group["lr"])
-        return loss
