@@ -23,7 +23,6 @@ KINDS = {
     "sequential": ["observation=sequential", "preset=paper", "reinforcement.max_steps=9"],
     "gru": ["memory=gru", "memory.hidden_size=8"],
     "ppo": ["objective=ppo", "reinforcement.minibatches=3"],
-    "uncached": ["network.cache=off"],
 }
 
 
@@ -201,7 +200,6 @@ def test_a_training_that_diverges_ends_in_one_line(tmp_path, options, says):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["optimiser.betas=[0.9]"], r"^optimiser\.betas=\[0\.9\]: \[1\]: is missing$"),
         (
             ["optimiser.foreach=true"],
             r"^optimiser: Adam refuses its options: `fused` and `foreach` cannot be `True` tog",
@@ -211,7 +209,7 @@ def test_a_training_that_diverges_ends_in_one_line(tmp_path, options, says):
             r"^expert: RandomPolicy is no expert: it writes no ",
         ),
     ],
-    ids=["betas", "foreach", "expert"],
+    ids=["foreach", "expert"],
 )
 def test_a_component_that_cannot_be_made_is_one_line(tmp_path, options, says):
     with pytest.raises(ConfigError, match=says):

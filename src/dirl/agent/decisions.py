@@ -55,14 +55,15 @@ def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews)
     seen, answered = EmbeddingCache(), EmbeddingCache()
 
     def decide(episode: Tensor, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        row = seen.places(keys.pack(view_ids), lambda new: (keys.unpack(new),))
+        row = seen.places(keys.pack(view_ids), keys.unpack)
 
-        def answer(cases: Tensor) -> tuple[Tensor]:
-            goal, views = cases % goals, seen.rows[0][cases // goals]
-            return (policy(observe(world, observation, views[:, -1], views, goal))["logits"],)
+        def answer(cases: Tensor) -> Tensor:
+            goal, views = cases % goals, seen.rows[cases // goals]
+            logits: Tensor = policy(observe(world, observation, views[:, -1], views, goal))["logits"]
+            return logits
 
         place = answered.places(row * goals + wanted, answer)
-        return answered.rows[0][place]
+        return answered.rows[place]
 
     return decide
 

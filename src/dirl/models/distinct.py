@@ -22,42 +22,43 @@ def reading_waits(tensor: Tensor) -> bool:
 
 
 class EmbeddingCache:
-    """A cache of rows by key, each computed once; valid until the weights that compute them change.
+    """A cache of rows by key, each computed once.
 
     Args:
         every: compute the rows of all keys below this number at the first use, which saves looking up what is known
             (and on a GPU a host-device synchronisation); None to compute what is needed.
+        learns: keep the graph that leads to the rows.
     """
 
-    def __init__(self, every: int | None = None) -> None:
-        self.every = every
+    def __init__(self, every: int | None = None, *, learns: bool = False) -> None:
+        self.every, self.learns = every, learns
         self.keys = torch.empty(0, dtype=torch.int64)
         """Of the rows, int64 ``[R]``, in the order of their first use."""
-        self.rows: tuple[Tensor, ...] = ()
-        """What was computed for them, float ``[R, F]`` each."""
+        self.rows = torch.empty(0)
+        """What was computed for them, ``[R, ...]``."""
         self._sorted = self._places = self.keys
 
-    @torch.no_grad()
-    def places(self, keys: Tensor, compute: Callable[[Tensor], tuple[Tensor, ...]]) -> Tensor:
+    def places(self, keys: Tensor, compute: Callable[[Tensor], Tensor]) -> Tensor:
         """The place among the rows of each key, int64 ``[K]`` to ``[K]``; missing rows are computed."""
-        if self.every is not None:
-            if not self.rows:
-                self.keys = torch.arange(self.every, device=keys.device)
+        with torch.set_grad_enabled(self.learns):
+            if self.every is not None:
+                if not len(self.keys):
+                    self.keys = torch.arange(self.every, device=keys.device)
+                    self.rows = compute(self.keys)
+                return keys
+            if not len(self.keys):
+                self.keys, inverse = torch.unique(keys, return_inverse=True)
                 self.rows = compute(self.keys)
-            return keys
-        if not self.rows:
-            self.keys, inverse = torch.unique(keys, return_inverse=True)
-            self.rows = compute(self.keys)
-            self._sorted, self._places = self.keys, torch.arange(len(self.keys), device=keys.device)
-            return inverse
-        at = torch.searchsorted(self._sorted, keys).clamp_(max=len(self._sorted) - 1)
-        new = torch.unique(keys[self._sorted[at] != keys])
-        if len(new):
-            self.keys = torch.cat([self.keys, new])
-            self.rows = tuple(torch.cat(pair) for pair in zip(self.rows, compute(new), strict=True))
-            self._sorted, self._places = torch.sort(self.keys)
-            at = torch.searchsorted(self._sorted, keys)
-        return self._places[at]
+                self._sorted, self._places = self.keys, torch.arange(len(self.keys), device=keys.device)
+                return inverse
+            at = torch.searchsorted(self._sorted, keys).clamp_(max=len(self._sorted) - 1)
+            new = torch.unique(keys[self._sorted[at] != keys])
+            if len(new):
+                self.keys = torch.cat([self.keys, new])
+                self.rows = torch.cat([self.rows, compute(new)])
+                self._sorted, self._places = torch.sort(self.keys)
+                at = torch.searchsorted(self._sorted, keys)
+            return self._places[at]
 
 
 class Keys:
@@ -85,10 +86,7 @@ class Keys:
         """The keys of rows, int64 ``[B, V]`` to ``[B]``."""
         if self.halves:
             parts = zip(self.halves, view_ids.split([half.slots for half, _ in self.halves], 1), strict=True)
-            first, second = (
-                numbers.places(half.pack(part), lambda keys, half=half: (half.unpack(keys),))  # type: ignore[misc]
-                for (half, numbers), part in parts
-            )
+            first, second = (numbers.places(half.pack(part), half.unpack) for (half, numbers), part in parts)
             return first << 32 | second
         keys = view_ids[:, 0].contiguous()
         for slot in range(1, self.slots):
@@ -99,7 +97,7 @@ class Keys:
         """The rows that keys of `pack` stand for, int64 ``[R]`` to ``[R, V]``."""
         if self.halves:
             places = (keys >> 32, keys & (2**32 - 1))
-            return torch.cat([n.rows[0][place] for (_, n), place in zip(self.halves, places, strict=True)], 1)
+            return torch.cat([n.rows[place] for (_, n), place in zip(self.halves, places, strict=True)], 1)
         return torch.stack([keys // self.ids**power % self.ids for power in reversed(range(self.slots))], -1)
 
 
@@ -115,33 +113,6 @@ class Cacheable(Protocol):
 
     def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
         """``[B, E]`` twice, to ``[B, width]``."""
-
-
-class Embeddings:
-    """The embeddings of the observations that have been asked for, with the graph that leads to them.
-
-    Args:
-        embed: from keys of observations, int64 ``[K]``, to ``[K, E]``.
-        every: see `EmbeddingCache`.
-        learns: True if the graph is needed.
-    """
-
-    def __init__(self, embed: Callable[[Tensor], Tensor], every: int | None, *, learns: bool) -> None:
-        self.embed, self.learns = embed, learns
-        self.cache = EmbeddingCache(every)
-        self.parts: list[Tensor] = []
-        """The rows of the cache with their graph, part by part as they were computed."""
-
-    def __call__(self, keys: Tensor) -> Tensor:
-        """The embedding of each key, int64 ``[K]`` to ``[K, E]``."""
-        place = self.cache.places(keys, self._compute)
-        rows = torch.cat(self.parts) if torch.is_grad_enabled() else self.cache.rows[0]
-        return rows.index_select(0, place)
-
-    def _compute(self, keys: Tensor) -> tuple[Tensor]:
-        with torch.set_grad_enabled(self.learns):
-            self.parts.append(self.embed(keys))
-        return (self.parts[-1].detach(),)
 
 
 class CachedEncoder(nn.Module):
@@ -175,24 +146,41 @@ class CachedEncoder(nn.Module):
             surrounding = torch.cat([surrounding, front_only(surrounding, len(table))])
         self.register_buffer("surrounding", surrounding, persistent=False)
         self._keeps = self._learns = False
-        self._kept: tuple[Embeddings, Embeddings] | None = None
+        self._kept: tuple[EmbeddingCache, EmbeddingCache] | None = None
+        """Of observations and of goals; in a context, until a loss has gone back through them."""
 
     surrounding: Tensor | None
 
     def forward(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
         """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
-        encoder, _ = self._wrapped
+        encoder, table = self._wrapped
+        learns = torch.is_grad_enabled() or self._learns
         if not self._keeps:
             self.keys.forget()
-        keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
-        observed, wanted = self._valid()
+        if self._kept is None or not self._keeps or learns > self._kept[0].learns:
+            # To find what is distinct, the CPU would wait for a GPU: there all observations are embedded at once.
+            known = self.surrounding if reading_waits(table.table) else None
+            every = None if known is None else len(known)
+            self._kept = EmbeddingCache(every, learns=learns), EmbeddingCache(every, learns=learns)
+        seen, shown = self._kept
         if torch.is_grad_enabled():
             self._kept = None  # a graph is gone back through once
-        if wanted is observed:
-            seen, shown = observed(torch.cat([keys, goal_keys])).split(len(keys))
-        else:
-            seen, shown = observed(keys), wanted(goal_keys)
-        return encoder.fuse(seen, shown)
+        keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
+        if not hasattr(encoder, "embed_goal"):  # observations and goals are embedded alike
+            both = self._embedded(seen, encoder.embed, torch.cat([keys, goal_keys]))
+            return encoder.fuse(*both.split(len(keys)))
+        observed = self._embedded(seen, encoder.embed, keys)
+        return encoder.fuse(observed, self._embedded(shown, encoder.embed_goal, goal_keys))
+
+    def _embedded(self, cache: EmbeddingCache, embed: Callable[[Tensor], Tensor], keys: Tensor) -> Tensor:
+        """The embedding of each key, int64 ``[K]`` to ``[K, E]``, by a cache."""
+        table = self._wrapped[1]
+
+        def compute(new: Tensor) -> Tensor:
+            return embed(table(self.keys.unpack(new) if self.surrounding is None else self.surrounding[new]))
+
+        place = cache.places(keys, compute)
+        return cache.rows.index_select(0, place)
 
     def _pack(self, view_ids: Tensor) -> Tensor:
         """A key for each observation, int64 ``[B, 4]`` to ``[B]``."""
@@ -200,27 +188,6 @@ class CachedEncoder(nn.Module):
         if self.front:  # states first, then goals of which only the front view is known
             return view_ids[:, 0] + unknown * (view_ids[:, 1] == unknown)
         return self.keys.pack(view_ids[:, : self.keys.slots])
-
-    def _views(self, keys: Tensor) -> Tensor:
-        """The view ids of keys, int64 ``[R]`` to ``[R, 4]``."""
-        return self.keys.unpack(keys) if self.surrounding is None else self.surrounding[keys]
-
-    def _valid(self) -> tuple[Embeddings, Embeddings]:
-        """The embeddings of observations and of goals: kept in a context, until a loss has gone back through them."""
-        encoder, table = self._wrapped
-        learns = torch.is_grad_enabled() or self._learns
-        if self._kept is None or not self._keeps or learns > self._kept[0].learns:
-            # To find what is distinct, the CPU would wait for a GPU: there all observations are embedded at once.
-            known = self.surrounding if reading_waits(table.table) else None
-            every = None if known is None else len(known)
-
-            def embeddings(embed: Callable[[Tensor], Tensor]) -> Embeddings:
-                return Embeddings(lambda keys: embed(table(self._views(keys))), every, learns=learns)
-
-            observed = embeddings(encoder.embed)
-            wanted = embeddings(encoder.embed_goal) if hasattr(encoder, "embed_goal") else observed
-            self._kept = (observed, wanted)
-        return self._kept
 
     @contextmanager
     def _keeping(self, *, learns: bool) -> Iterator[None]:

@@ -213,6 +213,20 @@ def total_loss(losses: TensorDictBase) -> Tensor:
     return sum(value for key, value in losses.items() if key.startswith("loss_"))
 
 
+@dataclass
+class ImitationKeys:
+    """What a user of `ImitationLoss` may call otherwise, see ``LossModule.set_keys``."""
+
+    expert_action: NestedKey = "expert_action"
+
+
+@dataclass
+class OptimalActionsKeys:
+    """The same of `OptimalActionsLoss`."""
+
+    optimal_actions: NestedKey = "optimal_actions"
+
+
 class ImitationLoss(LossModule):
     """Cross-entropy between the expert's action and the actor's distribution (paper equation 12).
 
@@ -226,11 +240,7 @@ class ImitationLoss(LossModule):
     probable action is the expert's. In keys are the actor's and ``expert_action``, int64 ``[B]``.
     """
 
-    @dataclass
-    class _AcceptedKeys:
-        expert_action: NestedKey = "expert_action"
-
-    default_keys: Any = _AcceptedKeys
+    _AcceptedKeys = default_keys = ImitationKeys
     tensor_keys: Any
     out_keys = ("loss_imitation", "accuracy")
     functional = False
@@ -272,11 +282,7 @@ class OptimalActionsLoss(ImitationLoss):
     action is optimal. In keys are the actor's and ``optimal_actions``, bool ``[B, A]``.
     """
 
-    @dataclass
-    class _AcceptedKeys:
-        optimal_actions: NestedKey = "optimal_actions"
-
-    default_keys = _AcceptedKeys
+    _AcceptedKeys = default_keys = OptimalActionsKeys  # type: ignore[assignment]
 
     def _compare(self, dist: Categorical, expert: Tensor) -> tuple[Tensor, Tensor]:
         log_chance = dist.logits.log_softmax(-1).masked_fill(~expert, -torch.inf).logsumexp(-1)

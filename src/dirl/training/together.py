@@ -149,7 +149,11 @@ def run_together(jobs: Sequence[Job], stages: Stages, learn: Learn) -> list[dict
                 alike = (at, *components.state.losses.losses, len(components.demos).bit_length())  # type: ignore[union-attr]
                 stacks.setdefault(alike, {})[number] = (run, components)
         for members in stacks.values():
-            for number, result in zip(members, _run_stack(list(members.values()), learn), strict=True):
+            try:
+                found = _run_stack(list(members.values()), learn)
+            except RunError as error:  # the imitation of one has diverged, which a stack has in common
+                found = [error] * len(members)
+            for number, result in zip(members, found, strict=True):
                 results[number] = result
     for job, result in zip(jobs, results, strict=True):
         if isinstance(result, Exception):
