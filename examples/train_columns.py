@@ -1,4 +1,4 @@
-"""Train the network that compares frames, `dirl.agent.mapping.columns.ColumnNet`, in random mazes of VizDoom.
+"""Train the network that compares frames, `dirl.perception.columns.ColumnNet`, in random mazes of VizDoom.
 
     python examples/train_columns.py out=columns.pt        # needs dirl[vizdoom]
     python examples/train_columns.py out=try.pt mazes=2 frames=60 steps=3
@@ -20,8 +20,8 @@ from mazes import CELL, Maze, draw_maze, write_mazes
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dirl.agent.mapping.columns import BEARING, COLUMNS, UNIT, ColumnNet, images_of
-from dirl.agent.mapping.follow import AHEAD, BUTTONS, IDLE, TURN_LEFT, TURN_RIGHT
+from dirl.experiments.sptm import AHEAD, BUTTONS, IDLE, TURN_LEFT, TURN_RIGHT
+from dirl.perception.columns import BEARING, COLUMNS, UNIT, ColumnNet, images_of
 
 Frames, Poses, Depths = NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]
 

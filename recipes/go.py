@@ -32,11 +32,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dirl.agent.mapping.frames import Found, FrameMap, load_frames_map
+from dirl.agent.mapping.frames import Found, FrameMap, load_frames_map, load_matcher
 from dirl.agent.mapping.moves import Move, moves_along
 from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
-from dirl.perception.matching import Matcher
+from dirl.perception.matching import FrameMatcher
 from dirl.reporting.strips import draw_strip
 from dirl.reporting.walks import write_mcap, write_page
 from dirl.scenes.io.atomic import write_json
@@ -55,7 +55,7 @@ def main(options: Options) -> None:
         if file is not None:
             new_file(file, ending=ending)
     graph = load_frames_map(options.map)
-    matcher = Matcher(graph.kind)
+    matcher = load_matcher(graph.kind)
     here = None if options.start is None else locate(graph, matcher, "start", options.start)
     goal = locate(graph, matcher, "photo", options.photo)
     print("| photo | frame | second | points that agree | |\n|---|--:|--:|--:|---|")
@@ -96,7 +96,7 @@ def main(options: Options) -> None:
         print(f"mcap: {options.mcap}")
 
 
-def locate(graph: FrameMap, matcher: Matcher, option: str, sources: Any) -> Found:
+def locate(graph: FrameMap, matcher: FrameMatcher, option: str, sources: Any) -> Found:
     """Where a photo, several or a short video were taken."""
     names = [sources] if isinstance(sources, str) else list(sources)
     if len(names) == 1 and Path(names[0]).suffix.lower() not in (".jpg", ".jpeg", ".png", ".webp"):

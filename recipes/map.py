@@ -28,7 +28,10 @@ class Options:
     field_of_view: Annotated[float, Bounds(10, 150)] | None = option(
         "of the camera from left to right, degrees; null = as the photos tell, else 65", None
     )
-    points: str | None = option("what finds points: xfeat, sift, none; null = the best one that is installed", None)
+    points: str | None = option(
+        "what finds points: xfeat, sift, none, or columns (of walls in VizDoom); null = the best that is installed",
+        None,
+    )
     page: str | None = option("a new file (.html) in which to step through the map", None)
     route: str | None = option("a new file (.geojson) for Nav2's Route Server; needs odometry", None)
 
@@ -38,10 +41,9 @@ if __name__ == "__main__":
 
 from pathlib import Path
 
-from dirl.agent.mapping.frames import check_memory, find_links, map_recordings
+from dirl.agent.mapping.frames import check_memory, find_links, load_matcher, map_recordings
 from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
-from dirl.perception.matching import Matcher
 from dirl.reporting.walks import write_page, write_route
 from dirl.sources.video import Recording
 
@@ -67,7 +69,7 @@ def main(options: Options) -> None:
         if recording.left_out:
             print(f"{recording.source}: no images, left out: {', '.join(recording.left_out[:5])}")
     angle = options.field_of_view or recordings[0].field_of_view
-    matcher = Matcher(options.points)
+    matcher = load_matcher(options.points)
     graph = map_recordings(recordings, matcher, angle or FIELD_OF_VIEW, expected, progress=True)
     graph = replace(graph, links=find_links(graph, matcher, progress=True))
     graph.save(options.out)

@@ -18,7 +18,7 @@ from shown_goals import images_of, look_up, rooms, trained
 import dirl
 from dirl import Navigator
 from dirl.agent.decisions import observe
-from dirl.agent.navigator import NavigatorError
+from dirl.agent.navigator import UNRECOGNISED, NavigatorError
 from dirl.agent.onnx import export_onnx
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
@@ -87,14 +87,13 @@ def walk_until_stop(navigator, world, see, state, most):
     return walked, stopped
 
 
-@pytest.mark.parametrize("heads", ["scene", "shared"])
-@pytest.mark.parametrize("match", ["views", "front"])
-@pytest.mark.parametrize("observation", ["surrounding", "sequential"])
+@pytest.mark.parametrize(
+    ("observation", "match", "heads"),
+    [("surrounding", "views", "scene"), ("surrounding", "front", "shared"), ("sequential", "front", "scene")],
+)
 def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observation, match, heads):
     world = rooms(("grid", "other.room"))
     policy, seen = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}", f"heads={heads}")
-    if observation == "sequential":
-        match = "front"  # a single camera cannot compare four views
     threshold = 0.1  # low enough for false stops among random features
     stop = TemplateStop(threshold, match)(world)
     starts = every_start(world)
@@ -114,14 +113,12 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observatio
             assert stopped == bool(stop[world.pair(starts[0][episode], walked[-1])])
 
 
-@pytest.mark.parametrize("goal_view", ["surrounding", "front"])
 @pytest.mark.parametrize(
-    ("options", "memory"),
+    ("goal_view", "options", "memory"),
     [
-        (["episodic_memory=counts", "episodic_memory.penalty=1"], EpisodicMemory(penalty=1.0)),
-        (["episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3)),
+        ("surrounding", ["episodic_memory=counts", "episodic_memory.penalty=1"], EpisodicMemory(penalty=1.0)),
+        ("front", ["episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3)),
     ],
-    ids=["counts", "planning"],
 )
 def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path, goal_view, options, memory):
     world = rooms()
@@ -185,9 +182,7 @@ def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world
         load(run, world, recogniser="other")
 
 
-@pytest.mark.parametrize("arrows", [False, True])
-@pytest.mark.parametrize("panorama", [False, True])
-@pytest.mark.parametrize("turns", [8, 12])
+@pytest.mark.parametrize(("turns", "panorama", "arrows"), [(8, True, True), (8, False, True), (12, True, False)])
 def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, turns, panorama, arrows):
     world = make_world([grid_scene(3, 2, headings=turns, goals=(9,), blocked=[(0, 1)])])
     policy, seen = trained(tmp_path, world, "episodic_memory=planning")
@@ -216,19 +211,8 @@ def test_moves_that_are_possible_are_told_facing_each_view(run, world):
     assert navigator.act(views, possible=turns_right).action == 1
     with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found int64 \[4, 4\]$"):
         navigator.act(views, possible=turns_right.astype(int))
-    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found bool \[4\]$"):
-        navigator.act(views, possible=turns_right[0])
-    with pytest.raises(NavigatorError, match=r"^possible: expected bool \[4, 4\], found str \[\]$"):
-        navigator.act(views, possible="ahead")
     with pytest.raises(NavigatorError, match=r"^possible: expected bool \[1, 4, 4\], found bool \[4, 4\]$"):
         navigator.act(views[None], possible=torch.as_tensor(turns_right))
-
-
-def test_a_policy_of_the_last_views_is_told_what_is_possible_facing_ahead(sequential, world):
-    navigator = load(sequential, world)
-    navigator.reset(images_of(3))
-    for _ in range(2):
-        assert navigator.act(images_of(0), possible=np.array([[False, False, True, False]])).action == 2
 
 
 def test_who_sees_a_panorama_gives_the_images_of_all_headings_at_each_step(tmp_path):
@@ -245,19 +229,10 @@ def test_who_sees_a_panorama_gives_the_images_of_all_headings_at_each_step(tmp_p
         navigator.reset(images_of(around[0]))
 
 
-@pytest.mark.parametrize("turns", [0, 6, True, "4", -4])
+@pytest.mark.parametrize("turns", [6, "4"])
 def test_turns_of_a_navigator_are_a_multiple_of_four(run, world, turns):
     with pytest.raises(NavigatorError, match=rf"^turns={turns!r}: expected an integer, as 4, 8 or 12$"):
         load(run, world, turns=turns)
-
-
-@pytest.mark.parametrize("memory", ["counts", "planning"])
-def test_a_navigator_with_a_memory_counts_its_agents(run, world, memory):
-    navigator = load(run, world, episodic_memory=memory)
-    navigator.reset(images_of(world.surrounding[0]))
-    navigator.act(images_of(world.surrounding[torch.tensor([1, 2, 3])]))
-    with pytest.raises(NavigatorError, match=r"^images of 2 agents after those of 3; call reset first$"):
-        navigator.act(images_of(world.surrounding[torch.tensor([1, 2])]))
 
 
 class Sure(NCC):
@@ -281,6 +256,34 @@ def test_a_batch_with_a_memory_decides_as_each_alone(tmp_path, world, monkeypatc
         assert decided.action.tolist() == [one.action for one in each]
         assert decided.stop.tolist() == [one.stop for one in each]
         states = world.graph[states, decided.action]
+
+
+def test_a_photo_stops_above_its_own_threshold(run, world, monkeypatch):
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Sure())
+    navigator = load(run, world)
+    for goal, threshold in ((0, 0.95), (world.surrounding[0], 0.9)):
+        navigator.reset(images_of(goal))
+        navigator.act(images_of(world.surrounding[5]))
+        assert navigator._seen.threshold == threshold
+
+
+def test_that_nothing_is_recognised_for_long_is_said_once_a_walk(run, world, capsys):
+    navigator = load(run, world, episodic_memory="counts")
+    strange = iter(torch.randn(400, 16, generator=torch.Generator().manual_seed(0)))
+    for walk in range(1, 3):
+        navigator.encoder = look_up(world)
+        navigator.reset(images_of(world.surrounding[0]))
+        navigator.encoder = lambda images: torch.stack([next(strange) for _ in images])
+        for _ in range(UNRECOGNISED + 3):
+            navigator.act(images_of(world.surrounding[5]))
+        told = capsys.readouterr().err.splitlines()
+        assert len(told) == 1, walk
+        assert told[0].startswith(f"warning: in {UNRECOGNISED} steps neither the goal nor any place seen before was")
+    navigator.encoder = look_up(world)
+    navigator.reset(images_of(world.surrounding[0]))
+    for _ in range(UNRECOGNISED + 3):
+        navigator.act(images_of(world.surrounding[5]))
+    assert not capsys.readouterr().err
 
 
 @pytest.fixture
@@ -320,11 +323,6 @@ def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, observation)
             assert scores.matching == pytest.approx(both.scores.matching[agent].item(), abs=1e-6)
             torch.testing.assert_close(scores.probabilities, both.scores.probabilities[agent])
     assert together[1].stop.tolist() == [False, True, False]
-
-
-def test_one_goal_serves_a_batch_of_agents(world, navigator):
-    navigator.reset(images_of(world.surrounding[13]))
-    assert navigator.act(images_of(world.surrounding[[13, 4]])).stop.tolist() == [True, False]
 
 
 def test_a_reset_forgets_the_views_before_it(sequential, world):
@@ -367,15 +365,9 @@ def test_an_encoder_of_another_width_is_refused(run, world):
     navigator = load(run, rooms(width=17))
     with pytest.raises(NavigatorError, match=r"returned torch.float32 \[4, 17\] for 4 images; .*\[4, 16\]: random"):
         navigator.reset(images_of(world.surrounding[0]))
-
-
-def test_features_that_are_no_numbers_are_refused(run, world):
     nan = Navigator.load(run, lambda images: torch.full((len(images), 16), torch.nan), extractor="random")
     with pytest.raises(NavigatorError, match="not finite"):
         nan.reset(images_of(world.surrounding[0]))
-    whole = Navigator.load(run, lambda images: np.zeros((len(images), 16), int), extractor="random")
-    with pytest.raises(NavigatorError, match="int64"):
-        whole.reset(images_of(world.surrounding[0]))
 
 
 def test_weights_of_a_resnet_are_an_encoder_and_warn_where_nobody_said_what_they_are(tmp_path):
@@ -403,16 +395,10 @@ def test_the_scene_must_be_one_of_the_checkpoint(tmp_path):
     load(tmp_path / "shared", world)  # shared layers need no scene
 
 
-@pytest.mark.parametrize("shape", [(5, 3), (3, 2, 5, 3), (4, 2, 5), (4, 2, 5, 4), (1, 1, 4, 2, 5, 3), (0, 4, 2, 5, 3)])
+@pytest.mark.parametrize("shape", [(3, 2, 5, 3), (4, 2, 5, 4), (0, 4, 2, 5, 3)])
 def test_images_of_another_shape_are_refused(navigator, shape):
     with pytest.raises(NavigatorError, match=r"goal_images: expected uint8 \[4, H, W, 3\] .*, found torch.uint8"):
         navigator.reset(np.zeros(shape, np.uint8))
-
-
-@pytest.mark.parametrize("shape", [(5, 3), (2, 5, 4), (1, 4, 2, 5, 3)])
-def test_sequential_views_come_one_at_a_time(sequential, world, shape):
-    with pytest.raises(NavigatorError, match=r"expected uint8 \[H, W, 3\] or \[B, H, W, 3\]"):
-        load(sequential, world).reset(np.zeros(shape, np.uint8))
 
 
 def test_images_that_are_no_bytes_or_no_array_are_refused(world, navigator):
@@ -421,15 +407,8 @@ def test_images_that_are_no_bytes_or_no_array_are_refused(world, navigator):
         navigator.reset(images / np.float32(255))
     with pytest.raises(NavigatorError, match="found list"):
         navigator.reset(list(images))
-    for odd, told in (
-        (images.astype(object), "an array of object"),
-        (np.zeros(images.shape, [("red", np.uint8)]), "expected uint8"),
-        (np.full(images.shape, "0"), "expected uint8"),
-        (torch.zeros(images.shape, dtype=torch.uint8).to_sparse(), "layout torch.sparse_coo"),
-        (torch.zeros(images.shape, dtype=torch.uint8, device="meta"), "device meta"),
-    ):
-        with pytest.raises(NavigatorError, match=told):
-            navigator.reset(odd)
+    with pytest.raises(NavigatorError, match=r"layout torch.sparse_coo"):
+        navigator.reset(torch.zeros(images.shape, dtype=torch.uint8).to_sparse())
 
 
 def test_agents_and_goals_must_be_as_many(sequential, world, navigator):
@@ -467,13 +446,6 @@ def test_weights_of_another_network_are_refused(own_run, world):
         load(own_run, world)
 
 
-def test_a_device_that_is_not_there_is_refused(run, world):
-    if torch.cuda.is_available():
-        pytest.skip("there is one")
-    with pytest.raises(NavigatorError, match="no CUDA device"):
-        load(run, world, device="cuda")
-
-
 def test_importing_the_package_does_not_import_torch():
     code = "import sys, dirl; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -481,9 +453,7 @@ def test_importing_the_package_does_not_import_torch():
         _ = dirl.Nagivator
 
 
-@pytest.mark.parametrize(
-    ("observation", "match"), [("surrounding", "views"), ("surrounding", "front"), ("sequential", "views")]
-)
+@pytest.mark.parametrize(("observation", "match"), [("surrounding", "views"), ("sequential", "front")])
 def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, observation, match, capfd):
     pytest.importorskip("onnxscript")
     runtime = pytest.importorskip("onnxruntime")
@@ -512,8 +482,7 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, observation,
             expected = answer(policy, world, looks, states, goal_index)
         np.testing.assert_allclose(logits, expected["logits"], rtol=0, atol=1e-5)
         np.testing.assert_allclose(value, expected["state_value"], rtol=0, atol=1e-5)
-        front = match == "front" or observation == "sequential"
-        scores = TemplateStop(match="front" if front else "views").scores(world)
+        scores = TemplateStop(match=match).scores(world)
         np.testing.assert_allclose(matching, world.block(scores, 2)[:agents], rtol=0, atol=1e-5)
 
 
@@ -619,11 +588,6 @@ def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp
     found = navigator.act(images_of(world.surrounding[9])).scores.probabilities
     logits = answer(policy, world, observation, torch.tensor([9]), torch.tensor([0]))["logits"]
     torch.testing.assert_close(found, logits[0].softmax(-1))
-
-
-def test_the_package_shows_its_navigator():
-    assert "Navigator" in dir(dirl)
-    assert dirl.Navigator is Navigator
 
 
 def test_threads_that_share_a_navigator_take_turns(run, world):

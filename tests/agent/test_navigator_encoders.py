@@ -100,18 +100,3 @@ def test_files_of_photos_are_read_upright_in_place_of_arrays(run, tmp_path):
     Image.fromarray(IMAGES[0, :20]).save(files[1])
     with pytest.raises(NavigatorError, match=r"images: the views of an agent are photos of one size; .*50x20"):
         navigator.act(files)
-
-
-def test_more_images_than_a_batch_are_encoded_in_parts(run, resnet50, monkeypatch):
-    sizes = []
-
-    def encode(images):
-        sizes.append(len(images))
-        return torch.ones(len(images), 2048)
-
-    monkeypatch.setattr(
-        "dirl.agent.loading.load_encoder", lambda *_, **options: type(resnet50)(encode, resnet50.attributes)
-    )
-    navigator = Navigator.load(run, "resnet50")
-    navigator.reset(np.broadcast_to(IMAGES, (9, *IMAGES.shape)))
-    assert sizes == [32, 4]

@@ -7,10 +7,22 @@ import mazes
 import numpy as np
 import pytest
 
-from dirl.agent.mapping.columns import load_column_net
-from dirl.agent.mapping.follow import AHEAD, IDLE, Follower, Memory
+from dirl.agent.mapping.guide import Guide
 from dirl.experiments import sptm
-from dirl.experiments.sptm import STARTS, STEPS, TESTS, VALIDATION, Game, Maze, random_walker, walk
+from dirl.experiments.sptm import (
+    AHEAD,
+    IDLE,
+    STARTS,
+    STEPS,
+    TESTS,
+    VALIDATION,
+    Game,
+    Maze,
+    Player,
+    map_walkthrough,
+    random_walker,
+    walk,
+)
 from dirl.scenes.scene import SceneError
 
 SETTINGS = """screen_resolution = RES_160X120
@@ -103,8 +115,9 @@ def test_a_follower_goes_where_a_walk_through_a_corridor_of_our_own_went(tmp_pat
         places.append(place)
         game.act(action)
     assert np.hypot(*(places[-1] - places[0])) > 250
-    memory = Memory(load_column_net(), np.stack(frames))
-    reached = [walk(game, "map01", tuple(places[-1]), Follower(memory, frames[-1], seed).act)[0] for seed in range(3)]
+    graph = map_walkthrough(np.repeat(frames, 4, 0))
+    guides = [Player(Guide(graph, [frames[-1]]), seed) for seed in range(3)]
+    reached = [walk(game, "map01", tuple(places[-1]), player.act)[0] for player in guides]
     game.close()
     assert all(reached)
 

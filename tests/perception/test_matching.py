@@ -23,7 +23,7 @@ def matcher(request):
 def test_points_of_one_place_agree_and_those_of_another_do_not(matcher):
     views = matcher.describe([look(6, 2.5, 0), look(6.5, 2.4, 3), look(6, 2.5, 0, seed=9)])
     assert views.counts.max() <= POINTS
-    same, other = matcher.agreements(views[:1], views, [1, 2])
+    same, other = matcher.fit(views[:1], views, [1, 2]).score
     assert same > 3 * other
 
 

@@ -123,13 +123,19 @@ class Remembering(Agent):
         """Where agents see arrows, the sum of the pooled features of all views so far, float32 ``[B, D]``."""
         self.views = 0
         """How many those are."""
+        self.best: Tensor | None = None
+        """How much this visit looks like the most similar earlier one, float32 ``[B]``; None at the first."""
 
     def remember(self, now: Observed) -> Tensor:
         """How much the visit looks like each node so far, float32 ``[B, T, K]``; it becomes the next."""
         visit = now.visit[:, None]
         seen = visit[:, :0] if self.seen is None else self.seen.expand(len(visit), *self.seen.shape[1:])
         self.seen = torch.cat([seen, visit], 1)
-        return now.alike(seen) if seen.shape[1] else torch.zeros(seen.shape[:3], device=visit.device)
+        if not seen.shape[1]:
+            return torch.zeros(seen.shape[:3], device=visit.device)
+        alike = now.alike(seen)
+        self.best = alike.flatten(1).amax(1)
+        return alike
 
     def costs(self, now: Observed) -> Callable[[Tensor], Tensor]:
         """Return what is asked at new places: the cost of trying each action facing each view, float32 ``[B, K, 4]``.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from dirl.agent.cameras import compare
-from dirl.agent.images import Images, NavigatorError
+from dirl.agent.images import Images, NavigatorError, check_turns
 from dirl.agent.mapping import ImageGraph, PlaceMap, load_graph, save_graph
 from dirl.agent.mapping.panoramas import VIEWS
 from dirl.agent.mapping.places import ParticleMapper
@@ -166,9 +166,3 @@ def map_of(graph: object, extractor: str, recogniser: Recogniser) -> ImageGraph 
     if not isinstance(graph, str | Path):
         raise NavigatorError(f"graph={graph!r}: expected a map, or the folder of a saved one")
     return load_graph(graph, extractor=extractor, recogniser=recogniser)
-
-
-def check_turns(turns: int) -> None:
-    """Raise `NavigatorError` unless so many turns make a full circle and pass the four views."""
-    if isinstance(turns, bool) or not isinstance(turns, int) or turns < VIEWS or turns % VIEWS:
-        raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")

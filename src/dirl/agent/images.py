@@ -71,6 +71,18 @@ def check_agents(views: Tensor, goals: int, before: Tensor | None) -> None:
         raise NavigatorError(f"images: {views.shape[1]} views after {before.shape[1]}; call reset first")
 
 
+def check_turns(turns: Any) -> None:
+    """Raise `NavigatorError` unless so many turns make a full circle and pass the four views."""
+    if isinstance(turns, bool) or not isinstance(turns, int) or turns < VIEWS or turns % VIEWS:
+        raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
+
+
+def check_last_steps(last_steps: Any) -> None:
+    """Raise `NavigatorError` unless it is a count of steps."""
+    if isinstance(last_steps, bool) or not isinstance(last_steps, int) or last_steps < 0:
+        raise NavigatorError(f"last_steps={last_steps!r}: expected 0 or a positive integer")
+
+
 def checked_moves(possible: Tensor | NDArray[np.bool_] | None, views: Tensor, *, batched: bool) -> Tensor | None:
     """Which moves are possible, bool ``[B, K, 4]`` beside views ``[B, K, D]``, if that is known.
 

@@ -1,6 +1,7 @@
 """A trained policy on a robot: from camera images to actions."""
 
 import math
+import sys
 from collections.abc import Callable, Collection
 from functools import wraps
 from pathlib import Path
@@ -13,14 +14,23 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dirl.agent.agent import Agent, Memory, make_agent
+from dirl.agent.agent import Agent, Memory, Remembering, make_agent
 from dirl.agent.cameras import Decision, FeaturePolicy, Goal, Scores, Views
-from dirl.agent.exploring import Explorer, check_turns, map_of, map_to_walk_on
+from dirl.agent.exploring import Explorer, map_of, map_to_walk_on
 from dirl.agent.hub import fetch_pretrained
-from dirl.agent.images import Images, NavigatorError, check_agents, checked_features, checked_images, checked_moves
+from dirl.agent.images import (
+    Images,
+    NavigatorError,
+    check_agents,
+    check_last_steps,
+    check_turns,
+    checked_features,
+    checked_images,
+    checked_moves,
+)
 from dirl.agent.loading import Encoder, load_parts
 from dirl.agent.mapping import ImageGraph, PlaceMap
-from dirl.agent.mapping.policy import LAST_STEPS, Guide, check_last_steps
+from dirl.agent.mapping.policy import LAST_STEPS, Guide
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.build import tell_of_turns, turns_of_training
@@ -31,6 +41,11 @@ from dirl.scenes import Action
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
+
+
+UNRECOGNISED = 20
+"""Steps in a row in which neither the goal nor a place seen before is recognised, until a `Navigator` says so. In walks
+of ``general`` through the built-in bathroom there are at most 5."""
 
 
 def one_at_a_time(
@@ -94,6 +109,7 @@ class Navigator:
         self.agent = Agent()
         self._goal: Goal | None = None
         self._seen: Views | None = None
+        self._strange = 0  # steps of which nothing was recognised; -1 once that was said
         self._lock = RLock()  # of an episode: calls of several threads wait for each other
 
     def __getstate__(self) -> dict[str, Any]:
@@ -226,7 +242,7 @@ class Navigator:
             else:
                 raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
         self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
-        self._goal, self._seen = goal, None
+        self._goal, self._seen, self._strange = goal, None, 0
 
     @torch.no_grad()
     @one_at_a_time
@@ -272,6 +288,7 @@ class Navigator:
         stop = self.agent.arrive(now)
         action, logits = self.agent.act(now, generator, greedy=not sample)
         self._seen = now
+        self._notice_strangeness(stop)
         matching = (
             now.goal_odds(now.visit[:, None])[:, 0, 0] if isinstance(self.memory, LocalisingMemory) else now.matching
         )
@@ -279,6 +296,22 @@ class Navigator:
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))
         return Decision(Action(int(action)), bool(stop), Scores(float(matching), probabilities[0]))
+
+    def _notice_strangeness(self, stop: Tensor) -> None:
+        """Say once in a walk, in one line, that nothing was recognised for long; only a memory can tell."""
+        own = self.recogniser.thresholds
+        if not isinstance(self.agent, Remembering) or self.agent.best is None or self._strange < 0:
+            return
+        known = own.memory if own is not None else self.agent.memory.threshold
+        self._strange = 0 if bool(((self.agent.best > known) | stop).any()) else self._strange + 1
+        if self._strange >= UNRECOGNISED:
+            self._strange = -1
+            print(
+                f"warning: in {UNRECOGNISED} steps neither the goal nor any place seen before was recognised: do the "
+                "cameras look ahead, right, back and left, and do the actions move the agent as in training?",
+                file=sys.stderr,
+                flush=True,
+            )
 
     @property
     def _headings(self) -> int:

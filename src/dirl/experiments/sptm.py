@@ -7,6 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -16,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from dirl.agent.mapping.columns import load_column_net
-from dirl.agent.mapping.follow import BUTTONS, IDLE, Follower, Memory
+from dirl.agent.mapping.frames import FrameMap, find_links, map_recordings
+from dirl.agent.mapping.guide import Guidance, Guide
 from dirl.experiments.measures import kept
 from dirl.experiments.results import Table, write_tables
+from dirl.perception.columns import load_column_net
 from dirl.scenes.io.processes import end_with_this_process, in_processes
 from dirl.scenes.live import simulator_errors
 from dirl.scenes.scene import SceneError
@@ -38,6 +40,19 @@ SKIP = 4
 
 WAIT = 140
 """Steps before the first episode of a game, as in SPTM's code."""
+
+AHEAD, BACK, LEFT, RIGHT, IDLE, TURN_LEFT, TURN_RIGHT = range(7)
+BUTTONS = ("MOVE_FORWARD", "MOVE_BACKWARD", "MOVE_LEFT", "MOVE_RIGHT", None, "TURN_LEFT", "TURN_RIGHT")
+"""Of Doom, for each action."""
+
+SECOND = 35.0
+"""Steps of the simulator."""
+
+CIRCLE = 15
+"""Turns before one gives up looking around."""
+
+SAME_VIEW = 1.5
+"""Mean difference of grey values between frames, when a move was stopped by a wall."""
 
 MEMORY, BLIND, RANDOM = "memory of the walkthrough", "the memory, to a random frame", "random walk"
 
@@ -169,26 +184,93 @@ def random_walker(seed: int) -> Walker:
     return lambda frame: int(draw.integers(len(BUTTONS)))
 
 
+class Player:
+    """Presses the buttons of Doom as a guide says, and moves aside where it does not get on.
+
+    Args:
+        guide: to a photo.
+        seed: of what it does when it is stuck.
+    """
+
+    def __init__(self, guide: Guide, seed: int = 0) -> None:
+        self.guide = guide
+        self._random = np.random.default_rng(seed)
+        self._last = IDLE
+        self._seen: NDArray[np.int64] | None = None
+        self._moves: list[int] = []
+        self._stopped = 0
+        self._lost = 0
+
+    def act(self, frame: NDArray[np.uint8]) -> int:
+        """Return what to do next, one of `BUTTONS`, where a frame is seen, RGB, uint8 ``[H, W, 3]``."""
+        advice = self.guide.see(frame)
+        self._notice_walls(frame)
+        action = self._moves.pop() if self._moves else self._obey(advice)
+        if {action, self._last} == {TURN_LEFT, TURN_RIGHT} and self._random.random() < 0.5:
+            action = AHEAD  # else it would turn to and fro
+        self._last = action
+        return action
+
+    def _obey(self, advice: Guidance) -> int:
+        """The button for an advice; looking around where it is lost."""
+        self._lost = self._lost + 1 if advice.say == "lost" else 0
+        if advice.say == "stuck" or (self._lost and self._lost % CIRCLE == 0):
+            return self._wander()
+        if advice.say == "lost":
+            return TURN_RIGHT
+        # A turn that follows a turn is one of 28 degrees, any other one of 7.
+        if abs(advice.turn) > (18 if self._last in (TURN_LEFT, TURN_RIGHT) else 10):
+            return TURN_LEFT if advice.turn > 0 else TURN_RIGHT
+        if abs(advice.right) > 25 and abs(advice.right) > 0.8 * abs(advice.ahead):
+            return RIGHT if advice.right > 0 else LEFT
+        return BACK if advice.say == "back" or (advice.ahead < -40 and advice.say != "arrived") else AHEAD
+
+    def _notice_walls(self, frame: NDArray[np.uint8]) -> None:
+        """Step aside where the view stayed the same."""
+        small = frame[::2, ::2].astype(int)
+        same = self._seen is not None and bool(np.abs(small - self._seen).mean() < SAME_VIEW)
+        self._seen = small
+        self._stopped = self._stopped + (self._last < IDLE) if same else 0
+        if self._stopped >= 2:
+            self._stopped = 0
+            self._moves = [int(self._random.choice([LEFT, RIGHT, BACK]))] * int(self._random.integers(1, 4))
+
+    def _wander(self) -> int:
+        """Go some steps at random."""
+        self._lost = 0
+        side = int(self._random.choice([TURN_LEFT, TURN_RIGHT]))
+        self._moves = [AHEAD] * int(self._random.integers(2, 8)) + [side] * int(self._random.integers(1, 6))
+        return BACK
+
+
+def map_walkthrough(frames: NDArray[np.uint8]) -> FrameMap:
+    """Return the map of a player's frames, RGB, uint8 ``[N, H, W, 3]``, recorded at every step of the simulator."""
+    net = load_column_net()
+    recording = [(frame, step / SECOND, None) for step, frame in enumerate(frames)][::SKIP]
+    graph = map_recordings([recording], net, 90.0, len(recording))
+    return replace(graph, links=find_links(graph, net))
+
+
 def walk_maze(data: Path, maze: Maze, name: str, trials: int) -> list[tuple[bool, int]]:
     """So many trials from every start to every goal of a maze: whether each was reached, and after how many steps.
 
     ``data`` is SPTM's folder of this name; ``name`` says what walks: `MEMORY`, `BLIND` or `RANDOM`.
     """
-    memory = None
+    graph, net = None, load_column_net()
     if name != RANDOM:
         recordings = Game(data, maze)
         frames, _ = recordings.replay(maze.name)
         photos = [recordings.replay(f"{maze.name}_{goal}")[0][-1] for goal in GOALS]
         recordings.close()
-        memory = Memory(load_column_net(), frames[::SKIP])
+        graph = map_walkthrough(frames)
     game, episodes = Game(data, maze), []
     for trial, start, goal in product(range(trials), STARTS, range(len(GOALS))):
         seed = 1000 * trial + 10 * STARTS.index(start) + goal
-        if memory is None:
+        if graph is None:
             walker = random_walker(seed)
         else:
-            anywhere = memory.frames[np.random.default_rng(seed).integers(len(memory.frames))]
-            walker = Follower(memory, photos[goal] if name == MEMORY else anywhere, seed).act
+            anywhere = frames[::SKIP][np.random.default_rng(seed).integers(len(graph))]
+            walker = Player(Guide(graph, [photos[goal] if name == MEMORY else anywhere], net), seed).act
         episodes.append(walk(game, start, maze.goals[goal], walker))
     game.close()
     return episodes

@@ -4,14 +4,18 @@
 place itself, so that what all its views share does not count. *Match*: XFeat finds points of the best views, and those
 are counted that agree on one geometry; SIFT does where XFeat is missing. *Decide*: how many points agree, and how many
 more than at the best *other* place, says whether the answer is certain; places that look alike on purpose exist.
+
+A `FrameMatcher` does the first two, for photographs (`Matcher`) or for the walls of a game (`ColumnNet`), so that there
+is one map of recordings, and one follower, for all of them.
 """
 
 import io
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -56,6 +60,86 @@ PointFinder = Callable[[NDArray[np.uint8]], tuple[NDArray[np.float32], NDArray[n
 """Positions, pixels ``[P, 2]``, and vectors of unit length, ``[P, C]``, of the points of a view."""
 
 
+class Scale(NamedTuple):
+    """What numbers of points that agree mean, for one kind of points."""
+
+    tells_places: bool
+    """Whether they tell how far away a frame was taken, in units."""
+    link: float
+    """So many join two frames of one place."""
+    recognised: float
+    """So many show that a frame of the map is in sight."""
+    unit: float
+    """So many make it four times as likely that a frame is the present one."""
+    look: float
+    """Points that a likeness of 1 counts as, where a photo is looked for."""
+    distinct: float
+    """So many times the points that agree with any other place, for a link: two places alike are linked to neither."""
+    shortlist: int
+    """Frames of earlier times, the most alike as a whole, whose points are compared with those of each, for links."""
+    here: float
+    """Least score of a photo that was taken here."""
+    decision: tuple[float, float, float]
+    """Of a logistic regression of right answers: log ratio to the best other place, log score, constant."""
+
+
+SCALES = {
+    "xfeat": Scale(False, 80.0, 20.0, 10.0, 20.0, 1.2, 8, 66.0, (4.2, 1.1, -7.5)),
+    "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0, (4.2, 1.1, -7.5)),
+    "none": Scale(False, np.inf, 0.0, 10.0, 20.0, 1.2, 0, 5.0, (4.2, 1.1, -7.5)),
+    # Columns of walls; all frames are compared, and how certain an answer is was never measured.
+    "columns": Scale(True, 0.9, 0.2, 2.0, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
+}
+"""By what finds the points, `FrameMatcher.kind`."""
+
+
+class Fit(NamedTuple):
+    """How frames fit one that is seen, ``[S]`` each."""
+
+    score: NDArray[np.float32]
+    """Points that agree."""
+    ahead: NDArray[np.float32]
+    """Where the frame was taken, seen from here, units; 0 where points of this kind do not tell."""
+    right: NDArray[np.float32]
+    """Likewise, to the right."""
+    turned: NDArray[np.float32]
+    """The frame's heading, to the left of the present one, degrees; likewise."""
+
+
+class Motion(NamedTuple):
+    """From where one sees to where a frame was taken; see `Fit`."""
+
+    ahead: float
+    right: float
+    turned: float
+
+
+class FrameMatcher(Protocol):
+    """Describes frames and compares one that is seen with others: all that a map of recordings needs."""
+
+    kind: str
+    """One of `SCALES`."""
+
+    def describe(self, views: Iterable[NDArray[np.uint8]]) -> "Described":
+        """Describe views, RGB, uint8 ``[H, W, 3]`` each."""
+
+    def likeness(
+        self, seen: "Described", frames: "Described", likely: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return how alike one view and each frame are as a whole, ``[N]``, cheaply; 1 is much.
+
+        With the probabilities of the frames, ``[N]``, it may compare some of those that are unlikely only.
+        """
+
+    def fit(self, seen: "Described", frames: "Described", some: Sequence[int]) -> Fit:
+        """Return how some of the frames fit one view."""
+
+    def motion(
+        self, seen: "Described", frames: "Described", frame: int, size: tuple[int, int], field_of_view: float
+    ) -> Motion | None:
+        """Return the motion to a frame, of so many pixels (height, width) and degrees; None if too few points agree."""
+
+
 class Matches(NamedTuple):
     """Points of two views that are each other's best match."""
 
@@ -86,6 +170,11 @@ class Described:
 
     def __getitem__(self, some: Any) -> "Described":
         return Described(self.looks[some], self.positions[some], self.vectors[some], self.counts[some])
+
+    @cached_property
+    def whitening(self) -> "Whitening":
+        """What compares views with these as a whole."""
+        return Whitening(self.looks)
 
     def points(self, view: int) -> tuple[NDArray[np.float32], Tensor]:
         """Positions and vectors of the points of one view, ``[P, 2]`` and ``[P, C]``."""
@@ -155,6 +244,13 @@ class Matcher:
         _, turned = cv2.findHomography(matches.seen, matches.other, method, HOMOGRAPHY, maxIters=300)
         return sum(0 if mask is None else int(mask.sum()) for mask in (moved, turned)) / 2
 
+    def motion(
+        self, seen: Described, frames: Described, frame: int, size: tuple[int, int], field_of_view: float
+    ) -> Motion | None:
+        """Return the turn to a frame; how far away it was taken two pictures do not tell. See `FrameMatcher.motion`."""
+        turned = self.turn_between(self.match(seen, frames, frame), size, field_of_view)
+        return None if turned is None else Motion(0.0, 0.0, turned)
+
     def turn_between(self, matches: Matches, size: tuple[int, int], field_of_view: float) -> float | None:
         """Degrees to the left from the heading of one view to that of the other; None where too few points agree.
 
@@ -186,9 +282,19 @@ class Matcher:
             rotation = max(rotations, key=np.trace)
         return float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2])))
 
-    def agreements(self, seen: Described, others: Described, shortlist: Sequence[int]) -> NDArray[np.float32]:
-        """`agreeing` for the first view of ``seen`` with each of a shortlist of others, ``[S]``."""
-        return np.array([self.agreeing(self.match(seen, others, view)) for view in shortlist], np.float32)
+    def likeness(
+        self, seen: Described, frames: Described, likely: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return cosines of whitened descriptions with all frames, ``[N]``."""
+        return frames.whitening.likeness(seen.looks)[0].astype(float)
+
+    def fit(self, seen: Described, frames: Described, some: Sequence[int]) -> Fit:
+        """Return `agreeing` for one view with some of the frames; where they were taken is not told."""
+        untold = np.zeros(len(some), np.float32)
+        if self.kind == "none":
+            return Fit(untold, untold, untold, untold)
+        scores = [self.agreeing(self.match(seen, frames, frame)) for frame in some]
+        return Fit(np.array(scores, np.float32), untold, untold, untold)
 
 
 class Whitening:

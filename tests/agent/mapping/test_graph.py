@@ -1,13 +1,11 @@
 """Image graphs: what was seen is merged where it looks the same, and leads to wherever the walk has been."""
 
-import numpy as np
 import pytest
 import torch
 from rooms import grid_scene
 
 from dirl.agent.mapping import ImageGraph, MapError
 from dirl.agent.mapping.panoramas import UNKNOWN
-from dirl.agent.mapping.policy import Guide
 from dirl.agent.mapping.walks import explore, step
 from dirl.perception.recognition import NCC
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
@@ -25,11 +23,11 @@ def disturbed(views, share, seed):
     return views + share * views.std() * torch.randn(views.shape, generator=torch.Generator().manual_seed(seed))
 
 
-@pytest.mark.parametrize(("headings", "most"), [(4, 2.0), (8, 2.0), (12, 2.0)])
-def test_a_walk_through_everything_gives_the_scene(headings, most):
+@pytest.mark.parametrize("headings", [4, 12])
+def test_a_walk_through_everything_gives_the_scene(headings):
     scene = grid_scene(**ROOM, headings=headings)
     graph = ImageGraph(turns=headings)
-    explore(scene, graph, 5, round(most * len(scene)))
+    explore(scene, graph, 5, 2 * len(scene))
     assert graph.frontier_action() is None  # nothing is left to be learnt
     assert len(graph) == len(scene)
     seen = looks(scene)
@@ -41,32 +39,6 @@ def test_a_walk_through_everything_gives_the_scene(headings, most):
         assert found == [node_of[step(scene.graph, state, action)] for action in range(4)]
     distances = graph.plan([node_of[7]])[:, 0]
     assert distances[node_of].tolist() == scene.distances[:, 7].tolist()
-
-
-def test_the_numbers_of_states_tell_the_walker_nothing():
-    scene = grid_scene(**ROOM)
-    graph = ImageGraph()
-    passed = explore(scene, graph, 5, 30)
-    other = ImageGraph()
-    order = np.random.default_rng(0).permutation(len(scene))
-    features = torch.tensor(scene.features)
-
-    class Shuffled:
-        graph = np.append(np.argsort(order), -1)[scene.graph[order]]
-        surrounding = np.argsort(order)[scene.surrounding[order]]
-
-    again = explore(
-        Shuffled, other, int(np.argsort(order)[5]), 30, lambda state: features[order][Shuffled.surrounding[state]]
-    )
-    assert order[again].tolist() == passed
-    assert other.moves == graph.moves
-
-
-def test_a_list_recognises_nothing():
-    scene = grid_scene(**ROOM)
-    graph = ImageGraph(merge=False)
-    passed = explore(scene, graph, 5, 20)
-    assert len(graph) == 4 * len(passed) == 4 * 21
 
 
 def test_a_move_is_known_in_all_four_forms():
@@ -131,15 +103,6 @@ def test_a_door_that_has_been_closed_is_noticed():
     assert steps > open_.distances[1, 5]
 
 
-def test_a_photo_is_found_in_the_map():
-    scene = grid_scene(**ROOM)
-    graph = ImageGraph()
-    explore(scene, graph, 5, 100)
-    seen = looks(scene)
-    for state in (2, 9, 33):
-        assert graph.scores(seen[state][:1]).argmax() == graph.scores(seen[state]).argmax()
-
-
 class Computed(NCC):
     """Correlation that is computed as that of any recogniser."""
 
@@ -156,17 +119,6 @@ def test_the_kept_vectors_of_correlation_give_what_a_recogniser_computes():
     seen = looks(scene)
     for views in (seen, seen[:, :1], seen[3], seen[3][:1]):
         torch.testing.assert_close(computed.scores(views), kept.scores(views), atol=1e-5, rtol=0)
-
-
-def test_without_a_margin_only_the_most_alike_counts():
-    scene = grid_scene(**ROOM)
-    graph = ImageGraph(margin=0.0)
-    explore(scene, graph, 5, 100)
-    seen = looks(scene)
-    for state in (2, 9, 33):
-        guide = Guide(graph, seen[state], last_steps=0)
-        assert guide.goals == [guide.goal] == graph.alike(seen[state])
-        assert guide.advise(seen[5]) is not None
 
 
 @pytest.mark.parametrize("turns", [4, 8])
@@ -222,7 +174,7 @@ def test_what_was_seen_is_only_changed_by_what_is_seen_twice():
         graph.lose()
 
 
-@pytest.mark.parametrize("options", [{"keep": 0.95}, {"threshold": 2.0}, {"margin": -1.0}, {"turns": 6}, {"turns": 0}])
+@pytest.mark.parametrize("options", [{"keep": 0.95}, {"turns": 6}])
 def test_options_are_checked(options):
     with pytest.raises(MapError, match=f"{next(iter(options))}="):
         ImageGraph(**options)

@@ -39,13 +39,6 @@ def test_features_are_the_stored_ones_as_float16(encoder, name, states):
     assert (features.astype(np.float16) == stored).mean() > 0.99
 
 
-def test_the_small_one_sees_fewer_pixels_and_is_not_mistaken_for_it(encoder):
-    small = load_encoder("resnet50_small")
-    assert small.attributes["weights"] == encoder.attributes["weights"]
-    assert "96x128" in small.extractor
-    assert small.extractor != encoder.extractor
-
-
 def test_blocks_of_a_convolution_are_put_together():
     # Two output channels of two input channels, 1x1 kernels, blocks of one weight: the blocks of input 0 come first.
     centroids = torch.tensor([[10.0], [20.0], [30.0]])

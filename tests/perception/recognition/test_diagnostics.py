@@ -35,8 +35,7 @@ def problems_of(room):
     return "\n".join(inspect_scene(room).problems)
 
 
-@pytest.mark.parametrize("headings", [4, 8, 12])
-@pytest.mark.parametrize("shuffled", [False, True])
+@pytest.mark.parametrize(("headings", "shuffled"), [(4, True), (12, False)])
 def test_a_good_room_has_no_problems(tmp_path, headings, shuffled):
     room = grid_scene(3, 2, headings=headings, goals=(0, 13), blocked=[(1, 0)], feature_width=64)
     if shuffled:
@@ -61,15 +60,6 @@ def test_parts_that_are_not_connected_are_found():
     assert "goal 20 lies outside the largest part" in text
 
 
-def test_a_part_that_can_only_be_entered_is_one_of_its_own():
-    room = grid_scene(2, 1)
-    graph = room.graph.copy()
-    graph[4:, [0, 3]] = -1  # once in the second place, nothing leads out
-    parts = inspect_scene(replace(room, graph=graph)).parts
-    assert parts[:4].tolist() in ([0] * 4, [1] * 4)
-    assert (parts[4:] == 1 - parts[0]).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -89,15 +79,6 @@ def test_a_problem_names_the_first_state_and_what_to_do(changes, says):
     assert says in problems_of(changed_scene(grid_scene(goals=()), **changes))
 
 
-def test_headings_that_disagree_with_the_moves_are_found():
-    room = grid_scene(3, 3)
-    headings = room.headings.copy()
-    headings[16:20] = (headings[16:20] + 180) % 360
-    assert "state 16: a move ahead goes more than 45 degrees aside of its heading, 180 (4 such moves)" in problems_of(
-        replace(room, headings=headings)
-    )
-
-
 def test_views_that_show_nothing_or_the_same_twice_are_found(tmp_path):
     def view(state):
         if state == 7:
@@ -109,33 +90,17 @@ def test_views_that_show_nothing_or_the_same_twice_are_found(tmp_path):
     assert "state 12 has the very same view as state 11 (1 such states)" in text
 
 
-def test_views_of_different_shapes_are_found(tmp_path):
-    text = problems_of(with_views(tmp_path, grid_scene(), lambda s: np.zeros((20 + s % 2, 30, 3), np.uint8)))
-    assert "views have 2 different shapes" in text
-
-
-def test_a_room_without_views_and_features_is_looked_at_too():
-    found = inspect_scene(replace(grid_scene(), features=None, extractor="none"))
-    assert found.errors == {}
-    assert [problem.split(";")[0] for problem in found.problems] == ["there are no views", "there are no features"]
-
-
-def test_unknown_extractors_are_told():
-    assert "what made the features is not said" in problems_of(grid_scene(extractor="unknown"))
-
-
 def twins():
     """Places 0 and 5, six actions apart, look the same."""
     room = grid_scene(goals=(0, 9), feature_width=64)
     return changed_scene(room, features=(slice(20, 24), room.features[:4]))
 
 
-@pytest.mark.parametrize("match", ["views", "front"])
-def test_ambiguous_pairs_are_found_worst_first(match):
+def test_ambiguous_pairs_are_found_worst_first():
     room = changed_scene(
         twins(), features=(23, twins().features[3] + 0.1 * np.random.default_rng(0).random(64, np.float32))
     )
-    found = inspect_scene(room, TemplateStop(match=match))
+    found = inspect_scene(room, TemplateStop())
     pairs = [(a, b, distance) for a, b, _, distance in found.ambiguous]
     assert sorted(pairs) == [(s, s + 20, room.distances[s, s + 20]) for s in range(4)]
     scores = [score for _, _, score, _ in found.ambiguous]
@@ -182,9 +147,8 @@ def test_a_room_of_too_many_states_is_refused(monkeypatch):
         inspect_scene(grid_scene())
 
 
-@pytest.mark.parametrize("headings", [4, 12])
-def test_the_pictures_show_the_room(tmp_path, headings):
-    room = with_views(tmp_path, grid_scene(4, 2, headings=headings, blocked=[(2, 0), (2, 1)], goals=(0,)))
+def test_the_pictures_show_the_room(tmp_path):
+    room = with_views(tmp_path, grid_scene(4, 2, headings=12, blocked=[(2, 0), (2, 1)], goals=(0,)))
     found = inspect_scene(room)
     draw_scene_map(room, found.parts, tmp_path / "map.png")
     draw_contact_sheet(room, tmp_path / "sheet.jpg")

@@ -9,7 +9,7 @@ from rooms import grid_scene
 from dirl.perception.backbones.patches import coarse
 from dirl.perception.recognition import Learned
 from dirl.scenes import make_world
-from dirl.training.recogniser import NEAR, calibrate, learn_recogniser
+from dirl.training.recogniser import calibrate, learn_recogniser
 
 
 def changing(rooms=2, noise=0.8, seed=0, patches=True):
@@ -129,25 +129,6 @@ def test_the_weights_of_the_package_are_calibrated_and_need_the_patches_of_its_e
     assert network.photo.trained
     with pytest.raises(ValueError, match=r"^recogniser=learned compares .* 1280 features .*encoder=efficientnet_lite0"):
         network.describe(torch.zeros(3, 2048))
-
-
-def test_a_world_without_looks_is_refused():
-    with pytest.raises(ValueError, match="needs rooms with patches and looks"):
-        learn_recogniser(make_world([grid_scene(3, 2, patches=True)]), Learned(weights=""))
-
-
-def test_every_kind_of_neighbour_is_near():
-    """In the middle of a room without obstacles each way leads to another state, two metres away at most."""
-    world = make_world([grid_scene(7, 7)])
-    middle = 4 * 24
-    ends = set()
-    for actions in NEAR:
-        state = middle
-        for action in actions:
-            state = int(world.graph[state, action])
-        ends.add(state)
-    assert middle not in ends
-    assert len(ends) == len(set(NEAR))
 
 
 def test_weights_that_cannot_be_used_are_named(tmp_path):

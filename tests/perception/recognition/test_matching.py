@@ -4,7 +4,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from rooms import grid_scene
-from stops import stop_errors
 
 from dirl.perception.recognition import Learned
 from dirl.perception.recognition.matching import TemplateStop, ncc
@@ -29,13 +28,6 @@ def test_ncc_is_pearsons_coefficient(a, b):
     assert found.item() == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-9)
 
 
-@given(VECTOR, VECTOR)
-def test_ncc_is_symmetric_and_at_most_one(a, b):
-    a, b = torch.tensor(a), torch.tensor(b)
-    assert torch.equal(ncc(a, b), ncc(b, a))
-    assert ncc(a, b).abs() <= 1 + 1e-5
-
-
 @given(VECTOR, st.floats(0.1, 10), st.floats(-5, 5))
 def test_ncc_does_not_change_with_brightness_or_contrast(a, contrast, brightness):
     a = torch.tensor(a, dtype=torch.float64)
@@ -43,25 +35,9 @@ def test_ncc_does_not_change_with_brightness_or_contrast(a, contrast, brightness
     assert ncc(a, -contrast * a + brightness).item() == pytest.approx(-1, abs=1e-6)
 
 
-def test_ncc_broadcasts_over_rows():
-    rows, goal = torch.randn(3, 5, 8), torch.randn(8)
-    found = ncc(rows, goal)
-    assert found.shape == (3, 5)
-    assert found[1, 4].item() == pytest.approx(np.corrcoef(rows[1, 4], goal)[0, 1], abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    "value",
-    [
-        0.0,
-        2.0,
-        -7.5,
-        # In float32 the mean of such a vector is not quite its value, and what remains is taken for a pattern.
-        0.1,
-    ],
-)
-def test_ncc_with_a_constant_vector_is_zero(value):
-    constant = torch.full((2048,), value)
+def test_ncc_with_a_constant_vector_is_zero():
+    # In float32 the mean of such a vector is not quite its value, and what remains is taken for a pattern.
+    constant = torch.full((2048,), 0.1)
     assert ncc(constant, torch.randn(2048)) == 0
     assert ncc(constant, constant) == 0
 
@@ -81,17 +57,6 @@ def test_scores_are_the_coefficients_of_every_goal_with_every_state(match):
             there = torch.cat([world.features[4 * goal_place + (goal_heading + turn) % 4] for turn in turns])
             score = scores[world.pair(torch.tensor(index), torch.tensor(state))]
             assert score.item() == pytest.approx(np.corrcoef(here, there)[0, 1], abs=1e-5)
-
-
-@pytest.mark.parametrize("match", ["views", "front"])
-@pytest.mark.parametrize("seed", range(3))
-def test_every_goal_is_a_place_to_stop(match, seed):
-    rooms = [grid_scene(3, 3, name=name, goals=(2, 20), feature_width=64, seed=seed) for name in ("a", "b")]
-    world = make_world(rooms)
-    stop = TemplateStop(match=match)(world)
-    assert stop.dtype == torch.bool
-    assert stop.shape == (4 * 36,)
-    assert stop[world.pair(torch.arange(4), world.goals)].all()
 
 
 def stops_of(world, stop):
@@ -129,22 +94,9 @@ def test_a_state_stops_only_above_the_threshold():
     assert torch.equal(stop, scores > threshold)
 
 
-def test_the_papers_threshold_is_the_default():
-    assert TemplateStop() == TemplateStop(threshold=0.9, match="views")
-
-
 def test_an_unknown_way_to_match_is_refused():
     with pytest.raises(ValueError, match="'views' or 'front', not 'back'"):
         TemplateStop(match="back")
-
-
-def test_stop_errors_are_shares_of_states_and_of_goals():
-    world = world_of()
-    stop = torch.zeros(16, dtype=torch.bool)
-    world.block(stop, 0)[[1, 2, 5]] = True
-    # Of twice seven states that are not the goal two stop; of two goals one does not.
-    assert stop_errors(stop, world) == {"false": pytest.approx(2 / 14), "missed": 0.5}
-    assert stop_errors(world.distances == 0, world) == {"false": 0, "missed": 0}
 
 
 def test_scores_of_a_learned_recogniser_can_be_drawn():

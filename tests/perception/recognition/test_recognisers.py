@@ -9,9 +9,8 @@ from dirl.agent.cameras import compare
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import metrics
-from dirl.models import EpisodicMemory, PlanningMemory
 from dirl.perception.recognition import NCC, Learned
-from dirl.perception.recognition.matching import TemplateStop, ncc
+from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import VisitScores, described_visits
 from dirl.scenes import make_world
 
@@ -37,14 +36,6 @@ def test_the_table_of_a_world_holds_what_the_recogniser_computes(kind, match):
     wanted = recogniser.fit(world.features[24:40], world.patches[24:40]).scores(visits, references)
     found = table(pictures.unsqueeze(0), pictures.unsqueeze(1))  # reference, seen
     torch.testing.assert_close(found, wanted, atol=1e-5, rtol=0)
-
-
-def test_correlation_is_the_paper_s():
-    a, b = torch.randn(2, 5, 4, 7, generator=torch.Generator().manual_seed(0))
-    scores = NCC().scores(a, b)
-    assert scores[2, 3].item() == pytest.approx(ncc(a[2].flatten(), b[3].flatten()).item(), abs=1e-6)
-    one = NCC().scores(a, b[:, :1])
-    assert one[2, 3].item() == pytest.approx(ncc(a[2, 0], b[3, 0]).item(), abs=1e-6)
 
 
 @BOTH
@@ -95,12 +86,3 @@ def test_no_visit_has_the_look_of_the_goal():
     arguments["observation"] = SurroundingViews(still)
     stop = TemplateStop(1 - 1e-5)(still)
     assert metrics(run_episodes(expert(still), still, every_start(still), stop=stop, **arguments))["sr"] == 1
-
-
-@pytest.mark.parametrize("memory", [EpisodicMemory(threshold=0.8), PlanningMemory(threshold=0.8)])
-def test_memories_work_in_a_world_that_changes_and_a_seed_decides_everything(memory):
-    world = changing()
-    arguments = {"observation": SurroundingViews(world), "max_steps": 40, "memory": memory, "seed": 3}
-    first, second = (run_episodes(expert(world), world, every_start(world), **arguments) for _ in range(2))
-    assert torch.equal(first.steps, second.steps)
-    assert metrics(first)["sr"] == 1

@@ -3,11 +3,12 @@
 Unlike an `ImageGraph` it needs no grid of moves: turns are continuous, and only what lies ahead is seen. As in SPTM
 (Savinov et al., ICLR 2018) frames of one place that were taken at different times are linked, here where their points
 agree on one geometry, for a window of frames. A photo is found by `FrameMap.find`, which can also say that it was taken
-elsewhere.
+elsewhere. It holds photographs or frames of a game, by what compares them (`dirl.perception.matching.FrameMatcher`).
 """
 
 import math
 import os
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -21,7 +22,8 @@ from scipy.sparse.csgraph import dijkstra
 from tqdm import tqdm
 
 from dirl.agent.mapping.graph import MapError
-from dirl.perception.matching import SHORTLIST, Described, Matcher, Whitening
+from dirl.perception.columns import load_column_net
+from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Scale
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.bounded import read_arrays
 from dirl.scenes.views import decode, encode
@@ -30,9 +32,6 @@ SCHEMA = 2
 
 NEIGHBOURS = 0.5
 """What the frames before and after count, beside the frame itself: a place is seen from both."""
-
-LOOK = 20.0
-"""Points that a cosine of 1 between whole views counts as."""
 
 APART = 6.0
 """Seconds from which another frame is another place, unless links say that it is not."""
@@ -46,26 +45,20 @@ PICTURE = 240
 BYTES = 50_000
 """Of a frame in a map, about."""
 
-LOOP_SHORTLIST = 8
-"""Frames whose points are compared with those of each new one, for links."""
+EVERY = 0.55
+"""Seconds between frames that are compared for links."""
 
-LINK = {"xfeat": 80.0, "sift": 40.0}
-"""Points that agree, for a link."""
+NEAR, TURNED = 90.0, 35.0
+"""Units and degrees between the ends of a link, at most, where points tell."""
 
-DISTINCT = 1.2
-"""So many times the points that agree with any other place, for a link: two places alike are linked to neither."""
+FAR = 300.0
+"""Units from which a frame that fits a photo counts exp(-1) of one that was taken where the photo was, likewise."""
 
 WINDOW = 6
 """Frames around the end of a link to which the other end is not linked, too."""
 
 CERTAIN = 0.95
 """Least probability of an answer that is called certain."""
-
-DECISION = {"xfeat": (4.2, 1.1, -7.5), "sift": (4.2, 1.1, -7.5), "none": (4.2, 1.1, -7.5)}
-"""Of a logistic regression of right answers: log ratio to the best other place, log score, constant."""
-
-HERE = {"xfeat": 66.0, "sift": 30.0, "none": 5.0}
-"""Least score of a photo that was taken here."""
 
 Certainty = Literal["certain", "uncertain", "not here"]
 
@@ -93,7 +86,7 @@ class FrameMap:
         described: what frames are compared by.
         links: pairs of frames of one place, the earlier one first, int ``[L, 2]``.
         field_of_view: of the camera from left to right, degrees.
-        kind: of the `Matcher` that described the frames.
+        kind: of the `FrameMatcher` that described the frames.
         size: height and width of the frames as they were described, pixels.
         places: x, y (metres) and heading (degrees to the left) by odometry, ``[N, 3]``; None without.
     """
@@ -109,7 +102,6 @@ class FrameMap:
     places: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        self.whitening = Whitening(self.described.looks)
         count = len(self)
         before = np.flatnonzero(self.parts[1:] == self.parts[:-1])
         one, two = self.links.T
@@ -121,18 +113,18 @@ class FrameMap:
     def __len__(self) -> int:
         return len(self.times)
 
+    @property
+    def scale(self) -> Scale:
+        """What numbers of points that agree mean."""
+        return SCALES[self.kind]
+
     def picture(self, frame: int) -> NDArray[np.uint8]:
         """A frame, small, RGB, uint8 ``[h, w, 3]``."""
         return decode(self.pictures[frame])
 
-    def distances_to(self, goals: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Cost of the cheapest path to any of these frames, infinite if there is none, and the frame that follows."""
-        far, following, _ = dijkstra(self.graph.T, indices=goals, return_predecessors=True, min_only=True)
-        return far, following
-
     def path(self, start: int, goal: int) -> list[int]:
         """Frames from one to another; empty if nothing leads there."""
-        far, following = self.distances_to(np.array([goal]))
+        far, following = distances_to(self.graph, goal)
         path = [start] if np.isfinite(far[start]) else []
         while path and path[-1] != goal:
             path.append(int(following[path[-1]]))
@@ -153,7 +145,7 @@ class FrameMap:
         return float(np.median(steps)) or 1.0
 
     def find(
-        self, matcher: Matcher, photos: Described, times: Sequence[float] | None = None, within: int = SHORTLIST
+        self, matcher: FrameMatcher, photos: Described, times: Sequence[float] | None = None, within: int = SHORTLIST
     ) -> Found:
         """Find where photos were taken, or say that it was not here.
 
@@ -181,20 +173,20 @@ class FrameMap:
         scores = np.max(hypotheses, 0) / len(each)
         frame = int(scores.argmax())
         elsewhere = scores[~self.same_place(frame)]
-        return Found(frame, *decide(float(scores[frame]), float(elsewhere.max(initial=0)), self.kind), scores)
+        return Found(frame, *decide(float(scores[frame]), float(elsewhere.max(initial=0)), self.scale), scores)
 
-    def score(self, matcher: Matcher, photo: Described, within: int = SHORTLIST) -> NDArray[np.float64]:
-        """How well each frame and its neighbours fit one photo, ``[N]``."""
-        likeness = self.whitening.likeness(photo.looks)[0]
+    def score(self, matcher: FrameMatcher, photo: Described, within: int = SHORTLIST) -> NDArray[np.float64]:
+        """Return how well each frame and its neighbours fit one photo, ``[N]``."""
+        likeness = matcher.likeness(photo, self.described)
         agreeing = np.zeros(len(self))
-        if matcher.kind != "none":
-            shortlist = np.argsort(-likeness)[:within]
-            agreeing[shortlist] = matcher.agreements(photo, self.described, shortlist.tolist())
+        shortlist = np.argsort(-likeness)[:within]
+        fit = matcher.fit(photo, self.described, shortlist.tolist())
+        agreeing[shortlist] = fit.score * np.exp(-np.hypot(fit.ahead, fit.right) / FAR)
         joined = self.parts[1:] == self.parts[:-1]
         scores = agreeing.copy()
         scores[1:] += NEIGHBOURS * agreeing[:-1] * joined
         scores[:-1] += NEIGHBOURS * agreeing[1:] * joined
-        return np.asarray(scores + LOOK * likeness.clip(min=0))
+        return np.asarray(scores + self.scale.look * likeness.clip(min=0))
 
     def save(self, file: str | Path) -> None:
         """Write the map, as an ``.npz`` file."""
@@ -294,7 +286,7 @@ def check_memory(frames: int, every: float) -> None:
 
 def map_recordings(
     recordings: Sequence[Iterable[tuple[NDArray[np.uint8], float, tuple[float, float, float] | None]]],
-    matcher: Matcher,
+    matcher: FrameMatcher,
     field_of_view: float,
     expected: int = 0,
     progress: bool = False,
@@ -352,23 +344,31 @@ def map_recordings(
     )
 
 
-def find_links(graph: FrameMap, matcher: Matcher, *, progress: bool = False) -> NDArray[np.int64]:
-    """Pairs of frames of one place, seen at different times or in different recordings, int64 ``[L, 2]``.
+def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False) -> NDArray[np.int64]:
+    """Return pairs of frames of one place, seen at different times or in different recordings, int64 ``[L, 2]``.
 
-    Each frame is compared with those that are most alike as a whole. Two are linked if so many of their points agree,
-    and those of the frames before or after, too: places that only look alike seldom do so for long.
+    Frames of every half second are compared, each with those that are most alike as a whole. Two are linked if so many
+    of their points agree, and those of the frames before or after, too: places that only look alike seldom do so for
+    long.
     """
-    if matcher.kind == "none":
+    scale, stride = graph.scale, max(1, round(EVERY / graph.spacing))
+    if not scale.shortlist:
         return np.zeros((0, 2), np.int64)
+    some = np.arange(0, len(graph), stride)
+    times, parts = graph.times[some], graph.parts[some]
     agreeing: dict[tuple[int, int], float] = {}
     compared: dict[int, list[tuple[int, float]]] = {}
-    for frame in tqdm(range(1, len(graph)), desc="links", unit="", disable=None if progress else True):
-        likeness = (graph.whitening.looks[:frame] @ graph.whitening.looks[frame]).numpy()
-        apart = (graph.times[frame] - graph.times[:frame] > APART) | (graph.parts[frame] != graph.parts[:frame])
-        shortlist = np.flatnonzero(apart)[np.argsort(-likeness[apart])[:LOOP_SHORTLIST]]
-        found = matcher.agreements(graph.described[frame : frame + 1], graph.described, shortlist.tolist())
-        compared[frame] = [(int(other), float(value)) for other, value in zip(shortlist, found, strict=True)]
-        agreeing |= {(other, frame): value for other, value in compared[frame]}
+    for row in tqdm(range(1, len(some)), desc="links", unit="", disable=None if progress else True):
+        frame = some[row]
+        seen = graph.described[frame : frame + 1]
+        apart = np.flatnonzero((times[row] - times[:row] > APART) | (parts[row] != parts[:row]))
+        if len(apart) > scale.shortlist:
+            likeness = matcher.likeness(seen, graph.described)[some[apart]]
+            apart = apart[np.argsort(-likeness)[: scale.shortlist]]
+        fit = matcher.fit(seen, graph.described, some[apart].tolist())
+        near = (np.hypot(fit.ahead, fit.right) < NEAR) & (np.abs(fit.turned) < TURNED)
+        compared[row] = list(zip(apart.tolist(), (fit.score * near).tolist(), strict=True))
+        agreeing |= {(other, row): value for other, value in compared[row]}
 
     def supported(one: int, two: int) -> bool:
         """True if the frames around agree, too, walked in the same direction or in the other."""
@@ -376,51 +376,62 @@ def find_links(graph: FrameMap, matcher: Matcher, *, progress: bool = False) -> 
             around = [
                 (one + direction * step, two + step)
                 for step in (-2, -1, 1, 2)
-                if _inside(graph, one, direction * step) and _inside(graph, two, step)
+                if _inside(parts, one, direction * step) and _inside(parts, two, step)
             ]
             seen = [max(agreeing.get((first, second + off), 0) for off in (-1, 0, 1)) for first, second in around]
             # At the ends of a recording there are fewer.
-            if len(around) > 1 and sum(value >= least / 2 for value in seen) >= min(3, len(around)):
+            if len(around) > 1 and sum(value >= scale.link / 2 for value in seen) >= min(3, len(around)):
                 return True
         return False
 
     def distinct(one: int, two: int) -> bool:
         """True if the later frame agrees less with frames of any other place."""
-        near = (np.abs(graph.times - graph.times[one]) <= APART) & (graph.parts == graph.parts[one])
+        near = (np.abs(times - times[one]) <= APART) & (parts == parts[one])
         others = [value for other, value in compared[two] if not near[other]]
-        return agreeing[one, two] >= DISTINCT * max(others, default=0)
+        return agreeing[one, two] >= scale.distinct * max(others, default=0)
 
-    least = LINK[matcher.kind]
     links: list[tuple[int, int]] = []
+    linked: dict[int, list[int]] = defaultdict(list)
     # The best first; of frames that see each other from afar only the nearest pair is linked.
-    for pair in sorted(agreeing, key=lambda pair: -agreeing[pair]):
-        if agreeing[pair] < least:
-            break
-        beside = any(
-            (pair[0] == one and abs(pair[1] - two) <= WINDOW) or (pair[1] == two and abs(pair[0] - one) <= WINDOW)
-            for one, two in links
-        )
-        if not beside and distinct(*pair) and supported(*pair):
-            links.append(pair)
-    return np.array(sorted(links), np.int64).reshape(-1, 2)
+    for one, two in sorted(
+        (pair for pair in agreeing if agreeing[pair] >= scale.link), key=lambda pair: -agreeing[pair]
+    ):
+        beside = any(abs(other - two) <= WINDOW for other in linked[one])
+        beside |= any(abs(other - one) <= WINDOW for other in linked[two])
+        if not beside and distinct(one, two) and supported(one, two):
+            links.append((one, two))
+            linked[one].append(two)
+            linked[two].append(one)
+    return some[np.array(sorted(links), np.int64).reshape(-1, 2)]
 
 
-def _inside(graph: FrameMap, frame: int, step: int) -> bool:
-    """True if a recording goes on for so many frames."""
-    return 0 <= frame + step < len(graph) and bool(graph.parts[frame + step] == graph.parts[frame])
+def _inside(parts: NDArray[np.int64], frame: int, step: int) -> bool:
+    """Return True if a recording goes on for so many frames."""
+    return 0 <= frame + step < len(parts) and bool(parts[frame + step] == parts[frame])
 
 
-def decide(best: float, other: float, kind: str) -> tuple[Certainty, float]:
+def distances_to(graph: csr_array, goal: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the cost of the cheapest path to a frame, infinite if there is none, and the frame that follows."""
+    far, following = dijkstra(graph.T, indices=goal, return_predecessors=True)
+    return far, following
+
+
+def load_matcher(kind: str | None = None) -> FrameMatcher:
+    """Return what describes and compares frames: by points of photographs (`Matcher`), or by ``columns`` of walls."""
+    return load_column_net() if kind == "columns" else Matcher(kind)
+
+
+def decide(best: float, other: float, scale: Scale) -> tuple[Certainty, float]:
     """Decide whether an answer can be trusted; the probability is that it is right.
 
     Args:
         best: score of the best frame.
         other: that of the best frame at another place.
-        kind: of the `Matcher`.
+        scale: of the points.
     """
-    margin, points, offset = DECISION[kind]
+    margin, points, offset = scale.decision
     logit = margin * math.log((best + 3) / (other + 3)) + points * math.log(best + 1) + offset
     probability = 1 / (1 + math.exp(-logit))
-    if best < HERE[kind]:
+    if best < scale.here:
         return "not here", probability
     return ("certain" if probability >= CERTAIN else "uncertain"), probability

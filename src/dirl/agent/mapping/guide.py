@@ -1,63 +1,122 @@
-"""Being led to a photo, live: camera frames in, what to do next out."""
+"""Being led to a photo by a recorded walk: frames of a camera in, what to do next out. Turns may be of any angle.
+
+As SPTM (Savinov et al., ICLR 2018): the frames of the walk are a graph, in which links join frames of one place; one is
+localised in it, and led to the farthest frame of the path that is in sight. Here a filter over time localises, and the
+points of two frames tell how far one has to turn, and in a game how far one has to go. Photographs and games differ in
+what compares frames (`dirl.perception.matching.FrameMatcher`), and in nothing else.
+"""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dirl.agent.mapping.belief import Belief
-from dirl.agent.mapping.frames import FrameMap
+from dirl.agent.mapping.frames import FrameMap, distances_to, load_matcher
 from dirl.agent.mapping.graph import MapError
-from dirl.perception.matching import Described, Matcher
+from dirl.perception.matching import Described, FrameMatcher, Motion
 
-COMPARED = 8
-"""Frames whose points are compared with what is seen, each time: the most likely ones."""
+MOVES = (0.08, 0.15, 0.25, 0.2, 0.15, 0.1, 0.07)
+"""How likely one is 2 frames before, ..., 4 frames after the last one."""
 
-LIKE, POINTS = 4.0, 10.0
-"""A cosine of 1 multiplies the likelihood by exp(LIKE); so many points that agree make it four times as large."""
+ELSEWHERE, LINKED = 0.03, 0.3
+"""How likely one is anywhere, and at the other end of a link."""
 
-SURE = 0.5
+AROUND = 3
+"""Frames before and after that count as one place."""
+
+LIKE, COMPARED = 4.0, 8
+"""A likeness of 1 multiplies the likelihood of a frame by exp(LIKE); of so many likely ones points are compared."""
+
+SURE = 0.3
 """Least probability around a frame; below it one is lost."""
 
-AHEAD = 5
-"""Frames along the path that are looked for, the farthest first."""
+ON_THE_WAY = 1.3
+"""Seconds of the path that are looked for at most, the farthest frame first; and `AHEAD` frames at least."""
 
-AGREE = {"xfeat": 20.0, "sift": 10.0, "none": 0.0}
-"""Points that agree with a frame that is recognised."""
+AHEAD = 5
 
 NEARLY = 0.45
 """Of the points of the path's best frame, what suffices for a farther one to lead."""
 
-ARRIVED = 0.35
-"""Of the points of the photo that agree with the map's frame at the goal, what must agree with the view there."""
+ARRIVED, NEAR = 0.35, 2.0
+"""Of the points of the photo that agree with the map's frame at the goal, what must agree with the view; and how far,
+by the path, one may be from that frame."""
 
-PATIENCE = 2
-"""Views in a row without any frame that is recognised, before one is lost."""
+MISSED = 2
+"""Views in a row in which no frame of the path is in sight, before one is lost."""
 
 STRAIGHT = 12.0
 """Degrees that are not worth a turn."""
 
-NEAR = 2
-"""Links to the goal, at most, where one may have arrived."""
+BEYOND = 60.0
+"""Units from which a frame is walked to; nearer ones tell by their heading where the path goes on."""
+
+PATIENCE = 45
+"""Views without progress before another path is taken."""
+
+IN_VAIN = 8.0
+"""What a link of the path costs more, each time that it did not lead on."""
 
 
 class Guidance(NamedTuple):
     """What to do next."""
 
-    say: Literal["turn", "ahead", "arrived", "lost"]
+    say: Literal["turn", "ahead", "back", "arrived", "lost", "stuck"]
+    """``back`` is to walk backwards; ``stuck`` that no progress was made for long, and another path is tried."""
     turn: float
-    """Degrees to the left; negative to the right, 0 unless it is a turn."""
+    """Degrees to the left; negative to the right."""
     frame: int
     """Of the map, where one seems to be."""
     sure: float
     """How likely that is, with the frames around."""
+    ahead: float = 0.0
+    """Units to where the frame that leads was taken, where points tell that."""
+    right: float = 0.0
+    """Likewise, to the right."""
 
     def __str__(self) -> str:
         if self.say != "turn":
             return self.say
         return f"turn {'left' if self.turn > 0 else 'right'} by {abs(self.turn):.0f} degrees"
+
+
+class Belief:
+    """Where one is in a recorded walk: a Bayes filter, with probabilities of the frames, ``[N]``.
+
+    Args:
+        count: frames, N.
+        links: pairs of frames of one place, int ``[L, 2]``.
+    """
+
+    def __init__(self, count: int, links: NDArray[np.int64]) -> None:
+        self.of = np.full(count, 1 / count)
+        self._ends = np.concatenate([links, links[:, ::-1]])
+
+    def move(self) -> None:
+        """Spread the probabilities as one walks on, or along a link, or is carried anywhere."""
+        count = len(self.of)
+        belief = np.convolve(self.of, MOVES)[2 : 2 + count]
+        np.maximum.at(belief, self._ends[:, 1], LINKED * self.of[self._ends[:, 0]])
+        self.of = (1 - ELSEWHERE) * belief / belief.sum() + ELSEWHERE / count
+
+    def weigh(self, likelihood: NDArray[np.float64]) -> None:
+        """Weigh the frames by how likely what is seen is at each, ``[N]``."""
+        belief = self.of * likelihood
+        self.of = belief / belief.sum()
+
+    def forget(self, share: float) -> None:
+        """Mix with not knowing anything."""
+        self.of = (1 - share) * self.of + share / len(self.of)
+
+    def frame(self) -> tuple[int, float]:
+        """Return the present frame, and how likely one is around it."""
+        around = int(np.convolve(self.of, np.ones(2 * AROUND + 1), "same").argmax())
+        first = max(0, around - AROUND)
+        frame = first + int(self.of[first : around + AROUND + 1].argmax())
+        return frame, float(self.of[max(0, frame - 8) : frame + 9].sum())
 
 
 class Guide:
@@ -81,77 +140,130 @@ class Guide:
                 print(guide.see(frame))
     """
 
-    def __init__(self, graph: FrameMap, photos: Sequence[NDArray[np.uint8]], matcher: Matcher | None = None) -> None:
+    def __init__(
+        self, graph: FrameMap, photos: Sequence[NDArray[np.uint8]], matcher: FrameMatcher | None = None
+    ) -> None:
         self.graph = graph
-        self.matcher = matcher or Matcher(graph.kind)
+        self.matcher = matcher or load_matcher(graph.kind)
         found = graph.find(self.matcher, self.matcher.describe(self._fitted(photo) for photo in photos))
         if found.answer == "not here":
             raise MapError("the photo was not taken where the map was recorded")
-        self.goal = found.frame
+        self._scores = found.scores.copy()
         self._photo = self.matcher.describe([self._fitted(photos[len(photos) // 2])])
-        self._least = AGREE[graph.kind]
-        self._arrived = max(self._least, ARRIVED * self._agreeing(self._photo, graph.described, self.goal))
-        self._missed = PATIENCE
-        self._steps: dict[int, float] = {}
-        self._far, self._following = graph.distances_to(np.array([self.goal]))
+        self._links = graph.graph.copy()
         self.belief = Belief(len(graph), graph.links)
+        self._window = max(AHEAD, round(ON_THE_WAY / graph.spacing))
+        self._steps: dict[tuple[int, int], float] = {}
+        self._missed = MISSED
+        self._plan()
 
     def see(self, frame: NDArray[np.uint8]) -> Guidance:
         """Say what to do where a frame is seen, RGB, uint8 ``[H, W, 3]``."""
         seen = self.matcher.describe([self._fitted(frame)])
-        self.belief.move()
-        likelihood = np.exp(LIKE * self.graph.whitening.likeness(seen.looks)[0].astype(float))
-        if self.matcher.kind != "none":
-            some = np.argsort(-self.belief.of * likelihood)[:COMPARED]
-            agreeing = self.matcher.agreements(seen, self.graph.described, some.tolist())
-            likelihood[some] *= (1 + agreeing / POINTS) ** 2
-        self.belief.weigh(likelihood)
+        self._localise(seen)
         here, sure = self.belief.frame()
         if sure < SURE or not np.isfinite(self._far[here]):
             return Guidance("lost", 0.0, here, sure)
-        if self._far[here] <= NEAR and self._agreeing(seen, self._photo, 0) >= self._arrived:
-            return Guidance("arrived", 0.0, here, sure)
-        turn = self._turn(seen, here)
-        self._missed = self._missed + 1 if turn is None else 0
-        if self._missed >= PATIENCE:
-            return Guidance("lost", 0.0, here, sure)
-        turn = turn or 0.0
-        return Guidance("turn" if turn else "ahead", turn, here, sure)
+        path = self._path(here)
+        scores = self.matcher.fit(seen, self.graph.described, path).score
+        of_photo = float(self.matcher.fit(seen, self._photo, [0]).score[0]) if self._far[path[-1]] == 0 else 0.0
+        best, least = max(scores.max(), of_photo), self.graph.scale.recognised
+        self._missed = self._missed + 1 if best < least else 0
+        if best < least:
+            return Guidance("lost" if self._missed >= MISSED else "ahead", 0.0, here, sure)
+        if self._without_progress(here):
+            self._doubt(path)
+            return Guidance("stuck", 0.0, here, sure)
+        enough = max(least, NEARLY * best)
+        if of_photo >= enough:
+            return self._towards_photo(seen, of_photo, here, sure)
+        leading = int(np.flatnonzero(scores >= enough).max())
+        motion = self._motion(seen, self.graph.described, path[leading])
+        turn = _heading(motion)
+        # Along a recording that is followed back in time the camera looks back.
+        if leading and all(0 <= one - two <= 1 for one, two in pairwise(path[: leading + 1])):
+            return Guidance("turn" if abs(turn) >= STRAIGHT else "back", turn, here, sure, motion.ahead, motion.right)
+        return Guidance("turn" if abs(turn) >= STRAIGHT else "ahead", turn, here, sure, motion.ahead, motion.right)
 
-    def _turn(self, seen: Described, here: int) -> float | None:
-        """Degrees to the left to the heading of the farthest frame of the path that is recognised; None if none is."""
+    def _localise(self, seen: Described) -> None:
+        """Where one is: moves spread the belief, and what is seen weighs it."""
+        self.belief.move()
+        likelihood = np.exp(LIKE * self.matcher.likeness(seen, self.graph.described, self.belief.of))
+        some = np.argsort(-self.belief.of * likelihood)[:COMPARED]
+        agreeing = self.matcher.fit(seen, self.graph.described, some.tolist()).score
+        likelihood[some] *= (1 + agreeing / self.graph.scale.unit) ** 2
+        self.belief.weigh(likelihood)
+
+    def _path(self, here: int) -> list[int]:
+        """The next frames of the path, those that may be in sight."""
         path, turning = [here], False
-        while len(path) <= AHEAD and self._far[path[-1]] > 0:
-            step = self._step(path[-1])
-            if abs(step) >= STRAIGHT and len(path) > 1 and not turning:
-                break  # the corner is seen from afar, but one walks up to it first
-            turning = abs(step) >= STRAIGHT
-            path.append(int(self._following[path[-1]]))
-        matches = [self.matcher.match(seen, self.graph.described, frame) for frame in path]
-        agreeing = np.array([self.matcher.agreeing(one) for one in matches])
-        if agreeing.max() < self._least:
-            return None
-        leading = int(np.flatnonzero(agreeing >= max(self._least, NEARLY * agreeing.max())).max())
-        turn = self.matcher.turn_between(matches[leading], self.graph.size, self.graph.field_of_view) or 0.0
-        return turn if abs(turn) >= STRAIGHT else 0.0
+        while len(path) <= self._window and self._far[path[-1]] > 0:
+            following = int(self._following[path[-1]])
+            if not self.graph.scale.tells_places:
+                corner = abs(self._step(path[-1], following)) >= STRAIGHT
+                if corner and len(path) > 1 and not turning:
+                    break  # the corner is seen from afar, but one walks up to it first
+                turning = corner
+            path.append(following)
+        return path
 
-    def _step(self, frame: int) -> float:
+    def _step(self, frame: int, following: int) -> float:
         """Degrees to the left from a frame to the next one of the path."""
-        if frame not in self._steps:
-            one, following = self.graph.described[frame : frame + 1], int(self._following[frame])
-            matches = self.matcher.match(one, self.graph.described, following)
-            turn = self.matcher.turn_between(matches, self.graph.size, self.graph.field_of_view)
-            self._steps[frame] = turn or 0.0
-        return self._steps[frame]
+        if (frame, following) not in self._steps:
+            described = self.graph.described
+            self._steps[frame, following] = self._motion(described[frame : frame + 1], described, following).turned
+        return self._steps[frame, following]
 
-    def _agreeing(self, seen: Described, others: Described, view: int) -> float:
-        return self.matcher.agreeing(self.matcher.match(seen, others, view))
+    def _towards_photo(self, seen: Described, agreeing: float, here: int, sure: float) -> Guidance:
+        """Say what leads to where the photo was taken, or that one has arrived."""
+        turn, motion = 0.0, self._motion(seen, self._photo, 0)
+        turn = _heading(motion)
+        if self._far[here] <= NEAR and agreeing >= self._arrived:
+            return Guidance("arrived", turn, here, sure, motion.ahead, motion.right)
+        return Guidance("turn" if abs(turn) >= STRAIGHT else "ahead", turn, here, sure, motion.ahead, motion.right)
+
+    def _without_progress(self, here: int) -> bool:
+        """Return True if for `PATIENCE` views one came no nearer."""
+        self._since = 0 if self._far[here] < self._least - 0.5 else self._since + 1
+        self._least = min(self._least, self._far[here])
+        return self._since > PATIENCE
+
+    def _doubt(self, path: list[int]) -> None:
+        """What did not lead on costs more; a goal that was reached in vain is given up for the next best."""
+        if len(path) < 4:
+            self._scores[self.graph.same_place(self.goal)] = -1
+        for first, second in pairwise(path[:9]):
+            self._links[first, second] += IN_VAIN
+        self.belief.forget(0.3)
+        self._plan()
+
+    def _plan(self) -> None:
+        """Choose the goal's frame, and the paths to it."""
+        self.goal = int(self._scores.argmax())
+        self._far, self._following = distances_to(self._links, self.goal)
+        agreeing = float(self.matcher.fit(self._photo, self.graph.described, [self.goal]).score[0])
+        self._arrived = max(self.graph.scale.recognised, ARRIVED * agreeing)
+        self._since, self._least = 0, np.inf
+
+    def _motion(self, seen: Described, frames: Described, frame: int) -> Motion:
+        """The motion to a frame; none where too few points agree."""
+        motion = self.matcher.motion(seen, frames, frame, self.graph.size, self.graph.field_of_view)
+        return motion or Motion(0.0, 0.0, 0.0)
 
     def _fitted(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """An image of the size of the map's frames; what is wider or taller is cut off."""
         height, width = self.graph.size
+        if image.shape[:2] == (height, width):
+            return image
         scale = max(height / image.shape[0], width / image.shape[1])
         size = max(width, round(image.shape[1] * scale)), max(height, round(image.shape[0] * scale))
         resized = np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX if scale < 1 else None))
         top, left = (size[1] - height) // 2, (size[0] - width) // 2
         return resized[top : top + height, left : left + width]
+
+
+def _heading(motion: Motion) -> float:
+    """Degrees to the left: to the heading of a frame, and half to where it was taken if that is far ahead."""
+    if motion.ahead <= BEYOND:
+        return motion.turned
+    return (motion.turned - float(np.degrees(np.arctan2(motion.right, motion.ahead)))) / 2

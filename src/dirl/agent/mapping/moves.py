@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from dirl.agent.mapping.frames import FrameMap
-from dirl.perception.matching import Matcher
+from dirl.perception.matching import FrameMatcher
 
 LEAST_TURN = 20.0
 """Degrees that are worth a word; smaller turns add up until they are."""
@@ -35,7 +35,7 @@ class Move(NamedTuple):
         return f"turn {'left' if self.turn > 0 else 'right'} {abs(self.turn):.0f} degrees"
 
 
-def moves_along(graph: FrameMap, matcher: Matcher, path: Sequence[int]) -> list[Move]:
+def moves_along(graph: FrameMap, matcher: FrameMatcher, path: Sequence[int]) -> list[Move]:
     """Turns and ways ahead along a path of frames.
 
     Turns are measured between successive frames. Where the path follows a recording back in time, one walks it the
@@ -44,8 +44,10 @@ def moves_along(graph: FrameMap, matcher: Matcher, path: Sequence[int]) -> list[
     moves: list[Move] = []
     turn, ahead, back = 0.0, 0.0, False
     for here, there in pairwise(path):
-        matches = matcher.match(graph.described[here : here + 1], graph.described, there)
-        turned = matcher.turn_between(matches, graph.size, graph.field_of_view) or 0.0
+        motion = matcher.motion(
+            graph.described[here : here + 1], graph.described, there, graph.size, graph.field_of_view
+        )
+        turned = 0.0 if motion is None else motion.turned
         in_time = abs(there - here) == 1 and graph.parts[here] == graph.parts[there]
         seconds = abs(float(graph.times[there] - graph.times[here])) if in_time else 0.0
         backwards = in_time and there < here

@@ -28,12 +28,6 @@ NO_WAY = 2**30
 """More steps than any path has."""
 
 
-def check_last_steps(last_steps: Any) -> None:
-    """Refuse with `MapError` what is no count of steps."""
-    if isinstance(last_steps, bool) or not isinstance(last_steps, int) or last_steps < 0:
-        raise MapError(f"last_steps={last_steps!r}: expected 0 or a positive integer")
-
-
 class Guide:
     """The path to one goal by a topological map, step by step; errors of the map are corrected on the way.
 
@@ -43,11 +37,10 @@ class Guide:
         last_steps: within so many steps of the goal it gives no advice.
 
     Raises:
-        MapError: the map is empty or does not fit the features, or ``last_steps`` is no count.
+        MapError: the map is empty or does not fit the features.
     """
 
     def __init__(self, graph: ImageGraph, goal_views: Tensor, last_steps: int) -> None:
-        check_last_steps(last_steps)
         if not len(graph):
             raise MapError("the map is empty; walk before it is used, see Navigator.explore")
         width = graph.views.shape[-1]

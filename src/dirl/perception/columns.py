@@ -5,16 +5,16 @@ that are each other's best match are points of one wall; the rigid motion that l
 the other frame was taken. Nothing of it knows a place: it is trained in mazes with other walls.
 """
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
-from tensordict import TensorDict
 from torch import Tensor, nn
 
+from dirl.perception.matching import SCALE, Described, Fit, Motion
 from dirl.scenes.io.tensors import read_tensors
 
 COLUMNS = 40
@@ -34,24 +34,18 @@ UNIT = 100.0
 ROUNDS, TOLERANCE = 4, 0.2
 """Of weighing matches by how well they agree, and the distance that halves a weight in the last."""
 
-BATCH = 400
 
+LIKE, LEAST = 0.39, 0.15
+"""The likeness of frames whose columns match in x places is LIKE * log(x + LEAST)."""
 
-class Fit(NamedTuple):
-    """How frames fit one that is seen, ``[N]`` each."""
-
-    score: NDArray[np.float32]
-    """Columns that match and agree, 0 to `COLUMNS`."""
-    ahead: NDArray[np.float32]
-    """Where the frame was taken, seen from here, units."""
-    right: NDArray[np.float32]
-    """Likewise, to the right."""
-    turned: NDArray[np.float32]
-    """The frame's heading, to the left of the present one, degrees."""
+LIKELY, SPARSE = 60, 10
+"""So many likely frames are compared with what is seen, and of the others every tenth."""
 
 
 class ColumnNet(nn.Module):
-    """Columns of frames as vectors of a size, and the depth in each; 126,000 parameters."""
+    """Columns of frames as vectors of a size, and the depth in each; 126,000 parameters. A `FrameMatcher`."""
+
+    kind = "columns"
 
     def __init__(self, size: int = 64) -> None:
         super().__init__()
@@ -87,37 +81,53 @@ class ColumnNet(nn.Module):
         return alike / (alike.sum(2, keepdim=True) + none) * alike / (alike.sum(1, keepdim=True) + none)
 
     @torch.no_grad()
-    def describe(self, frames: NDArray[np.uint8]) -> TensorDict:
-        """Columns of frames, RGB, uint8 ``[N, H, W, 3]``, of 90 degrees from left to right.
+    def describe(self, views: Iterable[NDArray[np.uint8]]) -> Described:
+        """Describe frames, RGB, uint8 ``[H, W, 3]`` each, of 90 degrees from left to right.
 
-        They have ``looks`` of unit length, ``[N, C, COLUMNS]``, and ``points`` of the walls, ahead and to the right of
-        the camera, ``[N, COLUMNS, 2]``.
+        Their points are those of walls, one in each column, ahead and to the right of the camera; there is no
+        description of the whole.
         """
-        found = [self(images_of(frames[first : first + BATCH])) for first in range(0, len(frames), BATCH)]
-        looks, depth = (torch.cat(parts) for parts in zip(*found, strict=True))
-        return TensorDict({"looks": looks, "points": wall_points(depth)}, [len(frames)])
+        vectors, depth = self(images_of(np.stack(list(views))))
+        scaled = (vectors.mT * SCALE).round().clamp(-127, 127).to(torch.int8)
+        count = len(scaled)
+        whole, counts = np.zeros((count, 0), np.float16), np.full(count, COLUMNS, np.int16)
+        return Described(whole, wall_points(depth).numpy().astype(np.float16), scaled.numpy(), counts)
 
     @torch.no_grad()
-    def likeness(self, seen: TensorDict, others: TensorDict) -> NDArray[np.float32]:
-        """Matched columns of one frame with others, ``[N]``: what `fit` tells, without whether they agree."""
-        alike = [
-            self.matches(seen["looks"].expand(len(part), -1, -1), part).amax(2).sum(1)
-            for part in others["looks"].split(BATCH)
-        ]
-        return torch.cat(alike).numpy()
+    def likeness(
+        self, seen: Described, frames: Described, likely: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return how many columns of one view match those of each frame, as a logarithm, ``[N]``."""
+        some = every = np.arange(len(frames))
+        if likely is not None and len(frames) > LIKELY:
+            most = np.argpartition(-likely, LIKELY)[:LIKELY]
+            some = np.union1d(most // 2 * 2, every[::SPARSE])
+        matched = self.matches(*self._looks(seen, frames, some)).amax(2).sum(1).numpy()
+        return np.asarray(LIKE * np.log(np.interp(every, some, matched) + LEAST))
 
     @torch.no_grad()
-    def fit(self, seen: TensorDict, others: TensorDict) -> Fit:
-        """How frames fit one that is seen, or as many that are."""
-        parts = [
-            relative_pose(self.matches(here["looks"], there["looks"]), here["points"], there["points"])
-            for here, there in zip(seen.expand(len(others)).split(BATCH), others.split(BATCH), strict=True)
-        ]
-        return Fit(*(torch.cat(values).numpy() for values in zip(*parts, strict=True)))
+    def fit(self, seen: Described, frames: Described, some: Sequence[int]) -> Fit:
+        """Return how some of the frames fit one view, and where they were taken."""
+        matches = self.matches(*self._looks(seen, frames, some))
+        here, there = (torch.from_numpy(of).float() for of in (seen.positions[:1], frames.positions[some]))
+        return Fit(*(value.numpy() for value in relative_pose(matches, here.expand_as(there), there)))
+
+    def motion(
+        self, seen: Described, frames: Described, frame: int, size: tuple[int, int], field_of_view: float
+    ) -> Motion | None:
+        """Return the motion to a frame; the field of view is that of the training."""
+        fit = self.fit(seen, frames, [frame])
+        return Motion(float(fit.ahead[0]), float(fit.right[0]), float(fit.turned[0]))
+
+    @staticmethod
+    def _looks(seen: Described, frames: Described, some: Sequence[int] | NDArray[np.int64]) -> tuple[Tensor, Tensor]:
+        """Vectors of the columns of one view, and of some frames, ``[S, C, COLUMNS]`` each."""
+        here, there = (torch.from_numpy(of).float().mT / SCALE for of in (seen.vectors[:1], frames.vectors[some]))
+        return here.expand_as(there), there
 
 
 def load_column_net(file: str | Path = WEIGHTS) -> ColumnNet:
-    """The network with the weights of the package, or of a file, for `ColumnNet.describe`."""
+    """The network with the weights of the package, or of a file."""
     net = ColumnNet()
     stored = read_tensors(Path(file))
     net.load_state_dict({name: value.float() if value.is_floating_point() else value for name, value in stored.items()})
@@ -139,7 +149,7 @@ def wall_points(depth: Tensor) -> Tensor:
 
 
 def relative_pose(matches: Tensor, seen: Tensor, other: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The rigid motion that lays matched points on each other, as `Fit` has it.
+    """Return the rigid motion that lays matched points on each other, in the order of `Fit`.
 
     Weighted least squares in closed form; then matches that do not agree weigh less, and so on for `ROUNDS`. Matches
     are probabilities, ``[N, COLUMNS, COLUMNS]``; the points are those of the frame that is seen and of the other,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dirl.agent.mapping.columns import BEARING, COLUMNS, UNIT, load_column_net, relative_pose, wall_points
+from dirl.perception.columns import BEARING, COLUMNS, UNIT, load_column_net, relative_pose, wall_points
 
 
 def moved(points, ahead, right, turned):
@@ -45,6 +45,7 @@ def test_a_frame_fits_itself_best_where_it_is():
     net = load_column_net()
     columns = net.describe(frames)
     for frame in range(6):
-        fit = net.fit(columns[frame : frame + 1], columns)
-        assert fit.score.argmax() == frame == net.likeness(columns[frame : frame + 1], columns).argmax()
+        seen = columns[frame : frame + 1]
+        fit = net.fit(seen, columns, range(6))
+        assert fit.score.argmax() == frame == net.likeness(seen, columns).argmax()
         assert np.abs([fit.ahead[frame], fit.right[frame], fit.turned[frame]]).max() < 5
