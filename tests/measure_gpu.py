@@ -43,36 +43,28 @@ FOLDER = Path(tempfile.mkdtemp())
 
 
 def say(*columns):
-    """Print a row of the table, if there is one."""
-    if columns:
-        print(" | ".join(str(column) for column in columns), flush=True)
+    """Print a row of the table."""
+    print(" | ".join(str(column) for column in columns), flush=True)
+
+
+def run(*arguments):
+    """Run a recipe as a user does; the lines of its standard error."""
+    done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(done.stderr[-1500:])
+    return done.stderr.splitlines()
 
 
 def command(*options):
     """A whole command as a user gives it: seconds in all, and the summary of its run."""
     folder = Path(tempfile.mkdtemp())
     began = time.perf_counter()
-    done = subprocess.run(
-        [
-            sys.executable,
-            ROOT / "recipes/train.py",
-            *options,
-            *SMALL,
-            f"device={DEVICE}",
-            f"hydra.run.dir={folder}/run",
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    told = run("recipes/train.py", *options, *SMALL, f"device={DEVICE}", f"hydra.run.dir={folder}/run")
     seconds = time.perf_counter() - began
-    if done.returncode:
-        raise RuntimeError(done.stderr[-1500:])
-    told = [line for line in done.stderr.splitlines() if "CUDA graph" in line]
-    summary = json.loads((folder / "run/summary.json").read_text())
-    row("command", " ".join(options), [summary], seconds)
-    if told:
-        say(*told)
+    row("command", " ".join(options), [json.loads((folder / "run/summary.json").read_text())], seconds)
+    for line in told:
+        if "CUDA graph" in line:
+            say(line)
 
 
 def stack(count, *options):
@@ -90,13 +82,13 @@ def stack(count, *options):
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as told:
         results = run_together(jobs, recipe.train, recipe.learn)
     graphs = {line for line in told.getvalue().splitlines() if "CUDA graph" in line}
-    failed = [result for result in results if isinstance(result, Exception)]
-    if failed:
-        raise failed[0]
+    for result in results:
+        if isinstance(result, Exception):
+            raise result
     row(f"{count} seeds", " ".join(options), results, time.perf_counter() - began)
-    say(*graphs)
+    for line in graphs:
+        say(line)
     shutil.rmtree(folder)
-    return results
 
 
 class OneUpdate:
@@ -170,10 +162,8 @@ def grid(experiment, *options):
         ["recipes/train.py", "-m", "hydra/launcher=stacked", *given],
         ["recipes/report.py", f"experiment={experiment}", f"runs={folder}", f"out={FOLDER}/report"],
     ):
-        done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+        run(*arguments)
         seconds = time.perf_counter() - began
-        if done.returncode:
-            raise RuntimeError(done.stderr[-1500:])
         runs = len(list(folder.glob("**/summary.json")))
         say(arguments[0], " ".join(arguments[1:3]), *options, f"{runs} runs", f"{seconds:.1f} s since its beginning")
 

@@ -71,12 +71,8 @@ def data_of(site, name):
     ]
 
 
-def test_page_and_models_are_small(site):
-    files = [file for file in site.iterdir() if file.suffix != ".json"]
-    assert sum(file.stat().st_size for file in files) < MOST_BYTES
-
-
-def test_without_npm_the_site_says_so(demo, tmp_path, monkeypatch):
+def test_page_and_models_are_small_and_without_npm_the_site_says_so(demo, site, tmp_path, monkeypatch):
+    assert sum(file.stat().st_size for file in site.iterdir() if file.suffix != ".json") < MOST_BYTES
     monkeypatch.setattr(shutil, "which", lambda _: None)
     with pytest.raises(RuntimeError, match="npm is not installed"):
         demo.build(tmp_path / "demo", tmp_path / "cache")

@@ -107,33 +107,23 @@ def test_a_walk_makes_a_map_and_ends_where_all_is_known(ros2, tmp_path):
 
 
 def test_it_only_looks_where_it_stands(ros2):
-    robot = Robot()
-    navigator = Scripted([0, 0])
+    robot, navigator = Robot(), Scripted([0, 0])
     pilot = ros2.Pilot(navigator, robot.drive)
-    for side in ros2.SIDES[:3]:
-        pilot.see(side, robot.image(), robot.now)
-    pilot.tick(robot.now)
-    assert navigator.seen == []  # three views are not enough
-    pilot.see("left", robot.image(), robot.now)
-    pilot.tick(robot.now)
-    assert robot.velocity == (0.2, 0.0)
-    robot.wait(2.4)
-    for side in ros2.SIDES:
-        pilot.see(side, robot.image(), robot.now)
-    pilot.tick(robot.now)
-    assert (len(navigator.seen), robot.velocity) == (1, (0.2, 0.0))  # still on its way
-    robot.wait(0.2)
-    pilot.tick(robot.now)
-    assert robot.velocity == (0.0, 0.0)
-    for side in ros2.SIDES:
-        pilot.see(side, robot.image(), robot.now)  # too soon: the robot may still shake
-    pilot.tick(robot.now)
-    assert len(navigator.seen) == 1
-    robot.wait(0.4)
-    for side in ros2.SIDES:
-        pilot.see(side, robot.image(), robot.now)
-    pilot.tick(robot.now)
-    assert len(navigator.seen) == 2
+
+    def tick(*sides, after=0.0):
+        """Wait, see these sides, decide; how often it has looked, and whether it drives."""
+        robot.wait(after)
+        for side in sides:
+            pilot.see(side, robot.image(), robot.now)
+        pilot.tick(robot.now)
+        return len(navigator.seen), robot.velocity != (0.0, 0.0)
+
+    assert tick(*ros2.SIDES[:3]) == (0, False)  # three views are not enough
+    assert tick("left") == (1, True)
+    assert tick(*ros2.SIDES, after=2.4) == (1, True)  # still on its way
+    assert tick(after=0.2) == (1, False)
+    assert tick(*ros2.SIDES) == (1, False)  # too soon: the robot may still shake
+    assert tick(*ros2.SIDES, after=0.4)[0] == 2
 
 
 def test_a_panoramic_camera_gives_the_four_views(ros2):

@@ -4,13 +4,12 @@ import io
 import re
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from commands import ROOT, room_file, train_config
-from parts import Loop
+from parts import Loop, make_parts, train_state
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Unbounded
@@ -22,8 +21,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import shortest_episodes
 from dirl.evaluation.experts import ShortestPathExpert
 from dirl.evaluation.protocol import metrics, report
-from dirl.models import ActorCritic, ActorCriticHeads, FeatureTable, frozen, plain_weights
-from dirl.models.distinct import CachedEncoder
+from dirl.models import frozen, plain_weights
 from dirl.perception.backbones import load_encoder
 from dirl.perception.recognition.build import checked
 from dirl.perception.recognition.tables import VisitScores
@@ -35,22 +33,17 @@ from dirl.sources.simulators import take_scene
 from dirl.training.build import (
     build_demonstrations,
     build_losses,
-    build_observation,
-    build_protocol,
     build_world,
-    learning_policy,
-    trained_parameters,
 )
-from dirl.training.job import begin
 from dirl.training.objectives import ImitationLoss, ScheduledLoss, demonstration_batches
 from dirl.training.rollout import collect
 
 PAGE = (ROOT / "docs" / "howto" / "extend.md").read_text()
 FILES = dict(re.findall(r"^```\{code-block\} python\n:caption: (\S+)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
 SMALL = ["encoder.width=32", "heads.width=32", "evaluation.times=0", "reinforcement.agents_per_scene=32"]
-SAC = ["network.cache=off", "objective=none", "losses=[]", "imitation.fraction=0", "reinforcement.n_steps=1"]
+SAC = ["network.cache=off", "objective=none", "imitation.fraction=0", "reinforcement.n_steps=1"]
 SAC += ["++losses.sac={_target_:discrete_sac.DiscreteSAC,width:32,batch_size:128,capacity:2000}"]
-GAIL = ["losses=[]", "++losses.gail={_target_:gail.GAILLoss,width:32}", "imitation.fraction=1"]
+GAIL = ["imitation.bc_coef=0", "++losses.gail={_target_:gail.GAILLoss,width:32}", "imitation.fraction=1"]
 INVERSE = ["++losses.inverse={_target_:inverse_dynamics.InverseDynamicsLoss,width:32,weight:1.0}"]
 STACKED = ["observation._target_=stacked.StackedViews", "++observation.steps=4"]
 SOME = ["observation._target_=narrow.SomeViews", "++observation.shown=[1,3]"]
@@ -76,18 +69,8 @@ def parts(tmp_path):
     room = room_file(tmp_path)
 
     def make(*options, saved=None):
-        config = train_config(f"scene={room}", *SMALL, *options)
-        world = build_world(config)
-        observation = build_observation(config, world)
-        torch.manual_seed(config.seed)
-        policy = learning_policy(config, world, observation)
-        losses = build_losses(config, policy, world, build_demonstrations(config, world, observation))
-        protocol = build_protocol(config, world, observation)
-        return (
-            config,
-            protocol,
-            begin(SimpleNamespace(config=config, saved=saved, folder="run"), policy, losses, protocol),
-        )
+        made = make_parts(f"scene={room}", *SMALL, *options)
+        return made.config, made.protocol, train_state(made, saved)
 
     return make
 
@@ -97,33 +80,6 @@ def train(config, state, total, until=None):
     loop = Loop(state, total, lambda state: until is not None and state.frames >= until)
     learn(config, state, loop)
     return loop.told
-
-
-@pytest.fixture
-def attention():
-    from attention import AttentionEncoder
-
-    torch.manual_seed(0)
-    return AttentionEncoder(num_features=6, width=16, heads=2)
-
-
-def test_attention_knows_views_by_their_direction_not_their_order(attention):
-    views, order = torch.randn(5, 4, 6), [2, 0, 3, 1]
-    before = attention.embed(views)
-    assert not torch.allclose(attention.embed(views[:, order]), before, atol=1e-3)
-    with torch.no_grad():
-        attention.direction.copy_(attention.direction[order])
-    torch.testing.assert_close(attention.embed(views[:, order]), before)
-
-
-def test_attention_is_cached_to_the_same_result(attention):
-    table = FeatureTable(torch.randn(9, 6))
-    heads = ActorCriticHeads(["room"], 16, 4)
-    policy = ActorCritic(table, attention, heads)
-    policy.cache(None)
-    assert type(policy.cached) is CachedEncoder
-    ids, goal_ids = torch.randint(9, (2, 20, 4))
-    torch.testing.assert_close(policy.cached(ids, goal_ids), attention(table(ids), table(goal_ids)))
 
 
 def clone(config, protocol, policy, steps=150):
@@ -325,21 +281,19 @@ def test_a_noisy_expert_shows_other_actions_as_often_as_it_should(parts):
     from noisy import NoisyExpert
 
     _, protocol, _ = parts()
-    goal_index, state = (each.repeat(100) for each in protocol.world.pairs())
-    rows = TensorDict({"state": state, "goal": protocol.world.goals[goal_index]}, batch_size=[len(state)])
+    world = protocol.world
+    goal_index, state = (each.repeat(100) for each in world.pairs())
+    rows = TensorDict({"state": state, "goal": world.goals[goal_index]}, batch_size=[len(state)])
 
     def shown(expert):
         return expert(rows.clone())["expert_action"]
 
-    best = shown(ShortestPathExpert(protocol.world))
-    noisy = shown(NoisyExpert(protocol.world, seed=1, noise=0.3))
+    best, noisy = shown(ShortestPathExpert(world)), shown(NoisyExpert(world, seed=1, noise=0.3))
     advises = best >= 0
     assert (noisy[~advises] == -1).all()
-    assert set(noisy[advises].tolist()) == {0, 1, 2, 3}
     assert (noisy != best)[advises].float().mean().item() == pytest.approx(0.3, abs=0.03)
-    assert torch.equal(noisy, shown(NoisyExpert(protocol.world, seed=1, noise=0.3)))
-    assert not torch.equal(noisy, shown(NoisyExpert(protocol.world, seed=2, noise=0.3)))
-    assert torch.equal(best, shown(NoisyExpert(protocol.world, seed=1, noise=0.0)))
+    assert torch.equal(noisy, shown(NoisyExpert(world, seed=1, noise=0.3)))
+    assert not torch.equal(noisy, shown(NoisyExpert(world, seed=2, noise=0.3)))
 
 
 def test_inverse_dynamics_is_learnt(parts):
@@ -357,9 +311,9 @@ def test_a_discriminator_gives_the_reward_before_advantages_are_computed(parts):
     assert (rewarded["next", "reward"] < 0).all()
     assert rewarded["next", "reward"].shape == batch["next", "reward"].shape
     assert "hidden" not in rewarded.keys()  # noqa: SIM118, of a TensorDict
-    told = train(config, state, total=20_000)
+    told = train(config, state, total=40_000)
     assert {"loss_gail", "gail_accuracy"} <= told[0].keys()
-    assert metrics(protocol.run(state.policy))["spl"] > 2 * before["spl"]
+    assert metrics(protocol.run(state.policy))["spl"] > 4 * before["spl"]
 
 
 @pytest.mark.parametrize(
@@ -430,12 +384,6 @@ def test_a_loss_must_write_one(parts):
     state.losses.losses["nothing"] = ScheduledLoss(Nothing(), schedules)
     with pytest.raises(ConfigError, match=r"losses\.nothing: Nothing writes no loss_"):
         train(config, state, total=100)
-
-
-def test_own_parameters_are_trained_with_the_policys(parts):
-    _, _, state = parts(*SAC)
-    own = len(trained_parameters(state.policy, state.losses)) - len(trained_parameters(state.policy))
-    assert own == len(list(state.losses.losses["sac"].module.loss.qvalue_network_params.parameters())) == 7
 
 
 HALLS = ["source._target_=halls.Halls", "++source.width=16"]

@@ -47,40 +47,21 @@ def trained(tmp_path_factory):
     return parts, folder
 
 
-def test_it_finds_its_goal_from_everywhere(trained):
-    parts, _ = trained
+def test_it_finds_its_goal_from_everywhere_and_is_drawn(trained):
+    parts, folder = trained
     result = metrics(parts.protocol.run(parts.policy))
     assert (result["sr"], result["episodes"]) == (1, 35)
     assert result["spl"] > 0.7
-
-
-def test_what_surrounds_a_state_is_three_turns_apart(trained):
-    parts, _ = trained
     headings = parts.world.scenes[0].headings
     assert ((headings[parts.world.surrounding] - headings[:, None]) % 360 == [0, 90, 180, 270]).all()
     assert parts.observation.reset_view_ids(torch.tensor(GOAL)).tolist() == [19, 22, 13, 16]
-
-
-def test_maps_paths_and_film_are_drawn(trained):
-    parts, folder = trained
     facts = describe(parts.config, parts.world)
     draw_scene(parts.policy, parts.protocol, 0, folder, matching=matching(parts.config, "cpu"), facts=facts)
     for name in ("maps_grid.png", "trajectories_grid.png", "episode_grid.gif"):
         with Image.open(folder / name) as image:
             assert min(image.size) > 200, name
             frames = getattr(image, "n_frames", 1)
-    longest = int(parts.world.distances.max())
-    assert frames > longest  # the film begins farthest from the goal
-
-
-def test_the_viewer_knows_every_heading(trained):
-    parts, _ = trained
-    protocol = replace(parts.protocol, max_steps=20)
-    (page,) = viewer_pages(parts.policy, protocol, matching=TemplateStop(0.9), title="a test").values()
-    data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
-    assert data["surrounding"][GOAL] == [19, 22, 13, 16]
-    sine, cosine = 0.5, round(3**0.5 / 2, 4)
-    assert data["directions"][:4] == [[0, 1], [sine, cosine], [cosine, sine], [1, 0]]
+    assert frames > int(parts.world.distances.max())  # the film begins farthest from the goal
 
 
 def test_a_robot_and_gymnasium_walk_there(trained):
@@ -103,7 +84,7 @@ def test_a_robot_and_gymnasium_walk_there(trained):
     assert env.render().shape[0] == 300
 
 
-@pytest.mark.parametrize("headings", [4, 8, 12])
+@pytest.mark.parametrize("headings", [4, 12])
 def test_a_tour_is_mapped_shown_and_walked(headings, tmp_path):
     """A graph that is no grid, on a laid-out map: in gymnasium, in the viewer, on a map, by a topological map."""
     truth = turned(grid_truth(3, 2), 0.5)

@@ -6,22 +6,37 @@ import numpy as np
 NUMBERS = ("i1", "u1", "<i2", ">i4", "u4", "i8", "u8", "f2", "f4", ">f8", "?", "S3", "c8")
 
 
-def flip_bits(rng, path):
-    content = bytearray(path.read_bytes())
+def of_bytes(change):
+    """A way by a function of a generator and the bytes of the file, which it changes in place."""
+
+    def way(rng, path):
+        content = bytearray(path.read_bytes())
+        change(rng, content)
+        path.write_bytes(content)
+
+    way.__name__ = change.__name__
+    return way
+
+
+def flip(rng, content, start, stop):
+    """Flip a bit between two places, which may lie outside of the file."""
+    content[min(max(start + int(rng.integers(stop - start)), 0), len(content) - 1)] ^= 1 << rng.integers(8)
+
+
+@of_bytes
+def flip_bits(rng, content):
     for _ in range(rng.integers(1, 5)):
-        content[rng.integers(len(content))] ^= 1 << rng.integers(8)
-    path.write_bytes(content)
+        flip(rng, content, 0, len(content))
 
 
-def flip_bits_of_metadata(rng, path):
+@of_bytes
+def flip_bits_of_metadata(rng, content):
     """Damage where HDF5 keeps its tables: around the signatures of its structures."""
-    content = bytearray(path.read_bytes())
     signs = [b"\x89HDF", b"TREE", b"HEAP", b"SNOD", b"GCOL", b"graph", b"digest", b"name", b"goals"]
     places = [at for sign in signs if (at := content.find(sign)) >= 0]
     for _ in range(rng.integers(1, 4)):
-        at = min(int(rng.choice(places)) + int(rng.integers(-64, 512)), len(content) - 1)
-        content[max(at, 0)] ^= 1 << rng.integers(8)
-    path.write_bytes(content)
+        at = int(rng.choice(places))
+        flip(rng, content, at - 64, at + 512)
 
 
 def flip_bits_of_a_header(rng, path):
@@ -30,41 +45,38 @@ def flip_bits_of_a_header(rng, path):
         start = h5py.h5o.get_info(file[str(rng.choice(list(file)))].id).addr
     content = bytearray(path.read_bytes())
     for _ in range(rng.integers(1, 3)):
-        content[min(start + int(rng.integers(300)), len(content) - 1)] ^= 1 << rng.integers(8)
+        flip(rng, content, start, start + 300)
     path.write_bytes(content)
 
 
-def overwrite(rng, path):
-    content = bytearray(path.read_bytes())
+@of_bytes
+def overwrite(rng, content):
     length = int(rng.integers(1, 65))
     at = int(rng.integers(max(1, len(content) - length)))
     content[at : at + length] = rng.bytes(length) if rng.random() < 0.5 else bytes([rng.choice([0, 255])]) * length
-    path.write_bytes(content)
 
 
-def zero_a_sector(rng, path):
-    content = bytearray(path.read_bytes())
+@of_bytes
+def zero_a_sector(rng, content):
     at = 512 * int(rng.integers(max(1, len(content) // 512)))
     content[at : at + 512] = bytes(len(content[at : at + 512]))
-    path.write_bytes(content)
 
 
-def truncate(rng, path):
-    content = path.read_bytes()
-    path.write_bytes(content[: rng.integers(len(content))])
+@of_bytes
+def truncate(rng, content):
+    del content[rng.integers(len(content)) :]
 
 
-def lose_bytes(rng, path):
-    content = path.read_bytes()
+@of_bytes
+def lose_bytes(rng, content):
     at, length = rng.integers(len(content)), rng.integers(1, 1000)
-    path.write_bytes(content[:at] + content[at + length :])
+    del content[at : at + length]
 
 
-def swap_sectors(rng, path):
-    content = bytearray(path.read_bytes())
+@of_bytes
+def swap_sectors(rng, content):
     a, b = (512 * int(at) for at in rng.integers(max(1, len(content) // 512), size=2))
     content[a : a + 512], content[b : b + 512] = content[b : b + 512], content[a : a + 512]
-    path.write_bytes(content)
 
 
 def change_attribute(rng, path):
@@ -156,24 +168,7 @@ def lose_a_dataset(rng, path):
             file.move(name, name + "_")
 
 
-WAYS = (
-    flip_bits,
-    flip_bits,
-    flip_bits_of_metadata,
-    flip_bits_of_metadata,
-    flip_bits_of_a_header,
-    flip_bits_of_a_header,
-    overwrite,
-    zero_a_sector,
-    truncate,
-    lose_bytes,
-    swap_sectors,
-    change_attribute,
-    change_type,
-    change_shape,
-    change_values,
-    change_a_view,
-    damage_a_chunk,
-    lose_a_dataset,
-)
-"""Those of one kind twice that find most."""
+WAYS = (flip_bits, flip_bits_of_metadata, flip_bits_of_a_header) * 2
+WAYS += (overwrite, zero_a_sector, truncate, lose_bytes, swap_sectors, change_attribute, change_type, change_shape)
+WAYS += (change_values, change_a_view, damage_a_chunk, lose_a_dataset)
+"""Those that find most twice."""

@@ -42,9 +42,9 @@ def make_parts(*options):
     )
 
 
-def train_state(parts):
-    """The state before the first update."""
-    run = SimpleNamespace(config=parts.config, saved=None)
+def train_state(parts, saved=None):
+    """The state before the first update, or as it was saved."""
+    run = SimpleNamespace(config=parts.config, saved=saved, folder="run")
     return begin(run, parts.policy, parts.losses, parts.protocol)
 
 
