@@ -3,7 +3,7 @@
     python recipes/train.py -m experiment=fig8 && python recipes/report.py experiment=fig8
     python recipes/report.py experiment=table2 preset=paper out=table2_paper
     python recipes/report.py experiment=stop                      # disturbs views, and encodes them anew
-    python recipes/report.py experiment=changes 'collections=[rooms_2cm,rooms_5cm]'    # of agents instead of runs
+    python recipes/report.py experiment=other_worlds 'collections=[doom.h5]'    # of an agent instead of runs
 
 A report is a folder: README.md with the tables, CSV files with the value of every run, figures as PNG and SVG.
 All options: `Options` below.
@@ -15,7 +15,7 @@ from typing import Annotated
 from dirl.cli.start import run, start
 from dirl.config.bounds import Bounds
 from dirl.config.options import option
-from dirl.config.schemas import ConfigError, ExperimentName, Positive, Split, TrainConfig
+from dirl.config.schemas import ConfigError, ExperimentName, Positive, TrainConfig
 
 
 @dataclass
@@ -23,8 +23,8 @@ class Options:
     """Write a table or figure of the paper from finished runs, or measure agents."""
 
     experiment: ExperimentName = option(
-        "of runs: table1 | table2 | fig4 | fig5 | fig6 | fig7 | fig8 | stop | any_goal | unseen_rooms; of agents: "
-        "image_graph | changes | walked_once | other_worlds | sptm"
+        "of runs: table1 | table2 | fig4 | fig5 | fig6 | fig7 | fig8 | stop | any_goal; of agents: "
+        "image_graph | other_worlds | sptm"
     )
     runs: str = option("the folder that recipes/train.py -m experiment=... wrote its runs to", "runs/experiments")
     preset: str = option("of the runs", "fast")
@@ -37,7 +37,7 @@ class Options:
         "resnet50",
     )
     agents: list[str] = option(
-        "of agents: checkpoints, or agents of the package; several for changes, [] for image_graph without one",
+        "of agents: a checkpoint, or an agent of the package; [] for image_graph without one",
         ["general"],
     )
     collections: list[str] = option("of agents: where; folders made by scenes.py sample, for other_worlds files", [])
@@ -57,7 +57,6 @@ from omegaconf import OmegaConf
 
 from dirl.config.folders import CONF, command
 from dirl.experiments.any_goal import report_any_goal
-from dirl.experiments.changes import report_changes
 from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.image_graph import report_image_graph
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
@@ -66,14 +65,12 @@ from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.sptm import report_sptm
 from dirl.experiments.stopping import report_stopping
-from dirl.experiments.unseen_rooms import report_unseen_rooms
-from dirl.experiments.walked_once import report_walked_once
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import load_encoder
 from dirl.reporting.tables import scene_names
 from dirl.runs.paths import RunError, find_checkpoint
 
-OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "changes", "walked_once", "other_worlds", "sptm")]
+OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "other_worlds", "sptm")]
 """The experiments on agents instead of runs."""
 
 
@@ -96,9 +93,8 @@ def check(options: Options) -> None:
     if not options.collections or (options.experiment == "image_graph" and len(options.collections) > 1):
         wanted = "files of scenes" if options.experiment == "other_worlds" else "folders made by scenes.py sample"
         raise ConfigError(f"collections={options.collections}: say where; {wanted}, of image_graph one")
-    several = {"changes": range(1, 100), "image_graph": range(2)}.get(options.experiment, range(1, 2))
-    if len(options.agents) not in several:
-        raise ConfigError(f"agents={options.agents}: must be one; several for changes, [] for image_graph without one")
+    if len(options.agents) > 1 or (not options.agents and options.experiment != "image_graph"):
+        raise ConfigError(f"agents={options.agents}: must be one; [] for image_graph without one")
     for agent in options.agents:
         find_checkpoint(agent)
 
@@ -126,8 +122,6 @@ def belongs(config: TrainConfig, experiment: ExperimentName, usual: tuple[float,
     match experiment:
         case ExperimentName.any_goal:
             return config.system == "any_goal" and config.hold_out > 0
-        case ExperimentName.unseen_rooms:
-            return config.split == Split.train
         case ExperimentName.fig5 if config.system == "any_goal":
             return config.hold_out > 0 and config.imitation.noise > 0 and reads_patches(config)
         case ExperimentName.fig5 if config.system == "dirl_compared":
@@ -154,8 +148,6 @@ def write(options: Options, runs: list[Result], out: Path) -> str:
             return report_efficiency(name, runs, out, note)
         case ExperimentName.any_goal:
             return report_any_goal(runs, out, note)
-        case ExperimentName.unseen_rooms:
-            return report_unseen_rooms(runs, out, note)
         case ExperimentName.fig5:
             return report_new_goals(runs, out, note, options.starts)
         case ExperimentName.fig6:
@@ -169,10 +161,6 @@ def write_of_agents(options: Options, out: Path) -> str:
     match options.experiment:
         case ExperimentName.image_graph:
             return report_image_graph(collections[0], options.rooms, agents[0] if agents else None, out)
-        case ExperimentName.changes:
-            return report_changes(collections, agents, out)
-        case ExperimentName.walked_once:
-            return report_walked_once(collections, agents[0], out)
         case ExperimentName.sptm:
             folder, trials = Path(options.folder or ""), options.trials
             return report_sptm(folder, trials, out, validation=options.validation, workers=options.workers)

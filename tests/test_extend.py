@@ -1,4 +1,4 @@
-"""The components of docs/howto/extend.md and extend_more.md, made from the files on these pages, do what they should."""
+"""The components of docs/howto/extend.md and extend_more.md, made from the files there, do what they should."""
 
 import io
 import re

@@ -16,7 +16,6 @@ from rooms import grid_scene
 from dirl.experiments.any_goal import main_variant, nearest_trained, variant
 from dirl.experiments.measures import ambiguous, wrong_goals
 from dirl.experiments.new_goals import new_goals
-from dirl.experiments.results import published
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
 from dirl.perception.backbones.registry import ViewEncoder, encode_views
 from dirl.reporting.statistics import bootstrap_interval, iqm, of_rooms, summarised
@@ -122,27 +121,6 @@ def test_a_report_without_runs_says_how_to_make_them(tmp_path):
     status, _, errors = run_recipe(tmp_path, "report", "experiment=fig8")
     assert status == 1
     assert "recipes/train.py -m experiment=fig8" in errors
-    assert "Traceback" not in errors
-
-
-def test_a_failed_job_is_told_and_the_others_are_not_lost_and_are_not_made_again(tmp_path):
-    options = [
-        f"scene={room_file(tmp_path)}",
-        *SMALL,
-        "system=il",
-        "seed=0",
-        "hydra.sweep.subdir=${reinforcement.gamma}",
-    ]
-    command = ["-m", "experiment=table2", *options, "reinforcement.gamma=1.5,0.9"]
-    status, _, errors = run_recipe(tmp_path, "train", *command)
-    assert status == 1
-    assert "failed: runs/experiments/1.5: reinforcement.gamma=1.5: must be between 0 and 1" in errors
-    summary = tmp_path / "runs" / "experiments" / "0.9" / "summary.json"
-    before = summary.stat().st_mtime_ns
-    status, printed, _ = run_recipe(tmp_path, "train", *command)
-    assert status == 1
-    assert "finished before: runs/experiments/0.9" in printed
-    assert summary.stat().st_mtime_ns == before
 
 
 def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_again(tmp_path):
@@ -161,6 +139,9 @@ def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_agai
     whole = [*options, "system=dirl", "seed=1", "hydra.run.dir=whole"]
     done(tmp_path, "train", *whole)
     assert have_the_same_weights(second, tmp_path / "whole")
+    status, _, errors = run_recipe(tmp_path, "train", *command, "evaluation.max_steps=49")
+    assert status == 1
+    assert "evaluation.max_steps=50 instead of 49" in errors
 
 
 def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_one_loses_none(tmp_path, monkeypatch):
@@ -177,19 +158,6 @@ def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_
     assert have_the_same_weights(*(tmp_path / folder / "0.9" for folder in ("alone", "together")))
 
 
-def test_a_folder_with_a_run_of_other_options_is_left_alone(tmp_path):
-    options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=random", "seed=0"]
-    done(tmp_path, "train", *options)
-    status, _, errors = run_recipe(tmp_path, "train", *options, "evaluation.max_steps=49")
-    assert status == 1
-    assert "evaluation.max_steps=50 instead of 49" in errors
-
-
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_every_experiment_has_what_the_paper_says_of_it(experiment):
-    assert published(experiment)["source"]
-
-
 def test_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter():
     assert iqm([1, 2, 3, 4, 100]) == 3
     assert iqm([5.0, 7.0]) == 6
@@ -201,26 +169,21 @@ def test_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter():
 def test_bootstrap_interval_holds_the_true_mean_about_as_often_as_it_says():
     rng = np.random.default_rng(1)
     held = 0
-    for number in range(200):
+    for number in range(100):
         low, high = bootstrap_interval(rng.normal(3, 1, 40), seed=number)
         held += low <= 3 <= high
-    assert 180 <= held <= 198
+    assert 88 <= held <= 99
 
 
-def test_numbers_of_several_rooms_show_the_worst_of_them():
+def test_numbers_of_several_rooms_or_runs_as_text():
     rates = [1.0, 1.0, 1.0, 0.9, 0.2]
     assert of_rooms(rates, ".2f", min) == "0.82 [0.50,\N{NO-BREAK SPACE}1.00], worst 0.20"
     assert of_rooms(rates, ".2f", max).endswith("worst 1.00")
     assert of_rooms([1.0, 1.0], ".2f", min) == "1.00"
-    assert of_rooms([], ".2f", min) == "-"
-
-
-def test_numbers_of_several_runs_as_text():
-    assert summarised([2.0], ".1f") == "2.0"
-    assert summarised([2.0, 2.0, 2.0], ".1f") == "2.0"
+    assert of_rooms([], ".2f", min) == summarised([], ".1f") == "-"
+    assert summarised([2.0], ".1f") == summarised([2.0, 2.0, 2.0], ".1f") == "2.0"
     assert summarised([1.0, 3.0, math.inf], ".0f") == "never [1,\N{NO-BREAK SPACE}never]"
     assert summarised([math.inf, math.inf], ".1f") == "never"
-    assert summarised([], ".1f") == "-"
 
 
 def test_new_goals_are_as_far_from_the_nearest_trained_one_as_is_asked():
@@ -232,23 +195,19 @@ def test_new_goals_are_as_far_from_the_nearest_trained_one_as_is_asked():
             assert min(scene.distances[goal, trained] for trained in scene.goals) == distance
 
 
-@pytest.mark.parametrize(("kind", "strength"), [("noise", 30), ("darkness", 0.5), ("blur", 3), ("occlusion", 0.3)])
-def test_a_disturbance_does_what_its_strength_says(kind, strength):
+def test_a_disturbance_does_what_its_strength_says():
     view = np.full((30, 40, 3), 100, np.uint8)
     view[:, :20] = 200
-    seen = disturb(view, kind, strength, np.random.default_rng(0))
-    change = seen.astype(float) - view
-    assert seen.shape == view.shape
-    assert seen.dtype == np.uint8
-    if kind == "noise":
-        assert abs(change[:, 20:].std() - 30) < 1.5
-    elif kind == "darkness":
-        assert seen.mean() == pytest.approx(75, abs=0.5)
-    elif kind == "blur":
-        assert np.abs(change[:, [0, 39]]).max() <= 1
-        assert 0 < change[:, 20].mean() < 50
-    else:
-        assert (seen == 128).all(-1).mean() == pytest.approx(0.3, abs=0.03)
+
+    def seen(kind, strength):
+        return disturb(view, kind, strength, np.random.default_rng(0)).astype(float)
+
+    assert abs((seen("noise", 30) - view)[:, 20:].std() - 30) < 1.5
+    assert seen("darkness", 0.5).mean() == pytest.approx(75, abs=0.5)
+    blurred = seen("blur", 3) - view
+    assert np.abs(blurred[:, [0, 39]]).max() <= 1
+    assert 0 < blurred[:, 20].mean() < 50
+    assert (seen("occlusion", 0.3) == 128).all(-1).mean() == pytest.approx(0.3, abs=0.03)
 
 
 def test_precision_and_recall_of_thresholds():
@@ -392,38 +351,18 @@ def test_the_nearest_trained_goal_is_of_all_that_were_trained():
     assert nearest_trained(config, held_out).tolist() == wanted
 
 
-def test_rooms_that_no_training_saw_are_reported(tmp_path):
-    """Two rooms of a collection are trained on, two tested."""
+def test_some_rooms_of_a_collection_are_trained_on_and_others_tested(tmp_path):
     (tmp_path / "rooms").mkdir()
-    for number, split in enumerate(["train", "train", "test", "test", "validation"]):
+    for number, split in enumerate(["train", "train", "test"]):
         add_room(tmp_path / "rooms", number, split, feature_width=32)
-    options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32"]
+    options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32", "rooms=2"]
     options += ["imitation.batch_size=64", "imitation.max_steps=5", "imitation.scenes_at_once=1", "seed=0"]
-    for choices in (["rooms=1,2"], ["rooms=2", "encoder=siamese"]):
-        done(tmp_path, "train", "-m", "experiment=unseen_rooms", *options, *choices)
-    run = next(file.parent for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
+    done(tmp_path, "train", "-m", "experiment=unseen_rooms", *options)
+    (run,) = (file.parent for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
     elsewhere = {"scene": f"collection:{tmp_path / 'rooms'}"}  # the collection has moved; its test rooms stay out
     assert load_trained(load_checkpoint(run), str(run), elsewhere).protocol.world.names == ("room_0", "room_1")
-    printed = done(tmp_path, "evaluate", f"checkpoint={run}", "scene=rooms/room_3.h5")
-    assert "room_3" in printed
-    printed = done(tmp_path, "report", "experiment=unseen_rooms", "out=report")
-    assert "Tested in 2 rooms of the test split" in printed
-    rows = {row["walks by"]: row for row in rows_of(tmp_path / "report" / "unseen_rooms.csv")}
-    assert float(rows["shortest path"]["SPL"]) == 1.0
-    counting = rows["four views of the goal, memory of counts"]
-    assert counting["SPL"] != rows["four views of the goal"]["SPL"]
-    assert "one photo of the goal, memory of counts" in rows
-    curve = rows_of(tmp_path / "report" / "unseen_rooms_by_training.csv")
-    assert list(dict.fromkeys(row["training rooms"] for row in curve)) == ["1", "2"]
-    alike = rows_of(tmp_path / "report" / "unseen_rooms_thresholds.csv")
-    assert [row["goals"] for row in alike] == ["24"] * 5
-    (kind,) = {row["kind"] for row in rows_of(tmp_path / "report" / "unseen_rooms_by_kind.csv")}
-    assert kind == "room"
-    parts = rows_of(tmp_path / "report" / "unseen_rooms_parts.csv")
-    assert [row["system"].split(",")[0] for row in parts[:: len(parts) // 2]] == [
-        "goal compared",
-        "goal embedded side by side",
-    ]
+    printed = done(tmp_path, "evaluate", f"checkpoint={run}", "split=test", "goals=[3]", "rooms=null")
+    assert "room_2" in printed
 
 
 @pytest.fixture
@@ -438,22 +377,18 @@ def collection(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (
-            ["experiment=image_graph", "collections=[nowhere]"],
-            "nowhere: is no collection; it holds no collection.jsonl",
-        ),
-        (["experiment=image_graph", "agents=[no_run]", "collections=[rooms]"], "no_run: holds no checkpoint"),
-        (["experiment=changes"], "collections=[]: say where; folders made by scenes.py sample"),
-        (["experiment=walked_once", "collections=[rooms]", "agents=[general,general]"], "must be one"),
+        (["image_graph", "collections=[nowhere]"], "nowhere: is no collection; it holds no collection.jsonl"),
+        (["image_graph", "agents=[no_run]", "collections=[rooms]"], "no_run: holds no checkpoint"),
+        (["other_worlds"], "collections=[]: say where; files of scenes"),
+        (["other_worlds", "collections=[rooms]", "agents=[general,general]"], "must be one"),
     ],
 )
 def test_what_an_agent_cannot_be_measured_in_is_told_in_one_line(tmp_path, collection, arguments, told):
-    status, _, errors = run_recipe(tmp_path, "report", *arguments)
+    status, _, errors = run_recipe(tmp_path, "report", f"experiment={arguments[0]}", *arguments[1:])
     assert status == 1
     assert errors.startswith("error: ")
     assert told in errors
     assert errors.count("\n") == 1
-    assert [file.name for file in tmp_path.iterdir()] == ["rooms"]
 
 
 def test_an_agent_is_measured_beside_maps(tmp_path, collection):

@@ -13,9 +13,7 @@ Cache = StrEnum("Cache", ["auto", "off"])
 Precision = StrEnum("Precision", ["float32", "tf32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 ExperimentName = StrEnum(
-    "ExperimentName",
-    "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal unseen_rooms image_graph changes walked_once other_worlds "
-    "sptm",
+    "ExperimentName", "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal image_graph other_worlds sptm"
 )
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Split = StrEnum("Split", ["train", "validation", "test"])

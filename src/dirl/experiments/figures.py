@@ -1,10 +1,9 @@
-"""What the experiments' figures share: panels, and interquartile means with their 95 % intervals drawn in four ways."""
+"""What the experiments' figures share: panels, and interquartile means with their 95 % intervals drawn in two ways."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
@@ -34,51 +33,6 @@ def interval_row(axes: Axes, place: float, values: Sequence[float], color: str) 
     low, high = bootstrap_interval(values)
     axes.plot([low, high], [place, place], color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
     axes.plot(iqm(values), place, "o", color=color)
-
-
-WORDS = {
-    "rooms_2cm": "2 cm",
-    "rooms_5cm": "5 cm",
-    "rooms_10cm": "10 cm",
-    "later_lit": "relit",
-    "later_moved": "refurnished",
-    "later_height": "seen from\nhigher up",
-    "later_all": "all changes",
-    "ncc": "the paper's correlation",
-    "learned, localising": "trained recogniser, Bayes filter",
-    "image graph, ncc": "topological map by correlation",
-}
-"""What figures say instead of the names of collections and of ways to recognise."""
-
-Line = tuple[str, str, str, Mapping[str, Sequence[Sequence[float]]]]
-"""Label, colour, marker, and by the way goals are shown SPL in each room of each collection."""
-
-
-def draw_spl(lines: Sequence[Line], names: Sequence[str], out: Path, name: str, *, apart: float = 0.0) -> None:
-    """SPL over collections, by their names, a panel for each way of showing goals.
-
-    The points of lines are ``apart``, where one collection is 1.
-    """
-    figure, grid = panels(2, (8, 4.6))
-    views = list(lines[0][3])
-    for axes, view in zip(grid, views, strict=True):
-        for step, (label, color, marker, spl) in enumerate(lines):
-            means = np.array([iqm(rooms) for rooms in spl[view]])
-            low, high = np.array([bootstrap_interval(rooms) for rooms in spl[view]]).T
-            x = np.arange(len(names)) + apart * (step - (len(lines) - 1) / 2)
-            error = np.maximum(0.0, [means - low, high - means])
-            agent, _, way = label.rpartition(": ")
-            shown = ": ".join(filter(None, [agent, WORDS.get(way, way).replace(", told", ", told where to stop")]))
-            named = shown if view == views[0] else None
-            axes.errorbar(x, means, error, fmt=marker, color=color, markersize=3.5, capsize=2, label=named)
-        turned: dict[str, Any] = {"rotation": 30, "ha": "right"} if len(names) > 3 else {}
-        axes.set_xticks(range(len(names)), [WORDS.get(name, name.replace("_", " ")) for name in names], **turned)
-        axes.set(title=view, ylim=(-0.03, 1.03), ylabel="SPL" if view == views[0] else None)
-        axes.tick_params(axis="x", labelsize="small")
-    figure.legend(
-        loc="outside lower center", ncols=3, frameon=False, fontsize="small", columnspacing=1.0, handlelength=1.5
-    )
-    save_figure(figure, out, name)
 
 
 def save_figure(figure: Figure, out: Path, name: str) -> None:
