@@ -1,1 +1,1 @@
-"""What the commands share: starting quickly, refusing options before long imports, one-line errors."""
+"""What the commands share: how they start and end, help and completion, options, one-line errors."""

@@ -75,21 +75,14 @@ def parse(schema: type, arguments: Sequence[str]) -> Any:
                 raise ConfigError(f"{text}: must be one value; a list is written as '{name}=[a,b]'")
             if is_dataclass(known[name]):
                 raise ConfigError(f"{text}: {name} is a group of options; choose one of it, {name}.<option>=...")
-            with _told_of(text):
+            try:
                 OmegaConf.update(config, name, override.value())
+            except OmegaConfBaseException as error:
+                raise ConfigError(f"{text}: {str(error).splitlines()[0]}") from None
         for name in map(str, config):
             if OmegaConf.is_missing(config, name):
                 raise ConfigError(f"{name} must be given: {meanings(schema)[name]}")
         return typed(config)
-
-
-@contextmanager
-def _told_of(text: str) -> Iterator[None]:
-    """Within this context an error names the argument."""
-    try:
-        yield
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"{text}: {str(error).splitlines()[0]}") from None
 
 
 def parsed(text: str) -> Override:

@@ -14,16 +14,16 @@ class Bounds(GroupedMetadata):
     most: float | None = None
 
     def __iter__(self) -> Iterator[BaseMetadata]:
-        """As pydantic reads them."""
+        """Yield them as pydantic reads them."""
         yield from [Ge(self.least)] if self.least is not None else []
         yield from [Le(self.most)] if self.most is not None else []
 
     def __contains__(self, value: float) -> bool:
-        """Whether a number lies within them."""
+        """True if a number lies within them."""
         return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
 
     def __str__(self) -> str:
-        """In words, for errors."""
+        """Return them in words, for errors."""
         if self.least is not None and self.most is not None:
             return f"between {self.least} and {self.most}"
         return f"at least {self.least}" if self.most is None else f"at most {self.most}"

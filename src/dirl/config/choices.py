@@ -15,7 +15,7 @@ from dirl.config.values import leaves
 
 
 def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
-    """The options of a choice; None if nothing is chosen.
+    """Return the options of a choice; None if nothing is chosen.
 
     It is the name of a file in the folder ``group`` of ``conf/``, or the path of a file of one's own, with ``.yaml``.
 
@@ -35,7 +35,7 @@ def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
 
 
 def own_options(group: str, file: Path) -> dict[str, Any]:
-    """The options of a component in a YAML file of the user's; ``group`` is the option that names it.
+    """Return a component's options in a YAML file of the user's; ``group`` is the option that names it.
 
     Raises:
         ConfigError: it cannot be read, or names no class.
@@ -54,14 +54,14 @@ def own_options(group: str, file: Path) -> dict[str, Any]:
 
 
 def goal_view_options(choice: str | None) -> dict[str, Any]:
-    """The options by which goals are shown, by dotted name; none if nothing is chosen."""
+    """Return the options by which goals are shown, by dotted name; none if nothing is chosen."""
     if choice == "surrounding":  # in training the defaults, which a run on photos has replaced
         return {"observation.goal_view": "surrounding", "stop.match": "views", "stop.threshold": 0.9}
     return leaves(group_options("goal_view", choice) or {})
 
 
 def load_simulator(file: str, trust: Collection[str] | None = None) -> Any:
-    """The simulator of the user's own that a YAML file names: ``_target_``, its class, and its arguments.
+    """Return the simulator of the user's own that a YAML file names: ``_target_``, its class, and its arguments.
 
     ``trust`` is as for `dirl.config.components.find_class`.
 

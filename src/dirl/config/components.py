@@ -73,7 +73,7 @@ NONE = ("memory", "episodic_memory", "losses")
 
 
 def components(config: Any) -> dict[str, dict[str, Any]]:
-    """The options of each component of a `TrainConfig` that names a class, by dotted name (``losses.a2c``).
+    """Return the options of each component of a `TrainConfig` that names a class, by dotted name (``losses.a2c``).
 
     Raises:
         ConfigError: a value that is no component.
@@ -95,7 +95,7 @@ def components(config: Any) -> dict[str, dict[str, Any]]:
 
 
 def packages_to_trust(config: Any) -> list[str]:
-    """The packages that must be trusted to read the configuration from a file, see `find_class`."""
+    """Return the packages that must be trusted to read the configuration from a file, see `find_class`."""
     targets = [str(options[TARGET]) for options in components(config).values()]
     return sorted({target.partition(".")[0] for target in targets if target not in PUBLIC} - {"dirl"})
 
@@ -111,7 +111,7 @@ def check_components(config: Any, trust: Collection[str] | None = None) -> None:
 
 
 def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> type:
-    """The class that a component names.
+    """Return the class that a component names.
 
     Args:
         name: of the component, for errors.
@@ -154,7 +154,7 @@ def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> 
 
 
 def class_parameters(cls: type) -> Parameters:
-    """The named parameters of a class's constructor; ``**kwargs`` stands for those of its bases.
+    """Return the named parameters of a class's constructor; ``**kwargs`` stands for those of its bases.
 
     What a base needs is not required: the class itself may give it.
     """
@@ -199,12 +199,12 @@ def check_options(name: str, parameters: Parameters, options: Mapping[str, Any])
 
 
 def is_schedule(value: Any) -> bool:
-    """Whether a value is ``{start: ..., end: ...}``."""
+    """True if a value is ``{start: ..., end: ...}``."""
     return isinstance(value, Mapping) and set(value) == {"start", "end"}
 
 
 def schedules(name: str, options: Mapping[str, Any]) -> dict[str, Schedule]:
-    """The options of a loss that change linearly over the training, and its ``weight``, constant or not.
+    """Return the options of a loss that change linearly over the training, and its ``weight``, constant or not.
 
     Raises:
         ConfigError: one is no finite number.

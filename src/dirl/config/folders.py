@@ -28,7 +28,7 @@ RECIPES = {
 
 
 def command(name: str, *, running: bool = False) -> str:
-    """How the user calls a recipe, as ``dirl train`` or ``python recipes/train.py``, to say what to run next.
+    """Return how the user calls a recipe, ``dirl train`` or ``python recipes/train.py``, to say what to run next.
 
     The program that is ``running`` now may be a copy under another name.
     """

@@ -16,14 +16,14 @@ MAX_CHARACTERS = 200_000
 
 
 def config_text(config: TrainConfig) -> str:
-    """A configuration as YAML, without interpolations, and without ``out``, ``resume`` and ``trust``."""
+    """Return a configuration as YAML, without interpolations, and without ``out``, ``resume`` and ``trust``."""
     return OmegaConf.to_yaml(OmegaConf.create(plain(config)))
 
 
 def read_config(
     text: str, origin: str, changes: Mapping[str, Any] | None = None, trust: Collection[str] = ()
 ) -> TrainConfig:
-    """A configuration that a run saved. Its components' classes are found and checked, but not instantiated.
+    """Return a configuration that a run saved. Its components' classes are found and checked, but not made.
 
     Args:
         text: YAML.
@@ -58,7 +58,7 @@ class _PlainLoader(yaml.SafeLoader):
 
 
 def plain_mapping(text: str) -> dict[str, Any]:
-    """YAML as plain values.
+    """Return YAML as plain values.
 
     Raises:
         ConfigError: it is too long, is no mapping, or has interpolations, which could read the environment.

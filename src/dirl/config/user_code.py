@@ -34,7 +34,7 @@ def tried(name: str, made: Any, how: str = "") -> Iterator[None]:
 
 
 def describe_error(error: Exception, cls: type) -> str:
-    """What a class's code raised, in one line; with the place in the class's own file, as no traceback shows it."""
+    """Return what a class's code raised, in one line with the place in its own file, as no traceback shows it."""
     says = " ".join(str(error.args[0] if isinstance(error, KeyError) and error.args else error).split())
     if not says or not isinstance(error, RuntimeError | ValueError):  # which say what is wrong by themselves
         says = f"{type(error).__name__}: {says}" if says else type(error).__name__

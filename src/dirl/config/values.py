@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def typed(config: DictConfig) -> Any:
-    """The dataclass of a composed configuration.
+    """Return the dataclass of a composed configuration.
 
     Raises:
         ConfigError: a value is missing, of the wrong type, or outside its limits.
@@ -50,13 +50,13 @@ def check_choice(told: str, given: str, choices: Collection[str], prefix: str = 
 
 
 def plain(config: Any) -> dict[str, Any]:
-    """The values of a typed configuration, nested; without what it was started with: ``out``, ``resume``, ``trust``."""
+    """Return a typed configuration as nested values, without ``out``, ``resume`` and ``trust`` of its start."""
     values: Any = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
     return {**values, "out": None, "resume": None, "trust": None}
 
 
 def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
-    """The values of a nested configuration by dotted name; goals and lists are values."""
+    """Return the values of a nested configuration by dotted name; goals and lists are values."""
     found: dict[str, Any] = {}
     for name, value in config.items():
         inside = isinstance(value, Mapping) and name != "goals"
@@ -75,7 +75,7 @@ def check_value(name: str, value: Any, annotation: Any) -> None:
 
 
 def misfit(value: Any, annotation: Any) -> str:
-    """What is wrong with a plain value by pydantic, which takes it as JSON: true is no number; empty if it fits."""
+    """Return what is wrong with a plain value by pydantic, which takes it as JSON: true is no number; or nothing."""
     from pydantic import PydanticUserError, TypeAdapter, ValidationError  # here: most refusals do without
     from pydantic_core import to_json
 
@@ -91,7 +91,7 @@ def misfit(value: Any, annotation: Any) -> str:
 
 
 def first_error(error: "ValidationError") -> str:
-    """The first error of a validation in one line: where in the value it is, and what must be there."""
+    """Return the first error of a validation in one line: where in the value it is, and what must be there."""
     first = error.errors(include_url=False, include_input=False)[0]
     if first["type"] == "needs_python_object":
         return "must be an object of Python, which no option can be"

@@ -56,7 +56,7 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
 
 
 def episode_frames(scene: Scene, goal: int, path: Sequence[int], *, title: str, success: bool) -> list[Image.Image]:
-    """A picture of each state of an episode: current view, the goal's view, map with the path so far; see `write_gif`.
+    """Return a picture of each state of an episode: present view, goal's view, map with the path; see `write_gif`.
 
     Of one that is longer than `MAX_FRAMES` the first states and the last one are shown.
     """
@@ -83,7 +83,7 @@ def _frame(
     room: RoomMap,
     title: str,
 ) -> Image.Image:
-    """The picture of one step; ``thumbnails`` are the views of the states that are shown, none of a scene without."""
+    """Return the picture of one step; ``thumbnails`` are the views of the states that are shown, if there are any."""
     ended = step == len(path) - 1
     color = (COLORS[2] if action == "goal reached" else COLORS[1]) if ended else COLORS[0]
     picture = room.draw(path[: step + 1], color)

@@ -91,7 +91,7 @@ def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> No
 
 
 def atl_axis(axes: Axes, label: str) -> None:
-    """Steps on a logarithmic y axis, with round numbers."""
+    """Set a logarithmic y axis of steps, with round numbers."""
     axes.set(yscale="log", ylabel=label)
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_minor_locator(NullLocator())
@@ -99,7 +99,7 @@ def atl_axis(axes: Axes, label: str) -> None:
 
 
 def common_frames(runs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Frames ``[F]`` within every run, and each run's values there ``[R, F]``; runs are frames and values ``[K]``."""
+    """Return frames ``[F]`` within every run, and the values there ``[R, F]``; runs are frames and values ``[K]``."""
     if any(len(frames) == 0 for frames, _ in runs):
         return np.empty(0), np.empty((len(runs), 0))
     first, last = max(frames[0] for frames, _ in runs), min(frames[-1] for frames, _ in runs)
@@ -147,7 +147,7 @@ def _draw_imitation(upper: Axes, lower: Axes, folder: Path) -> None:
 
 
 def _draw_line(axes: Axes, x: FloatArray, y: FloatArray, color: str, label: str = "") -> None:
-    """A line through the finite values; where they are few, points mark them, because a single one has no line."""
+    """Draw a line through the finite values; where they are few, points mark them, as a single one has no line."""
     known = np.isfinite(y)
     if not known.any():
         return

@@ -109,7 +109,7 @@ def draw_policy(
 
 
 def never_arrives(scene: Scene, goal: int, actions: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """The states from which these actions, int64 ``[N]``, lead into a loop and never to the goal, bool ``[N]``.
+    """Return the states from which these actions, int64 ``[N]``, lead into a loop and never to the goal, bool ``[N]``.
 
     States from which no policy could reach the goal are excluded.
     """
@@ -125,7 +125,7 @@ def never_arrives(scene: Scene, goal: int, actions: NDArray[np.integer]) -> NDAr
 
 
 def wedge_corners(positions: FloatArray, directions: FloatArray, side: float, turns: int) -> FloatArray:
-    """The part of its cell that a state takes: centre, corner, middle of the side, corner; metres, ``[N, 4, 2]``.
+    """Return the part of its cell that a state takes: centre, corner, middle of side, corner; metres, ``[N, 4, 2]``.
 
     Of the centres of cells, ``[N, 2]``, unit vectors of the headings, ``[N, 2]``, the side of a cell, metres, and the
     headings in a full circle: the wedges of a place fill its cell.
@@ -158,7 +158,7 @@ def _draw_actions(
     chances: FloatArray,
     lost: NDArray[np.bool_],
 ) -> None:
-    """A wedge for each state, in a stronger colour for a higher probability, with a glyph of the action.
+    """Draw a wedge for each state, in a stronger colour for a higher probability, with a glyph of the action.
 
     ``glyph`` is its height, metres.
     """
@@ -179,7 +179,7 @@ def _draw_actions(
 
 
 def _turning_arrow() -> FloatArray:
-    """An arrow that comes from below and bends to the right, its outline ``[K, 2]`` in a square of side 1."""
+    """Return the outline ``[K, 2]`` of an arrow from below that bends to the right, in a square of side 1."""
     bend = np.linspace(math.pi, math.pi / 2, 7)
     centre = np.array([0.04, -0.1])
     outer, inner = (centre + radius * np.stack([np.cos(bend), np.sin(bend)], 1) for radius in (0.4, 0.24))
@@ -209,7 +209,7 @@ def _draw_heat(
     cmap: str,
     threshold: float | None = None,
 ) -> None:
-    """A wedge for each state, coloured by its value, and the scale beside the map."""
+    """Draw a wedge for each state, coloured by its value, and the scale beside the map."""
     colors = ScalarMappable(Normalize(low, high), cmap)
     heat = PolyCollection(list(wedges), facecolors=colors.to_rgba(values), edgecolors="face", linewidths=0.2, zorder=2)
     axes.add_collection(heat)

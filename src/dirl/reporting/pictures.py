@@ -25,7 +25,7 @@ def draw_scene(
     facts: Mapping[str, Any],
     count: int = 5,
 ) -> None:
-    """Pictures of a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy.
+    """Draw a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy.
 
     Args:
         policy: trained.

@@ -86,7 +86,7 @@ def save_pretrained(run: str | Path, folder: str | Path, *, name: str = "", lice
 
 
 def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], name: str, license: str) -> str:
-    """The card of a policy, Markdown with the Hub's header: scene, system, numbers, pictures, licence."""
+    """Return the card of a policy, Markdown with the Hub's header: scene, system, numbers, pictures, licence."""
     encoder, meaning = _encoder(extractor)
     shown = "".join(f"![{picture.rpartition('.')[0].replace('_', ' ')}]({picture})\n" for picture in pictures)
     facts = {key: summary[key] for key in ("system", "preset", "seed", "frames")}
@@ -106,7 +106,7 @@ def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], 
 
 
 def _index(summary: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-    """The greedy measures in the form that the Hub reads, JSON being YAML."""
+    """Return the greedy measures in the form that the Hub reads, JSON being YAML."""
     measured = {key: round(summary["greedy"][key], 4) for key in ("sr", "spl")}
     result = {
         "task": {"type": "reinforcement-learning", "name": "target-driven visual navigation"},
@@ -117,7 +117,7 @@ def _index(summary: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 
 
 def _encoder(extractor: str) -> tuple[str, str]:
-    """The arguments by which a navigator gets the encoder of an extractor, and what they mean if it is not dirl's."""
+    """Return the arguments by which a navigator gets an extractor's encoder, and what they mean if it is not dirl's."""
     try:
         name = packaged_encoder(extractor)
     except EncoderError:  # its weights are not installed here

@@ -11,7 +11,7 @@ FloatArray = NDArray[np.float64]
 
 
 def iqm(values: ArrayLike) -> FloatArray:
-    """The mean of the middle half, without the lowest and highest quarter (each rounded down), float ``[...]``.
+    """Return the mean of the middle half, without the lowest and highest quarter (each rounded down), float ``[...]``.
 
     Values are float ``[R, ...]``, of R runs, at least one; infinity counts as the highest value.
     """
@@ -25,7 +25,7 @@ def iqm(values: ArrayLike) -> FloatArray:
 def bootstrap_interval(
     values: ArrayLike, seed: int = 0, mean: Callable[[FloatArray], FloatArray] = iqm
 ) -> tuple[FloatArray, FloatArray]:
-    """The 95 % percentile bootstrap confidence interval of the interquartile or another mean, by resampling the runs.
+    """Return the 95 % percentile bootstrap interval of the interquartile or another mean, by resampling the runs.
 
     Lower and upper limit, float ``[...]`` each, of values as for `iqm`; of one run both are the value itself.
     """
@@ -37,7 +37,7 @@ def bootstrap_interval(
 
 
 def summarised(values: Sequence[float], form: str) -> str:
-    """Interquartile mean and 95 % interval as text, e.g. "13.51 [13.20, 14.02]"; infinity is "never".
+    """Return interquartile mean and 95 % interval as text, e.g. "13.51 [13.20, 14.02]"; infinity is "never".
 
     An interval whose ends round to the mean is left out. An interval contains no line break.
     """
@@ -53,7 +53,7 @@ def summarised(values: Sequence[float], form: str) -> str:
 
 
 def of_rooms(values: Sequence[float], form: str, worst: Callable[[Sequence[float]], float]) -> str:
-    """Mean over rooms, its 95 % bootstrap interval and the worst room as text: "0.981 [0.962, 0.994], worst 0.930".
+    """Return mean over rooms, 95 % bootstrap interval and worst room as text: "0.981 [0.962, 0.994], worst 0.930".
 
     An interquartile mean would hide the worst room, which is the one that a reader may live in.
     """

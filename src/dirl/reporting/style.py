@@ -28,24 +28,24 @@ def tell_cut(axes: Axes) -> None:
 
 
 def plain(axes: Axes) -> None:
-    """A pale grid behind what is drawn, and no frame above and at the right."""
+    """Draw a pale grid behind what is drawn, and no frame above and at the right."""
     axes.grid(color="0.9")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def marker(shape: str, size: float, color: str, edge: str, label: str) -> Line2D:
-    """A marker for a legend."""
+    """Return a marker for a legend."""
     return Line2D([], [], linestyle="", marker=shape, markersize=size, color=color, markeredgecolor=edge, label=label)
 
 
 def star(size: float, label: str) -> Line2D:
-    """The goal's star for a legend."""
+    """Return the goal's star for a legend."""
     return marker("*", size, GOAL_COLOR, "black", label)
 
 
 def has_walls(scene: Scene) -> bool:
-    """Whether what lies between places is a wall or furniture; of a tour it is not known."""
+    """True if what lies between places is a wall or furniture; of a tour it is not known."""
     return not scene.source.startswith("tour")
 
 

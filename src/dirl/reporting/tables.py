@@ -60,7 +60,7 @@ MOST_GOALS = 40
 
 
 def result_table(rows: Mapping[str, Mapping[str, float | None]], leave_out: Collection[str] = ()) -> str:
-    """A Markdown table with a line for each row and a column for each measure.
+    """Return a Markdown table with a line for each row and a column for each measure.
 
     Args:
         rows: measures by row label, see `dirl.evaluation.metrics`. One that is missing, None or NaN is printed as
@@ -89,7 +89,7 @@ def result_table(rows: Mapping[str, Mapping[str, float | None]], leave_out: Coll
 
 
 def summary_table(summary: Mapping[str, Any]) -> str:
-    """A run's ``summary.json`` as text.
+    """Return a run's ``summary.json`` as text.
 
     Args:
         summary: ``scene``, ``source``, ``system``, ``seed`` and ``frames``; ``frames_per_second``, ``seconds``,
@@ -113,7 +113,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
 
 
 def run_title(summary: Mapping[str, Any]) -> str:
-    """The system, scenes and seed of a run, e.g. "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
+    """Return the system, scenes and seed of a run: "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
     scenes = scene_names(summary["scene"])
     # The built-in rooms have the names of published scenes; their results must not be confused with those.
     sources = ["rooms, synthetic" if source == "rooms" else source for source in summary["source"].split("+")]
@@ -124,13 +124,13 @@ def run_title(summary: Mapping[str, Any]) -> str:
 
 
 def scene_names(scene: str | Sequence[str]) -> str:
-    """The names of scenes; of many their number, the first and the last."""
+    """Return the names of scenes; of many their number, the first and the last."""
     names = [scene] if isinstance(scene, str) else list(scene)
     return ", ".join(names) if len(names) <= NAMED_SCENES else f"{len(names)} scenes, {names[0]} to {names[-1]}"
 
 
 def read_columns(file: Path, *names: str) -> dict[str, NDArray[np.float64]]:
-    """Some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows."""
+    """Return some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows."""
     rows = read_rows(file) if file.is_file() else []
     return {name: np.array([float(row[name] or "nan") for row in rows], float) for name in names}
 
@@ -151,7 +151,7 @@ def _heading(summary: Mapping[str, Any]) -> str:
 
 
 def _by_goal(scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, float | None]]:
-    """A row for each goal; among several scenes also one for each scene, before its goals."""
+    """Return a row for each goal; among several scenes also one for each scene, before its goals."""
     rows: dict[str, Mapping[str, float | None]] = {}
     for name, measures in scenes.items():
         prefix = ""
@@ -163,7 +163,7 @@ def _by_goal(scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, 
 
 
 def _number(value: float | None, decimals: int) -> str:
-    """Five digits at most, so that 6.19 keeps two decimals and 153.25 becomes 153.3."""
+    """Return five digits at most, so that 6.19 keeps two decimals and 153.25 becomes 153.3."""
     if value is None or math.isnan(value):
         return "-"
     return format(value, f",.{decimals if value < 100 or not decimals else 1}f")

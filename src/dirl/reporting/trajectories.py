@@ -89,7 +89,7 @@ def draw_trajectories(
 
 
 def path_actions(scene: Scene, path: Sequence[int]) -> list[str]:
-    """The actions between the states of a path, one fewer than states; "blocked" where the agent stayed."""
+    """Return the actions between the states of a path, one fewer than states; "blocked" where the agent stayed."""
     if len(path) == 0:
         raise ValueError("a path holds at least its start")
     wrong = [state for state in path if not 0 <= state < len(scene)]
@@ -105,7 +105,7 @@ def path_actions(scene: Scene, path: Sequence[int]) -> list[str]:
 
 
 def chosen_steps(steps: int) -> list[int]:
-    """Up to `MAX_VIEWS` of the numbers 0 to ``steps``, evenly spread, the first and last among them."""
+    """Return up to `MAX_VIEWS` of the numbers 0 to ``steps``, evenly spread, the first and last among them."""
     return np.linspace(0, steps, min(MAX_VIEWS, steps + 1)).round().astype(int).tolist()
 
 

@@ -41,7 +41,7 @@ def viewer_pages(
     graphs: Sequence[ImageGraph] | None = None,
     last_steps: int = 0,
 ) -> dict[str, str]:
-    """Pages to step through greedy episodes and to walk the scenes by keyboard.
+    """Return pages to step through greedy episodes and to walk the scenes by keyboard.
 
     A scene is a finite graph: a page holds the output of the policy for each pair of goal and state, and the episode
     that begins there. What agents do is computed here; the page plays it.
@@ -119,7 +119,7 @@ def viewer_pages(
 def _agents(
     policy: nn.Module, protocol: EvaluationProtocol, beside: Mapping[str, tuple[nn.Module, EvaluationProtocol]]
 ) -> dict[str, tuple[nn.Module, EvaluationProtocol]]:
-    """The agents that a page can show, by name: the policy first."""
+    """Return the agents that a page can show, by name: the policy first."""
     plain = replace(protocol, memory=None)
     if isinstance(protocol.memory, LocalisingMemory):
         raise ValueError("the page cannot localise; leave viewer out, or add episodic_memory=planning")
@@ -130,7 +130,7 @@ def _agents(
 
 
 def _starts(protocol: EvaluationProtocol) -> tuple[Tensor, Tensor]:
-    """Every start of the goals that pages show."""
+    """Return every start of the goals that pages show."""
     goal_index, start = every_start(protocol.world)
     every = 1 if protocol.memory is None else -(-len(start) // MOST_WALKS)
     chosen = goal_index % every == 0
@@ -138,7 +138,7 @@ def _starts(protocol: EvaluationProtocol) -> tuple[Tensor, Tensor]:
 
 
 def _walks(policy: nn.Module, protocol: EvaluationProtocol, starts: tuple[Tensor, Tensor]) -> dict[int, dict[int, str]]:
-    """The actions of each episode as digits, by the place of its goal in the world and its start."""
+    """Return the actions of each episode as digits, by the place of its goal in the world and its start."""
     found: dict[int, dict[int, str]] = {}
     for goal, start, actions in zip(*(part.tolist() for part in starts), protocol.walks(policy, starts), strict=True):
         found.setdefault(goal, {})[start] = "".join(map(str, actions.tolist()))
@@ -146,7 +146,7 @@ def _walks(policy: nn.Module, protocol: EvaluationProtocol, starts: tuple[Tensor
 
 
 def _facts(title: str, protocol: EvaluationProtocol, led: bool, last_steps: int) -> str:
-    """What a page says of its agent."""
+    """Return what a page says of its agent."""
     leader = "Greedy policy"
     if led:
         steps = f"the last {last_steps} step{'' if last_steps == 1 else 's'}, and where the map knows no path"
@@ -163,12 +163,12 @@ def _facts(title: str, protocol: EvaluationProtocol, led: bool, last_steps: int)
 
 
 def file_name(scene: str) -> str:
-    """The file name of a scene's page; the scene's name may contain characters that a file name cannot."""
+    """Return the file name of a scene's page; the scene's name may contain characters that a file name cannot."""
     return f"viewer_{quote(scene, safe=' ')}.html"
 
 
 def _room(scene: Scene) -> dict[str, Any]:
-    """The data of a scene that a page needs, apart from its goals."""
+    """Return the data of a scene that a page needs, apart from its goals."""
     views = scene.views
     encoded = () if views is None else (encoded_view(views, state) for state in range(len(scene)))
     return {
@@ -184,7 +184,7 @@ def _room(scene: Scene) -> dict[str, Any]:
 
 
 def _image_graph(graph: ImageGraph, world: World, index: int) -> dict[str, Any]:
-    """The data of a topological map that a page needs: the place that each state looks like most, and the moves."""
+    """Return what a page needs of a topological map: the place that each state looks like most, and the moves."""
     visits = described_visits(graph.recogniser, world, index)[: len(world.scenes[index])]
     node = graph.scores(visits).argmax(1)
     moves, first = np.array(graph.moves), np.arange(len(graph))
@@ -203,12 +203,12 @@ def _image_graph(graph: ImageGraph, world: World, index: int) -> dict[str, Any]:
 
 
 def _base64(values: Tensor) -> str:
-    """Numbers as little-endian float32, which JavaScript reads back without any rounding."""
+    """Return numbers as little-endian float32, which JavaScript reads back without any rounding."""
     return base64.b64encode(values.cpu().numpy().astype("<f4").tobytes()).decode()
 
 
 def page(data: Mapping[str, Any]) -> str:
-    """The template with style, scripts and data inside."""
+    """Return the template with style, scripts and data inside."""
     # A scene's name may contain any text, and must not end the script element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     folder = files("dirl.reporting")

@@ -44,7 +44,7 @@ def save_checkpoint(file: Path, state: Mapping[str, Any]) -> None:
 
 
 def _by_itself(value: Any) -> Any:
-    """The same with copies of tensors that are views: torch would write the whole of which they are a part."""
+    """Return the same with copies of tensors that are views, of which torch would write the whole."""
     if isinstance(value, dict):
         return {key: _by_itself(one) for key, one in value.items()}
     if isinstance(value, list):
@@ -72,7 +72,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 def latest_checkpoint(
     folder: Path, check: Callable[[Path, Mapping[str, Any]], None] = lambda *_: None
 ) -> tuple[dict[str, Any], list[Path]]:
-    """The latest training checkpoint of a run that can be used, and those after it, each named on the terminal.
+    """Return the latest usable training checkpoint of a run, and those after it, each named on the terminal.
 
     Args:
         folder: of the run.

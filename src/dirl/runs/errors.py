@@ -106,7 +106,7 @@ def _remove_empty(folder: Path | None) -> None:
 
 
 def one_line(text: str, most: int = 300) -> str:
-    """A text without line breaks and other control characters, cut in the middle if it is longer than ``most``."""
+    """Return a text without control characters, such as line breaks, cut in the middle if longer than ``most``."""
     plain = "".join(sign if sign.isprintable() else " " for sign in " ".join(text.split()))
     return plain if len(plain) <= most else f"{plain[: most // 2]} ... {plain[-most // 2 :]}"
 
@@ -121,7 +121,7 @@ def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> 
 
 
 def _raising(raised: list[BaseException]) -> dict[signal.Signals, Any]:
-    """Handlers that raise an exception, and add it to a list; one for SIGINT that is not ours or Python's stays."""
+    """Return handlers that raise an exception and add it to a list; one for SIGINT of somebody else's stays."""
 
     def raise_(number: int, _: Any) -> NoReturn:
         raised.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated())
@@ -139,7 +139,7 @@ def _silence(stream: Any) -> None:
 
 
 def _told(error: OSError) -> str:
-    """An error of the operating system in one line: the file, the reason, what to do."""
+    """Return an error of the operating system in one line: the file, the reason, what to do."""
     where = f"{error.filename}: " if error.filename else ""
     reason = error.strerror or (str(error).splitlines() or [type(error).__name__])[0]
     hint = HINTS.get(error.errno or 0, "")
@@ -147,7 +147,7 @@ def _told(error: OSError) -> str:
 
 
 def _is_memory(error: Exception) -> bool:
-    """Whether Python, numpy or torch ran out of memory; torch raises a ``RuntimeError`` for it on the CPU."""
+    """True if Python, numpy or torch ran out of memory; torch raises a ``RuntimeError`` for it on the CPU."""
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return True
     return isinstance(error, RuntimeError) and "DefaultCPUAllocator" in str(error)

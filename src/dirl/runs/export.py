@@ -40,7 +40,7 @@ def write_shared(saved: Mapping[str, Any], folder: Path) -> None:
 
 
 def read_shared(folder: Path) -> dict[str, Any]:
-    """What `dirl.runs.checkpoints.load_checkpoint` reads of a run, of a folder that `write_shared` wrote.
+    """Return what `dirl.runs.checkpoints.load_checkpoint` reads of a run, of a folder that `write_shared` wrote.
 
     Raises:
         RunError: it is damaged, or holds something else, or safetensors is not installed.

@@ -110,7 +110,7 @@ class Run:
             self._lock = None
 
     def how_to_go_on(self) -> str:
-        """What is safe and how to continue, for the message of a stopped run."""
+        """Return what is safe and how to continue, for the message of a stopped run."""
         if not config_file(self.folder).exists():
             return "nothing of this run was saved"
         if self.finished:
@@ -120,12 +120,12 @@ class Run:
 
     @property
     def finished(self) -> bool:
-        """Whether it is finished; only one with ``config.existing=keep`` is opened again then."""
+        """True if it is finished; only one with ``config.existing=keep`` is opened again then."""
         return is_finished(self.folder)
 
     @property
     def seconds(self) -> float:
-        """The duration of the run, without the time between a stop and its resumption."""
+        """Return the duration of the run, without the time between a stop and its resumption."""
         return time.perf_counter() - self._began
 
     def write(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
@@ -149,7 +149,7 @@ class Run:
             self.logger.log(stage, step, row)
 
     def save_due(self) -> bool:
-        """Whether it is time for the next checkpoint."""
+        """True if it is time for the next checkpoint."""
         return time.perf_counter() - self._last_save >= self.config.checkpoint.every_seconds
 
     def save(self, state: Mapping[str, Any]) -> None:
@@ -195,7 +195,7 @@ class Run:
 
 
 def facts(config: TrainConfig, world: World, view_order: Sequence[str]) -> dict[str, Any]:
-    """What a checkpoint says beside its weights, for everyone who uses them."""
+    """Return what a checkpoint says beside its weights, for everyone who uses them."""
     scenes = {"scenes": list(world.names), "extractor": world.scenes[0].extractor}
     seen = {"views": list(view_order), "turns": turns_of(world.scenes)}
     return {"config": config_text(config), **scenes, **seen, "schema": SCHEMA}
@@ -232,7 +232,7 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
 
 
 def _go_on(folder: Path, config: TrainConfig) -> Run:
-    """The run in a folder at its latest usable checkpoint, or at its beginning if it has saved none yet."""
+    """Return the run in a folder at its latest usable checkpoint, or at its beginning if it has saved none yet."""
     lock = FolderLock(folder)
     if is_finished(folder):  # meanwhile
         raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
@@ -254,13 +254,13 @@ def check_tables(file: Path, state: Mapping[str, Any]) -> None:
 
 
 def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:
-    """The configuration of a run."""
+    """Return the configuration of a run."""
     file = config_file(folder)
     return read_config(read_text(file, errors="replace"), origin=str(file), trust=trust)
 
 
 def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:
-    """The requested options that differ from the saved ones and change a result, as ``name=saved, not requested``."""
+    """Return the options that differ from the saved ones and change a result: ``name=saved instead of requested``."""
     asked, before = leaves(plain(config)), leaves(plain(saved))
     same = ("existing", "source.root", "checkpoint.", "logger.")
     return [

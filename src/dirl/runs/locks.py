@@ -64,7 +64,7 @@ class FolderLock:
 
 
 def _holder(file: Path) -> str:
-    """Which process has written itself into a lock file."""
+    """Return which process has written itself into a lock file."""
     with suppress(OSError, UnicodeDecodeError):
         return file.read_text(encoding="utf-8")[:100].strip() or "another process"
     return "another process"
@@ -80,7 +80,7 @@ def _release(lock: FileLock, file: Path, owner: int) -> None:
 
 
 def is_numbered(folder: Path) -> bool:
-    """Whether a run, or a job of a sweep, gets a number where its folder is another's: nobody has chosen its name."""
+    """True if a run, or a job of a sweep, gets a number where its folder is another's: nobody has chosen its name."""
     return any(TIME.fullmatch(name) for name in (folder.name, folder.parent.name))
 
 

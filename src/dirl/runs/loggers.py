@@ -37,7 +37,7 @@ def check_logger(config: TrainConfig) -> None:
 
 
 def make_logger(config: TrainConfig, folder: Path, frames: int = 0) -> "Logger | None":
-    """The logger that the configuration of a run names, which continues at ``frames``; None for ``csv``.
+    """Return the logger that the configuration of a run names, which continues at ``frames``; None for ``csv``.
 
     Raises:
         ConfigError: the package it needs is not installed, or the service refuses the run.
@@ -136,7 +136,7 @@ class TensorBoardLogger:
 
 
 def _wandb_mode() -> Any:
-    """``WANDB_MODE`` if it is set; else ``offline`` where nobody is logged in or the service is away.
+    """Return ``WANDB_MODE`` if it is set; else ``offline`` where nobody is logged in or the service is away.
 
     Raises:
         ConfigError: the mode is ``online``, and nobody is logged in.
@@ -156,12 +156,12 @@ def _wandb_mode() -> Any:
 
 
 def _finite(row: Mapping[str, Any]) -> dict[str, float | int]:
-    """The numbers of a row that are finite."""
+    """Return the numbers of a row that are finite."""
     return {name: value for name, value in row.items() if isinstance(value, int | float) and math.isfinite(value)}
 
 
 def _pictures(folder: Path, pattern: str) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Names and pixels of pictures; of an animation the first."""
+    """Yield names and pixels of pictures; of an animation the first."""
     for file in sorted(folder.glob(pattern)):
         with Image.open(file) as image:
             yield file.stem, np.array(image.convert("RGB"))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def peak_memory_mb() -> float | None:
-    """The most memory this process has held, in megabytes; None where the system does not say, as on Windows."""
+    """Return the most memory this process has held, MB; None where the system does not say, as on Windows."""
     status = Path("/proc/self/status")
     if status.exists():  # on Linux `getrusage` would include the memory of the parent before the fork
         return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6

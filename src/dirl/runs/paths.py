@@ -20,28 +20,28 @@ class RunError(ValueError):
 
 
 def config_file(folder: Path) -> Path:
-    """The configuration file, by which a run folder is recognised."""
+    """Return the configuration file, by which a run folder is recognised."""
     return folder / "config.yaml"
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether a folder holds a finished run."""
+    """True if a folder holds a finished run."""
     return (folder / "summary.json").exists() and not training_checkpoints(folder)
 
 
 def training_checkpoints(folder: Path) -> list[Path]:
-    """The checkpoints from which an unfinished run can be resumed, oldest first."""
+    """Return the checkpoints from which an unfinished run can be resumed, oldest first."""
     return sorted(file for file in (folder / "checkpoints").glob("*.pt") if file.stem.isdecimal())
 
 
 def packaged_agent(name: str | Path) -> Path | None:
-    """The folder of an agent in `AGENTS`; None if there is none, or what the name means lies in the present folder."""
+    """Return the folder of an agent in `AGENTS`; None if there is none, or the name is in the present folder."""
     path = Path(name)
     return AGENTS / path if not path.exists() and path.name == str(name) and (AGENTS / path).is_dir() else None
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """The file of a checkpoint, or the folder of an unfinished run or a shared policy; see `load_checkpoint`.
+    """Return the file of a checkpoint, or the folder of an unfinished run or a shared policy; see `load_checkpoint`.
 
     Raises:
         RunError: there is none.
@@ -56,7 +56,7 @@ def find_checkpoint(path: str | Path) -> Path:
 
 
 def initial_weights_file(init: str, overrides: Sequence[str]) -> Path:
-    """The checkpoint that ``init`` names.
+    """Return the checkpoint that ``init`` names.
 
     Raises:
         ConfigError: an option of the architecture is given beside ``init``.
@@ -70,7 +70,7 @@ def initial_weights_file(init: str, overrides: Sequence[str]) -> Path:
 
 
 def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:
-    """The folder of the run that ``resume`` names.
+    """Return the folder of the run that ``resume`` names.
 
     Raises:
         RunError: it is no run's, its run is finished, or options were given together with ``resume``.
@@ -87,7 +87,7 @@ def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:
 
 
 def finished_folders(folder: Path, hint: str) -> tuple[list[Path], list[Path]]:
-    """The finished runs right in a folder, by name, and those that are not finished.
+    """Return the finished runs right in a folder, by name, and those that are not finished.
 
     Raises:
         RunError: none is finished; ``hint`` says how to make them.
