@@ -30,18 +30,13 @@ def test_the_wedges_of_a_place_fill_its_cell(turns):
     assert corners[0, 2] == pytest.approx([1, 1.25])  # facing +z: the upper side
 
 
-def test_maps_of_a_policy_are_drawn_of_finite_values_of_each_state(tmp_path):
+def test_maps_of_a_policy_are_drawn(tmp_path):
     scene = grid_scene(4, 3, headings=12)
     file = tmp_path / "maps.png"
     chances, fine = np.eye(4)[np.full(len(scene), RIGHT)], np.zeros(len(scene))
     draw_policy(scene, 0, chances, fine, fine + 1, file, title="a policy")
     with Image.open(file) as image:
         assert image.width > 2 * image.height
-    with pytest.raises(ValueError, match=r"value: expected shape \(144,\).*found \(143,\)"):
-        draw_policy(scene, 0, chances, fine[1:], fine, file, title="")
-    broken = np.where(np.arange(len(scene)) == 3, np.nan, fine)
-    with pytest.raises(ValueError, match="matching: state 3 "):
-        draw_policy(scene, 0, chances, fine, broken, file, title="")
 
 
 @pytest.mark.parametrize(("path", "frames"), [([7, 4, 5, 6], 4), ([1, 2, 3, 0] * 50, MAX_FRAMES)])
@@ -62,5 +57,3 @@ def test_runs_are_compared_where_all_of_them_have_values():
 def test_learning_curves_name_the_folder_that_is_no_run(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"there is no reinforcement\.csv"):
         draw_learning_curves({"dirl": [tmp_path]}, tmp_path / "curves.png")
-    with pytest.raises(ValueError, match="'dirl' has no runs"):
-        draw_learning_curves({"dirl": []}, tmp_path / "curves.png")

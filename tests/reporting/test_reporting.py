@@ -372,7 +372,7 @@ def test_rooms_of_any_shape_fit_under_a_long_title(width, depth, picture):
 
 def test_drawing_refuses_what_does_not_go_together_and_writes_nothing(scene, tmp_path):
     file = tmp_path / "paths.png"
-    for goal, paths, success in ((7, [], []), (7, WAYS, [True]), (7, [[0, 2]], [True]), (24, WAYS, [True, True])):
-        with pytest.raises(ValueError, match=r"successes|no action leads|is not a state"):
+    for goal, paths, success in ((7, [[0, 2]], [True]), (24, WAYS, [True, True])):
+        with pytest.raises(ValueError, match=r"no action leads|is not a state"):
             draw_trajectories(scene, goal, paths, file, success=success, title="")
     assert not file.exists()

@@ -58,12 +58,8 @@ def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> No
         file: the image to write.
 
     Raises:
-        ValueError: there is no group, or one without runs.
         FileNotFoundError: a folder lacks ``reinforcement.csv`` or ``evaluation.csv``.
     """
-    empty = [label for label, folders in groups.items() if not folders]
-    if not groups or empty:
-        raise ValueError(f"group '{empty[0]}' has no runs" if empty else "there are no groups of runs to draw")
     figure = Figure(figsize=(8.5, 5.5), layout="constrained")
     panels = figure.subplots(2, sharex=True)
     for axes, table, column in zip(panels, ("reinforcement", "evaluation"), ("atl", "spl"), strict=True):

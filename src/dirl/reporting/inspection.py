@@ -76,10 +76,9 @@ def draw_contact_sheet(scene: Scene, file: Path) -> None:
     Of a scene with more than `MAX_THUMBNAILS` views, places evenly spread over it are drawn.
 
     Raises:
-        ValueError: the scene has no views, or one cannot be decoded.
+        ValueError: a view cannot be decoded.
     """
-    if scene.views is None:
-        raise ValueError(f"{scene.origin}: has no views")
+    assert scene.views is not None
     turns = turns_per_circle(scene.graph)
     place = places(scene.graph)
     groups = [np.flatnonzero(place == number) for number in range(place.max() + 1)]

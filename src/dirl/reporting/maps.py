@@ -53,13 +53,10 @@ def draw_policy(
         threshold: states that match better than this are outlined: there the agent stops.
 
     Raises:
-        ValueError: an array has another shape or holds a value that is not finite, or the goal is no state that can
-            be reached.
+        ValueError: the goal is no state that can be reached.
     """
     scene.check_goal(goal)
-    states = len(scene)
-    chances = _checked("probabilities", probabilities, (states, len(ACTIONS)))
-    values, scores = _checked("value", value, (states,)), _checked("matching", matching, (states,))
+    chances, values, scores = (np.asarray(each, float) for each in (probabilities, value, matching))
     directions = heading_directions(scene)
     side = step_length(scene)
     wedges = wedge_corners(scene.positions, directions, side, turns_per_circle(scene.graph))
@@ -137,16 +134,6 @@ def wedge_corners(positions: FloatArray, directions: FloatArray, side: float, tu
         longer = np.abs(turned).max(1, keepdims=True)
         corners.append(0.5 * side * turned / np.where(longer > 0, longer, 1))
     return np.asarray(positions[:, None] + np.stack(corners, 1))
-
-
-def _checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    array = np.asarray(values, float)
-    if array.shape != shape:
-        raise ValueError(f"{name}: expected shape {shape}, one row a state of the scene, found {array.shape}")
-    wrong = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(1))
-    if len(wrong):
-        raise ValueError(f"{name}: state {wrong[0]} holds a value that is not finite")
-    return array
 
 
 def _draw_actions(

@@ -58,11 +58,9 @@ def draw_trajectories(
         title: of the figure.
 
     Raises:
-        ValueError: there is no path, a path is empty or makes a step that the scene's graph does not allow, the goal
-            is no state that can be reached, or ``success`` has another length than ``paths``.
+        ValueError: a path is empty or makes a step that the scene's graph does not allow, or the goal is no state that
+            can be reached.
     """
-    if len(paths) == 0 or len(success) != len(paths):
-        raise ValueError(f"expected some paths and as many successes, found {len(paths)} and {len(success)}")
     scene.check_goal(goal)
     for path in paths:
         path_actions(scene, path)
