@@ -4,9 +4,7 @@
 
 Each file is damaged in one of the ways of damage.py and read in a process that is forked from one that has everything
 imported. What crashes or hangs there is read once more as a user reads it, by `read_dump`; so is every fiftieth file.
-The same seed damages the same files. With ``log=file`` a run that was stopped goes on, and ``start=5000`` begins in the
-middle, so that several can share the work. The exit status is 1 if a file was not read as it should be; those are
-listed.
+The same seed damages the same files. The exit status is 1 if a file was not read as it should be; those are listed.
 """
 
 import gc
@@ -27,6 +25,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
+from counts import table
 from damage import WAYS
 from rooms import grid_scene, published_dump
 
@@ -151,34 +150,17 @@ def try_files(numbers, seed, folder):
         yield number, base, way.__name__, found
 
 
-def table(counts, title):
-    """Outcomes by kind, Markdown."""
-    kinds = sorted({kind for kind, _ in counts})
-    lines = [f"| {title} | files | " + " | ".join(OUTCOMES) + " |", "|---|" + "--:|" * (len(OUTCOMES) + 1)]
-    for kind in [*kinds, "all"]:
-        numbers = [sum(n for (k, o), n in counts.items() if o == what and kind in (k, "all")) for what in OUTCOMES]
-        lines.append(f"| {kind} | {sum(numbers)} | " + " | ".join(map(str, numbers)) + " |")
-    return "\n".join(lines)
-
-
-def main(count=1000, seed=0, start=0, log=None):
-    """Try ``count`` files; print the tables; 1 if something went wrong."""
+def main(count=1000, seed=0):
+    """Try ``count`` files; print the table; 1 if something went wrong."""
     isolation.SECONDS, isolation.PATIENCE = CPU_SECONDS, 10_000  # the machine may be as busy as it likes
-    done = [line.split(" | ") for line in Path(log).read_text().splitlines()] if log and Path(log).exists() else []
-    left = sorted(set(range(start, start + count)) - {int(number) for number, *_ in done})
-    with tempfile.TemporaryDirectory() as folder, open(log or os.devnull, "a", buffering=1) as stream:
-        for result in try_files(left, seed, Path(folder)):
-            done.append(result)
-            stream.write(" | ".join(map(str, result)) + "\n")
+    with tempfile.TemporaryDirectory() as folder:
+        done = list(try_files(range(count), seed, Path(folder)))
     print(f"{len(done)} files, seed {seed}\n")
-    print(table(Counter((base, found) for _, base, _, found in done), "file"))
-    print()
-    print(table(Counter((way, found) for _, _, way, found in done), "damage"))
+    print(table(Counter((base, found) for _, base, _, found in done), "file", OUTCOMES))
     failed = [": ".join(map(str, result)) for result in done if result[3] in FAILURES]
     print("\n".join(["", *(failed or ["no failures"])]))
     return bool(failed)
 
 
 if __name__ == "__main__":
-    given = dict(argument.split("=") for argument in sys.argv[1:])
-    sys.exit(main(**{key: value if key == "log" else int(value) for key, value in given.items()}))
+    sys.exit(main(**{key: int(value) for key, value in (argument.split("=") for argument in sys.argv[1:])}))

@@ -4,12 +4,10 @@
 
 Each case is a recipe with one to three options drawn by tests/helpers/options.py, run in a fork of a process that has
 everything imported, with a scene so small that what is accepted ends in seconds. What is still at work after `SECONDS`
-of processor time counts as accepted if it has printed or written anything. The same seed draws the same cases. With
-``log=file`` a run that was stopped goes on, and ``start=50`` begins in the middle, so that several can share the work.
-The exit status is 1 if a case did not end as it should; those are listed.
+of processor time counts as accepted if it has printed or written anything. The same seed draws the same cases. The exit
+status is 1 if a case did not end as it should; those are listed.
 """
 
-import json
 import os
 import random
 import resource
@@ -28,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "recipes"))
 import h5py
 import numpy as np
 from commands import SHORT, room_file
+from counts import table
 from forks import no_pictures, run, warm_up
 from options import command_line, draw_arguments, is_no_number, program
 from PIL import Image
@@ -84,7 +83,7 @@ def outcome(ended, began, recipe, arguments):
 
 
 def try_case(number, seed, files):
-    """Draw a case and run it; returns the number, the recipe, the drawn arguments, the outcome and the last lines."""
+    """Draw a case and run it; returns the recipe, the drawn arguments, the outcome and the last lines."""
     rng = random.Random(f"{seed}/{number}")
     recipe = rng.choice(RECIPES)
     arguments = draw_arguments(rng, recipe)
@@ -94,40 +93,25 @@ def try_case(number, seed, files):
     ended = run(inside, program(recipe), *words, prepare=prepare, timeout=SECONDS, patience=PATIENCE)
     began = bool(ended.printed or ended.errors) or any(inside.iterdir())
     shutil.rmtree(files / "case")
-    return number, recipe, arguments, outcome(ended, began, recipe, arguments), ended.told[-3:]
+    return recipe, arguments, outcome(ended, began, recipe, arguments), ended.told[-3:]
 
 
-def table(counts):
-    """Outcomes by recipe, Markdown."""
-    lines = ["| recipe | cases | " + " | ".join(OUTCOMES) + " |", "|---|" + "--:|" * (len(OUTCOMES) + 1)]
-    for recipe in [*dict.fromkeys(RECIPES), "all"]:
-        found = [sum(n for (r, o), n in counts.items() if o == what and recipe in (r, "all")) for what in OUTCOMES]
-        lines.append(f"| {recipe} | {sum(found)} | " + " | ".join(map(str, found)) + " |")
-    return "\n".join(lines)
-
-
-def main(count=500, seed=0, start=0, log=None):
+def main(count=500, seed=0):
     """Try ``count`` cases; print the table; 1 if something went wrong."""
-    done = [json.loads(line) for line in Path(log).read_text().splitlines()] if log and Path(log).exists() else []
-    left = sorted(set(range(start, start + count)) - {number for number, *_ in done})
     warm_up("train", "evaluate", "report", "scenes")
     folder = Path(tempfile.mkdtemp())  # a TemporaryDirectory would be removed at the end of the first fork
     try:
         make_files(folder)
-        with open(log or os.devnull, "a", buffering=1) as stream:
-            for number in left:
-                done.append(try_case(number, seed, folder))
-                stream.write(json.dumps(done[-1]) + "\n")
+        done = [try_case(number, seed, folder) for number in range(count)]
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     print(f"{len(done)} cases, seed {seed}\n")
-    print(table(Counter((recipe, found) for _, recipe, _, found, _ in done)))
-    failed = [f"{what}: {recipe} {given}: {told}" for _, recipe, given, what, told in done if what in FAILURES]
+    print(table(Counter((recipe, found) for recipe, _, found, _ in done), "recipe", OUTCOMES))
+    failed = [f"{what}: {recipe} {given}: {told}" for recipe, given, what, told in done if what in FAILURES]
     print("\n".join(["", *(failed or ["no failures"])]))
     return bool(failed)
 
 
 if __name__ == "__main__":
-    given = dict(argument.split("=") for argument in sys.argv[1:])
     with suppress(BrokenPipeError):
-        sys.exit(main(**{key: value if key == "log" else int(value) for key, value in given.items()}))
+        sys.exit(main(**{key: int(value) for key, value in (argument.split("=") for argument in sys.argv[1:])}))
