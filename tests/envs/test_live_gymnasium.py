@@ -1,8 +1,5 @@
 """A live world as a Gymnasium environment, by itself and in TorchRL's wrapper."""
 
-from ctypes.util import find_library
-from importlib.util import find_spec
-
 import gymnasium
 import numpy as np
 import pytest
@@ -14,10 +11,7 @@ from torchrl.envs.utils import check_env_specs
 from dirl.envs import Reward
 from dirl.envs.live_gymnasium import LiveGym
 from dirl.scenes import load_scenes
-from dirl.scenes.live import Dumped, Noisy, Simulated, state_pose
-from dirl.sources.miniworld import MiniWorld
-from dirl.sources.simulators import take_scene
-from dirl.sources.vizdoom import VizDoom
+from dirl.scenes.live import Dumped, Noisy, state_pose
 
 
 @pytest.fixture(scope="module")
@@ -69,16 +63,3 @@ def test_torchrl_wraps_it_with_a_limit_of_steps_and_errors_of_moves(room):
     steps = env.rollout(50, break_when_any_done=False)
     assert steps["next", "truncated"].sum() == 10
     assert steps["views"].shape == (50, *env.observation_spec["views"].shape)
-
-
-@pytest.mark.parametrize("kind", ["vizdoom", "miniworld"])
-def test_torchrl_wraps_a_simulator(kind):
-    if not find_spec(kind) or (kind == "miniworld" and not find_library("EGL")):
-        pytest.skip(f"the extra {kind}, or EGL, is not installed")
-    size = {"height": 12, "width": 16}
-    step = 2.0 if kind == "vizdoom" else 1.0
-    simulator = VizDoom("map01", **size) if kind == "vizdoom" else MiniWorld("MazeS3", **size)
-    scene, _ = take_scene(simulator, source=kind, step=step, turn=90, most=4)
-    env = GymWrapper(LiveGym(Simulated(simulator, step=step), scene), categorical_action_encoding=True)
-    check_env_specs(env)
-    assert env.rollout(6)["views"].float().std() > 1

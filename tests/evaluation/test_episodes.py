@@ -8,7 +8,6 @@ from policies import BACK, COUNTED, RIGHT, Asked, always, expert, from_states, o
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
-from dirl.agent import decisions as decisions_module
 from dirl.agent.decisions import answers
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation import episodes as episodes_module
@@ -150,25 +149,6 @@ def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, 
     for key in ("success", "false_stop", "missed_stop"):
         assert len(set(found[key])) == 2, f"no variety of {key}: the comparison says nothing"
     assert (~episodes.success & ~episodes.false_stop & ~episodes.missed_stop).any()
-
-
-def test_a_limit_on_how_many_are_asked_at_once_changes_nothing(world, monkeypatch):
-    options = {"world": world, "starts": every_start(world), "observation": SurroundingViews(world)}
-    policy = expert(world)
-    whole = run_episodes(policy, **options)
-    monkeypatch.setattr(decisions_module, "PAIRS_AT_ONCE", 7)
-    parts = run_episodes(policy, **options)
-    # Every state of a scene with every goal of it.
-    assert policy.sizes == [68] + [7] * 9 + [5]
-    assert outcome(parts) == outcome(whole)
-
-
-def test_watching_shows_the_episodes_still_going_on_after_each_step(world):
-    seen = []
-    options = {"observation": SurroundingViews(world), "max_steps": 3}
-    options["watch"] = lambda *of_step: seen.append(tuple(rows.tolist() for rows in of_step))
-    run_episodes(always(RIGHT), world, from_states(0, 2, 4), **options)
-    assert seen == [([0, 1], [3, 5], [1, 1]), ([0, 1], [0, 6], [1, 1]), ([1], [7], [1])]
 
 
 def test_answers_are_those_of_the_policy_asked_for_each_pair(world):

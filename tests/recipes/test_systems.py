@@ -81,14 +81,6 @@ def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
         assert told in errors.splitlines()[-1]
 
 
-def test_a_clone_is_not_reinforced_whatever_frames_a_grid_is_given(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "reinforcement.frames_per_scene=600"]
-    done(tmp_path, "train", *options, "hydra.run.dir=run")
-    assert summary_of(tmp_path / "run")["frames"] == 0
-    assert (tmp_path / "run" / "imitation.csv").exists()
-    assert not (tmp_path / "run" / "reinforcement.csv").exists()
-
-
 def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp_path):
     sizes = ["reinforcement.agents_per_scene=20", "imitation.fraction=0.1", "imitation.rounds=3", "imitation.lr=3e-3"]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=dagger", *sizes, "hydra.run.dir=run"]

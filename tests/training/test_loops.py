@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torch import nn
 from train import imitate, learn, train
 
-from dirl.config.schemas import ConfigError, Schedule
+from dirl.config.schemas import Schedule
 from dirl.runs.folder import Run
 from dirl.runs.paths import RunError
 from dirl.training.job import build_components
@@ -195,25 +195,6 @@ def test_a_training_that_diverges_ends_in_one_line(tmp_path, options, says):
     parts = make_parts(f"scene={room_file(tmp_path)}", *DIVERGING, *options)
     with pytest.raises(RunError, match=says):
         train_in(tmp_path / "run", parts)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (
-            ["optimiser.foreach=true"],
-            r"^optimiser: Adam refuses its options: `fused` and `foreach` cannot be `True` tog",
-        ),
-        (
-            ["expert._target_=dirl.evaluation.experts.RandomPolicy"],
-            r"^expert: RandomPolicy is no expert: it writes no ",
-        ),
-    ],
-    ids=["foreach", "expert"],
-)
-def test_a_component_that_cannot_be_made_is_one_line(tmp_path, options, says):
-    with pytest.raises(ConfigError, match=says):
-        train_in(tmp_path / "run", make_parts(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
 
 
 def test_a_reinforcement_after_dagger_tells_its_own_frames(tmp_path):

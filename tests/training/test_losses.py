@@ -5,7 +5,6 @@ import torch
 from commands import room_file
 from parts import make_parts, train_in, train_state
 
-from dirl.config.schemas import Schedule
 from dirl.evaluation.protocol import metrics
 from dirl.models import recurrent_keys
 from dirl.training.objectives import (
@@ -101,15 +100,6 @@ def test_the_losses_are_those_of_each_module_on_its_own_rows_weighted(room, memo
         torch.testing.assert_close(found["loss_objective"], a2c["loss_objective"])
     names = ("loss_imitation", "loss_objective", "loss_entropy", "loss_critic")
     torch.testing.assert_close(total_loss(found), sum(found[name] for name in names))
-
-
-def test_schedules_reach_the_losses_coefficients(room):
-    parts = make_parts(room, *SMALL, "reinforcement.entropy_coef={start:0.5,end:0.1}")
-    batch = rows(parts)
-    first, middle, last = (parts.losses(batch.copy(), left)["loss_entropy"].item() for left in (1.0, 0.5, 0.0))
-    assert middle == pytest.approx(0.6 * first)
-    assert last == pytest.approx(0.2 * first)
-    assert Schedule(0.5, 0.1)(0.5) == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(

@@ -240,18 +240,6 @@ def test_rmsprop_leaves_what_has_no_gradient_and_starts_its_mean_square_late():
     assert late.item() == pytest.approx(by_formula(1, [2], 0.1))
 
 
-def test_rmsprop_goes_on_from_a_state_dict():
-    parameter = torch.nn.Parameter(torch.ones(2, dtype=torch.float64))
-    optimiser = TFRMSprop([parameter], lr=0.1)
-    for gradient in (1.0, -4.0):
-        parameter.grad = torch.full((2,), gradient, dtype=torch.float64)
-        optimiser.step()
-        state = optimiser.state_dict()
-        optimiser = TFRMSprop([parameter])
-        optimiser.load_state_dict(state)
-    assert parameter.tolist() == pytest.approx([by_formula(1, [1, -4], 0.1)] * 2)
-
-
 @pytest.mark.parametrize(("per_variable", "expected"), [(False, [[0.6, 0.0], [0.0, 0.8]]), (True, [[1, 0], [0, 1]])])
 def test_gradients_are_clipped_together_or_each(per_variable, expected):
     parameters = [torch.nn.Parameter(torch.zeros(2)) for _ in range(2)]

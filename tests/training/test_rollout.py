@@ -102,21 +102,3 @@ def test_a_rollout_makes_no_host_device_synchronisation(world, monkeypatch):
         with Questions() as questions:
             collect(env, operator, agents, STEPS)
     assert questions.asked == []
-
-
-def test_what_a_gpu_computes_is_the_same(world, monkeypatch):
-    policy = cached_policy(world)
-    batch, _ = collect(make_env(world), policy.operator(), make_env(world).reset(), STEPS)
-    rows = batch.reshape(-1).select("view_ids", "goal_view_ids", "scene")
-
-    def outputs_and_gradients():
-        policy.zero_grad()
-        found = policy(rows.copy())
-        (found["logits"].square().sum() + found["state_value"].sum()).backward()
-        outputs = [found["logits"].detach(), found["state_value"].detach()]
-        return [*outputs, *(weight.grad.clone() for weight in policy.parameters())]
-
-    here = outputs_and_gradients()
-    for module in (policy_module, distinct):
-        monkeypatch.setattr(module, "reading_waits", lambda tensor: True)
-    torch.testing.assert_close(outputs_and_gradients(), here)

@@ -1,8 +1,14 @@
+"""The policy of figure 2: encoder, layers of each scene, operators, and an optional memory."""
+
+import copy
+
 import pytest
 import torch
 from networks import (
+    FEATURES,
     SCENES,
     SURROUNDING,
+    WIDTH,
     batch_of,
     embedded_rows,
     make_policy,
@@ -10,9 +16,21 @@ from networks import (
     seen,
     standardised_policy,
 )
+from torch import nn
 from torchrl.modules import set_recurrent_mode
 
-from dirl.models import count_parameters, initial_state, plain_weights, recurrent_keys
+from dirl.models import (
+    ActorCriticHeads,
+    SiameseEncoder,
+    count_parameters,
+    initial_state,
+    plain_weights,
+    recurrent_keys,
+)
+from dirl.models import (
+    policy as policy_module,
+)
+from dirl.models.policy import SceneLinear, SceneTrunks
 
 OUTPUTS = ("hidden", "logits", "state_value")
 
@@ -116,3 +134,66 @@ def test_what_was_seen_before_matters_to_a_memory_until_a_new_episode_begins(rem
         after = remembering(changed)
     same = torch.isclose(after["logits"], before["logits"]).all(-1).squeeze(0)
     assert same.tolist() == [False, False, False, True]
+
+
+def siamese():
+    torch.manual_seed(0)
+    return SiameseEncoder(FEATURES, WIDTH)
+
+
+def observations(*shape):
+    return torch.randn(2, *shape, 4, FEATURES, generator=torch.Generator().manual_seed(1))
+
+
+def test_four_views_are_embedded_together_and_both_embeddings_fused():
+    made, (observation, goal_observation) = siamese(), observations(9)
+    rows, fusion = [], torch.cat([made.fusion.weight, made.goal_fusion.weight], 1)
+    for views, goal_views in zip(observation, goal_observation, strict=True):
+        both = [(made.embedding.weight @ torch.cat(list(four)) + made.embedding.bias) for four in (views, goal_views)]
+        rows.append((fusion @ torch.cat(both).relu() + made.fusion.bias).relu())
+    torch.testing.assert_close(made(observation, goal_observation), torch.stack(rows))
+
+
+def test_observation_and_goal_are_embedded_by_the_same_weights():
+    made, (observation, goal_observation) = siamese(), observations(9)
+    swapped = copy.deepcopy(made)
+    with torch.no_grad():
+        swapped.fusion.weight.copy_(made.goal_fusion.weight)
+        swapped.goal_fusion.weight.copy_(made.fusion.weight)
+    torch.testing.assert_close(swapped(goal_observation, observation), made(observation, goal_observation))
+    assert [name for name, _ in swapped.named_parameters()] == [
+        "embedding.weight", "embedding.bias", "fusion.weight", "fusion.bias",
+        "goal_fusion.weight",
+    ]  # fmt: skip
+
+
+def small_layers(scenes):
+    return SceneTrunks(scenes, lambda: nn.Linear(5, 3)), SceneLinear(scenes, 5, 3)
+
+
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("layers", small_layers(SCENES))
+@pytest.mark.parametrize("scene", [[2, 0, 1, 0, 2, 2], [1, 1, 1, 1, 1, 1], [2, 0, 0, 2, 0, 2]])
+def test_each_row_goes_through_the_layer_of_its_scene(layers, scene, late, monkeypatch):
+    monkeypatch.setattr(policy_module, "reading_waits", lambda tensor: late)  # as on a GPU, or not
+    layers.sorts = True
+    rows = torch.randn(6, 5)
+    expected = torch.stack([layers.scenes[SCENES[s]](row) for row, s in zip(rows, scene, strict=True)])
+    torch.testing.assert_close(layers(rows, torch.tensor(scene)), expected)
+
+
+@pytest.mark.parametrize("layers", small_layers(["shared"]))
+def test_layers_of_one_name_serve_every_scene(layers):
+    rows = torch.randn(4, 5)
+    assert torch.equal(layers(rows, torch.tensor([0, 3, 1, 2])), layers.scenes["shared"](rows))
+
+
+def test_a_scenes_weights_carry_its_name():
+    assert "value.scenes.kitchen.weight" in ActorCriticHeads(SCENES, 5, 4, 3).state_dict()
+    assert "scenes.v1_0.weight" in SceneTrunks(["v1.0"], lambda: nn.Linear(1, 1)).state_dict()
+
+
+@pytest.mark.parametrize("make", [lambda names: SceneLinear(names, 2, 2), lambda names: ActorCriticHeads(names, 2, 2)])
+def test_names_that_differ_only_in_dots_and_underscores_are_refused(make):
+    with pytest.raises(ValueError, match="must differ by more than dots and underscores"):
+        make(["v1.0", "v1_0"])
