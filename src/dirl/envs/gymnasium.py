@@ -93,7 +93,7 @@ class Task:
         self.decoded: dict[int, NDArray[np.uint8]] = {}
 
     def space(self) -> spaces.Space[Any]:
-        """The observation space of one agent."""
+        """Return the observation space of one agent."""
         low, high = self.features.min(), self.features.max()
         made: dict[str, spaces.Space[Any]] = {}
         for key, seen in self.observe(np.array(0), np.array(0)).items():
@@ -110,7 +110,7 @@ class Task:
         return goal, np.array([self.starts[one][at] for one, at in zip(goal, start, strict=True)], np.int64)
 
     def chosen(self, options: dict[str, Any], goal: int, state: int) -> tuple[int, int]:
-        """The goal's index and the start: those that ``options`` name, else those that were sampled."""
+        """Return the goal's index and the start: those that ``options`` name, else those that were sampled."""
         unknown = sorted(set(options) - {"goal", "state"})
         if unknown:
             raise ValueError(f"reset has no option '{unknown[0]}'; options are 'goal' and 'state'")
@@ -127,7 +127,7 @@ class Task:
         return goal, int(state)
 
     def observe(self, goal: Ints, state: Ints) -> Observation:
-        """The agents' observations: features float32 ``[..., 4, D]``, views uint8 ``[..., 4, H, W, 3]``."""
+        """Return the agents' observations: features float32 ``[..., 4, D]``, views uint8 ``[..., 4, H, W, 3]``."""
         made: Observation = {}
         for prefix, at, count in (("", state, VIEWS), ("goal_", self.goals[goal], self.goal_views)):
             around = self.surrounding[at][..., :count]
@@ -140,7 +140,7 @@ class Task:
         return made
 
     def view(self, state: int) -> NDArray[np.uint8]:
-        """The decoded view of a state, cached; grey if the scene has no views."""
+        """Return the decoded view of a state, cached; grey if the scene has no views."""
         if state not in self.decoded:
             views = self.scene.views
             self.decoded[state] = np.full((3, 4, 3), 128, np.uint8) if views is None else views[state]
@@ -209,7 +209,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         return task.observe(np.array(goal), np.array(state)), info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The view, the goal's view and the map (agent blue, goal a yellow star), uint8 ``[300, W, 3]``."""
+        """Return the view, the goal's view and the map (agent blue, goal a yellow star), uint8 ``[300, W, 3]``."""
         self._check_begun("render")
         if self.render_mode is None:
             return None
@@ -309,7 +309,7 @@ class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
         return task.observe(goal, state), info
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """The picture of each agent, see `NavigationGym.render`."""
+        """Return the picture of each agent, see `NavigationGym.render`."""
         if self.render_mode is None:
             return None
         goals = self.task.goals[self._goal]

@@ -93,12 +93,12 @@ class LiveEnv(NavigationEnv):
         return agents.set("pose", pose).update(self._seen(pose, agents["goal"]))
 
     def restore_agents(self, agents: TensorDictBase) -> TensorDictBase:
-        """The agents with what they see, which is encoded anew: no checkpoint holds it."""
+        """Return the agents with what they see, which is encoded anew: no checkpoint holds it."""
         self.rows.clear()
         return agents.update(self._seen(agents["pose"], agents["goal"]))
 
     def _move(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """Where the agents are after their actions, and what they see there."""
+        """Return where the agents are after their actions, and what they see there."""
         slipped = self._slipped() if self.slip else torch.zeros_like(tensordict["action"], dtype=torch.bool)
         errors = torch.zeros(self.batch_size, device=self.device)
         if self.turn_error:
@@ -116,7 +116,7 @@ class LiveEnv(NavigationEnv):
         return {"state": state, "pose": pose, **self._seen(pose, tensordict["goal"])}
 
     def _after(self, pose: list[float], intended: float, action: int, error: float) -> list[float]:
-        """Where an action leads from a pose, by an agent that takes its heading for the ``intended`` one."""
+        """Return where an action leads from a pose, by an agent that takes its heading for the ``intended`` one."""
         x, z, heading = pose
         if action in (AHEAD, BACK):
             metres = stride(intended, self.step_metres)
@@ -130,12 +130,12 @@ class LiveEnv(NavigationEnv):
             return Pose(*self.simulator.pose)
 
     def _nearest(self, pose: Tensor) -> Tensor:
-        """The state of the nearest place, and there of the nearest heading, int64 ``[B]``."""
+        """Return the state of the nearest place, and there of the nearest heading, int64 ``[B]``."""
         away = torch.cdist(pose[:, :2], self.places[:, :2])
         return torch.argmin(away + 1e-6 * _turned(pose[:, None], self.places), 1)
 
     def _seen(self, pose: Tensor, goal: Tensor) -> dict[str, Tensor]:
-        """The rows of the views at poses, float64 ``[B, 3]``, and at goals."""
+        """Return the rows of the views at poses, float64 ``[B, 3]``, and at goals."""
         goals, which = goal.unique(return_inverse=True)
         rows = self._rows([*pose.tolist(), *self.places[goals].tolist()])
         shown = rows[len(pose) :]
@@ -143,7 +143,7 @@ class LiveEnv(NavigationEnv):
         return {"view_ids": rows[: len(pose)], "goal_view_ids": shown[which]}
 
     def _rows(self, poses: list[list[float]]) -> Tensor:
-        """The rows of the four views of each pose, int64 ``[R, 4]``; new views are encoded all together."""
+        """Return the rows of the four views of each pose, int64 ``[R, 4]``; new views are encoded all together."""
         views = [(x, z, (heading + quarter) % 360) for x, z, heading in poses for quarter in QUARTERS]
         keys = [(round(x, 3), round(z, 3), round(heading, 1) % 360) for x, z, heading in views]
         new = {key: view for key, view in zip(keys, views, strict=True) if key not in self.rows}
@@ -170,5 +170,5 @@ class LiveEnv(NavigationEnv):
 
 
 def _turned(pose: Tensor, other: Tensor) -> Tensor:
-    """The degrees between the headings of poses, float64."""
+    """Return the degrees between the headings of poses, float64."""
     return ((pose[..., 2] - other[..., 2] + 180) % 360 - 180).abs()

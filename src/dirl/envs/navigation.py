@@ -123,7 +123,7 @@ class NavigationEnv(EnvBase):
         )
 
     def _move(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """Where the agents are after their actions, and which looks they see there."""
+        """Return where the agents are after their actions, and which looks they see there."""
         state = tensordict["state"]
         after = self.world.graph[state, tensordict["action"]]
         if self.slip:
@@ -135,7 +135,7 @@ class NavigationEnv(EnvBase):
         return torch.rand(self.batch_size, generator=self.generator, device=self.device) < self.slip
 
     def restore_agents(self, agents: TensorDictBase) -> TensorDictBase:
-        """The agents of a checkpoint, ``[B]``, as the environment goes on with them."""
+        """Return the agents of a checkpoint, ``[B]``, as the environment goes on with them."""
         return agents
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:

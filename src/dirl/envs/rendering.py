@@ -47,7 +47,7 @@ class RoomMap:
         draw.polygon(star, fill=GOAL_COLOR, outline="black", width=smooth)
 
     def draw(self, path: Sequence[int], color: str) -> Image.Image:
-        """The map with a path up to its last state, where the agent stands."""
+        """Return the map with a path up to its last state, where the agent stands."""
         picture = self.room.copy()
         draw = ImageDraw.Draw(picture)
         width = max(self.smooth, int(0.16 * self.side))
@@ -77,7 +77,7 @@ class Painter:
         self.maps: dict[int, RoomMap] = {}
 
     def paint(self, goal: int, state: int) -> NDArray[np.uint8]:
-        """The picture of an agent at ``state`` on its way to the state ``goal``, uint8 ``[300, W, 3]``."""
+        """Return the picture of an agent at ``state`` on its way to the state ``goal``, uint8 ``[300, W, 3]``."""
         if goal not in self.maps:
             self.maps[goal] = RoomMap(self.scene, goal, (math.inf, HEIGHT))
         parts = self._panel(state), self._panel(goal), self.maps[goal].draw([state], BLUE)

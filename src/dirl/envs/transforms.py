@@ -29,7 +29,7 @@ class SurroundingViews(Transform):
     """
 
     history = False
-    """Whether an observation depends on earlier states too."""
+    """True if an observation depends on earlier states too."""
 
     order: tuple[str, ...] = ("ahead", "right", "back", "left")
     """The names of the views, as many as an observation has; they are saved in checkpoints."""
@@ -44,19 +44,19 @@ class SurroundingViews(Transform):
         self.register_buffer("surrounding", torch.cat(by_look))
 
     def reset_view_ids(self, picture: Tensor) -> Tensor:
-        """The view ids at the start of an episode, int64 ``[...]`` to ``[..., 4]``.
+        """Return the view ids at the start of an episode, int64 ``[...]`` to ``[..., 4]``.
 
         A picture is what is seen ahead, ``look * N + state``: the state itself in a world that never changes.
         """
         return self.surrounding[picture]
 
     def goal_view_ids(self, picture: Tensor) -> Tensor:
-        """The view ids of a goal, int64 ``[...]`` to ``[..., 4]``, see `reset_view_ids`."""
+        """Return the view ids of a goal, int64 ``[...]`` to ``[..., 4]``, see `reset_view_ids`."""
         views = self.reset_view_ids(picture)
         return views if self.goal_view == "surrounding" else front_only(views, self.pictures)
 
     def step_view_ids(self, view_ids: Tensor, picture: Tensor) -> Tensor:
-        """The view ids after a step to where ``picture`` is seen, int64 ``[...]``, given those before it."""
+        """Return the view ids after a step to where ``picture`` is seen, int64 ``[...]``, given those before it."""
         return self.reset_view_ids(picture)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -65,7 +65,7 @@ class SurroundingViews(Transform):
         return next_tensordict
 
     def _picture(self, tensordict: TensorDictBase, state: str, look: str) -> Tensor:
-        """The view id of a state in the look that was sampled; the state itself where there is one look."""
+        """Return the view id of a state in the look that was sampled; the state itself where there is one look."""
         found: Tensor = tensordict[state]
         return found if self.pictures == self.states else found + self.states * tensordict[look]
 
@@ -93,12 +93,12 @@ class SurroundingViews(Transform):
 
 
 def front_only(views: Tensor, unknown: int) -> Tensor:
-    """The first of the views, int64 ``[..., 4]``; the others are ``unknown``."""
+    """Return the first of the views, int64 ``[..., 4]``; the others are ``unknown``."""
     return torch.where(torch.arange(views.shape[-1], device=views.device) == 0, views, unknown)
 
 
 def broken_promise(made: SurroundingViews) -> str | None:
-    """Which part of the contract a transform of one's own does not keep, in words; None if it keeps all of it.
+    """Return which part of the contract a transform of one's own does not keep, in words; None if it keeps all of it.
 
     Demonstrations, caches and evaluation ask `reset_view_ids`, `goal_view_ids` and `step_view_ids` what is seen; the
     environment goes through the transform. All of them must say the same, and `history` whether steps before matter.
@@ -144,7 +144,7 @@ class SequentialViews(SurroundingViews):
     order = ("three steps ago", "two steps ago", "one step ago", "now")
 
     def reset_view_ids(self, picture: Tensor) -> Tensor:
-        """The picture four times, int64 ``[...]`` to ``[..., 4]``."""
+        """Return the picture four times, int64 ``[...]`` to ``[..., 4]``."""
         return picture.unsqueeze(-1).expand(*picture.shape, len(self.order)).clone()
 
     def step_view_ids(self, view_ids: Tensor, picture: Tensor) -> Tensor:

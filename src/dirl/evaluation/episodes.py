@@ -54,7 +54,7 @@ class Episodes:
         self.steps[episode[stopped & at_goal]] = step
 
     def select(self, chosen: Tensor) -> "Episodes":
-        """Some of the episodes, by mask or index."""
+        """Return some of the episodes, by mask or index."""
         return Episodes(*(value[chosen] for value in vars(self).values()))
 
 
@@ -78,7 +78,7 @@ def sampled_starts(world: World, per_goal: int, seed: int) -> tuple[Tensor, Tens
 
 
 def shortest_episodes(world: World, starts: tuple[Tensor, Tensor]) -> Episodes:
-    """The expert's episodes from given starts, from the distances alone: the expert never fails."""
+    """Return the expert's episodes from given starts, from the distances alone: the expert never fails."""
     goal_index, start = starts
     shortest = world.distance(goal_index, start)
     never = torch.zeros_like(start, dtype=torch.bool)
@@ -128,15 +128,21 @@ class EvaluationProtocol:
     """Measures of one's own, beside those of the paper."""
     live: Callable[..., Episodes] | None = None
     """``live(policy, told=False)``: episodes in the simulator that it was trained in, if any; see `evaluate_live`."""
+    walked: tuple[Episodes, ...] = ()
+    """Its greedy, sampled and random episodes, where they were walked before, together with those of other runs."""
     held_out: "EvaluationProtocol | None" = None
     """The same for goals that were held out of the training, if there are any."""
 
     def run(self, policy: nn.Module, *, greedy: bool = True) -> Episodes:
-        """One episode from each start."""
+        """Walk one episode from each start."""
+        if self.walked:
+            return self.walked[0 if greedy else 1]
         return run_episodes(policy, self, greedy=greedy)
 
     def run_random(self) -> Episodes:
-        """The same for random actions. The environment stops the agent, so that it makes no false stops."""
+        """Return the same for random actions. The environment stops the agent, so that it makes no false stops."""
+        if self.walked:
+            return self.walked[2]
         return replace(self, stop=None, memory=None, maps=None, panorama=False).run(RandomPolicy(), greedy=False)
 
     def run_sweep(self) -> Episodes:
@@ -270,7 +276,7 @@ def drawn_looks(
 
 
 def _arrived(world: World, stop: Tensor | StopRule | None) -> StopRule:
-    """Whether agents stop, by a table, a function, or exactly at the goal."""
+    """True if agents stop, by a table, a function, or exactly at the goal."""
     states, goals = len(world), len(world.goals)
     if stop is None:
         return lambda wanted, ahead: ahead % states == world.goals[wanted % goals]

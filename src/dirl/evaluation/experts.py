@@ -73,7 +73,7 @@ class RandomPolicy(TensorDictModuleBase):
 
 
 def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
-    """Which actions are the first of a shortest path, bool ``[B, 4]``.
+    """Return which actions are the first of a shortest path, bool ``[B, 4]``.
 
     Goals are given by their place in ``world.goals``, and states of their scenes, int64 ``[B]`` each. The result is not
     meaningful at a goal, and where it cannot be reached.
@@ -83,7 +83,7 @@ def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
 
 
 def demonstration_states(place: Tensor, fraction: float, rule: str, generator: torch.Generator) -> Tensor:
-    """The states of a scene that the expert demonstrates, bool ``[N]``.
+    """Return the states of a scene that the expert demonstrates, bool ``[N]``.
 
     Args:
         place: the place of each state, int64 ``[N]``, numbered from 0.
@@ -119,7 +119,7 @@ def demonstrations(
     rule: str = "interval",
     seed: int = 0,
 ) -> TensorDict:
-    """The expert's actions in a fraction of each scene's states, for every goal of the scene.
+    """Return the expert's actions in a fraction of each scene's states, for every goal of the scene.
 
     For fraction and rule see `demonstration_states`. A state without advice for a goal is left out for that goal. A
     demonstrated state has no history: it is observed as the start of an episode.
@@ -145,14 +145,14 @@ def demonstrations(
 
 
 def shown_states(world: World, fraction: float, rule: str, seed: int) -> Tensor:
-    """The states of a world that the expert demonstrates, bool ``[N]``; see `demonstration_states`."""
+    """Return the states of a world that the expert demonstrates, bool ``[N]``; see `demonstration_states`."""
     generator = torch.Generator().manual_seed(seed)
     place = (torch.from_numpy(places(scene.graph)) for scene in world.scenes)
     return torch.cat([demonstration_states(one, fraction, rule, generator) for one in place]).to(world.device)
 
 
 def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBase:
-    """The expert's actions in states that were visited, ``[B]`` rows of `DEMONSTRATED` but for the action.
+    """Return the expert's actions in states that were visited, ``[B]`` rows of `DEMONSTRATED` but for the action.
 
     Returns:
         ``[M]`` rows of `DEMONSTRATED`. Left out are those for which the expert has no advice.
@@ -164,7 +164,7 @@ def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBa
 
 
 def merge_demonstrations(*parts: TensorDictBase) -> TensorDictBase:
-    """All demonstrations, one of each that observe the same on the way to the same goal; in order of these."""
+    """Return all demonstrations, one of each that observe the same on the way to the same goal; in order of these."""
     rows = TensorDict.cat([part.select(*DEMONSTRATED, *OPTIONAL, strict=False) for part in parts])
     # The rank of each row, column by column: twenty times as fast as `torch.unique` of rows.
     which = rows["goal"].new_zeros(len(rows))

@@ -36,7 +36,7 @@ class Remembered:
 
 
 def remembering(name: str, scene: Scene, device: str, *, patches: bool) -> Remembered:
-    """The encoder of the package that made the features of a scene, by its name."""
+    """Return the encoder of the package that made the features of a scene, by its name."""
     facts = {"extractor": scene.extractor}
     return Remembered(image_encoder(name, None, facts, scene.origin, device, patches=patches))
 
@@ -44,7 +44,7 @@ def remembering(name: str, scene: Scene, device: str, *, patches: bool) -> Remem
 def trained_navigator(
     saved: dict[str, Any], encoder: Encoder, turns: int, device: str, trust: Collection[str]
 ) -> Navigator:
-    """The navigator of a policy that is still being trained, from what its checkpoint would hold."""
+    """Return the navigator of a policy that is still being trained, from what its checkpoint would hold."""
     parts = load_parts(saved, "env=live", encoder, saved["extractor"], None, {}, device, trust)
     return Navigator(**parts, turns=turns)
 

@@ -59,7 +59,7 @@ def walk_through(
     looks: range | None = None,
     around: Tensor | None = None,
 ) -> list[int]:
-    """The states that are passed on a walk through a scene by a mapper; see `map_scene`.
+    """Return the states that are passed on a walk through a scene by a mapper; see `map_scene`.
 
     ``look`` gives what the mapper takes for the view ids of a visit, int64 ``[V]``: those of the states that are seen
     ``around`` each, int64 ``[N, V]``; `World.surrounding` if left out.

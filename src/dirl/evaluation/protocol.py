@@ -29,7 +29,7 @@ NEAR = 1.5
 
 
 def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[str, Any]]:
-    """The metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
+    """Return the metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
 
     Where the policy has a memory that plans, ``sweep`` is what the same memory finds without a policy: a control.
 
@@ -58,12 +58,12 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[st
 
 
 def assess_live(policy: nn.Module, live: Callable[..., Episodes]) -> dict[str, dict[str, float]]:
-    """The metrics of a policy in a live world: stopping by itself, and told when it has arrived."""
+    """Return the metrics of a policy in a live world: stopping by itself, and told when it has arrived."""
     return {"live": metrics(live(policy)), "live_told": metrics(live(policy, told=True))}
 
 
 def mean_shortest(world: World) -> list[float]:
-    """The length of the shortest path to each goal, averaged over the states that reach it."""
+    """Return the length of the shortest path to each goal, averaged over the states that reach it."""
     blocks = [world.block(world.distances, goal) for goal in range(len(world.goals))]
     return [block[block > 0].double().mean().item() for block in blocks]
 
@@ -77,7 +77,7 @@ def action_values(
 
 
 def metrics(episodes: Episodes) -> dict[str, float]:
-    """The measures of the paper's section 4.3, over all episodes unless said otherwise.
+    """Return the measures of the paper's section 4.3, over all episodes unless said otherwise.
 
     ``atl``: steps, with the limit for failures; ``atl_success``: steps of the successful ones (NaN if there are
     none); ``sr``: fraction that stopped at the goal; ``spl``: success weighted by shortest/steps; ``shortest``: fewest
@@ -185,7 +185,7 @@ class EpisodeMeter:
         return max(self._means(), default=math.nan)
 
     def success_rate(self, limit: int) -> float:
-        """The fraction of these episodes that ended before the step limit, averaged over goals as the ATL is."""
+        """Return the fraction of these episodes that ended before the step limit, averaged over goals as the ATL is."""
         rates = [sum(steps < limit for steps in last) / len(last) for last in self.steps if last]
         return sum(rates) / len(rates) if rates else math.nan
 
@@ -193,7 +193,7 @@ class EpisodeMeter:
         return [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes; the totals only tell whether the steps were changed."""
+        """Return what `load_state_dict` takes; the totals only tell whether the steps were changed."""
         return {
             "steps": [list(last) for last in self.steps],
             "totals": list(self.totals),

@@ -27,7 +27,7 @@ def build_policy(
     world: World | None = None,
     views: int = VIEWS,
 ) -> nn.Module:
-    """The policy with its initial weights, which depend on the seed alone.
+    """Return the policy with its initial weights, which depend on the seed alone.
 
     A policy that is loaded outside of its scenes has no world. ``views`` is how many an observation has.
 
@@ -60,7 +60,7 @@ def build_policy(
 
 
 def _encoder(config: TrainConfig, features: FeatureTable, views: int) -> nn.Module:
-    """The encoder of a policy; of coordinates with the weights that it would begin with on features."""
+    """Return the encoder of a policy; of coordinates with the weights that it would begin with on features."""
     # Patches have one shape wherever they are computed, see dirl.perception.backbones.patches.
     read = {"num_features": features.table.shape[1], "num_views": views, "patch_shape": PATCH_SHAPE}
     encoder: Any = make("encoder", config.encoder, config.trust, **read)
@@ -78,7 +78,7 @@ def _encoder(config: TrainConfig, features: FeatureTable, views: int) -> nn.Modu
 
 
 def _output_width(name: str, made: Any, call: Any, shape: list[int]) -> int:
-    """The width of what a component gives for one row."""
+    """Return the width of what a component gives for one row."""
     with tried(name, made, f", on features {shape}"), torch.no_grad():
         result = call()
     if not isinstance(result, Tensor) or result.ndim != 2 or len(result) != 1:
@@ -88,7 +88,7 @@ def _output_width(name: str, made: Any, call: Any, shape: list[int]) -> int:
 
 
 def _remember(memory: TensorDictModuleBase, width: int, steps: int | None = None) -> Tensor:
-    """What a memory makes of one row; of the rows of a rollout, ``[1, steps]``, as losses call it."""
+    """Return what a memory makes of one row; of the rows of a rollout, ``[1, steps]``, as losses call it."""
     states = recurrent_keys(memory)
     if not states:
         raise ValueError('writes no recurrent state, ("next", ...) among its out_keys')
@@ -133,7 +133,7 @@ def feature_table(
     origin: str = "init",
     room: int = 0,
 ) -> FeatureTable:
-    """The features of the world's states, standardised or whitened as configured.
+    """Return the features of the world's states, standardised or whitened as configured.
 
     If weights of a trained network are given, its mean, standard deviation and axes are used, not the world's. There is
     ``room`` for so many views that are encoded later, see `FeatureTable.write`.
@@ -187,7 +187,7 @@ def reads_linearly(config: TrainConfig) -> bool:
 
 
 def reads_patches(config: TrainConfig) -> bool:
-    """Whether the encoder compares patches: its constructor takes ``patch_shape``."""
+    """True if the encoder compares patches: its constructor takes ``patch_shape``."""
     return "patch_shape" in class_parameters(find_class("encoder", config.encoder[TARGET], config.trust))
 
 
@@ -204,7 +204,7 @@ def check_extractor(saved: Mapping[str, Any], extractor: str, origin: str) -> No
 
 
 def turns_of_training(saved: Mapping[str, Any]) -> set[int]:
-    """How many turns made a full circle in the scenes of a checkpoint's training; 4 where it does not say."""
+    """Return how many turns made a full circle in the scenes of a checkpoint's training; 4 where it does not say."""
     return set(saved.get("turns", [4]))
 
 

@@ -68,13 +68,13 @@ class ComparingEncoder(nn.Module):
         self.view_fusion = nn.Linear(view_projection, width, bias=False)
 
     def embed(self, observation: Tensor) -> Tensor:
-        """What depends on an observation alone, float32 ``[B, 4, D]`` to ``[B, width + E]``."""
+        """Return what depends on an observation alone, float32 ``[B, 4, D]`` to ``[B, width + E]``."""
         pooled, _ = self._parts(observation)
         seen = self.observation(F.relu(self.embedding(pooled.flatten(-2))))
         return torch.cat([seen, self.embed_goal(observation)], -1)
 
     def embed_goal(self, goal_observation: Tensor) -> Tensor:
-        """What is compared of a goal, float32 ``[B, 4, D]`` to ``[B, E]``: its patches, then its views."""
+        """Return what is compared of a goal, float32 ``[B, 4, D]`` to ``[B, E]``: its patches, then its views."""
         pooled, patches = self._parts(goal_observation)
         patches = F.normalize(self.patch_projection(patches.unflatten(-1, self.patch_shape)), dim=-1)
         views = F.normalize(self.view_projection(pooled), dim=-1)
@@ -92,7 +92,7 @@ class ComparingEncoder(nn.Module):
         return F.relu(seen + by_patch + by_view)
 
     def _by_pair(self, cosines: Tensor) -> Tensor:
-        """The cosines of patches, ``[B, (4 C)^2]``, by pair of an observed and a goal view, ``[B, 16, C^2]``."""
+        """Return the cosines of patches, ``[B, (4 C)^2]``, by pair of an observed and a goal view, ``[B, 16, C^2]``."""
         cells = self.patch_shape[0]
         return cosines.unflatten(-1, (VIEWS, cells, VIEWS, cells)).transpose(-3, -2).flatten(-2).flatten(-3, -2)
 

@@ -39,7 +39,7 @@ class EmbeddingCache:
         self._sorted = self._places = self.keys
 
     def places(self, keys: Tensor, compute: Callable[[Tensor], Tensor]) -> Tensor:
-        """The place among the rows of each key, int64 ``[K]`` to ``[K]``; missing rows are computed."""
+        """Return the place among the rows of each key, int64 ``[K]`` to ``[K]``; missing rows are computed."""
         with torch.set_grad_enabled(self.learns):
             if self.every is not None:
                 if not len(self.keys):
@@ -83,7 +83,7 @@ class Keys:
         self.halves = [(Keys(half.ids, half.slots), EmbeddingCache()) for half, _ in self.halves]
 
     def pack(self, view_ids: Tensor) -> Tensor:
-        """The keys of rows, int64 ``[B, V]`` to ``[B]``."""
+        """Return the keys of rows, int64 ``[B, V]`` to ``[B]``."""
         if self.halves:
             parts = zip(self.halves, view_ids.split([half.slots for half, _ in self.halves], 1), strict=True)
             first, second = (numbers.places(half.pack(part), half.unpack) for (half, numbers), part in parts)
@@ -94,7 +94,7 @@ class Keys:
         return keys
 
     def unpack(self, keys: Tensor) -> Tensor:
-        """The rows that keys of `pack` stand for, int64 ``[R]`` to ``[R, V]``."""
+        """Return the rows that keys of `pack` stand for, int64 ``[R]`` to ``[R, V]``."""
         if self.halves:
             places = (keys >> 32, keys & (2**32 - 1))
             return torch.cat([n.rows[place] for (_, n), place in zip(self.halves, places, strict=True)], 1)
@@ -173,7 +173,7 @@ class CachedEncoder(nn.Module):
         return encoder.fuse(observed, self._embedded(shown, encoder.embed_goal, goal_keys))
 
     def _embedded(self, cache: EmbeddingCache, embed: Callable[[Tensor], Tensor], keys: Tensor) -> Tensor:
-        """The embedding of each key, int64 ``[K]`` to ``[K, E]``, by a cache."""
+        """Return the embedding of each key, int64 ``[K]`` to ``[K, E]``, by a cache."""
         table = self._wrapped[1]
 
         def compute(new: Tensor) -> Tensor:
@@ -183,7 +183,7 @@ class CachedEncoder(nn.Module):
         return cache.rows.index_select(0, place)
 
     def _pack(self, view_ids: Tensor) -> Tensor:
-        """A key for each observation, int64 ``[B, 4]`` to ``[B]``."""
+        """Return a key for each observation, int64 ``[B, 4]`` to ``[B]``."""
         unknown = len(self._wrapped[1])
         if self.front:  # states first, then goals of which only the front view is known
             return view_ids[:, 0] + unknown * (view_ids[:, 1] == unknown)

@@ -24,7 +24,7 @@ class Trace:
     """How much it counts, float32 ``[B, H]``."""
 
     def select(self, chosen: Tensor) -> "Trace":
-        """Some of the agents, by mask or index."""
+        """Return some of the agents, by mask or index."""
         return Trace(self.place[chosen], self.action[chosen], self.weight[chosen])
 
 
@@ -56,12 +56,12 @@ class EpisodicMemory(nn.Module):
         self.penalty, self.opposite, self.blocked, self.threshold = penalty, opposite, blocked, threshold
 
     def begin(self, agents: int, device: torch.device | str = "cpu") -> Trace:
-        """The empty trace of agents at the start of their episodes."""
+        """Return the empty trace of agents at the start of their episodes."""
         empty = torch.empty((agents, 0), dtype=torch.int64, device=device)
         return Trace(empty, empty, torch.empty((agents, 0), device=device))
 
     def adjust(self, logits: Tensor, trace: Trace, same: Tensor) -> Tensor:
-        """The policy's logits, float32 ``[B, 4]``, lowered for actions that were taken here before.
+        """Return the policy's logits, float32 ``[B, 4]``, lowered for actions that were taken here before.
 
         ``same`` is whether each place of the trace looks like where the agent is, bool ``[B, H]``.
         """

@@ -88,7 +88,7 @@ class FeatureTable(nn.Module):
         self.table = table
 
     def __len__(self) -> int:
-        """The number of states, N."""
+        """Return the number of states, N."""
         return len(self.features)
 
     @property
@@ -120,7 +120,7 @@ class FeatureTable(nn.Module):
         return torch.cat([pooled, patches], -1) if patches.shape[-1] else pooled
 
     def forward(self, states: Tensor) -> Tensor:
-        """The features of states, int64 ``[...]`` to float32 ``[..., width]``."""
+        """Return the features of states, int64 ``[...]`` to float32 ``[..., width]``."""
         if self._perturbed is not None:
             return self._perturbed[states]
         rows = self.table[states]
@@ -199,22 +199,22 @@ class ObservationTable(FeatureTable):
         return self.coordinates.shape[1]
 
     def forward(self, view_ids: Tensor) -> Tensor:
-        """The coordinates of observations, int64 ``[..., 4]`` to float32 ``[..., slots, R]``."""
+        """Return the coordinates of observations, int64 ``[..., 4]`` to float32 ``[..., slots, R]``."""
         return self.coordinates[view_ids[..., : self.slots]]
 
     def narrow(self, weight: Tensor) -> Tensor:
-        """A layer's weight on features, float32 ``[F, 4 * D]``, as weight on coordinates, ``[F, slots * R]``."""
+        """Return a layer's weight on features, float32 ``[F, 4 * D]``, as weight on coordinates, ``[F, slots * R]``."""
         return (weight.unflatten(1, (self.slots, -1)) @ self._axes()).flatten(1)
 
     def widen(self, weight: Tensor) -> Tensor:
-        """A weight on coordinates, float32 ``[F, slots * R]``, as weight on features, ``[F, 4 * D]``.
+        """Return a weight on coordinates, float32 ``[F, slots * R]``, as weight on features, ``[F, 4 * D]``.
 
         It does the same to every observation of the world, and nothing to what the world never shows.
         """
         return (weight.unflatten(1, (self.slots, -1)) @ self._axes().T).flatten(1)
 
     def _axes(self) -> Tensor:
-        """The axes V, as columns, float32 ``[4 * D, R]`` or ``[D, R]``."""
+        """Return the axes V, as columns, float32 ``[4 * D, R]`` or ``[D, R]``."""
         rows = self.known if self.surrounding is None else self.table[self.surrounding].flatten(-2)
         return rows.T @ (self.coordinates / self.coordinates.square().sum(0))
 

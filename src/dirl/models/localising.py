@@ -51,7 +51,7 @@ class Places(Nodes):
     action: Tensor
     """The last action, int64 ``[B]``; -1 at the start, where agents may be anywhere."""
     mapped: Tensor
-    """Whether agents began with a map of an earlier walk, bool ``[B]``."""
+    """True if agents began with a map of an earlier walk, bool ``[B]``."""
     turns: int = VIEWS
     """Headings of a place, K: right turns in a full circle."""
 
@@ -66,13 +66,13 @@ class Places(Nodes):
         return self.around(self.node)
 
     def around(self, node: Tensor) -> Tensor:
-        """The nodes that are seen from nodes ``[...]``, clockwise from the one ahead, ``[..., V]``."""
+        """Return the nodes that are seen from nodes ``[...]``, clockwise from the one ahead, ``[..., V]``."""
         views = self.goal.shape[-1]
         heading = node[..., None] + self.turns // views * torch.arange(views, device=node.device)
         return node[..., None] // self.turns * self.turns + heading % self.turns
 
     def select(self, chosen: Tensor) -> Self:
-        """Some of the agents, by mask or index."""
+        """Return some of the agents, by mask or index."""
         return replace(self, **{name: value[chosen] for name, value in vars(self).items() if name != "turns"})
 
     def compact(self) -> "Places":
@@ -153,7 +153,7 @@ class LocalisingMemory(nn.Module):
         self.least, self.independence, self.temperature = least, independence, temperature
 
     def begin(self, agents: int, device: torch.device | str = "cpu", turns: int = VIEWS, views: int = VIEWS) -> Places:
-        """What agents know at the start of their episodes: nothing.
+        """Return what agents know at the start of their episodes: nothing.
 
         Args:
             agents: their number, B.
@@ -244,12 +244,12 @@ class LocalisingMemory(nn.Module):
         return arrived
 
     def stops(self, places: Places) -> Tensor:
-        """Whether the agents stop where they are, bool ``[B]``."""
+        """True if the agents stop where they are, bool ``[B]``."""
         evidence = self._goal(places)
         return self._certain(places, evidence, places.here) & (evidence.argmax(1) == places.here)
 
     def plan(self, places: Places, *, steps: bool = False) -> Tensor:
-        """The logits of the actions where the agents are, see `PlanningMemory.plan`."""
+        """Return the logits of the actions where the agents are, see `PlanningMemory.plan`."""
         evidence = self._goal(places)
         turns = places.turns
         untried = (places.after < 0) & places.cost.isfinite()
@@ -274,7 +274,7 @@ class LocalisingMemory(nn.Module):
         return -torch.where(found.isinf().all(-1, keepdim=True), places.cost[at, places.here], found)
 
     def _certain(self, places: Places, evidence: Tensor, node: Tensor) -> Tensor:
-        """Whether the goal is at a node of each agent with the probability that is asked for, bool ``[B]``."""
+        """True if the goal is at a node of each agent with the probability that is asked for, bool ``[B]``."""
         at = torch.arange(len(node), device=node.device)
         # A move back at one heading is the move ahead at the opposite one.
         untried = (places.after[..., AHEAD] < 0) & places.cost[..., AHEAD].isfinite()
@@ -328,5 +328,5 @@ def _steps(turns: int) -> Tensor:
 
 
 def _carried(places: Places) -> bool:
-    """Whether the agents have not acted yet in this episode; all begin at once."""
+    """True if the agents have not acted yet in this episode; all begin at once."""
     return bool((places.action < 0).any())

@@ -58,15 +58,15 @@ class SiameseEncoder(nn.Module):
             self.goal_fusion.weight.copy_(whole.weight[:, width:])
 
     def embed(self, observation: Tensor) -> Tensor:
-        """What the observation adds to the fusion: features ``[..., 4, D]`` to ``[..., width]``."""
+        """Return what the observation adds to the fusion: features ``[..., 4, D]`` to ``[..., width]``."""
         return self.fusion(F.relu(self.embedding(observation.flatten(-2))))
 
     def embed_goal(self, goal_observation: Tensor) -> Tensor:
-        """What the goal adds to the fusion: features ``[..., 4, D]`` to ``[..., width]``."""
+        """Return what the goal adds to the fusion: features ``[..., 4, D]`` to ``[..., width]``."""
         return self.goal_fusion(F.relu(self.embedding(goal_observation.flatten(-2))))
 
     def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
-        """What observation and goal add, ``[..., width]`` each, to the fused vector ``[..., width]``."""
+        """Return what observation and goal add, ``[..., width]`` each, to the fused vector ``[..., width]``."""
         return F.relu(embedding + goal_embedding)
 
     def forward(self, observation: Tensor, goal_observation: Tensor) -> Tensor:
@@ -274,7 +274,7 @@ class ActorCritic(TensorDictModuleBase):
 
 
 def count_parameters(network: nn.Module) -> int:
-    """The number of trainable values."""
+    """Return the number of trainable values."""
     return sum(parameter.numel() for parameter in network.parameters() if parameter.requires_grad)
 
 
@@ -296,7 +296,7 @@ def noisy(policy: nn.Module, deviation: float) -> AbstractContextManager[None]:
 
 
 def plain_weights(policy: nn.Module) -> dict[str, Tensor]:
-    """A policy's weights as a layer on features has them, also those that are learned on coordinates."""
+    """Return a policy's weights as a layer on features has them, also those that are learned on coordinates."""
     weights = dict(policy.state_dict())
     table = getattr(policy, "features", None)
     if isinstance(table, ObservationTable):
@@ -308,7 +308,7 @@ def plain_weights(policy: nn.Module) -> dict[str, Tensor]:
 
 
 def recurrent_keys(policy: nn.Module) -> list[str]:
-    """The keys of a policy's recurrent state; empty for a policy without memory."""
+    """Return the keys of a policy's recurrent state; empty for a policy without memory."""
     written = [key for key in getattr(policy, "out_keys", []) if isinstance(key, tuple) and key[0] == "next"]
     return [key[1] for key in written]
 

@@ -91,7 +91,7 @@ def build_world(config: TrainConfig, extractor: str | None = None) -> World:
 
 
 def build_goals(config: TrainConfig, scenes: Sequence[Scene]) -> ChosenGoals:
-    """Which goals are trained and which are held out."""
+    """Return which goals are trained and which are held out."""
     return choose_goals(scenes, config.goals, config.hold_out, config.seed)
 
 
@@ -101,7 +101,7 @@ def is_live(config: TrainConfig) -> bool:
 
 
 def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
-    """The transform that computes what agents observe.
+    """Return the transform that computes what agents observe.
 
     Raises:
         ConfigError: one of your own does not keep its contract, see `dirl.envs.transforms.broken_promise`.
@@ -196,7 +196,7 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
 
 
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
-    """The expert that labels states with actions; one of your own is asked the way from some states before.
+    """Return the expert that labels states with actions; one of your own is asked the way from some states before.
 
     Raises:
         ConfigError: it fails, or does not give actions.
@@ -226,7 +226,7 @@ def _without_a_trace(device: torch.device) -> AbstractContextManager[None]:
 
 
 def build_imitation_loss(config: TrainConfig, policy: Any) -> Any:
-    """The loss of the imitation stage: the configured loss named ``imitation``."""
+    """Return the loss of the imitation stage: the configured loss named ``imitation``."""
     actor = policy.operator().get_policy_head()
     if "imitation" not in config.losses:
         return ImitationLoss(actor)
@@ -234,7 +234,7 @@ def build_imitation_loss(config: TrainConfig, policy: Any) -> Any:
 
 
 def build_losses(config: TrainConfig, policy: Any, world: World, demos: Demonstrations) -> Losses:
-    """The losses of an update, without imitation losses that have no demonstrations or no weight.
+    """Return the losses of an update, without imitation losses that have no demonstrations or no weight.
 
     Raises:
         ConfigError: a policy or loss lacks what training needs, see docs/howto/extend.md.
@@ -273,7 +273,7 @@ def build_losses(config: TrainConfig, policy: Any, world: World, demos: Demonstr
 
 
 def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | None = None) -> Optimizer:
-    """The optimiser of the policy's weights, and of the losses' own."""
+    """Return the optimiser of the policy's weights, and of the losses' own."""
     return make("optimiser", config.optimiser, config.trust, params=trained_parameters(policy, losses))
 
 
@@ -288,7 +288,7 @@ def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | StopRu
 def build_protocol(
     config: TrainConfig, world: World, observation: SurroundingViews, held_out: Goals = None
 ) -> EvaluationProtocol:
-    """The conditions of an evaluation of the world's goals, and apart from them of those ``held_out``, if any.
+    """Return the conditions of an evaluation of the world's goals, and apart from them of those ``held_out``, if any.
 
     Raises:
         ConfigError: the episodic memory cannot serve such a policy.
@@ -340,7 +340,7 @@ def build_protocol(
 
 
 def describe(config: TrainConfig, world: World) -> dict[str, Any]:
-    """The facts of a run that tables and pictures state: scenes, source, system, preset, seed."""
+    """Return the facts of a run that tables and pictures state: scenes, source, system, preset, seed."""
     names = world.names
     return {
         "scene": names[0] if len(names) == 1 else list(names),
@@ -396,7 +396,7 @@ def load_trained(
     changes: Mapping[str, Any] | None = None,
     trust: Collection[str] = (),
 ) -> Trained:
-    """The policy of a checkpoint, in the world of its configuration.
+    """Return the policy of a checkpoint, in the world of its configuration.
 
     Args:
         saved: see `dirl.runs.checkpoints.load_checkpoint`.
@@ -439,7 +439,7 @@ def learning_policy(
     initial: Mapping[str, Tensor] | None = None,
     features: FeatureTable | None = None,
 ) -> nn.Module:
-    """The policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
+    """Return the policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
 
     It begins with the weights ``initial``, see `initial_weights`, or with some sampled with the seed; then it can learn
     in the principal axes of the observations. ``features`` are those of another run in the same world, if there is one.
@@ -494,7 +494,7 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
 def trained_policy(
     saved: Mapping[str, Any], origin: str, config: TrainConfig, world: World, observation: SurroundingViews
 ) -> nn.Module:
-    """The policy of a checkpoint, see `load_trained`, in a world of its configuration or with other goals.
+    """Return the policy of a checkpoint, see `load_trained`, in a world of its configuration or with other goals.
 
     Raises:
         ConfigError: the scenes' features are of another extractor, or the weights do not fit the configuration.
@@ -513,7 +513,7 @@ def trained_policy(
 
 
 def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:
-    """The configuration with the architecture of the checkpoint that ``init`` names, and that checkpoint.
+    """Return the configuration with the architecture of the checkpoint that ``init`` names, and that checkpoint.
 
     Without ``init`` the configuration is unchanged, and there is no checkpoint.
 
@@ -531,7 +531,7 @@ def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[Tr
 def initial_weights(
     config: TrainConfig, world: World, saved: Mapping[str, Any] | None = None
 ) -> Mapping[str, Tensor] | None:
-    """The weights that a training begins with, by name; None without ``init``.
+    """Return the weights that a training begins with, by name; None without ``init``.
 
     ``saved`` is the checkpoint that ``init`` names, if it has been read, or the one that the run itself resumes from.
 

@@ -90,7 +90,7 @@ def _context() -> Any:
 
 
 def _first_statistics(optimiser: Optimizer, parameter: Tensor) -> dict[str, Tensor]:
-    """What an optimiser starts from; it would make it itself, but in its own process only."""
+    """Return what an optimiser starts from; it would make it itself, but in its own process only."""
     if isinstance(optimiser, torch.optim.Adam):
         moments = {name: torch.zeros_like(parameter) for name in ("exp_avg", "exp_avg_sq")}
         return {"step": torch.zeros(()), **moments}

@@ -64,7 +64,7 @@ class Components:
     state: TrainState | None
     """Of the reinforcement; None if the run has none."""
     before_reinforcement: bool
-    """Whether the run is before its reinforcement: it is new, or goes on from a checkpoint of its imitation."""
+    """True if the run is before its reinforcement: it is new, or goes on from a checkpoint of its imitation."""
 
 
 NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
@@ -115,7 +115,7 @@ def run_one(
 
 
 def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[Run, Mapping[str, Any] | None]:
-    """The run of a job, new or to be continued, and the checkpoint that ``init`` names, if it was read."""
+    """Return the run of a job, new or to be continued, and the checkpoint that ``init`` names, if it was read."""
     config, initial = with_architecture(typed(composed), overrides)
     check_components(config, config.trust)
     check_logger(config)
@@ -188,7 +188,7 @@ def tell_of_far_goals(world: World) -> None:
 
 
 def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
-    """The state of a reinforcement before its first update, or from the checkpoint that the run continues."""
+    """Return the state of a reinforcement before its first update, or from the checkpoint that the run continues."""
     optimiser = build_optimiser(run.config, policy, losses)
     env = build_env(run.config, protocol.world, protocol.observation, policy)
     meter = EpisodeMeter(mean_shortest(protocol.world))
@@ -224,7 +224,7 @@ def run_stages(run: Run, components: Components, stages: Stages) -> dict[str, An
 
 
 def facts_of(run: Run, components: Components) -> dict[str, Any]:
-    """The facts of a run that its summary begins with."""
+    """Return the facts of a run that its summary begins with."""
     return describe(run.config, components.protocol.world) | {"demonstrations": len(components.demos)}
 
 

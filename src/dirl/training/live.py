@@ -29,7 +29,7 @@ class Live(NamedTuple):
 
 
 def open_live(config: TrainConfig, world: World, observation: SurroundingViews) -> Live:
-    """The simulator of a run, the same at each call.
+    """Return the simulator of a run, the same at each call.
 
     Raises:
         ConfigError: an option that is impossible in a simulator, or another simulator than the scene's.
@@ -75,7 +75,7 @@ def check_simulator(simulator: Simulator, scene: Scene, file: str) -> None:
 def live_protocol(
     config: TrainConfig, live: Live, world: World, observation: SurroundingViews
 ) -> Callable[..., Episodes]:
-    """The evaluation of policies by the navigator's own code in the simulator, with the errors of the training.
+    """Return the evaluation of policies by the navigator's own code in the simulator, with the errors of the training.
 
     These are the same in each evaluation. What is returned is called as ``live(policy, told=False)``.
     """

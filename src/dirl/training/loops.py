@@ -71,11 +71,11 @@ class TrainState:
         return trained_parameters(self.policy, self.losses)
 
     def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
-        """The update as it is called; that of a stack is a CUDA graph."""
+        """Return the update as it is called; that of a stack is a CUDA graph."""
         return update
 
     def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> Update:
-        """The report of an update."""
+        """Return the report of an update."""
         (report,) = summarise(self.env, batch.unsqueeze(0), losses.unsqueeze(0))
         return report
 
@@ -96,7 +96,7 @@ class TrainState:
         self.meter.add(update.goal_index, update.steps, self.frames)
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes, and under ``network`` the weights for everyone else."""
+        """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
         return {
             "frames": self.frames,
             "training_seconds": self.seconds,
@@ -114,7 +114,7 @@ class TrainState:
         return random_state(self.env.device) | own
 
     def _own_of_losses(self) -> dict[str, Any]:
-        """The part of the losses' state_dict that is not the policy's: weights, buffers, extra state."""
+        """Return the part of the losses' state_dict that is not the policy's: weights, buffers, extra state."""
         shared = {_place(value) for value in (*self.policy.parameters(), *self.policy.buffers())}
         return {name: value for name, value in self.losses.state_dict().items() if _place(value) not in shared}
 
@@ -132,7 +132,7 @@ class TrainState:
 
 
 def plain_optimiser(optimiser: Optimizer) -> dict[str, Any]:
-    """The state_dict of an optimiser, with numbers for what are tensors while it is captured in a graph."""
+    """Return the state_dict of an optimiser, with numbers for what are tensors while it is captured in a graph."""
     state = optimiser.state_dict()
     for group in state["param_groups"]:
         if isinstance(group["lr"], Tensor):
@@ -141,12 +141,12 @@ def plain_optimiser(optimiser: Optimizer) -> dict[str, Any]:
 
 
 def _place(value: Any) -> Any:
-    """What two entries of state_dicts have in common if they are one tensor."""
+    """Return what two entries of state_dicts have in common if they are one tensor."""
     return value.data_ptr() if isinstance(value, Tensor) and value.numel() else id(value)
 
 
 def random_state(device: torch.device) -> dict[str, Tensor]:
-    """The state of torch's own generators, from which actions and pairs are sampled."""
+    """Return the state of torch's own generators, from which actions and pairs are sampled."""
     own = {} if device.type == "cpu" else {device.type: torch.get_device_module(device).get_rng_state()}
     return {"cpu": torch.get_rng_state(), **own}
 
@@ -207,7 +207,7 @@ class ImitationSteps:
             self.run.save(self.state_dict())
 
     def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` takes, and under ``network`` the weights for everyone else."""
+        """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
         return {
             "frames": 0,
             "imitation": {"step": self.step, "loss": self.loss, "accuracy": self.accuracy},
@@ -257,7 +257,7 @@ class Updates:
 
     @property
     def goes_on(self) -> bool:
-        """Whether there are updates left to do."""
+        """True if there are updates left to do."""
         return not self.done and not self.signals
 
     @property
@@ -267,7 +267,7 @@ class Updates:
 
     @property
     def done(self) -> bool:
-        """Whether all frames are done, or with ``until=stable`` every goal is stable and was evaluated since."""
+        """True if all frames are done, or with ``until=stable`` every goal is stable and was evaluated since."""
         config, frames = self.run.config, self.state.frames
         stable = self.state.meter.stable_at if config.reinforcement.until == Until.stable else None
         return frames >= self.total or (stable is not None and due(stable, frames, self.total, config.evaluation.times))
@@ -359,7 +359,7 @@ def dagger_rounds(
 
 
 def due(before: int, now: int, total: int, times: int) -> bool:
-    """Whether one of ``times`` moments, evenly spread over ``total`` frames, lies between two counts of frames."""
+    """True if one of ``times`` moments, evenly spread over ``total`` frames, lies between two counts of frames."""
     return before * times // total < now * times // total
 
 

@@ -45,12 +45,12 @@ class ScheduledLoss:
 
     @property
     def on_demonstrations(self) -> bool:
-        """Whether it is computed on demonstrations."""
+        """True if it is computed on demonstrations."""
         return not EXPERT.isdisjoint(self.module.in_keys)
 
     @property
     def compares(self) -> bool:
-        """Whether it is computed on rollouts and demonstrations together: ``forward(batch, demonstrations)``."""
+        """True if it is computed on rollouts and demonstrations together: ``forward(batch, demonstrations)``."""
         return "demonstrations" in list(inspect.signature(self.module.forward).parameters)[1:]
 
 
@@ -83,11 +83,11 @@ class Losses(nn.Module):
 
     @property
     def on_rollouts(self) -> bool:
-        """Whether any loss needs rollouts."""
+        """True if any loss needs rollouts."""
         return any(not loss.on_demonstrations for loss in self.losses.values())
 
     def forward(self, batch: TensorDictBase, left: float) -> TensorDict:
-        """The weighted losses of a batch.
+        """Return the weighted losses of a batch.
 
         Args:
             batch: steps with advantages, ``[B]``; ``[B, T]`` for a policy with memory.
@@ -113,7 +113,7 @@ class Losses(nn.Module):
         coefficients: Mapping[str, Mapping[str, Any]],
         reduce: Callable[[str, Tensor], Tensor] = lambda _, value: value,
     ) -> TensorDict:
-        """The weighted losses of a batch and of demonstrations, see `forward`.
+        """Return the weighted losses of a batch and of demonstrations, see `forward`.
 
         ``reduce`` makes one number of what the loss of a name gives for each row, if it is not reduced.
         """
@@ -138,7 +138,7 @@ class Losses(nn.Module):
 
     @torch.no_grad()
     def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
-        """A rollout, ``[B, T]``, with the reward of the losses that define one, as a discriminator does.
+        """Return a rollout, ``[B, T]``, with the reward of the losses that define one, as a discriminator does.
 
         Their ``reward`` reads the rollout with ``hidden`` and returns the reward of each step, float32 ``[B, T, 1]``.
 
@@ -158,7 +158,7 @@ class Losses(nn.Module):
     def _with_hidden(
         self, batch: TensorDictBase, rows: TensorDictBase | None
     ) -> tuple[TensorDictBase, TensorDictBase | None]:
-        """The batch, flat, and the demonstrations, both with ``hidden``."""
+        """Return the batch, flat, and the demonstrations, both with ``hidden``."""
         keys = self.trunk.in_keys
         if self.recurrent:
             with set_recurrent_mode(True):
@@ -174,7 +174,7 @@ class Losses(nn.Module):
 def demonstration_batches(
     policy: nn.Module, demonstrations: Demonstrations, batch_size: int | None
 ) -> Callable[[], TensorDictBase]:
-    """A function that gives the demonstrations of an update, see `as_first_steps`.
+    """Return a function that gives the demonstrations of an update, see `as_first_steps`.
 
     Args:
         policy: that learns from them.
@@ -203,13 +203,13 @@ def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorD
 
 
 def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> list[nn.Parameter]:
-    """The parameters of the policy, then the losses' own; each once."""
+    """Return the parameters of the policy, then the losses' own; each once."""
     both = [*policy.parameters(), *(losses.parameters() if losses is not None else [])]
     return list(dict.fromkeys(parameter for parameter in both if parameter.requires_grad))
 
 
 def total_loss(losses: TensorDictBase) -> Tensor:
-    """The sum of the ``loss_*`` entries."""
+    """Return the sum of the ``loss_*`` entries."""
     return sum(value for key, value in losses.items() if key.startswith("loss_"))
 
 
@@ -260,7 +260,7 @@ class ImitationLoss(LossModule):
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The loss of a batch of demonstrations, see the class."""
+        """Return the loss of a batch of demonstrations, see the class."""
         dist = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys))
         log_chance, right = self._compare(dist, tensordict.get(self.in_keys[0]))
         loss = self._reduce_loss(-log_chance, tensordict)
@@ -301,7 +301,7 @@ def make_advantages(gamma: float | Tensor, lmbda: float | Tensor) -> Callable[[T
 
 
 def _advantages_of_runs(batch: TensorDictBase, gamma: Tensor, lmbda: float | Tensor) -> TensorDictBase:
-    """The same step by step: the module takes one ``gamma``, and its shapes depend on where episodes end."""
+    """Do the same step by step: the module takes one ``gamma``, and its shapes depend on where episodes end."""
     after = batch["next"]
     given = (batch["state_value"], after["state_value"], after["reward"], after["done"], after["terminated"])
     advantage, target = generalized_advantage_estimate(gamma, lmbda, *given)

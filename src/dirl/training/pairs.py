@@ -51,11 +51,11 @@ class DrawnPairs:
         self.first_goal = self.goals.cumsum(0) - self.goals
 
     def __len__(self) -> int:
-        """How many pairs there are."""
+        """Return how many pairs there are."""
         return int((self.goals * self.count).sum())
 
     def draw(self, size: int) -> TensorDictBase:
-        """Up to ``size`` demonstrations; pairs for which the expert has no advice are left out."""
+        """Return up to ``size`` demonstrations; pairs for which the expert has no advice are left out."""
         world, device = self.world, self.world.device
         old = 0 if self.visited is None else size // 2
         goal = world.goals[self._goals(size - old)]

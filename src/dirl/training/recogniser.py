@@ -141,7 +141,7 @@ def calibrate(network: Learned, world: World, pairs: int = 20_000, seed: int = 0
 
 
 def _each(network: Learned | PhotoOdds, seen: Tensor, reference: Tensor) -> Tensor:
-    """The log odds of each of B visits with its own reference, described, float32 ``[B]``."""
+    """Return the log odds of each of B visits with its own reference, described, float32 ``[B]``."""
     return network.scores(seen.unsqueeze(1), reference.unsqueeze(1)).flatten()
 
 
@@ -151,7 +151,7 @@ def _by_fine_patches(photo: PhotoOdds, patches: Tensor, seen: Tensor, reference:
 
 
 def _after(graph: Tensor, actions: tuple[int, ...]) -> Tensor:
-    """Where actions lead from each state, int64 ``[N]``."""
+    """Return where actions lead from each state, int64 ``[N]``."""
     state = torch.arange(len(graph))
     for action in actions:
         state = graph[state, action]

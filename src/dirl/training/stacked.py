@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from types import SimpleNamespace
 from typing import Any, Generic, TypeVar
 
 import torch
@@ -21,7 +22,7 @@ from torch.func import vmap
 from dirl.agent.decisions import PAIRS_AT_ONCE, observe
 from dirl.config.schemas import TrainConfig
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import Episodes, EvaluationProtocol
+from dirl.evaluation.episodes import EvaluationProtocol
 from dirl.models.distinct import Cacheable
 from dirl.scenes import World
 from dirl.training.build import build_env, build_losses
@@ -106,11 +107,11 @@ class Stack:
         self._agents.update_(after.select(*self._agents.keys(True, True)))
 
     def operator(self) -> "StackedOperator":
-        """What takes the agents ``[R, B]`` through the policies of their runs."""
+        """Return what takes the agents ``[R, B]`` through the policies of their runs."""
         return StackedOperator(self)
 
     def each(self, function: Callable[..., Any], *rows: Any) -> Any:
-        """The function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
+        """Return the function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
 
         def of_run(weights: TensorDictBase, embedded: tuple[Tensor, ...], *own: Any) -> Any:
             with weights.to_module(self.form, preserve_module_state=False):
@@ -148,11 +149,11 @@ class Stack:
             self._embedded = ()
 
     def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
-        """The update as a CUDA graph, where there is a GPU."""
+        """Return the update as a CUDA graph, where there is a GPU."""
         return Captured(update, {*self.generators, *self.env.base_env.generators}, self.device)
 
     def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
-        """The report of each run's update."""
+        """Return the report of each run's update."""
         return summarise(self.env, batch, losses)
 
     def separate(self) -> None:
@@ -178,11 +179,11 @@ class StackedOperator:
         self.stack, self.acts = stack, acts
 
     def get_value_operator(self) -> "StackedOperator":
-        """The same without actions."""
+        """Return the same without actions."""
         return StackedOperator(self.stack, acts=False)
 
     def __call__(self, agents: TensorDictBase) -> TensorDictBase:
-        """The agents, ``[R, ...]``, with what is written."""
+        """Return the agents, ``[R, ...]``, with what is written."""
 
         def answer(own: TensorDictBase) -> tuple[Tensor, Tensor]:
             answered = self.stack.form(own.copy())
@@ -221,11 +222,11 @@ class StackedLosses:
                 self.schedules[name][option] = (end, span)
 
     def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
-        """The rollout as it is: losses that define a reward are not stacked."""
+        """Return the rollout as it is: losses that define a reward are not stacked."""
         return batch
 
     def __call__(self, batch: TensorDictBase, left: Tensor) -> TensorDict:
-        """The weighted losses of a batch ``[R, B]``, see `Losses.forward`."""
+        """Return the weighted losses of a batch ``[R, B]``, see `Losses.forward`."""
         coefficients = {
             name: {option: (end + span * left).float() for option, (end, span) in options.items()}
             for name, options in self.schedules.items()
@@ -298,7 +299,7 @@ class EmbeddedOnce(nn.Module):
         """What `embed` gave, of the run that is computed."""
 
     def embed(self) -> tuple[Tensor, Tensor]:
-        """The embeddings of all states and of all goals, ``[N, E]`` and ``[G, E]``."""
+        """Return the embeddings of all states and of all goals, ``[N, E]`` and ``[G, E]``."""
         encoder, features = self._form[0].encoder, self._form[0].features
         embed_goal = getattr(encoder, "embed_goal", encoder.embed)
         return encoder.embed(features(self.views)), embed_goal(features(self.goal_views))
@@ -311,72 +312,42 @@ class EmbeddedOnce(nn.Module):
         return fused
 
 
-class StackedEpisodes:
-    """The protocol of one run, whose episodes have been walked together with those of the other runs.
-
-    Args:
-        protocol: of the run.
-        walked: its greedy episodes; for an assessment also the sampled ones, and those of random actions.
-    """
-
-    def __init__(self, protocol: EvaluationProtocol, *walked: Episodes) -> None:
-        self.protocol, self.walked = protocol, walked
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.protocol, name)
-
-    def run(self, _: Any, *, greedy: bool = True) -> Episodes:
-        """One episode from each start, see `EvaluationProtocol.run`."""
-        return self.walked[0 if greedy else 1]
-
-    def run_random(self) -> Episodes:
-        """The same for random actions."""
-        return self.walked[2]
-
-
-class StackedDecisions:
-    """The policies of a stack as one, which decides in each episode as the policy of the episode's run does.
-
-    Args:
-        table: logits of every run for each pair of goal and state, float32 ``[R, P, 4]``.
-        world: of the runs.
-        episodes: of each run; those of the first come first.
-    """
-
-    def __init__(self, table: Tensor, world: World, episodes: int) -> None:
-        self.table, self.world, self.episodes = table, world, episodes
-
-    def decide(self, episode: Tensor, ahead: Tensor, _: Tensor, wanted: Tensor) -> Tensor:
-        """See `dirl.agent.decisions.Decide`."""
-        return self.table[episode // self.episodes, self.world.pair(wanted, ahead)]
-
-
 @torch.no_grad()
-def walk_together(stack: Stack, protocols: Sequence[EvaluationProtocol], *, assess: bool = False) -> list[Any]:
-    """The protocols of the runs, equal but for their starts, with their episodes; to assess, with all that needs."""
+def walk_together(
+    stack: Stack, protocols: Sequence[EvaluationProtocol], *, assess: bool = False
+) -> list[EvaluationProtocol]:
+    """Return the protocols of the runs, equal but for their starts, with their episodes; to assess, with all."""
     world, observation = protocols[0].world, protocols[0].observation
     operator, (goals, states) = StackedOperator(stack, acts=False), world.pairs()
-    logits = []
+    parts = []
     with stack.caching():
         for place in torch.arange(len(goals), device=world.device).split(max(1, PAIRS_AT_ONCE // len(protocols))):
             asked = observe(world, observation, states[place], observation.reset_view_ids(states[place]), goals[place])
-            logits.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
+            parts.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
+    # Of every run for each pair of goal and state, [R, P, 4]. One that has diverged is walked too: no other waits for it.
+    logits = torch.cat(parts, 1).nan_to_num()
     every_goal, every_start = zip(*(protocol.starts for protocol in protocols), strict=True)
     joined = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
-    # A run that has diverged is walked too, as no other must wait for it.
-    policies: Any = StackedDecisions(torch.cat(logits, 1).nan_to_num(), world, len(every_start[0]))
+    episodes = len(every_start[0])  # of each run; those of the first come first
+
+    def decide(episode: Tensor, ahead: Tensor, _: Tensor, wanted: Tensor) -> Tensor:
+        return logits[episode // episodes, world.pair(wanted, ahead)]
+
+    policies: Any = SimpleNamespace(
+        decide=decide
+    )  # each asked in its own episodes, see `dirl.agent.decisions.deciding`
     walked = [joined.run(policies)]
     if assess:
         walked += [joined.run(policies, greedy=False), joined.run_random()]
-    rows = torch.arange(len(joined.starts[0]), device=world.device).split(policies.episodes)
+    rows = torch.arange(len(joined.starts[0]), device=world.device).split(episodes)
     return [
-        StackedEpisodes(protocol, *(episodes.select(own) for episodes in walked))
+        replace(protocol, walked=tuple(kind.select(own) for kind in walked))
         for protocol, own in zip(protocols, rows, strict=True)
     ]
 
 
 def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainConfig:
-    """The first configuration with tensors, which broadcast to batches, for numbers in which runs may differ."""
+    """Return the first configuration with tensors, which broadcast to batches, for numbers in which runs may differ."""
 
     def by_run(values: Iterable[float], dims: int) -> Any:
         return torch.tensor(list(values), device=device).view(-1, *[1] * dims)

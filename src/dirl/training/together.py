@@ -64,7 +64,7 @@ class Job:
 
 
 def why_alone(run: Run, components: Components) -> str | None:
-    """What keeps a run from being trained in a stack, in words; None if nothing does."""
+    """Return what keeps a run from being trained in a stack, in words; None if nothing does."""
     config, state, world = run.config, components.state, components.protocol.world
     if state is None:
         return "it learns nothing by reinforcement"
@@ -185,7 +185,9 @@ def _run_stack(members: Sequence[tuple[Run, Components]], learn: Learn) -> list[
     return results
 
 
-def train_stack(members: Sequence[tuple[Run, Components]], learn: Learn) -> list[Any]:
+def train_stack(
+    members: Sequence[tuple[Run, Components]], learn: Learn
+) -> list[tuple[dict[str, Any] | RunError, EvaluationProtocol]]:
     """Imitation and reinforcement of runs that differ in numbers only.
 
     Returns:
@@ -222,7 +224,7 @@ def train_stack(members: Sequence[tuple[Run, Components]], learn: Learn) -> list
 
 
 def train_alone(run: Run, components: Components, learn: Learn) -> dict[str, Any]:
-    """The same of one run; what its summary says of it."""
+    """Return the same of one run; what its summary says of it."""
     ((result, _),) = train_stack([(run, components)], learn)
     if isinstance(result, Exception):
         raise result
