@@ -147,7 +147,7 @@ class EvaluationProtocol:
 
     def run_sweep(self) -> Episodes:
         """The same for a sweep that ignores the goal: no policy, but the same memory, stop, panorama and arrows."""
-        return self.run(RandomPolicy())
+        return replace(self, walked=()).run(RandomPolicy())
 
     def trajectories(
         self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True

@@ -324,7 +324,7 @@ def walk_together(
         for place in torch.arange(len(goals), device=world.device).split(max(1, PAIRS_AT_ONCE // len(protocols))):
             asked = observe(world, observation, states[place], observation.reset_view_ids(states[place]), goals[place])
             parts.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
-    # Of every run for each pair of goal and state, [R, P, 4]. One that has diverged is walked too: no other waits for it.
+    # Of every run for each pair of goal and state, [R, P, 4]. One that has diverged is walked too: others do not wait.
     logits = torch.cat(parts, 1).nan_to_num()
     every_goal, every_start = zip(*(protocol.starts for protocol in protocols), strict=True)
     joined = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
