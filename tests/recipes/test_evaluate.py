@@ -7,7 +7,9 @@ import pytest
 import torch
 from rooms import grid_scene
 
+from dirl.cli.parsing import parse
 from dirl.config.choices import group_options
+from dirl.config.schemas import ConfigError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
@@ -29,6 +31,21 @@ def test_where_every_start_makes_too_many_episodes_some_are_drawn(monkeypatch, c
         assert (start != world.goals[goal_index]).all()
         told = capsys.readouterr().out
         assert told.startswith(f"552 episodes from every start would take long: {each} starts of a goal are sampled")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["last_steps=1"], "last_steps=1: only where a map leads; give map=2 too"),
+        (["beside=run"], "beside=run: only the viewer shows two agents; give viewer=true too"),
+        (["slip=0.1"], "slip, turn_error: only in a live world; give simulator=dump"),
+        (["simulator=dump", "viewer=true"], "simulator: a live world has no viewer and no map"),
+        (["arrows=true", "simulator=dump"], "arrows, panorama: a live world shows neither; leave them out"),
+    ],
+)
+def test_options_that_do_not_go_together_are_told_before_anything_is_read(options, told):
+    with pytest.raises(ConfigError, match=f"^{told}"):
+        evaluate.evaluate(parse(evaluate.Options, ["checkpoint=nowhere", *options]))
 
 
 def test_an_agent_beside_another_is_called_by_its_folder_or_its_name_in_the_package(tmp_path, monkeypatch):
