@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -57,36 +56,34 @@ def staged_encoder(
     At most ``few`` views go through the network at a time; without a projection there are no patches. It can be
     pickled if all of these can.
     """
-    forward = partial(_pooled, inner, pool, few)
+    staged = _Staged(inner, pool, projection, few)
     if projection is None:
-        return ViewEncoder(forward, attributes)
-    return ViewEncoder(
-        forward, attributes, partial(_with_patches, inner, pool, projection, few), patch_attributes or {}
-    )
+        return ViewEncoder(staged.features, attributes)
+    return ViewEncoder(staged.features, attributes, staged.features_and_patches, patch_attributes or {})
 
 
-def _stages(inner: Callable[[Tensor], Tensor], few: int | None, views: Tensor) -> Iterator[Tensor]:
-    return map(inner, views.split(few or len(views) or 1))
+@dataclass(frozen=True)
+class _Staged:
+    """The parts of `staged_encoder`."""
 
+    inner: Callable[[Tensor], Tensor]
+    pool: Callable[[Tensor], Tensor]
+    projection: Callable[[Tensor], Tensor] | None
+    few: int | None
 
-@torch.inference_mode()
-def _pooled(
-    inner: Callable[[Tensor], Tensor], pool: Callable[[Tensor], Tensor], few: int | None, views: Tensor
-) -> Tensor:
-    return torch.cat([pool(stage).float() for stage in _stages(inner, few, views)])
+    def stages(self, views: Tensor) -> Iterator[Tensor]:
+        return map(self.inner, views.split(self.few or len(views) or 1))
 
+    @torch.inference_mode()
+    def features(self, views: Tensor) -> Tensor:
+        return torch.cat([self.pool(stage).float() for stage in self.stages(views)])
 
-@torch.inference_mode()
-def _with_patches(
-    inner: Callable[[Tensor], Tensor],
-    pool: Callable[[Tensor], Tensor],
-    projection: Callable[[Tensor], Tensor],
-    few: int | None,
-    views: Tensor,
-) -> tuple[Tensor, Tensor]:
-    both = ((pool(stage).float(), projection(stage)) for stage in _stages(inner, few, views))
-    pooled, parts = zip(*both, strict=True)
-    return torch.cat(pooled), torch.cat(parts)
+    @torch.inference_mode()
+    def features_and_patches(self, views: Tensor) -> tuple[Tensor, Tensor]:
+        assert self.projection is not None
+        both = ((self.pool(stage).float(), self.projection(stage)) for stage in self.stages(views))
+        pooled, parts = zip(*both, strict=True)
+        return torch.cat(pooled), torch.cat(parts)
 
 
 def weights_hash(parameters: Mapping[str, Tensor]) -> str:

@@ -16,9 +16,6 @@ MOST = 64 * 2**20
 MOST_WEIGHTS = 4 * 2**30
 """Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
 
-MOST_WEIGHTS = 4 * 2**30
-"""Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
-
 FREELY_UNPACKED, MOST_RATIO = 2**28, 100
 """Arrays of more bytes may only be so many times larger than their file: gzip packs zeros a thousand times."""
 

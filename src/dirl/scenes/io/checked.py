@@ -80,14 +80,12 @@ def inside(folder: Path, name: Any, where: str) -> Path:
     Raises:
         SceneError: the name is none, or leads out of the folder.
     """
-    if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > LONGEST:
+    if not isinstance(name, str) or not name.strip(" ./\\") or not name.isprintable() or len(name) > LONGEST:
         raise SceneError(f"{where}: expected the name of a file, found {str(name)[:50]!r}")
     text = name.replace("\\", "/")
     if "://" in text or text.startswith("//"):
         raise SceneError(f"{where}: '{name[:100]}' is on the web; nothing is downloaded, fetch the files first")
     path = PurePosixPath(text)
-    if not path.parts:
-        raise SceneError(f"{where}: expected the name of a file, found {name[:50]!r}")
     if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
         raise SceneError(f"{where}: '{name[:100]}' lies outside of {folder}")
     found = folder / path
