@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rooms import grid_scene, renumbered
 
-from dirl.scenes import ACTIONS, GraphError
+from dirl.scenes import GraphError
 from dirl.scenes.graph import (
     check_graph,
     places,
@@ -49,10 +49,6 @@ def with_dead_states(graph, count=4):
     return np.concatenate([np.full((count, 4), -1), moved])
 
 
-def test_actions_are_in_the_published_order():
-    assert ACTIONS == ("ahead", "right", "left", "back")
-
-
 @given(room=rooms(), data=st.data())
 def test_distances_equal_a_plain_search(room, data):
     graph = room.graph.copy()
@@ -79,15 +75,9 @@ def test_distances_follow_the_direction_of_one_way_links():
     assert distances[0, 4] == 5  # turn round, walk backwards, turn round
 
 
-def test_states_behind_a_wall_are_unreachable():
-    room = grid_scene(width=3, depth=1, blocked=[(1, 0)])
-    assert (room.distances[:4, 4:] == -1).all()
-    assert (room.distances[4:, :4] == -1).all()
-    assert (room.distances[:4, :4] >= 0).all()
-
-
 @given(room=rooms())
 def test_surrounding_states_are_ahead_right_back_and_left_at_the_same_place(room):
+    check_graph(room.graph)
     surrounding = surrounding_states(room.graph)
     assert (surrounding[:, 0] == np.arange(len(room))).all()
     turned = (room.headings[surrounding] - room.headings[:, None]) % 360
@@ -95,36 +85,18 @@ def test_surrounding_states_are_ahead_right_back_and_left_at_the_same_place(room
     assert (room.positions[surrounding] == room.positions[:, None]).all()
 
 
-def test_surrounding_states_come_from_links_not_numbers():
-    order = np.random.default_rng(3).permutation(24)
-    room = grid_scene()
-    mixed = renumbered(room, order)
-    assert (order[mixed.surrounding] == room.surrounding[order]).all()
-    assert (mixed.surrounding // 4 != mixed.surrounding[:, :1] // 4).any()
-
-
-def test_a_quarter_turn_is_three_turns_of_30_degrees():
-    assert grid_scene(headings=12).surrounding[1].tolist() == [1, 4, 7, 10]
-
-
-def test_dead_states_see_themselves_four_times():
+def test_dead_states_see_themselves_and_can_neither_be_left_nor_reached():
     room = grid_scene()
     graph = with_dead_states(room.graph)
     check_graph(graph)
     assert surrounding_states(graph)[:4].tolist() == [[state] * 4 for state in range(4)]
     assert (surrounding_states(graph)[4:] == room.surrounding + 4).all()
-
-
-def test_dead_states_are_unreachable_and_reach_nothing():
-    distances = shortest_distances(with_dead_states(grid_scene().graph))
+    distances = shortest_distances(graph)
     assert (distances[:4] == np.where(np.eye(4, 28), 0, -1)).all()
     assert (distances[4:, :4] == -1).all()
-
-
-@pytest.mark.parametrize("headings", [4, 8, 12])
-@pytest.mark.parametrize("dead", [0, 4])
-def test_turns_per_circle(headings, dead):
-    assert turns_per_circle(with_dead_states(grid_scene(headings=headings).graph, dead)) == headings
+    assert places(with_dead_states(grid_scene(width=2, depth=1).graph, 2)).tolist() == [0, 1, *[2] * 4, *[3] * 4]
+    for headings in (4, 12):
+        assert turns_per_circle(with_dead_states(grid_scene(headings=headings).graph)) == headings
 
 
 @given(room=rooms())
@@ -134,11 +106,6 @@ def test_states_share_a_place_where_they_share_a_position(room):
     assert ((place[:, None] == place[None]) == same_position).all()
     _, first = np.unique(place, return_index=True)
     assert (np.diff(first) > 0).all()  # numbered in the order of their first states
-
-
-def test_each_dead_state_is_a_place_of_its_own():
-    place = places(with_dead_states(grid_scene(width=2, depth=1).graph, 2))
-    assert place.tolist() == [0, 1, *[2] * 4, *[3] * 4]
 
 
 def ring(length):
@@ -163,22 +130,13 @@ def changed(state, action, to):
         (np.zeros((0, 4), int), "there are no states"),
         (np.full((8, 4), -1), "no state has any move"),
         (changed(5, AHEAD, 24), r"state 5: ahead leads to state 24, but states are 0\.\.23"),
-        (changed(5, AHEAD, -2), "state 5: ahead leads to state -2"),
         (changed(6, RIGHT, -1), "state 6: turning right is blocked"),
         (changed(6, LEFT, -1), "state 5: turning right and back does not return"),
-        (changed(9, RIGHT, 8), "state 9: turning right and back does not return to it.*'actions'"),
         (grid_scene().graph[:, [1, 0, 2, 3]], "state 2: turning right is blocked"),
-        (ring(3), "state 0: a full turn to the right passes 3 states"),
         (ring(6), "state 0: a full turn to the right passes 6 states"),
         (beside(ring(4), ring(8)), r"state 4: a full turn .* passes 8 states; .* \(4 at state 0\)"),
-        (with_dead_states(beside(ring(4), ring(5))), "state 8: a full turn to the right passes 5 states"),
     ],
 )
 def test_a_graph_no_agent_could_walk_in_is_refused(graph, message):
     with pytest.raises(GraphError, match=message):
         check_graph(graph)
-
-
-@given(room=rooms())
-def test_every_room_passes_the_check(room):
-    check_graph(room.graph)

@@ -34,39 +34,23 @@ def test_the_view_id_of_a_look_is_the_look_times_the_states_and_the_state(scenes
             assert np.array_equal(world.features[rows].numpy(), wanted)
             parts = scene.patches if look == 0 else scene.look_patches[look - 1]
             assert np.array_equal(world.patches[rows].numpy(), parts)
+    same = make_world([scenes[0], grid_scene(2, 2, name="c", seed=2, patches=True)])  # of one look at every visit
+    for look in range(3):
+        assert np.array_equal(same.features[look * 40 + torch.arange(24, 40)].numpy(), same.scenes[1].features)
+    with pytest.raises(SceneError, match=r"different numbers of looks, \[1, 2, 3\]"):
+        make_world([scenes[0], grid_scene(name="c", patches=True, looks=1), grid_scene(name="d", patches=True)])
     assert world.pictures(1).tolist() == [look * 40 + 24 + state for look in range(3) for state in range(16)]
 
 
-def test_scenes_with_different_numbers_of_looks_are_no_world(scenes):
-    with pytest.raises(SceneError, match=r"different numbers of looks, \[1, 2, 3\]"):
-        make_world([scenes[0], grid_scene(name="c", patches=True, looks=1), grid_scene(name="d", patches=True)])
-
-
-def test_a_scene_of_one_look_shows_it_at_every_visit_beside_scenes_that_change(scenes):
-    world = make_world([scenes[0], grid_scene(2, 2, name="c", seed=2, patches=True)])
-    same, states = world.scenes[1], torch.arange(24, 40)
-    for look in range(3):
-        assert np.array_equal(world.features[look * 40 + states].numpy(), same.features)
-        assert np.array_equal(world.patches[look * 40 + states].numpy(), same.patches)
-
-
-def test_looks_are_kept_in_a_dump(scenes, tmp_path):
+def test_looks_are_kept_in_a_dump_guarded_by_its_digest_and_left_behind_by_new_features(scenes, tmp_path):
     write_dump(tmp_path / "a.h5", scenes[0])
     read = read_here(tmp_path / "a.h5")
     assert read.looks == 3
     assert np.array_equal(read.look_features, scenes[0].look_features)
     assert np.array_equal(read.look_patches, scenes[0].look_patches)
-
-
-def test_a_dump_without_looks_has_no_dataset_of_them(tmp_path):
-    write_dump(tmp_path / "plain.h5", grid_scene())
-    with h5py.File(tmp_path / "plain.h5") as file:
-        assert not [name for name in file if name.startswith("look")]
-    assert read_here(tmp_path / "plain.h5").looks == 1
-
-
-def test_changed_looks_are_damage(scenes, tmp_path):
-    write_dump(tmp_path / "a.h5", scenes[0])
+    features = np.random.default_rng(0).random((24, 5)).astype(np.float16)
+    replace_features(tmp_path / "a.h5", tmp_path / "b.h5", features, {"extractor": "other"})
+    assert read_here(tmp_path / "b.h5").looks == 1
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file["look_feature"][1, 3, 5] = 0.125
     with pytest.raises(SceneError, match="does not hold what was written"):
@@ -88,13 +72,6 @@ def test_looks_that_do_not_fit_are_refused(scenes, tmp_path, name, shape, told):
         file[name] = np.ones(shape, np.float16)
     with pytest.raises(SceneError, match=told):
         read_here(tmp_path / "a.h5")
-
-
-def test_new_features_leave_the_looks_of_the_old_ones_behind(scenes, tmp_path):
-    write_dump(tmp_path / "a.h5", scenes[0])
-    features = np.random.default_rng(0).random((24, 5)).astype(np.float16)
-    replace_features(tmp_path / "a.h5", tmp_path / "b.h5", features, {"extractor": "other"})
-    assert read_here(tmp_path / "b.h5").looks == 1
 
 
 @pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])

@@ -5,8 +5,6 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from rooms import grid_scene, read_here
 
 from dirl.scenes import SceneError, load_scenes, write_dump
@@ -65,8 +63,7 @@ def test_code_of_the_published_line_walks_in_an_exported_room(tmp_path):
     assert distance == room.distances[state, 0]
 
 
-@pytest.mark.parametrize("dtype", ["f2", "f4"])
-@pytest.mark.parametrize("headings", [4, 12])
+@pytest.mark.parametrize(("dtype", "headings"), [("f2", 4), ("f4", 12)])
 def test_an_export_is_read_back_equal(tmp_path, dtype, headings):
     room = grid_scene(3, 2, goals=(3, 1), headings=headings, blocked=[(1, 0)], name="hall", extractor="net; 1; 2")
     room = with_views(tmp_path, replace(room, features=room.features.astype(dtype), source="photos"))
@@ -77,25 +74,11 @@ def test_an_export_is_read_back_equal(tmp_path, dtype, headings):
     assert (read.name, read.goals, read.source, read.extractor) == ("hall", (3, 1), "photos", "net; 1; 2")
     for state in range(len(room)):
         assert (read.views[state] == room.views[state]).all()
-
-
-@settings(max_examples=15)
-@given(width=st.integers(1, 3), depth=st.integers(1, 2), seed=st.integers(0, 99), headings=st.sampled_from([4, 8]))
-def test_any_room_survives_export_and_import(tmp_path_factory, width, depth, seed, headings):
-    folder = tmp_path_factory.mktemp("any")
-    room = with_views(folder, grid_scene(width, depth, seed=seed, headings=headings, goals=()), 3, 4)
-    export_icra17(room, folder / "out.h5")
-    read = read_here(folder / "out.h5")
-    write_dump(folder / "in.h5", read)
-    again = read_here(folder / "in.h5")
-    for part in PARTS:
-        assert (getattr(read, part) == getattr(room, part)).all(), part
-        assert (getattr(again, part) == getattr(room, part)).all(), part
-
-
-def test_views_of_another_shape_are_scaled(tmp_path, scene):
-    export_icra17(with_views(tmp_path, scene, 60, 80), tmp_path / "out.h5")
-    assert read_here(tmp_path / "out.h5").views[7].shape == (300, 400, 3)
+    write_dump(tmp_path / "in.h5", read)
+    again = read_here(tmp_path / "in.h5")
+    assert all((getattr(again, part) == getattr(room, part)).all() for part in PARTS)
+    export_icra17(with_views(tmp_path, room, 60, 80), tmp_path / "scaled.h5")
+    assert read_here(tmp_path / "scaled.h5").views[7].shape == (300, 400, 3)
 
 
 def test_what_the_layout_cannot_hold_is_refused(tmp_path, scene):

@@ -7,9 +7,8 @@ import h5py
 import numpy as np
 import pytest
 from malformed import ABSURD, BEGIN, MALFORMED, PAGE, hollow, make, refused, row
-from rooms import grid_scene, read_here
+from rooms import read_here
 
-from dirl.scenes import write_dump
 from dirl.scenes.io import hdf5
 
 
@@ -39,27 +38,19 @@ def test_no_message_shows_the_types_of_numpy():
     assert not re.search(r"np\.|array\(", PAGE.read_text().split("## The messages")[1])
 
 
-def test_sixty_four_thousand_goals_are_counted_in_no_time(dump):
-    """Comparing each with all others took minutes."""
+@pytest.mark.parametrize(
+    ("goals", "says"),
+    [
+        (np.arange(64_000), "names 64000 goals of 24 states"),  # comparing each with all others took minutes
+        (np.zeros(2**18), "takes 2097152 bytes; at most 1048576"),
+    ],
+)
+def test_attributes_of_many_goals_are_refused(dump, goals, says):
     with h5py.File(dump.with_name("new.h5"), "w", libver="latest") as new, h5py.File(dump) as old:
         for name in old:
             old.copy(name, new)
-        new.attrs["goals"] = np.arange(64_000)
-    assert refused(dump.with_name("new.h5")) == "attribute 'goals': names 64000 goals of 24 states"
-
-
-def test_a_scene_may_have_all_its_states_for_goals(tmp_path):
-    room = grid_scene(40, 40, goals=range(6400), feature_width=1)
-    write_dump(tmp_path / "room.h5", room)
-    assert read_here(tmp_path / "room.h5").goals == tuple(range(6400))
-
-
-def test_an_attribute_of_two_megabytes_is_not_read(dump):
-    with h5py.File(dump.with_name("new.h5"), "w", libver="latest") as new, h5py.File(dump) as old:
-        for name in old:
-            old.copy(name, new)
-        new.attrs["goals"] = np.zeros(2**18)
-    assert refused(dump.with_name("new.h5")) == "attribute 'goals': takes 2097152 bytes; at most 1048576"
+        new.attrs["goals"] = goals
+    assert refused(dump.with_name("new.h5")) == f"attribute 'goals': {says}"
 
 
 def test_features_that_are_too_many_in_all_are_refused(dump):

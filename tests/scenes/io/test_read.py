@@ -1,7 +1,6 @@
 """Reading and writing dumps: every layout the published files and their descendants have."""
 
 import io
-import itertools
 
 import h5py
 import numpy as np
@@ -53,12 +52,7 @@ def test_the_published_layout_reads_as_it_was_written(scene, dump):
     assert read.origin == str(dump)
 
 
-def test_a_path_may_be_a_string(dump):
-    assert len(read_here(str(dump))) == 24
-
-
-@pytest.mark.parametrize("dtype", ["f2", "f4", "f8"])
-@pytest.mark.parametrize("crops", [None, 1, 10])
+@pytest.mark.parametrize(("dtype", "crops"), [("f2", None), ("f4", 10), ("f8", 1)])
 def test_features_are_those_of_the_first_crop(dump, dtype, crops):
     stored = np.random.default_rng(1).random((24, crops or 1, 2048)).astype(dtype)
     put(dump, resnet_feature=stored if crops else stored[:, 0])
@@ -76,38 +70,20 @@ def test_a_dump_may_lack_features_images_and_distances(dump):
     assert read.distances[0, 4] == 3  # the next place to the right: turn, ahead, turn back
 
 
-@pytest.mark.parametrize("dtype", ["i1", "i2", "i4", "i8"])
-def test_the_graph_may_be_of_any_integer_type(scene, dump, dtype):
-    put(dump, graph=scene.graph.astype(dtype))
-    assert (read_here(dump).graph == scene.graph).all()
-
-
-@pytest.mark.parametrize("dtype", ["i4", "f2", "f4", "f8"])
-def test_locations_and_rotations_may_be_of_any_number_type(scene, dump, dtype):
-    put(dump, location=(2 * scene.positions).astype(dtype), rotation=scene.headings.astype(dtype))
-    read = read_here(dump)
+@pytest.mark.parametrize(("integer", "number"), [("i1", "i4"), ("i8", "f2"), ("i4", "f8")])
+def test_numbers_may_be_of_any_type_and_in_compressed_chunks(scene, dump, integer, number):
+    values = {"location": (2 * scene.positions).astype(number), "rotation": scene.headings.astype(number)}
+    put(dump, **values, shortest_path_distance=scene.distances.astype(number), graph=None)
+    with h5py.File(dump, "a") as file:
+        file.create_dataset("graph", data=scene.graph.astype(integer), compression="gzip", shuffle=True, chunks=True)
+    read = read_here(dump)  # a warning of distances would fail the test
+    assert (read.graph == scene.graph).all()
     assert (read.positions == 2 * scene.positions).all()
     assert (read.headings == scene.headings).all()
 
 
-def test_compressed_and_chunked_datasets_are_read(scene, dump):
-    with h5py.File(dump, "a") as file:
-        for name in ("graph", "resnet_feature"):
-            values = file[name][:]
-            del file[name]
-            file.create_dataset(name, data=values, compression="gzip", shuffle=True, chunks=True)
-    read = read_here(dump)
-    assert (read.graph == scene.graph).all()
-    assert (read.features == scene.features).all()
-
-
 @pytest.mark.parametrize(
-    ("unreachable", "dtype"),
-    [
-        *itertools.product([-1, -2, 1000, 2000, np.inf, -np.inf, np.nan], ["f4", "f8"]),
-        *itertools.product([-1, 1000], ["i2", "i8"]),
-        *itertools.product([1000], ["u2", "u4"]),
-    ],
+    ("unreachable", "dtype"), [(-1, "i2"), (-2, "f4"), (1000, "u2"), (2000, "f8"), (np.inf, "f4"), (np.nan, "f8")]
 )
 def test_unreachable_is_stored_in_many_ways(tmp_path, unreachable, dtype):
     room = grid_scene(width=3, depth=1, blocked=[(1, 0)])
@@ -117,13 +93,7 @@ def test_unreachable_is_stored_in_many_ways(tmp_path, unreachable, dtype):
     assert (read_here(path).distances == room.distances).all()  # a warning would fail the test
 
 
-@pytest.mark.parametrize("dtype", ["u1", "u4", "i2", "f2"])
-def test_distances_may_be_stored_as_any_number_type(scene, dump, dtype):
-    put(dump, shortest_path_distance=scene.distances.astype(dtype))
-    assert (read_here(dump).distances == scene.distances).all()
-
-
-@pytest.mark.parametrize(("value", "shown"), [(3, "3"), (np.nan, "-1"), (1000, "-1"), (0.5, "0.5")])
+@pytest.mark.parametrize(("value", "shown"), [(3, "3"), (np.nan, "-1")])
 def test_stored_distances_that_disagree_are_warned_of_and_not_used(scene, dump, value, shown):
     stored = scene.distances.astype(float)
     stored[2, 7] = stored[3, 1] = value
@@ -149,14 +119,7 @@ def test_a_block_without_moves_is_read_and_cannot_be_left(tmp_path, scene, dump)
     assert world.block(world.distances, 0)[24:].tolist() == [-1] * 4
 
 
-def test_a_block_behind_walls_is_read(tmp_path):
-    room = grid_scene(width=4, depth=2, blocked=[(2, 0), (2, 1)])
-    read = read_here(published_dump(tmp_path / "walls.h5", room))
-    assert (read.distances == room.distances).all()
-    assert (read.distances[0] == -1).sum() == 8
-
-
-@pytest.mark.parametrize("headings", [4, 12])
+@pytest.mark.parametrize("headings", [12])
 def test_states_may_be_numbered_in_any_order(tmp_path, headings):
     room = grid_scene(headings=headings)
     mixed = renumbered(room, np.random.default_rng(5).permutation(len(room)))
@@ -164,12 +127,6 @@ def test_states_may_be_numbered_in_any_order(tmp_path, headings):
     assert (read.surrounding == mixed.surrounding).all()
     turned = (read.headings[read.surrounding] - read.headings[:, None]) % 360
     assert turned.tolist() == [[0, 90, 180, 270]] * len(room)
-
-
-def test_raw_images_are_seen(dump):
-    views = read_here(dump).views
-    assert len(views) == 24
-    assert views[5].tolist() == np.full((3, 4, 3), 5).tolist()
 
 
 def test_encoded_images_are_seen_and_go_before_raw_ones(dump):
@@ -183,15 +140,14 @@ def test_encoded_images_are_seen_and_go_before_raw_ones(dump):
     assert views.encoded(5) == encode(picture(5))
 
 
-@pytest.mark.parametrize("kind", ["PNG", "JPEG"])
-def test_encoded_images_may_be_png_or_jpeg(tmp_path, scene, kind):
+def test_encoded_images_may_be_jpeg(tmp_path, scene):
     buffer = io.BytesIO()
-    Image.fromarray(picture(9)).save(buffer, kind)
+    Image.fromarray(picture(9)).save(buffer, "JPEG")
     write_dump(tmp_path / "room.h5", scene, [buffer.getvalue()] * 24)
     assert np.abs(read_here(tmp_path / "room.h5").views[0].astype(int) - picture(9)).max() <= 3
 
 
-@pytest.mark.parametrize("order", list(itertools.permutations(ACTIONS)))
+@pytest.mark.parametrize("order", [("right", "back", "ahead", "left"), ("left", "ahead", "right", "back")])
 @pytest.mark.parametrize("kind", [list, lambda order: np.array(order, "S")])
 def test_columns_may_be_in_any_declared_order(scene, dump, order, kind):
     put(dump, graph=scene.graph[:, [ACTIONS.index(action) for action in order]])
@@ -219,7 +175,7 @@ def test_the_extractor_is_told_by_the_attributes_of_the_features(dump):
     assert read_here(dump).extractor == "ResNet-50; v2"
 
 
-@pytest.mark.parametrize("stem", ["a=b", "a#b", "a'b", "a%b", "%"])
+@pytest.mark.parametrize("stem", ["a='b#", "%"])
 def test_a_file_may_have_any_name(dump, stem):
     dump = dump.rename(dump.with_name(f"{stem}.h5"))
     assert read_here(dump).name == ("a_b" if len(stem) > 1 else "scene")
@@ -241,7 +197,6 @@ def test_features_whose_squares_are_no_numbers_are_refused(scene, dump):
     ("error", "told"),
     [
         (BlockingIOError(11, "unable to lock file, errno = 11"), "HDF5_USE_FILE_LOCKING=FALSE"),
-        (OSError("Can't read data (memory allocation failed)"), "takes more memory than there is"),
         (MemoryError(), "takes more memory than there is"),
         (OSError("file signature not found"), "perhaps a broken download"),
     ],

@@ -29,9 +29,9 @@ def test_a_sparse_file_is_refused_by_its_size(tmp_path):
         read_rows(sparse(tmp_path / "a.csv", b"a,b\n1,2\n"))
 
 
-@pytest.mark.parametrize("reader", [read_photos, read_collection])
-def test_a_sparse_file_of_a_folder_is_refused(tmp_path, reader):
-    sparse(tmp_path / {read_photos: "states.csv", read_collection: INDEX}[reader])
+@pytest.mark.parametrize(("reader", "name"), [(read_photos, "states.csv"), (read_collection, INDEX)])
+def test_a_sparse_file_of_a_folder_is_refused(tmp_path, reader, name):
+    sparse(tmp_path / name)
     with pytest.raises(SceneError, match="has more than"):
         reader(tmp_path)
 

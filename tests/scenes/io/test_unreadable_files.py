@@ -7,12 +7,8 @@ from malformed import refused
 BROKEN = "not a readable HDF5 file, perhaps a broken download"
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path):
-    assert refused(tmp_path / "none.h5") == "there is no such file"
-
-
-def test_a_folder_is_refused(tmp_path):
-    assert refused(tmp_path) == "there is no such file"
+def test_what_is_no_file_is_refused(tmp_path):
+    assert refused(tmp_path / "none.h5") == refused(tmp_path) == "there is no such file"
 
 
 @pytest.mark.parametrize("content", [b"", b"not HDF5", b"\x89HDF\r\n\x1a\n" + bytes(2000)])
@@ -22,7 +18,7 @@ def test_a_file_that_is_not_hdf5_is_refused(tmp_path, content):
     assert refused(path).startswith(BROKEN)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+@pytest.mark.parametrize("share", [0.1, 0.99])
 def test_a_truncated_file_is_refused(dump, share):
     whole = dump.read_bytes()
     dump.write_bytes(whole[: int(share * len(whole))])
@@ -43,7 +39,7 @@ def damaged(path, name, place):
 
 
 @pytest.mark.parametrize("place", ["values", "header"])
-@pytest.mark.parametrize("name", ["graph", "location", "resnet_feature"])
+@pytest.mark.parametrize("name", ["graph", "resnet_feature"])
 def test_a_damaged_file_is_refused(dump, name, place):
     damaged(dump, name, place)
     assert refused(dump).startswith(BROKEN)
