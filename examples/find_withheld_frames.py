@@ -19,7 +19,8 @@ from tqdm import tqdm
 from dirl.agent.mapping.frames import Found, FrameMap, map_recordings
 from dirl.perception.matching import Described, Matcher
 from dirl.reporting.style import plain
-from dirl.sources.video import Recording, natural_order, read_photo
+from dirl.scenes.views import natural_order
+from dirl.sources.video import Recording, read_photo
 
 COVERAGES = (0.4, 0.6, 0.8)
 

@@ -284,7 +284,6 @@ class BuildOptions(Encoded):
     fine: bool = option(FINER, True)
     quality: Annotated[int, Bounds(0, 100)] = option("of the stored WebP views", 72)
     workers: Positive | None = option("processes that render views; null = up to one for each core", None)
-    provenance: str | None = option("origin of the weights, stored in the file; resnet50 knows its own", None)
 
 
 @dataclass
@@ -294,14 +293,6 @@ class LookChanges(VisitChanges):
     position: NotNegative = option("metres, along each axis", 0.05)
     white_balance: NotNegative = option("of the logarithm of red and of blue", 0.0)
     camera_height: NotNegative = option("metres", 0.0)
-    lamps: Fraction = option(
-        "probability that the lamps of one kind are off; this and the next three are sampled once for a look", 0.0
-    )
-    daylight: NotNegative = option("of the logarithm of the light through each window", 0.0)
-    furniture: NotNegative = option(
-        "of how far chairs and the like are moved, metres; the places to stand at stay free", 0.0
-    )
-    objects: Fraction = option("probability that a small thing, such as a vase or a picture, is gone", 0.0)
     vary: Fraction = option(
         "each look has all of these times a factor sampled from 1 - vary to 1 + vary; for rooms to train in", 0.0
     )
@@ -610,7 +601,6 @@ def build(options: BuildOptions) -> None:
         quality=options.quality,
         workers=options.workers,
         encoder=chosen_encoder(options),
-        provenance=options.provenance or "",
     )
     scene = load_scenes(str(out))[0]
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dirl.scenes.errors import SceneError as SceneError  # where all look for it
 from dirl.scenes.graph import (
     RIGHT,
     GraphError,
@@ -31,10 +32,6 @@ MAX_NAME = 100
 
 ALLOWED = re.compile(r"[^\W_](?:[\w .,()+-]*[\w)+])?")
 """Letters and digits of any script, and what needs no care in paths, in matplotlib's titles and in Hydra's options."""
-
-
-class SceneError(ValueError):
-    """An invalid scene; the message says what is wrong, where, and what to do."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

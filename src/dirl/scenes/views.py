@@ -1,6 +1,7 @@
 """The camera views of a dump: read and decoded one at a time, on access."""
 
 import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -12,6 +13,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
+from dirl.scenes.errors import SceneError
 from dirl.scenes.io.bounded import read_bytes
 
 MAX_PIXELS = 2**24
@@ -31,7 +33,7 @@ FORMATS = {"PNG": (PngImageFile, b"\x89PNG"), "JPEG": (JpegImageFile, b"\xff\xd8
 """Of images: Pillow's class, and how a file begins. It knows many more, and starts other programs for some of them."""
 
 
-class ImageError(ValueError):
+class ImageError(SceneError):
     """Bytes that are no image of a known format; the message says why, on one line."""
 
 
@@ -149,6 +151,22 @@ def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Imag
     return image
 
 
+def open_photo(file: str | Path, *, load: bool = True) -> Image.Image:
+    """Return the photograph in a file, or with ``load=False`` what it declares; `ImageError`, which names it, if none.
+
+    It may have `MAX_PHOTO_PIXELS`.
+    """
+    try:
+        return open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS, load=load)
+    except (OSError, ValueError) as error:
+        raise ImageError(f"{file}: not a readable image ({getattr(error, 'strerror', None) or error})") from None
+
+
+def natural_order(file: Path) -> list[tuple[int, int | str]]:
+    """Return a key to sort files as people number them: 2.png before 10.png."""
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", file.name) if part]
+
+
 def to_rgb(image: Image.Image) -> Image.Image:
     """Return an image as RGB. Grey of 16 bits keeps its upper eight; Pillow's own conversion makes it white."""
     if image.mode.startswith("I"):
@@ -164,7 +182,4 @@ def upright_rgb(image: Image.Image) -> Image.Image:
 
 def read_photo(file: str | Path) -> NDArray[np.uint8]:
     """Return the photo in a file, upright as its EXIF says, RGB, uint8 ``[H, W, 3]``; `ImageError` if there is none."""
-    try:
-        return np.asarray(upright_rgb(open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS)))
-    except (OSError, ValueError) as error:
-        raise ImageError(f"{file}: {getattr(error, 'strerror', None) or error}") from None
+    return np.asarray(upright_rgb(open_photo(file)))

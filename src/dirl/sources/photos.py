@@ -32,11 +32,10 @@ from PIL import ExifTags, Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.bounded import read_bytes
 from dirl.scenes.io.checked import check_choice, checked, inside
 from dirl.scenes.io.texts import read_csv
 from dirl.scenes.scene import LARGEST, Scene, SceneError, check_name
-from dirl.scenes.views import MAX_PHOTO_BYTES, MAX_PHOTO_PIXELS, WEBP, encode, open_image, upright_rgb
+from dirl.scenes.views import WEBP, encode, natural_order, open_photo, upright_rgb
 
 TABLE = "states.csv"
 REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
@@ -99,14 +98,14 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
     if not file.is_file():
         raise SceneError(f"{folder}: holds no {TABLE}; it has a row for each image: {','.join(REQUIRED)}")
     table = [_row(values, where, folder) for where, values in read_csv(file, REQUIRED, OPTIONAL)]
-    if all(row.shot for row in table):
-        raise SceneError(f"{file}: has no rows of first shots; each says where one image was taken")
-    check_name(name, str(folder))
     places: dict[str, list[Row]] = {}
     for row in table:
         if not row.shot:
             places.setdefault(row.location, []).append(row)
-    count = len(next(iter(places.values()), ()))
+    if not places:
+        raise SceneError(f"{file}: has no rows of first shots; each says where one image was taken")
+    check_name(name, str(folder))
+    count = len(next(iter(places.values())))
     for location, here in places.items():
         here.sort(key=lambda row: row.heading % 360)
         _check_place(location, here, count)
@@ -161,20 +160,13 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
         SceneError: an image cannot be read, or is a panorama.
     """
     for path in images:
-        try:
-            data = read_bytes(path, MAX_PHOTO_BYTES)
-            image = open_image(data, MAX_PHOTO_PIXELS)
-        except (OSError, ValueError) as error:
-            raise SceneError(f"{path}: not a readable image ({error})") from None
-        if (
-            image.format == WEBP
-            and image.size == (width, height)
-            and image.getexif().get(ExifTags.Base.Orientation, 1) == 1
-        ):
-            yield data
+        image = open_photo(path)
+        upright = image.getexif().get(ExifTags.Base.Orientation, 1) == 1
+        if image.format == WEBP and image.size == (width, height) and upright:
+            yield path.read_bytes()
             continue
         wide = abs(image.width / image.height - 2) < 0.02 < abs(width / height - 2)  # as no other view is
-        if wide or PANORAMA_MARK in data:
+        if wide or PANORAMA_MARK in path.read_bytes():
             raise SceneError(
                 f"{path}: {image.width}x{image.height} pixels are a panorama, which shows all headings at once; cut it "
                 "into one image a heading (an ordinary image of that shape: crop it a little)"
@@ -218,7 +210,7 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
         raise SceneError(f"{folder}: holds no photos (JPEG, PNG or WebP)")
     said = {file: _said_by_exif(file) for file in files}
     timed = all(time for time, _ in said.values())
-    files.sort(key=_natural)
+    files.sort(key=natural_order)
     if timed:
         files.sort(key=lambda file: said[file][0])  # those of one second by their names
     turn = 360 / headings
@@ -242,19 +234,10 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
     rows: list[dict[str, object]] = []
     for file, place, heading in zip(files, places, facing, strict=True):
         at = order.index(place)
-        beside = at + 1 if heading == 0 else at - 1 if heading == 180 else -1
+        beside = {0: at + 1, 180: at - 1}.get(heading, -1)
         ahead = order[beside] if 0 <= beside < len(order) else ""
-        rows.append(
-            {
-                "image": file.name,
-                "location": place,
-                "heading": f"{heading:g}",
-                "x": 0,
-                "z": at,
-                "ahead": ahead,
-                "goal": "",
-            }
-        )
+        taken = {"image": file.name, "location": place, "heading": f"{heading:g}", "x": 0, "z": at}
+        rows.append({**taken, "ahead": ahead, "goal": ""})
     write_table(folder, rows)
     return (
         f"{folder / TABLE}: {len(files)} photos, {headings} at each of {len(order)} places\n"
@@ -272,11 +255,6 @@ def _are_whole(places: Sequence[str], facing: Sequence[float], headings: int) ->
     return all(places) and len(seen) == len(places) and seen == each
 
 
-def _natural(file: Path) -> list[tuple[str, int]]:
-    """The order of names in which ``2.jpg`` comes before ``10.jpg``."""
-    return [(text, int(part or 0)) for text, part in re.findall(r"(\D*)(\d*)", file.name.lower())]
-
-
 def _said_by_name(file: Path) -> tuple[str, float]:
     """Place and heading in a name, as ``hall_n`` or ``hall_90``; no place if it says none."""
     place, _, end = file.stem.replace("-", "_").rpartition("_")
@@ -286,17 +264,17 @@ def _said_by_name(file: Path) -> tuple[str, float]:
 
 def _said_by_exif(file: Path) -> tuple[str, float | None]:
     """Time, as text that sorts, and degrees clockwise from north, as far as the camera has written them."""
+    image = open_photo(file, load=False)
     try:
-        exif = open_image(read_bytes(file, MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS, load=False).getexif()
+        exif = image.getexif()
         details, place = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
     except (OSError, ValueError) as error:
-        raise SceneError(f"{file}: not a readable image ({error})") from None
+        raise SceneError(f"{file}: its EXIF is damaged ({error})") from None
     time = str(details.get(ExifTags.Base.DateTimeOriginal, ""))
-    angle = place.get(ExifTags.GPS.GPSImgDirection)
     fraction = str(details.get(ExifTags.Base.SubsecTimeOriginal, ""))
-    if angle is None or not 0 <= angle <= 360:  # where the camera wrote 0 / 0
-        return time and f"{time}.{fraction}", None
-    return time and f"{time}.{fraction}", float(angle)
+    angle = place.get(ExifTags.GPS.GPSImgDirection)
+    known = angle is not None and 0 <= angle <= 360  # not where the camera wrote 0 / 0
+    return time and f"{time}.{fraction}", float(angle) if known else None
 
 
 def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:
@@ -336,34 +314,25 @@ def _check_place(location: str, here: Sequence[Row], count: int) -> None:
 
 
 def _graph(states: Sequence[Row], numbers: Mapping[str, range]) -> IntArray:
-    """Next states, int64 ``[N, 4]``: turns by the order of headings, moves as the rows say."""
+    """Next states, int64 ``[N, 4]``: turns by the order of headings, moves as the rows say.
+
+    Where no row says where a move back leads, it is the reverse of a move ahead.
+    """
     graph = turns_only(len(numbers), len(states) // len(numbers))
     for state, row in enumerate(states):
         for action, location in ((AHEAD, row.ahead), (BACK, row.back)):
-            if location:
-                graph[state, action] = _moved(states, numbers, row, ACTIONS[action], location)
-    if states[0].back is None:
-        _undo_ahead(graph, states)
-    return graph
-
-
-def _moved(states: Sequence[Row], numbers: Mapping[str, range], row: Row, column: str, location: str) -> int:
-    """The state at another location with the heading of a row."""
-    check_choice(location, numbers, f"{row.where}: {column}", "location")
-    if location == row.location:
-        raise SceneError(
-            f"{row.where}: {column}: leads to '{location}' itself; leave it empty where the way is blocked"
-        )
-    state = _state_at(states, numbers[location], row.heading)
-    if state is None:
-        raise SceneError(
-            f"{row.where}: {column}: '{location}' has no image with heading {row.heading:g}; a move keeps it"
-        )
-    return state
-
-
-def _undo_ahead(graph: IntArray, states: Sequence[Row]) -> None:
-    """Fill in the column of moves back, each the reverse of a move ahead."""
+            if not location:
+                continue
+            where = f"{row.where}: {ACTIONS[action]}"
+            check_choice(location, numbers, where, "location")
+            if location == row.location:
+                raise SceneError(f"{where}: leads to '{location}' itself; leave it empty where the way is blocked")
+            there = _state_at(states, numbers[location], row.heading)
+            if there is None:
+                raise SceneError(f"{where}: '{location}' has no image with heading {row.heading:g}; a move keeps it")
+            graph[state, action] = there
+    if states[0].back is not None:
+        return graph
     for state in np.flatnonzero(graph[:, AHEAD] >= 0).tolist():
         there = int(graph[state, AHEAD])
         if graph[there, BACK] >= 0:
@@ -373,3 +342,4 @@ def _undo_ahead(graph: IntArray, states: Sequence[Row]) -> None:
                 "that a move back from there could end in either; add a column back that says where"
             )
         graph[there, BACK] = state
+    return graph

@@ -1,6 +1,5 @@
 """Scenes from live AI2-THOR."""
 
-from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 import numpy as np
@@ -65,7 +64,7 @@ class Thor:
 
     def __init__(self, controller: Controller, scene: str) -> None:
         self.name, self._controller = scene, controller
-        with _simulator_errors(scene):
+        with simulator_errors(f"{scene}: AI2-THOR"):
             self._agent = controller.step("Pass").metadata["agent"]
 
     @property
@@ -76,7 +75,7 @@ class Thor:
 
     def push(self, metres: float) -> bool:
         """Walk along the heading, backwards if negative; where blocked the agent stays where it was."""
-        with _simulator_errors(self.name):
+        with simulator_errors(f"{self.name}: AI2-THOR"):
             event = self._controller.step("MoveAhead" if metres > 0 else "MoveBack", moveMagnitude=abs(metres))
         self._agent = event.metadata["agent"]
         return bool(event.metadata["lastActionSuccess"])
@@ -95,27 +94,18 @@ class Thor:
     def place(self, pose: Pose) -> Any:
         """Put the agent somewhere, `SceneError` where it cannot stand; returns AI2-THOR's event."""
         position = {**self._agent["position"], "x": pose.x, "z": pose.z}
-        with _simulator_errors(self.name):
-            event, problem = _teleport(self._controller, position, pose.heading)
+        turned = {"x": 0.0, "y": float(pose.heading), "z": 0.0}
+        problem = ""
+        with simulator_errors(f"{self.name}: AI2-THOR"):
+            event = self._controller.step("Teleport", position=position, rotation=turned, horizon=0.0, standing=True)
+            agent = event.metadata["agent"]
+            off = max(abs(agent["position"][axis] - position[axis]) for axis in "xz")
+            turn = abs((agent["rotation"]["y"] - pose.heading + 180) % 360 - 180)
+            if not event.metadata["lastActionSuccess"]:
+                problem = " ".join(str(event.metadata["errorMessage"]).split())[:200] or "Teleport failed"
+            elif off > 0.02 or turn > 1:
+                problem = f"Teleport left the agent {off:.2f} m and {turn:.0f} degrees off"
         if problem:
             raise SceneError(f"{self.name}: the agent cannot be put at {pose.x:.2f}, {pose.z:.2f} m: {problem}")
-        self._agent = event.metadata["agent"]
+        self._agent = agent
         return event
-
-
-def _teleport(controller: Controller, position: dict[str, float], heading: float) -> tuple[Any, str]:
-    """Teleport the agent; the event, and the reason for a failure (empty if there is none)."""
-    turned = {"x": 0.0, "y": float(heading), "z": 0.0}
-    event = controller.step("Teleport", position=position, rotation=turned, horizon=0.0, standing=True)
-    if not event.metadata["lastActionSuccess"]:
-        return event, " ".join(str(event.metadata["errorMessage"]).split())[:200] or "Teleport failed"
-    agent = event.metadata["agent"]
-    off = max(abs(agent["position"][axis] - position[axis]) for axis in "xz")
-    turn = abs((agent["rotation"]["y"] - heading + 180) % 360 - 180)
-    if off > 0.02 or turn > 1:
-        return event, f"Teleport left the agent {off:.2f} m and {turn:.0f} degrees off"
-    return event, ""
-
-
-def _simulator_errors(where: str) -> AbstractContextManager[None]:
-    return simulator_errors(f"{where}: AI2-THOR")

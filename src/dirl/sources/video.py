@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from dirl.scenes.io.bounded import read_bytes
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import MAX_PHOTO_BYTES, MAX_PHOTO_PIXELS, ImageError, open_image
+from dirl.scenes.views import MAX_PHOTO_PIXELS, ImageError, natural_order, open_image, open_photo
 
 SIDE = 480
 """Pixels of the longer side of frames as they are compared."""
@@ -146,30 +145,21 @@ class Recording:
                 raise SceneError(f"{self.source}: is damaged ({type(error).__name__}: {_line(error)})") from None
 
 
-def natural_order(file: Path) -> list[tuple[int, int | str]]:
-    """A key to sort names as people number them: 2.png before 10.png."""
-    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", file.name) if part]
-
-
 def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
     """A photo, upright, RGB, uint8 ``[H, W, 3]``, its longer side ``side`` pixels or less.
 
     Raises:
         SceneError: it cannot be decoded, or has 16 bits.
     """
-    try:
-        image = open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS)
-    except (OSError, ValueError) as error:
-        raise SceneError(f"{file}: {getattr(error, 'strerror', None) or error}") from None
-    return _small(file, ImageOps.exif_transpose(image), side)
+    return _small(file, ImageOps.exif_transpose(open_photo(file)), side)
 
 
 def photo_field_of_view(file: str | Path) -> float | None:
     """Degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none."""
     try:
-        image = open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS, load=False)
+        image = open_photo(file, load=False)
         focal = float(image.getexif().get_ifd(0x8769).get(0xA405) or 0)
-    except (OSError, ValueError, TypeError):
+    except (ValueError, TypeError):
         return None
     upright = image.height > image.width
     across = image.getexif().get(0x0112, 1) in (5, 6, 7, 8)  # turned when shown
@@ -184,27 +174,15 @@ def _small(source: str | Path, image: Image.Image, side: int = SIDE) -> NDArray[
     return np.asarray(image.convert("RGB").resize(size, Image.Resampling.BOX))
 
 
-def _ffmpeg(file: Path) -> str:
+def _arguments(file: Path) -> list[str]:
+    """Ffmpeg with a video as input, which may open that file alone."""
     try:
         import imageio_ffmpeg
     except ImportError:
         raise SceneError(f"{file}: a video needs a package that is not installed: pip install 'dirl[video]'") from None
-    return str(imageio_ffmpeg.get_ffmpeg_exe())
-
-
-def _arguments(file: Path) -> list[str]:
-    """Ffmpeg with a video as input, which may open that file alone."""
+    quiet = ["-hide_banner", "-nostdin", "-loglevel", "level+info"]
     only = ["-protocol_whitelist", "file", "-format_whitelist", FORMATS]
-    return [
-        _ffmpeg(file),
-        "-hide_banner",
-        "-nostdin",
-        "-loglevel",
-        "level+info",
-        *only,
-        "-i",
-        f"file:{file.absolute()}",
-    ]
+    return [str(imageio_ffmpeg.get_ffmpeg_exe()), *quiet, *only, "-i", f"file:{file.absolute()}"]
 
 
 def _video_duration(file: Path) -> float:
@@ -214,11 +192,10 @@ def _video_duration(file: Path) -> float:
     if "Video:" not in found:
         reason = next((line for line in MATTERS.findall(found) if "output file" not in line), "no video in it")
         raise SceneError(f"{file}: is no video that is read ({reason.strip()[:120]})")
-    return (
-        sum(float(part) * unit for part, unit in zip(duration.groups(), (3600, 60, 1), strict=True))
-        if duration
-        else 0.0
-    )
+    if duration is None:
+        return 0.0
+    hours, minutes, seconds = (float(part) for part in duration.groups())
+    return 3600 * hours + 60 * minutes + seconds
 
 
 def _video_frames(file: Path, every: float) -> Iterator[Frame]:
@@ -310,9 +287,8 @@ def _message_image(source: Path, message: Any) -> NDArray[np.uint8]:
         except ImageError as error:
             raise SceneError(f"{source}: an image of format '{message.format}' is not read ({error})") from None
     if message.encoding not in ENCODINGS:
-        raise SceneError(
-            f"{source}: images of encoding {message.encoding} are not read; expected {', '.join(ENCODINGS)}"
-        )
+        choices = ", ".join(ENCODINGS)
+        raise SceneError(f"{source}: images of encoding {message.encoding} are not read; expected {choices}")
     mode, raw, channels = ENCODINGS[message.encoding]
     if len(data) < message.step * message.height or message.step < channels * message.width:
         raise SceneError(f"{source}: an image of {message.width}x{message.height} has only {len(data)} bytes")

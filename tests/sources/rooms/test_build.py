@@ -66,7 +66,7 @@ def test_blank_and_alike_views_are_found():
 def test_a_room_is_built_with_graph_views_features_and_its_description(tmp_path):
     backbone = ResNet50()
     encoder = ViewEncoder(lambda views: encode(backbone, views), {"extractor": "random ResNet-50", "weights": "none"})
-    build_room(closet(), tmp_path / "closet.h5", encoder=encoder, provenance="nowhere", **SMALL)
+    build_room(closet(), tmp_path / "closet.h5", encoder=encoder, **SMALL)
     scene = read_dump(tmp_path / "closet.h5")
     assert (scene.name, scene.goals, scene.source) == ("closet", (3,), "synthetic")
     assert (scene.graph == walk(closet()).graph).all()
@@ -76,7 +76,6 @@ def test_a_room_is_built_with_graph_views_features_and_its_description(tmp_path)
     assert scene.extractor == "random ResNet-50; none"
     with h5py.File(tmp_path / "closet.h5") as file:
         assert 'name = "closet"' in file.attrs["room"]
-        assert file["resnet_feature"].attrs["provenance"] == "nowhere"
 
 
 def test_two_processes_and_smaller_turns_give_the_same_views(tmp_path):

@@ -334,7 +334,7 @@ def test_panoramas_between_the_limits_of_pillow_and_of_dirl_are_read(tmp_path, m
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10_000)  # Pillow refuses twice as many
     assert read_panorama(Equirectangular(file), 1000)[0].shape == (200, 400, 3)
     assert Image.MAX_IMAGE_PIXELS == 10_000
-    monkeypatch.setattr("dirl.sources.tours.images.MAX_PHOTO_PIXELS", 70_000)
+    monkeypatch.setattr("dirl.scenes.views.MAX_PHOTO_PIXELS", 70_000)
     with pytest.raises(SceneError, match="400x200 pixels are more than 70000"):
         read_panorama(Equirectangular(file), 1000)
 

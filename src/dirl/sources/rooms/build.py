@@ -62,7 +62,6 @@ def build_room(
     turn: float = 90,
     workers: int | None = None,
     encoder: "ViewEncoder | None" = None,
-    provenance: str = "",
     quality: int = QUALITY,
     fine: bool = True,
     progress: bool = True,
@@ -79,7 +78,6 @@ def build_room(
         turn: degrees of a turn, see `walk`.
         workers: processes that render views; up to one for each core if left out. Each needs about 0.5 GB.
         encoder: what makes the features, from the views as they are stored; no features if left out.
-        provenance: origin of the encoder's weights, stored in the file beside their hash.
         quality: of the stored WebP views, 0 to 100.
         fine: the light of the built-in rooms; otherwise a coarser one, ten times faster.
         progress: show a progress bar.
@@ -98,8 +96,7 @@ def build_room(
     way = walk(room, turn)
     source = "rooms" if str(description) in built_in_rooms() else "synthetic"
     views = list(take_views(Renderer.of(room, fine=fine), room.camera, poses(way), size, quality, workers, progress))
-    about = {"turn": float(turn)}
-    return write_room(out, room, way, views, encoder, about, source=source, provenance=provenance, progress=progress)
+    return write_room(out, room, way, views, encoder, {"turn": float(turn)}, source=source, progress=progress)
 
 
 def check_arguments(size: tuple[int, int], workers: int | None) -> None:
@@ -121,14 +118,12 @@ def write_room(
     attributes: dict[str, Any],
     *,
     source: str = "synthetic",
-    provenance: str = "",
     progress: bool = False,
     looks: Sequence[Sequence[Array]] = (),
 ) -> list[str]:
     """Encode the stored views of a room, write its dump, completely or not at all, and tell the problems found.
 
     Of ``looks``, the views of each further look, uint8 ``[height, width, 3]`` each, only features are stored.
-    ``provenance`` is where the encoder's weights come from, if it does not say so itself.
     """
     scene = scene_of(room, way, source=source)
     about, about_patches = {"extractor": "none"}, dict[str, str]()
@@ -143,7 +138,7 @@ def write_room(
             look_features = np.stack([one.features.astype(np.float16) for one in again])
             parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
             scene = replace(scene, look_features=look_features, look_patches=parts)
-        about = {**encoder.attributes, **({"provenance": provenance} if provenance else {})}
+        about = dict(encoder.attributes)
         about_patches = dict(encoder.patch_attributes) if found.patches is not None else {}
     write_dump(
         out,

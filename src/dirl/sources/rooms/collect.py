@@ -165,8 +165,8 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
         renderer = Renderer.of(room, fine=settings.fine)
         if not checked:
             views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
-        first, taken = LOOK_SEEDS * seed, partial(look_views, renderer, room, way, size, settings.changes)
-        looks = [list(taken(first + k, fine=settings.fine)) for k in range(settings.looks)]
+        taken = partial(look_views, renderer, room.camera, way, size, settings.changes)
+        looks = [list(taken(LOOK_SEEDS * seed + k)) for k in range(settings.looks)]
     dump = folder / f"{room.name}.h5"
     unfinished = folder / f"{room.name}.toml.tmp"
     unfinished.write_text(description_text(room), encoding="utf-8")

@@ -11,12 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dirl.scenes.io.bounded import read_bytes
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import MAX_PHOTO_PIXELS, encode, open_image, to_rgb
-
-MAX_BYTES = 2**28
-"""Of an image file."""
+from dirl.scenes.views import encode, open_photo, to_rgb
 
 MAX_FACE_PIXELS = 2**27
 """Of a face; the sizes that files declare are checked before any pixel is decoded."""
@@ -101,12 +97,12 @@ def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]
     if a file cannot be read, or has another shape than it should.
     """
     if isinstance(image, Equirectangular):
-        found = _open(image.file, load=False)
+        found = open_photo(image.file, load=False)
         if abs(found.width - 2 * found.height) > 2:
             raise SceneError(
                 f"{image.file}: {found.width}x{found.height} pixels; an equirectangular image is twice as wide as high"
             )
-        return [_reduced(to_rgb(_open(image.file)), found.width / (2 * np.pi), density)]
+        return [_reduced(to_rgb(open_photo(image.file)), found.width / (2 * np.pi), density)]
     enough = [level for level in image.levels if level.size is None or level.size / 2 >= density]
     level = enough[0] if enough else image.levels[-1]
     sizes = {face: _tile_sizes(level, face) for face in FACES}  # of all, before any pixel is decoded
@@ -121,7 +117,7 @@ def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]
 def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
     """Width and height that the tiles of a face declare, row by row; `SceneError` unless they make its square."""
     tiles = level.tiles(face)
-    sizes = [[_open(file, load=False).size for file in row] for row in tiles]
+    sizes = [[open_photo(file, load=False).size for file in row] for row in tiles]
     width, height = sum(tile[0] for tile in sizes[0]), sum(row[0][1] for row in sizes)
     if width != height or (level.size is not None and width != level.size) or width * height > MAX_FACE_PIXELS:
         wanted = "a square" if level.size is None else f"{level.size}x{level.size}"
@@ -138,15 +134,8 @@ def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
 
 def _face(tiles: Sequence[Sequence[Path]]) -> Image.Image:
     """A face put together from its tiles, whose sizes fit, see `_tile_sizes`."""
-    rows = [np.concatenate([np.asarray(to_rgb(_open(file))) for file in row], 1) for row in tiles]
+    rows = [np.concatenate([np.asarray(to_rgb(open_photo(file))) for file in row], 1) for row in tiles]
     return Image.fromarray(np.concatenate(rows))
-
-
-def _open(file: Path, *, load: bool = True) -> Image.Image:
-    try:
-        return open_image(read_bytes(file, MAX_BYTES), MAX_PHOTO_PIXELS, load=load)
-    except (OSError, ValueError) as error:
-        raise SceneError(f"{file}: not a readable image ({error})") from None
 
 
 def _reduced(image: Image.Image, has: float, needs: float) -> Pixels:
