@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,9 +102,12 @@ def tour_scene(
         extractor="none",
         origin=tour.origin,
     )
-    contrary = _contrary(tour, middles)
-    about = [*_about_loops(by_links, aligned, seen), *_about(tour, aligned)]
-    notes = [*tour.notes, *about, *about_links(tour, graph, off), *contrary, *_about_positions(tour, step)]
+    about = _about_headings(tour, by_links, aligned, seen)
+    notes = [*tour.notes, *about, *about_links(tour, graph, off), *_contrary(tour, middles)]
+    if layout:
+        known = sum(panorama.position is not None for panorama in tour.panoramas)
+        so = f"known of {known} of {len(places)} panoramas only, so they are not used" if known else "not known"
+        notes.append(f"positions are {so}: the map is a layout in which each link is {step:g} m long")
     return Converted(scene, wrap(facing - middles[:, None]), notes, layout)
 
 
@@ -189,24 +191,23 @@ def _compared(tour: Tour, aligned: Alignment) -> dict[tuple[int, int], Seen]:
     }
 
 
-def _about_loops(by_links: Alignment, aligned: Alignment, seen: Mapping[tuple[int, int], Seen]) -> Iterator[str]:
+def _about_headings(
+    tour: Tour, by_links: Alignment, aligned: Alignment, seen: Mapping[tuple[int, int], Seen]
+) -> Iterator[str]:
     """The notes on how well headings agree, by links alone and by what panoramas show."""
+
+    def closing(loops: Array) -> str:
+        return f"close with a median error of {np.median(loops):.1f} degrees, at most {loops.max():.1f}"
+
+    ids = [panorama.id for panorama in tour.panoramas]
     if len(by_links.loops):
-        yield f"headings: {len(by_links.loops)} loops of links {_closing(by_links.loops)}"
+        yield f"headings: {len(by_links.loops)} loops of links {closing(by_links.loops)}"
     if seen:
         told = sum(found.lead >= LEAD for found in seen.values())
-        closing = f"; with that {len(aligned.loops)} loops {_closing(aligned.loops)}" if len(aligned.loops) else ""
-        yield f"{told} of {len(seen)} pairs of panoramas that were compared show how they are turned{closing}"
+        after = f"; with that {len(aligned.loops)} loops {closing(aligned.loops)}" if len(aligned.loops) else ""
+        yield f"{told} of {len(seen)} pairs of panoramas that were compared show how they are turned{after}"
     if not len(aligned.loops):
         yield "no links form a loop: nothing checks the headings"
-
-
-def _closing(loops: Array) -> str:
-    return f"close with a median error of {np.median(loops):.1f} degrees, at most {loops.max():.1f}"
-
-
-def _about(tour: Tour, aligned: Alignment) -> Iterator[str]:
-    ids = [panorama.id for panorama in tour.panoramas]
     if aligned.rejected:
         i, j, off = aligned.rejected[0]
         yield (
@@ -229,22 +230,17 @@ def _about_parts(tour: Tour, part: NDArray[np.int64]) -> Iterator[str]:
     parts = part[ends]
     touched = set(parts[parts[:, 0] != parts[:, 1]].flatten().tolist())
     stated = set(part[_stated(tour)[0]].tolist())
-    whys = {
-        False: "without any link to or from the others",
-        True: "joined with others only by links one way or by links that contradict",
-    }
-    uses = {True: "their stated headings are used", False: "their headings cannot be aligned with the others'"}
-    for linked, known in product(whys, uses):
-        others = range(1, int(part.max()) + 1)
-        chosen = [one for one in others if (one in touched) == linked and ({0, one} <= stated) == known]
-        if chosen:
-            names = ", ".join(f"'{tour.panoramas[index].id}'" for index in np.flatnonzero(np.isin(part, chosen)))
-            sizes = " and ".join(str((part == index).sum()) for index in chosen)
-            yield f"{len(chosen)} parts {whys[linked]}, of {sizes} panoramas; {uses[known]}: {names}"
-
-
-def _about_positions(tour: Tour, step: float) -> Iterator[str]:
-    known, count = sum(panorama.position is not None for panorama in tour.panoramas), len(tour.panoramas)
-    if known < count:
-        about = f"known of {known} of {count} panoramas only, so they are not used" if known else "not known"
-        yield f"positions are {about}: the map is a layout in which each link is {step:g} m long"
+    alike: dict[tuple[str, str], list[int]] = {}
+    for one in range(1, int(part.max()) + 1):
+        why = (
+            "joined with others only by links one way or by links that contradict"
+            if one in touched
+            else "without any link to or from the others"
+        )
+        aligned = {0, one} <= stated
+        use = "their stated headings are used" if aligned else "their headings cannot be aligned with the others'"
+        alike.setdefault((why, use), []).append(one)
+    for (why, use), chosen in sorted(alike.items(), reverse=True):
+        names = ", ".join(f"'{tour.panoramas[index].id}'" for index in np.flatnonzero(np.isin(part, chosen)))
+        sizes = " and ".join(str((part == index).sum()) for index in chosen)
+        yield f"{len(chosen)} parts {why}, of {sizes} panoramas; {use}: {names}"

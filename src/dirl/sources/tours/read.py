@@ -1,6 +1,6 @@
 """Which kind of tour a folder or file holds, and the plainest kind: images with a table of links."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path
 
 from dirl.scenes.io.checked import inside
@@ -17,20 +17,8 @@ LINKS, PLACES = "links.csv", "panoramas.csv"
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp")
 """Of panoramas in a folder."""
 
-FORMATS: Mapping[str, tuple[str, ...]] = {
-    "marzipano": ("data.js", "app-files/data.js"),
-    "krpano": ("tour.xml",),
-    "zind": ("zind_data.json",),
-    "table": (LINKS,),
-    "pannellum": ("*.json",),
-}
-"""Where the description of each kind of tour is in its folder; the first that is there is read."""
-
 PAGES = (".js", ".html", ".htm")
 """Endings of files that may hold a configuration of Pannellum."""
-
-BY_ENDING = {".xml": "krpano", **dict.fromkeys(PAGES, "pannellum")}
-"""What a file of another name is taken for."""
 
 
 def read_table(file: Path) -> Tour:
@@ -68,13 +56,14 @@ def read_table(file: Path) -> Tour:
     return Tour(folder.resolve().name, tuple(panoramas), tuple(notes), str(file))
 
 
-READERS: Mapping[str, Callable[[Path], Tour]] = {
-    "marzipano": read_marzipano,
-    "krpano": read_krpano,
-    "table": read_table,
-    "pannellum": read_pannellum,
+FORMATS = {
+    "marzipano": (read_marzipano, ("data.js", "app-files/data.js")),
+    "krpano": (read_krpano, ("tour.xml",)),
+    "zind": (read_zind, ("zind_data.json",)),
+    "table": (read_table, (LINKS,)),
+    "pannellum": (read_pannellum, ("*.json",)),
 }
-"""Of all kinds but ``zind``, whose links depend on an option."""
+"""What reads each kind of tour, and where its description is in its folder; the first that is there is read."""
 
 
 def read_tour(path: str | Path, *, reach: float = REACH, skip: Collection[str] = ()) -> Tour:
@@ -89,28 +78,29 @@ def read_tour(path: str | Path, *, reach: float = REACH, skip: Collection[str] =
     Raises:
         SceneError: there is no tour, or it is invalid; the message names the file and the scene.
     """
-    kind, file = _find(Path(path))
-    return check_tour(read_zind(file, reach) if kind == "zind" else READERS[kind](file), skip)
-
-
-def _find(path: Path) -> tuple[str, Path]:
-    """Which kind of tour a folder or file holds, and the file that describes it."""
-    if path.is_dir():
-        found = _in_folder(path)
-    elif path.is_file():
-        named = (kind for kind, names in FORMATS.items() if any(path.match(Path(name).name) for name in names))
-        kind = next(named, BY_ENDING.get(path.suffix.lower()))
-        found = None if kind is None else (kind, path)
-    else:
+    path = Path(path)
+    if not path.is_dir() and not path.is_file():
         raise SceneError(f"{path}: there is no such file or folder")
+    found = _in_folder(path) if path.is_dir() else _by_name(path)
     if found is None:
-        wanted = ", ".join(name for names in FORMATS.values() for name in names)
+        wanted = ", ".join(name for _, names in FORMATS.values() for name in names)
         raise SceneError(f"{path}: is no tour; expected one of {wanted}")
-    return found
+    kind, file = found
+    return check_tour(read_zind(file, reach) if kind == "zind" else FORMATS[kind][0](file), skip)
+
+
+def _by_name(file: Path) -> tuple[str, Path] | None:
+    """Which kind of tour a file describes."""
+    named = [kind for kind, (_, names) in FORMATS.items() if any(file.match(Path(name).name) for name in names)]
+    by_ending = {".xml": "krpano", **dict.fromkeys(PAGES, "pannellum")}
+    kind = named[0] if named else by_ending.get(file.suffix.lower())
+    return None if kind is None else (kind, file)
 
 
 def _in_folder(folder: Path) -> tuple[str, Path] | None:
-    for kind, names in [*FORMATS.items(), ("pannellum", tuple(f"*{ending}" for ending in PAGES))]:
+    """Which kind of tour a folder holds, and the file that describes it."""
+    pages = tuple(f"*{ending}" for ending in PAGES)
+    for kind, names in [*((kind, names) for kind, (_, names) in FORMATS.items()), ("pannellum", pages)]:
         found = sorted(file for name in names for file in folder.glob(name) if kind != "pannellum" or _has_scenes(file))
         if len(found) > 1:
             raise SceneError(

@@ -43,7 +43,7 @@ class _Floor:
     gaps: list[Array] = field(default_factory=list)
 
 
-def read_zind(file: Path, reach: float) -> Tour:
+def read_zind(file: Path, reach: float = REACH) -> Tour:
     """The tour that a ``zind_data.json`` describes; linked panoramas are ``reach`` metres apart at most."""
     data = read_json(tour_text(file), file)
     scales = data.get("scale_meters_per_coordinate")
