@@ -59,13 +59,10 @@ def test_features_of_a_room_are_read_when_they_are_used(folder):
     assert (scene.features == read_dump(folder / "bedroom_10000.h5").features).all()
 
 
-def test_splits_and_kinds_are_selected(folder):
+def test_splits_are_selected(folder):
     collection = read_collection(folder)
-    assert [entry.name for entry in collection.select(split="train", kind="bedroom").entries] == [
-        "bedroom_30000",
-        "bedroom_30001",
-    ]
-    assert len(collection.select(split="test")) == 1
+    assert [entry.name for entry in collection.select(split="test").entries] == ["bedroom_10000"]
+    assert len(collection.select(split="train")) == 3
     with pytest.raises(SceneError, match=r"no room with split=validation; splits: \['test', 'train'\]"):
         collection.select(split="validation")
 

@@ -150,24 +150,19 @@ def find_scenes(scene: str | Sequence[str], source: Rooms | None = None) -> list
         names = list(PUBLISHED_GOALS)
     dumps = []
     for name in names:
-        is_file = _is_file(name)
-        path = Path(name) if is_file else folder / f"{name}.h5"
+        if _is_file(name):
+            if not Path(name).is_file():
+                raise SceneError(f"{name}: there is no such file")
+            dumps.append(Dump(Path(name), source="thor" if isinstance(source, Thor) else None))
+            continue
+        path = folder / f"{name}.h5"
         if not path.is_file():
-            raise SceneError(_no_such_scene(name, is_file, folder))
-        label = "thor" if isinstance(source, Thor) else None if is_file else "rooms"
-        dumps.append(Dump(path, name=None if is_file else name, source=label))
+            choices = [*sorted(path.stem for path in folder.glob("*.h5")), "all"]
+            near = difflib.get_close_matches(name, choices, n=1)
+            hint = f" (did you mean '{near[0]}'?)" if near else ""
+            raise SceneError(
+                f"there is no scene '{name}'{hint}; choose from {choices}, a list of them such as "
+                f"[{','.join(choices[:2])}], or the path of a dump file (.h5)"
+            )
+        dumps.append(Dump(path, name=name, source="thor" if isinstance(source, Thor) else "rooms"))
     return dumps
-
-
-def _no_such_scene(name: str, is_file: bool, folder: Path) -> str:
-    if is_file:
-        return f"{name}: there is no such file"
-    choices = sorted(path.stem for path in folder.glob("*.h5"))
-    if not choices:
-        return f"{folder}: holds no dump files; expected {name}.h5"
-    near = difflib.get_close_matches(name, [*choices, "all"], n=1)
-    hint = f" (did you mean '{near[0]}'?)" if near else ""
-    return (
-        f"there is no scene '{name}'{hint}; choose from {[*choices, 'all']}, a list of them such as "
-        f"[{','.join(choices[:2])}], or the path of a dump file (.h5)"
-    )

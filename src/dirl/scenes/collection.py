@@ -19,6 +19,9 @@ from dirl.scenes.scene import Scene, SceneError
 
 INDEX = "collection.jsonl"
 
+UNFINISHED = "\0"
+"""Ends a line that was cut short by a killed process."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -80,15 +83,12 @@ class Collection(Sequence[Scene]):
         """The dump of a room."""
         return self.folder / f"{entry.name}.h5"
 
-    def select(self, *, split: str | None = None, kind: str | None = None) -> "Collection":
-        """The rooms of a split, of a kind, or of both; None for any. `SceneError` if there are none."""
-        chosen = tuple(e for e in self.entries if split in (None, e.split) and kind in (None, e.kind))
+    def select(self, *, split: str | None = None) -> "Collection":
+        """Return the rooms of a split, or all of them; `SceneError` if there are none."""
+        chosen = tuple(entry for entry in self.entries if split in (None, entry.split))
         if not chosen:
-            splits, kinds = ({getattr(e, key) or "none" for e in self.entries} for key in ("split", "kind"))
-            asked = ", ".join(f"{key}={value}" for key, value in (("split", split), ("kind", kind)) if value)
-            raise SceneError(
-                f"{self.folder}: has no room with {asked}; splits: {sorted(splits)}, kinds: {sorted(kinds)}"
-            )
+            splits = sorted({entry.split or "none" for entry in self.entries})
+            raise SceneError(f"{self.folder}: has no room with split={split}; splits: {splits}")
         return replace(self, entries=chosen)
 
     def damaged(self) -> Iterator[str]:
@@ -114,13 +114,15 @@ def read_collection(folder: str | Path) -> Collection:
     for number, line in enumerate(lines, 1):
         if line.endswith(UNFINISHED) or not line:
             continue
-        entry = _entry(line, f"{index}: line {number}")
+        where = f"{index}: line {number}"
+        try:
+            entry: Entry = checked(json.loads(line), Entry, where)
+        except json.JSONDecodeError as error:
+            raise SceneError(f"{where}: is no entry of a collection ({error})") from None
+        if Path(entry.name).name != entry.name:
+            raise SceneError(f"{where}: name: expected one without slashes, found {entry.name!r}")
         entries[entry.name] = entry
     return Collection(folder, tuple(sorted(entries.values(), key=lambda entry: (entry.seed, entry.kind))))
-
-
-UNFINISHED = "\0"
-"""Ends a line that was cut short by a killed process."""
 
 
 def add_entry(folder: Path, entry: Entry) -> None:
@@ -136,13 +138,3 @@ def add_entry(folder: Path, entry: Entry) -> None:
 def is_whole(dump: Path, entry: Entry) -> bool:
     """Whether a dump exists and is the one that the index describes."""
     return dump.is_file() and file_digest(dump) == entry.sha256
-
-
-def _entry(line: str, where: str) -> Entry:
-    try:
-        entry: Entry = checked(json.loads(line), Entry, where)
-    except json.JSONDecodeError as error:
-        raise SceneError(f"{where}: is no entry of a collection ({error})") from None
-    if Path(entry.name).name != entry.name:
-        raise SceneError(f"{where}: name: expected one without slashes, found {entry.name!r}")
-    return entry

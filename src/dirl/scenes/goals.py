@@ -112,8 +112,6 @@ def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.nd
         number = np.nan
     if kind == "every" and number >= 1 and number.is_integer():
         return states % int(number) == 0
-    if kind == "share":
-        raise SceneError(f"{scene.name}: goals={rule}: the rule has a new name, fraction:{given}")
     if kind != "fraction" or not 0 < number <= 1:
         raise SceneError(f"{scene.name}: goals={rule}: must be states, or one of {RULES}")
     if number + hold_out > 1 + 1e-9:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, surrounding_states, turns_per_circle
 from dirl.scenes.scene import Scene, SceneError
+from dirl.scenes.views import check_image
 
 Image = NDArray[np.uint8]
 
@@ -77,17 +78,9 @@ class Simulator(Protocol):
         """The view towards a heading, uint8 RGB ``[H, W, 3]``."""
 
 
-def checked_image(view: NDArray[np.generic], what: str) -> Image:
-    """Return a view if it is RGB, uint8 ``[H, W, 3]``; `SceneError` if not."""
-    if getattr(view, "dtype", None) != np.uint8 or view.ndim != 3 or view.shape[2] != 3:
-        found = f"{getattr(view, 'dtype', type(view).__name__)} {list(getattr(view, 'shape', ()))}"
-        raise SceneError(f"{what} gave {found}; expected RGB, uint8 [H, W, 3]")
-    return view  # type: ignore[return-value]
-
-
 def looked(simulator: Simulator, heading: float) -> Image:
     """Return the view towards a heading; `SceneError` if it is no image."""
-    return checked_image(simulator.look(heading), f"{simulator.name}: look()")
+    return check_image(simulator.look(heading), f"{simulator.name}: look()")
 
 
 def stride(heading: float, step: float) -> float:

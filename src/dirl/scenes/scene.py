@@ -19,7 +19,7 @@ from dirl.scenes.graph import (
     surrounding_states,
     turns_per_circle,
 )
-from dirl.scenes.views import FileViews, Views
+from dirl.scenes.views import FileViews, Views, check_image
 
 LARGEST = 1e6
 """Metres of a position, degrees of a heading; what is beyond has been misread."""
@@ -98,7 +98,14 @@ class Scene:
         if self.patches is not None:
             arrays["patches"] = self._array("patches", self.patches, np.float16, (states, None, None))
         arrays |= self._checked_looks()
-        self._check_turns(graph, positions)
+        turned = np.where(graph[:, RIGHT] < 0, np.arange(states), graph[:, RIGHT])
+        moved = np.flatnonzero((np.abs(positions[turned] - positions) > 1e-3).any(1))
+        if len(moved):
+            state = moved[0]
+            raise SceneError(
+                f"{self.origin}: location: state {state} is at {positions[state].tolist()} but the state to its right, "
+                f"{turned[state]}, is at {positions[turned[state]].tolist()}; a turn must not move the agent"
+            )
         self._check_views(states)
         for name, array in arrays.items():
             object.__setattr__(self, name, _read_only(array))
@@ -112,11 +119,7 @@ class Scene:
         if len(self.views) != states:
             raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")
         if not isinstance(self.views, FileViews):
-            first = np.asarray(self.views[0])
-            if first.dtype != np.uint8 or first.ndim != 3 or first.shape[2] != 3:
-                raise SceneError(
-                    f"{self.origin}: views[0] is {first.dtype} {first.shape}; expected RGB, uint8 [H, W, 3]"
-                )
+            check_image(np.asarray(self.views[0]), f"{self.origin}: views[0]")
 
     def __repr__(self) -> str:
         features = "no features" if self.features is None else f"features [{', '.join(map(str, self.features.shape))}]"
@@ -197,16 +200,6 @@ class Scene:
                 shape = (None if name == "look_features" else len(found["look_features"]), *default.shape)
                 found[name] = self._array(name, getattr(self, name), kind, shape)
         return found
-
-    def _check_turns(self, graph: IntArray, positions: NDArray[np.floating]) -> None:
-        turned = np.where(graph[:, RIGHT] < 0, np.arange(len(graph)), graph[:, RIGHT])
-        moved = np.flatnonzero((np.abs(positions[turned] - positions) > 1e-3).any(1))
-        if len(moved):
-            state = moved[0]
-            raise SceneError(
-                f"{self.origin}: location: state {state} is at {positions[state].tolist()} but the state to its right, "
-                f"{turned[state]}, is at {positions[turned[state]].tolist()}; a turn must not move the agent"
-            )
 
 
 def check_name(name: str, origin: str) -> None:

@@ -104,6 +104,14 @@ class FileViews:
         return stored
 
 
+def check_image(view: NDArray[np.generic], what: str) -> NDArray[np.uint8]:
+    """Return a view if it is RGB, uint8 ``[H, W, 3]``; `SceneError` if not."""
+    if getattr(view, "dtype", None) != np.uint8 or view.ndim != 3 or view.shape[2] != 3:
+        found = f"{getattr(view, 'dtype', type(view).__name__)} {list(getattr(view, 'shape', ()))}"
+        raise SceneError(f"{what} gave {found}; expected RGB, uint8 [H, W, 3]")
+    return view  # type: ignore[return-value]
+
+
 def encoded_view(views: Views, state: int) -> bytes:
     """The view of a state as the bytes of an image: those of its file, or WebP."""
     stored = views.encoded(state) if isinstance(views, FileViews) else None

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from dirl.scenes.live import Image, Pose, SimulatorError, checked_image
+from dirl.scenes.live import Image, Pose, SimulatorError
 from dirl.scenes.scene import SceneError
+from dirl.scenes.views import check_image
 
 Cell = tuple[int, int]
 
@@ -154,4 +155,4 @@ class GymSimulator:
 
     def _image(self, observation: Any) -> Image:
         image = observation[self.image] if self.image is not None else observation
-        return checked_image(np.asarray(image), f"{self.name}: its observation")
+        return check_image(np.asarray(image), f"{self.name}: its observation")

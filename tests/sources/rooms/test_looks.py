@@ -11,6 +11,7 @@ from dirl.sources.rooms.looks import Changes, look_views
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.view import Renderer
 
+
 @pytest.fixture(scope="module")
 def look():
     """What gives the views of a look of the room: without errors, but for those that are asked for."""
