@@ -6,11 +6,10 @@ recording does not tell, as walls between two places, can be corrected there.
 
 import math
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -64,45 +63,56 @@ def unpack_recording(
         SceneError: the file or the options cannot be used; names the dataset.
         OSError: something cannot be read or written.
     """
-    folder, unfinished = Path(folder), Path(f"{folder}.unfinished")
-    _check_axes(axes, positions)
+    if any(axis not in AXES for axis in axes) or len(set(axes)) != len(axes):
+        raise SceneError(f"axes={list(axes)}: expected each once, of {', '.join(AXES)}")
+    of_place = [axis for axis in ("place", "x", "z") if axis in axes]
+    if "heading" not in axes or of_place not in (["place"], ["x", "z"]):
+        raise SceneError(f"axes={list(axes)}: expected heading, and place or x and z")
+    if ("place" in axes) != (positions is not None):
+        raise SceneError("positions: name the dataset of x and z where axes has place, and only there")
     if not Path(file).is_file():  # h5py would wait for a pipe
         raise SceneError(f"{file}: there is no such file")
+    folder, unfinished = Path(folder), Path(f"{folder}.unfinished")
     with _reading(file):
         recording = h5py.File(file, rdcc_nbytes=MAX_CHUNK_BYTES)  # of a chunk the images are read one by one
     with recording:
         with _reading(file):
             dataset = _images(recording, images, len(axes))
-        sizes = dict(zip(axes, dataset.shape, strict=False))
-        headings, shots = sizes["heading"], sizes.get("shot", 1)
-        if headings % 4:
-            raise SceneError(f"{images}: {headings} headings; expected a multiple of four, evenly spread")
-        with _reading(file):
-            places = _places(recording, positions, sizes, step or 1.0)
-        turn = 360 / headings if clockwise else -360 / headings
-        angles = [(first_heading + turn * number) % 360 for number in range(headings)]
+            sizes = dict(zip(axes, dataset.shape, strict=False))
+            headings, shots = sizes["heading"], sizes.get("shot", 1)
+            if headings % 4:
+                raise SceneError(f"{images}: {headings} headings; expected a multiple of four, evenly spread")
+            numbers = list(np.ndindex(*(sizes[axis] for axis in of_place)))
+            given = np.array(numbers) * (step or 1.0)
+            at = given if positions is None else _positions(recording, positions, len(numbers))
+
+        def read(place: tuple[int, ...], heading: int, shot: int) -> NDArray[np.uint8]:
+            number = {**dict(zip(of_place, place, strict=True)), "heading": heading, "shot": shot}
+            with _reading(file):
+                return np.asarray(dataset[tuple(number[axis] for axis in axes)])
+
         shutil.rmtree(unfinished, ignore_errors=True)
         unfinished.mkdir(parents=True)
         try:
-            bar = tqdm(places, unit=" places")
-            recorded = [place for place in bar if _write_images(dataset, axes, place, unfinished)]
+            recorded = []
+            for index, place in enumerate(tqdm(numbers, unit=" places")):
+                taken = [*product(range(headings), range(shots))]
+                if not any(read(place, *one).any() for one in taken):
+                    continue  # all black
+                recorded.append(index)
+                for one in taken:
+                    (unfinished / _image(place, *one)).write_bytes(encode(read(place, *one), quality=90))
             if len(recorded) < 2:
                 raise SceneError(f"{images}: pictures of {len(recorded)} places; at least two are needed")
-            write_table(unfinished, _rows(recorded, angles, step or _smallest_distance(recorded), shots))
+            turn = 360 / headings if clockwise else -360 / headings
+            angles = [(first_heading + turn * number) % 360 for number in range(headings)]
+            kept = [numbers[index] for index in recorded]
+            write_table(unfinished, _rows(kept, at[recorded], angles, step or _smallest_distance(at[recorded]), shots))
             unfinished.rename(folder)
         finally:
             shutil.rmtree(unfinished, ignore_errors=True)
         height, width = dataset.shape[-3:-1]
     return f"{folder}: {len(recorded)} places, {headings} headings, shots of a place: {shots}, images {width}x{height}"
-
-
-def _check_axes(axes: Sequence[str], positions: str | None) -> None:
-    if any(axis not in AXES for axis in axes) or len(set(axes)) != len(axes):
-        raise SceneError(f"axes={list(axes)}: expected each once, of {', '.join(AXES)}")
-    if "heading" not in axes or {"place", "x", "z"} & set(axes) not in ({"place"}, {"x", "z"}):
-        raise SceneError(f"axes={list(axes)}: expected heading, and place or x and z")
-    if ("place" in axes) != (positions is not None):
-        raise SceneError("positions: name the dataset of x and z where axes has place, and only there")
 
 
 @contextmanager
@@ -129,75 +139,47 @@ def _images(recording: h5py.File, name: str, axes: int) -> h5py.Dataset:
     return dataset
 
 
-class Place(NamedTuple):
-    """Where a camera stood."""
-
-    number: dict[str, int]
-    """In the axes of the images."""
-    x: float
-    z: float
-
-    @property
-    def name(self) -> str:
-        """For the table."""
-        return "_".join(map(str, self.number.values()))
-
-
-def _places(recording: h5py.File, positions: str | None, sizes: Mapping[str, int], step: float) -> list[Place]:
-    """All places of the axes: at the positions of a dataset, or on a grid."""
-    if positions is None:
-        grid = product(range(sizes["x"]), range(sizes["z"]))
-        return [Place({"x": column, "z": row}, column * step, row * step) for column, row in grid]
-    if positions not in recording:
-        raise SceneError(f"positions: {recording.filename} has no dataset '{positions}'")
-    dataset = open_dataset(recording, positions, kinds="fiu", shape=(sizes["place"], 2))
+def _positions(recording: h5py.File, name: str, places: int) -> NDArray[np.float64]:
+    """The positions of all places, metres, float64 ``[P, 2]``."""
+    if name not in recording:
+        raise SceneError(f"positions: {recording.filename} has no dataset '{name}'")
+    dataset = open_dataset(recording, name, kinds="fiu", shape=(places, 2))
     check_storage(dataset)
-    values = dataset[()].astype(float)
+    values: NDArray[np.float64] = dataset[()].astype(float)
     if not (np.abs(values) <= LARGEST).all():
-        raise SceneError(f"{positions}: holds values that are not finite, or above {LARGEST:g} metres")
-    return [Place({"place": number}, x, z) for number, (x, z) in enumerate(values.tolist())]
+        raise SceneError(f"{name}: holds values that are not finite, or above {LARGEST:g} metres")
+    return values
 
 
-def _write_images(dataset: h5py.Dataset, axes: Sequence[str], place: Place, folder: Path) -> bool:
-    """Write the images of a place; False if it has none, all of them being black."""
-    sizes = dict(zip(axes, dataset.shape, strict=False))
-    wanted = [*product(range(sizes["heading"]), range(sizes.get("shot", 1)))]
-
-    def read(heading: int, shot: int) -> NDArray[np.uint8]:
-        number = {**place.number, "heading": heading, "shot": shot}
-        with _reading(dataset.file.filename):
-            return np.asarray(dataset[tuple(number[axis] for axis in axes)])
-
-    if not any(read(heading, shot).any() for heading, shot in wanted):
-        return False
-    for heading, shot in wanted:
-        (folder / _image(place, heading, shot)).write_bytes(encode(read(heading, shot), quality=90))
-    return True
+def _image(place: tuple[int, ...], heading: int, shot: int) -> str:
+    return f"{_name(place)}_heading{heading}_shot{shot}.webp"
 
 
-def _image(place: Place, heading: int, shot: int) -> str:
-    return f"{place.name}_heading{heading}_shot{shot}.webp"
+def _name(place: tuple[int, ...]) -> str:
+    return "_".join(map(str, place))
 
 
-def _smallest_distance(places: Sequence[Place]) -> float:
+def _smallest_distance(at: NDArray[np.float64]) -> float:
     """Between two places, metres."""
-    at = np.unique([(place.x, place.z) for place in places], axis=0)
-    if len(at) < 2:
+    different = np.unique(at, axis=0)
+    if len(different) < 2:
         raise SceneError("positions: there are fewer than two places")
-    return float(KDTree(at).query(at, k=2)[0][:, 1].min())
+    return float(KDTree(different).query(different, k=2)[0][:, 1].min())
 
 
-def _rows(places: Sequence[Place], angles: Sequence[float], step: float, shots: int) -> list[dict[str, object]]:
+def _rows(
+    places: Sequence[tuple[int, ...]], at: NDArray[np.float64], angles: Sequence[float], step: float, shots: int
+) -> list[dict[str, object]]:
     """The rows of ``states.csv``, of the first shot with moves."""
-    at = np.array([(place.x, place.z) for place in places]).reshape(-1, 2)
     rows: list[dict[str, object]] = []
-    for place, (heading, angle), shot in product(places, enumerate(angles), range(shots)):
-        row: dict[str, object] = {"image": _image(place, heading, shot), "location": place.name, "heading": angle}
-        row |= {"x": place.x, "z": place.z, "shot": shot or ""}
+    for index, (heading, angle), shot in product(range(len(places)), enumerate(angles), range(shots)):
+        x, z = at[index].tolist()
+        row: dict[str, object] = {"image": _image(places[index], heading, shot), "location": _name(places[index])}
+        row |= {"heading": angle, "x": x, "z": z, "shot": shot or ""}
         if not shot:
             ahead = step * np.array([math.sin(math.radians(angle)), math.cos(math.radians(angle))])
             for name, move in (("ahead", ahead), ("back", -ahead)):
-                off = np.linalg.norm(at - (place.x, place.z) - move, axis=1)
-                row[name] = places[int(off.argmin())].name if off.min() <= NEAR * step else ""
+                off = np.linalg.norm(at - at[index] - move, axis=1)
+                row[name] = _name(places[int(off.argmin())]) if off.min() <= NEAR * step else ""
         rows.append(row)
     return rows
