@@ -108,13 +108,3 @@ def test_goals_of_episodes_can_have_looks_of_their_own(scenes, looks, photos, of
     run_episodes(RandomPolicy(), world, every_start(world), greedy=False, looks=looks, photos=photos, **options)
     goals, visits = (set(torch.cat(column).tolist()) for column in zip(*seen, strict=True))
     assert (goals, visits) == (of_goals, of_visits)
-
-
-def test_a_world_that_never_changes_draws_nothing_for_looks():
-    world = make_world([grid_scene(3, 2)])
-    env = NavigationEnv(world, 5, seed=0)
-    env.reset()
-    before = env.generator.get_state()
-    env.rand_step(env.reset())
-    env.generator.set_state(before)
-    assert "look" not in env.reset()

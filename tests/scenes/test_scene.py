@@ -62,19 +62,6 @@ def test_features_stay_float16_or_become_float32(given, kept):
     assert made.features.dtype == kept
 
 
-def test_whole_numbers_of_any_type_do(scene):
-    made = Scene(
-        name="ints",
-        graph=scene.graph.astype(np.int8),
-        positions=(scene.positions * 2).astype(np.int32),
-        headings=scene.headings.astype(np.uint16),
-    )
-    assert (made.graph == scene.graph).all()
-    assert (made.positions == scene.positions * 2).all()
-    assert (made.headings == scene.headings).all()
-    assert made.features is None
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

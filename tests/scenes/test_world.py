@@ -114,14 +114,6 @@ def test_goals_know_their_scene_and_states_their_goal(world):
     assert (index >= 0).sum() == 4
 
 
-def test_memory_grows_by_the_same_with_every_scene():
-    def entries(scenes):
-        world = make_world([grid_scene(name=f"s{number}", goals=(0, 5)) for number in range(scenes)])
-        return sum(getattr(world, name).numel() for name in TENSORS)
-
-    assert [entries(scenes) for scenes in (2, 4, 32)] == [count * entries(1) for count in (2, 4, 32)]
-
-
 def test_local_is_the_way_back_to_scenes(world, scenes):
     for state, index, number in [(0, 0, 0), (23, 0, 23), (24, 1, 0), (55, 1, 31), (56, 2, 0), (79, 2, 23)]:
         scene, local = world.local(state)

@@ -5,8 +5,6 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
-from ctypes.util import find_library
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -45,24 +43,6 @@ class Mortal(VizDoom):
             os.kill(os.getpid() if self.own else process_of(name), signal.SIGKILL)
         return super().look(heading)
 """
-
-WITHOUT = """
-import ctypes, ctypes.util
-
-find, load = ctypes.util.find_library, ctypes.cdll.LoadLibrary
-
-
-def load_others(name):
-    if name == "{library}" or "lib{library}." in name:
-        raise OSError(name)
-    return load(name)
-
-
-ctypes.cdll.LoadLibrary = load_others
-ctypes.util.find_library = lambda name: None if name == "{library}" else find(name)
-import pyglet.gl
-"""
-"""In the place of MiniWorld: a library is hidden from pyglet, which MiniWorld imports first."""
 
 KILLED = "error: freedoom2_map01: VizDoom failed (ViZDoomErrorException: Unexpected ViZDoom instance crash.); "
 
@@ -214,17 +194,3 @@ def test_an_extra_that_is_not_installed_is_one_line(module, command, message, tm
     assert len(errors.splitlines()) == 1
     assert message in errors
     assert [path.name for path in tmp_path.iterdir()] == ["packages"]
-
-
-def test_a_library_that_miniworld_lacks_is_one_line(tmp_path, monkeypatch):
-    library = "GLU"
-    if not find_spec("miniworld") or not find_library("EGL"):
-        pytest.skip("the extra miniworld, or EGL, is not installed")
-    (tmp_path / "miniworld.py").write_text(WITHOUT.format(library=library))  # in front of the package
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    status, _, errors = run_recipe(tmp_path, "scenes", "miniworld", "env=MazeS3", "out=new.h5", "encoder=null")
-    assert status == 1
-    (line,) = errors.splitlines()
-    assert line.startswith(f'error: MiniWorld cannot be used (ImportError: Library "{library}" not found.)')
-    assert line.endswith("apt install libegl1 libgl1-mesa-dri libglu1-mesa")
-    assert not (tmp_path / "new.h5").exists()

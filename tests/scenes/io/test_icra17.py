@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rooms import grid_scene, read_here
 
-from dirl.scenes import SceneError, load_scenes, write_dump
+from dirl.scenes import SceneError, write_dump
 from dirl.scenes.io.icra17 import export_icra17
 from dirl.scenes.views import encode
 
@@ -37,30 +37,6 @@ def test_the_layout_is_the_published_one(tmp_path, scene):
         assert (file["graph"][:] == scene.graph).all()
         assert file["graph"][:].min() == -1
         assert (file["resnet_feature"][:] == scene.features[:, None]).all()  # each crop, as public code may draw one
-
-
-def walk_as_public_code_does(path, start, actions):
-    """The published environment, in short: it reads the file afresh and knows nothing of attributes."""
-    with h5py.File(path) as file:
-        state, seen = start, []
-        for action in actions:
-            after = file["graph"][state][action]
-            state = state if after == -1 else after
-            seen.append((int(state), file["resnet_feature"][state][0]))
-        return seen, file["shortest_path_distance"][state][0]
-
-
-def test_code_of_the_published_line_walks_in_an_exported_room(tmp_path):
-    (room,) = load_scenes("bathroom_02")
-    export_icra17(room, tmp_path / "bathroom_02.h5")
-    actions = [0, 1, 0, 0, 3, 2, 2, 0, 1, 0]
-    seen, distance = walk_as_public_code_does(tmp_path / "bathroom_02.h5", 5, actions)
-    state = 5
-    for action, (reached, feature) in zip(actions, seen, strict=True):
-        state = room.graph[state, action] if room.graph[state, action] >= 0 else state
-        assert reached == state
-        assert (feature == room.features[state].astype(np.float32)).all()
-    assert distance == room.distances[state, 0]
 
 
 @pytest.mark.parametrize(("dtype", "headings"), [("f2", 4), ("f4", 12)])

@@ -55,18 +55,6 @@ def test_a_scene_is_the_same(tmp_path, what):
         assert apart.views.encoded(state) == here.views.encoded(state)
 
 
-def test_a_malformed_file_is_refused_in_the_same_words(dump):
-    with h5py.File(dump, "a") as file:
-        file.attrs["goals"] = [99]
-        file["location"][3, 0] = np.nan
-    messages = []
-    for isolated in (True, False):
-        with pytest.raises(SceneError) as caught:
-            read_dump(dump, isolated=isolated)
-        messages.append(str(caught.value))
-    assert messages[0] == messages[1] == f"{dump}: location: state 3 holds a value that is not finite"
-
-
 def test_a_warning_comes_through(dump):
     with h5py.File(dump, "a") as file:
         file["shortest_path_distance"][2, 7] = 99

@@ -57,18 +57,6 @@ def test_light_thrown_back_by_half_sums_to_the_geometric_series():
     assert np.allclose(gathered, albedo + albedo**2 + albedo**3 + albedo**4, rtol=1e-4)
 
 
-def test_light_falls_with_the_square_of_the_distance():
-    mesh = Mesh().quad([(-0.05, -0.05, 3), (-0.05, 0.05, 3), (0.05, 0.05, 3), (0.05, -0.05, 3)], "lamp")
-    for z in (0.0, 1.0, 2.0):
-        mesh.quad([(-0.01 + z, -0.01, z), (0.01 + z, -0.01, z), (0.01 + z, 0.01, z), (-0.01 + z, 0.01, z)], "a")
-    scenery = Scenery([part.moved((0, 0, 0), 0, 1.0) for part in mesh.parts], {"lamp": WHITE, "a": GREY})
-    points = np.array([[0.0, 0, 0.01], [0.0, 0, 1.01], [0.0, 0, 2.01]], np.float32)
-    up = np.tile(np.float32([0, 0, 1]), (3, 1))
-    light = direct_light(scenery, points, up, 64, np.random.default_rng(0))[:, 0]
-    expected = 2.0 * 0.01 / np.array([2.99, 1.99, 0.99]) ** 2
-    assert np.allclose(light, expected, rtol=0.02)
-
-
 def test_a_ray_hits_what_stands_in_its_way_and_where():
     cube = furnace({"a": RED, "b": BLUE}, "baaaaa")
     hits = cube.trace(np.array([[1.0, 0.5, 1.0]] * 2), np.array([[0, 1.0, 0], [0, -1.0, 0]]))

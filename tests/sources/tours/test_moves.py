@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tours import grid_truth, tour_of, turned
 
-from dirl.perception.recognition.diagnostics import inspect_scene
 from dirl.scenes import SceneError
 from dirl.scenes.graph import AHEAD, BACK
 from dirl.sources.tours import moves
@@ -191,20 +190,3 @@ def test_how_well_loops_close_is_told():
     hall = replace(truth, links=[link for link in truth.links if {link[0], link[1]} not in ({7, 8}, {4, 7})])
     made = tour_scene(tour_of(hall), headings=8)
     assert told(made, "3 panoramas are on no loop, nothing checks their headings: 'place_6', 'place_7', 'place_8'")
-
-
-def test_inspect_warns_of_what_makes_a_tour_bad():
-    """An island, a link that leads one way, and places that look the same."""
-    truth = grid_truth(4, 2)
-    apart = [link[:2] for link in truth.links if {link[0] // 2, link[1] // 2} == {2, 3}]
-    made = tour_scene(tour_of(truth, dropped=[*apart, (0, 2)]), headings=4)
-    features = np.random.default_rng(0).normal(size=(len(made.scene), 32)).astype(np.float32)
-    features[4:8] = features[20:24]
-    problems = inspect_scene(replace(made.scene, features=features)).problems
-    for words in (
-        "and 7 more are not connected with the largest part",
-        "a move ahead leads to state 3, and the opposite move does not lead back (1 such moves)",
-        "match with 1.000 though ",
-        "(4 pairs above 0.9)",
-    ):
-        assert any(words in problem for problem in problems), words

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from tours import WRITERS, Camera360, grid_truth, write_pannellum, write_zind, written
+from tours import WRITERS, Camera360, grid_truth, write_zind, written
 
 from dirl.scenes import SceneError
 from dirl.sources.tours import read_tour
@@ -243,13 +243,6 @@ def test_links_that_lead_nowhere_are_left_out_and_noted(tmp_path):
     )
 
 
-def test_krpano_links_in_scripts_are_noted(tmp_path):
-    written("krpano", tmp_path)
-    change(tmp_path / "tour.xml", 'linkedscene="place_1"', 'onclick="loadscene(place_1, null, MERGE);"')
-    (note,) = read_tour(tmp_path).notes
-    assert note.startswith("1 hotspots call loadscene() in a script")
-
-
 def test_walls_part_what_doors_join(tmp_path):
     """Two rooms of 2 x 4 m side by side, two places each, 2 m apart: one door, in front of the first two places."""
     truth = grid_truth(2, 2)
@@ -319,13 +312,10 @@ def test_a_broken_image_is_named(tmp_path):
     Image.new("RGB", (6, 2)).save(tile, "GIF")
     with pytest.raises(SceneError, match="it is not WebP, PNG or JPEG"):
         cut_all(tour)
-
-
-def test_a_panorama_of_another_shape_is_refused(tmp_path):
-    tour = read_tour(written("table", tmp_path))
+    other = read_tour(written("table", tmp_path) / "links.csv")
     Image.new("RGB", (40, 30)).save(tmp_path / "place_1.jpg")
     with pytest.raises(SceneError, match=r"place_1\.jpg: 40x30 pixels; an equirectangular image is twice as wide"):
-        cut_all(tour)
+        cut_all(other)
 
 
 def test_panoramas_between_the_limits_of_pillow_and_of_dirl_are_read(tmp_path, monkeypatch):
@@ -337,12 +327,6 @@ def test_panoramas_between_the_limits_of_pillow_and_of_dirl_are_read(tmp_path, m
     monkeypatch.setattr("dirl.scenes.views.MAX_PHOTO_PIXELS", 70_000)
     with pytest.raises(SceneError, match="400x200 pixels are more than 70000"):
         read_panorama(Equirectangular(file), 1000)
-
-
-def test_pannellum_rounds_the_sizes_of_its_tiles_down(tmp_path):
-    tour = read_tour(write_pannellum(tmp_path, grid_truth(2, 2), GREY, SIDE, image="multires"))
-    faces = [read_panorama(tour.panoramas[0].image, density) for density in (1, 2.5, 5)]
-    assert [face.shape for face, *_ in faces] == [(2, 2, 3), (5, 5, 3), (10, 10, 3)]
 
 
 @pytest.mark.parametrize(
