@@ -234,7 +234,7 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
     rows: list[dict[str, object]] = []
     for file, place, heading in zip(files, places, facing, strict=True):
         at = order.index(place)
-        beside = {0: at + 1, 180: at - 1}.get(heading, -1)
+        beside = at + 1 if heading == 0 else at - 1 if heading == 180 else -1
         ahead = order[beside] if 0 <= beside < len(order) else ""
         taken = {"image": file.name, "location": place, "heading": f"{heading:g}", "x": 0, "z": at}
         rows.append({**taken, "ahead": ahead, "goal": ""})
@@ -273,8 +273,9 @@ def _said_by_exif(file: Path) -> tuple[str, float | None]:
     time = str(details.get(ExifTags.Base.DateTimeOriginal, ""))
     fraction = str(details.get(ExifTags.Base.SubsecTimeOriginal, ""))
     angle = place.get(ExifTags.GPS.GPSImgDirection)
-    known = angle is not None and 0 <= angle <= 360  # not where the camera wrote 0 / 0
-    return time and f"{time}.{fraction}", float(angle) if known else None
+    if angle is not None:
+        angle = float(angle) if 0 <= angle <= 360 else None  # where the camera wrote 0 / 0
+    return time and f"{time}.{fraction}", angle
 
 
 def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:
