@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from dirl.evaluation.protocol import STABLE_ATL, WINDOW
 from dirl.reporting.style import plain, write_figure
 from dirl.reporting.tables import read_columns, run_title
+from dirl.runs.schema import Summary
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, SKY, VERMILION
 
@@ -104,7 +104,7 @@ def common_frames(runs: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatA
     return frames, np.stack([np.interp(frames, *run) for run in runs])
 
 
-def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Mapping[str, Any]) -> None:
+def _draw_reinforcement(upper: Axes, lower: Axes, folder: Path, summary: Summary) -> None:
     training = read_columns(folder / "reinforcement.csv", "frames", "atl", "atl_worst_goal")
     evaluation = read_columns(folder / "evaluation.csv", "frames", "atl", "sr", "spl")
     shortest = summary["greedy"]["shortest"]

@@ -1,8 +1,6 @@
 """Pictures of a trained policy in one scene."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import nn
@@ -13,6 +11,7 @@ from dirl.reporting.animation import write_gif
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.tables import run_title
 from dirl.reporting.trajectories import draw_trajectories
+from dirl.runs.schema import Summary
 
 
 def draw_scene(
@@ -22,7 +21,7 @@ def draw_scene(
     folder: Path,
     *,
     matching: TemplateStop,
-    facts: Mapping[str, Any],
+    facts: Summary,
     count: int = 5,
 ) -> None:
     """Draw a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy.
@@ -60,7 +59,7 @@ def draw_paths(
     index: int,
     file: Path,
     *,
-    facts: Mapping[str, Any],
+    facts: Summary,
     count: int = 5,
 ) -> tuple[int, list[int], bool, str]:
     """Draw greedy episodes to a scene's first goal, as `draw_scene` does.

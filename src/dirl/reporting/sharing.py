@@ -3,7 +3,6 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from dirl.perception.backbones.registry import packaged_encoder
 from dirl.reporting.tables import run_title, summary_table
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.export import write_shared
+from dirl.runs.schema import Summary
 from dirl.scenes.io.bounded import read_text
 
 CARD = """---
@@ -85,7 +85,7 @@ def save_pretrained(run: str | Path, folder: str | Path, *, name: str = "", lice
     return folder
 
 
-def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], name: str, license: str) -> str:
+def model_card(summary: Summary, extractor: str, pictures: list[str], name: str, license: str) -> str:
     """Return the card of a policy, Markdown with the Hub's header: scene, system, numbers, pictures, licence."""
     encoder, meaning = _encoder(extractor)
     shown = "".join(f"![{picture.rpartition('.')[0].replace('_', ' ')}]({picture})\n" for picture in pictures)
@@ -105,7 +105,7 @@ def model_card(summary: Mapping[str, Any], extractor: str, pictures: list[str], 
     )
 
 
-def _index(summary: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+def _index(summary: Summary, name: str) -> list[dict[str, Any]]:
     """Return the greedy measures in the form that the Hub reads, JSON being YAML."""
     measured = {key: round(summary["greedy"][key], 4) for key in ("sr", "spl")}
     result = {

@@ -1,7 +1,7 @@
 """The results of a sweep at its end: a table of its runs, and their spread where they differ in their seed only."""
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ from dirl.config.saved import plain_mapping
 from dirl.config.values import leaves
 from dirl.reporting.style import plain, write_figure
 from dirl.reporting.tables import result_table, run_title
+from dirl.runs.schema import Summary
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import BLUE
 
@@ -53,7 +54,7 @@ class Swept(NamedTuple):
     folder: Path
     config: dict[str, Any]
     """Values by dotted name."""
-    summary: dict[str, Any]
+    summary: Summary
 
 
 def finished(folder: Path) -> list[Swept]:
@@ -93,7 +94,7 @@ def _told(name: str, value: Any) -> str:
     return f"{group}={str(value).rpartition('.')[2]}" if last == "_target_" else f"{last}={value}"
 
 
-def seed_table(summaries: Sequence[Mapping[str, Any]]) -> str:
+def seed_table(summaries: Sequence[Summary]) -> str:
     """Return the spread of runs, Markdown: of each measure mean, standard deviation, lowest, quartiles and highest.
 
     Runs that never became stable are counted, and are in no other number of that row.
@@ -110,7 +111,7 @@ def seed_table(summaries: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def draw_seeds(summaries: Sequence[Mapping[str, Any]], file: Path) -> None:
+def draw_seeds(summaries: Sequence[Summary], file: Path) -> None:
     """Draw which part of the runs reaches an SPL, and is stable by a frame, as a PNG."""
     figure = Figure(figsize=(8.5, 3.5), layout="constrained")
     figure.suptitle(f"{run_title({**summaries[0], 'seed': None})}, {len(summaries)} seeds")
@@ -124,7 +125,7 @@ def draw_seeds(summaries: Sequence[Mapping[str, Any]], file: Path) -> None:
     write_figure(figure, file)
 
 
-def _values(summaries: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
+def _values(summaries: Sequence[Summary], name: str) -> NDArray[np.float64]:
     """Return a measure of `SPREAD` of the runs that have it."""
     *groups, last = SPREAD[name]
     inner = [summary[groups[0]] if groups else summary for summary in summaries]

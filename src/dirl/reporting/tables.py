@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dirl.runs.schema import Summary
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.texts import read_rows
 
@@ -88,7 +89,7 @@ def result_table(rows: Mapping[str, Mapping[str, float | None]], leave_out: Coll
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def summary_table(summary: Mapping[str, Any]) -> str:
+def summary_table(summary: Summary) -> str:
     """Return a run's ``summary.json`` as text.
 
     Args:
@@ -112,7 +113,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
-def run_title(summary: Mapping[str, Any]) -> str:
+def run_title(summary: Summary) -> str:
     """Return the system, scenes and seed of a run: "DIRL, bathroom_02 (source: rooms, synthetic), seed 0"."""
     scenes = scene_names(summary["scene"])
     # The built-in rooms have the names of published scenes; their results must not be confused with those.
@@ -135,7 +136,7 @@ def read_columns(file: Path, *names: str) -> dict[str, NDArray[np.float64]]:
     return {name: np.array([float(row[name] or "nan") for row in rows], float) for name in names}
 
 
-def _heading(summary: Mapping[str, Any]) -> str:
+def _heading(summary: Summary) -> str:
     facts = [] if "agent" in summary else [f"{summary['frames']:,} frames"]
     if (rate := summary.get("frames_per_second")) is not None:
         facts.append(f"{rate:,.0f} frames/s")

@@ -10,7 +10,7 @@ states, with whole numbers as keys and tuples, would need a format of their own.
 import hashlib
 import io
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import torch
 
 from dirl.runs.export import read_shared
 from dirl.runs.paths import RunError, find_checkpoint, training_checkpoints
-from dirl.runs.schema import check_entries
+from dirl.runs.schema import State, check_entries
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes
 from dirl.scenes.io.tensors import unpack_tensors
@@ -29,7 +29,7 @@ DIGITS = 64
 """Of the digest, which ends the file."""
 
 
-def save_checkpoint(file: Path, state: Mapping[str, Any]) -> None:
+def save_checkpoint(file: Path, state: State) -> None:
     """Write a checkpoint so that the file is either complete or absent, whenever the process is killed."""
     buffer = io.BytesIO()
     torch.save(_by_itself(dict(state)), buffer)
@@ -53,7 +53,7 @@ def _by_itself(value: Any) -> Any:
     return value.clone() if is_view else value
 
 
-def load_checkpoint(path: str | Path) -> dict[str, Any]:
+def load_checkpoint(path: str | Path) -> State:
     """Read a checkpoint; no code in it is ever run.
 
     Args:
@@ -69,9 +69,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     return latest_checkpoint(found)[0] if training_checkpoints(found) else read_shared(found)
 
 
-def latest_checkpoint(
-    folder: Path, check: Callable[[Path, Mapping[str, Any]], None] = lambda *_: None
-) -> tuple[dict[str, Any], list[Path]]:
+def latest_checkpoint(folder: Path, check: Callable[[Path, State], None] = lambda *_: None) -> tuple[State, list[Path]]:
     """Return the latest usable training checkpoint of a run, and those after it, each named on the terminal.
 
     Args:
@@ -94,7 +92,7 @@ def latest_checkpoint(
     raise RunError(f"{folder}: holds no checkpoint of a training")
 
 
-def read_checkpoint(file: Path) -> dict[str, Any]:
+def read_checkpoint(file: Path) -> State:
     """Read a checkpoint file whose digest is right.
 
     Raises:

@@ -1,12 +1,10 @@
 """A trained policy as a folder that others can read: safetensors, YAML and JSON, nothing that could run code."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from dirl.runs.paths import WEIGHTS, RunError
-from dirl.runs.schema import check_entries
+from dirl.runs.schema import State, check_entries
 from dirl.scenes.io.atomic import atomic_path, write_json, write_text
 from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes, read_text
 from dirl.scenes.io.digest import check_seal, sealed
@@ -20,7 +18,7 @@ KEYS = ("extractor", "scenes", "views", "turns", "frames", "schema")
 MISSING = "needs a package that is not installed (safetensors): pip install 'dirl[hub]'"
 
 
-def write_shared(saved: Mapping[str, Any], folder: Path) -> None:
+def write_shared(saved: State, folder: Path) -> None:
     """Write a checkpoint, see `load_checkpoint`, into an existing folder, which `read_shared` reads.
 
     Raises:
@@ -39,7 +37,7 @@ def write_shared(saved: Mapping[str, Any], folder: Path) -> None:
     write_json(folder / FACTS, sealed(facts, content, saved["config"].encode()))
 
 
-def read_shared(folder: Path) -> dict[str, Any]:
+def read_shared(folder: Path) -> State:
     """Return what `dirl.runs.checkpoints.load_checkpoint` reads of a run, of a folder that `write_shared` wrote.
 
     Raises:

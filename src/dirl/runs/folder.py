@@ -8,7 +8,6 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from dirl.config.components import packages_to_trust
 from dirl.config.folders import command
@@ -19,7 +18,7 @@ from dirl.runs.checkpoints import latest_checkpoint, save_checkpoint
 from dirl.runs.locks import FolderLock, claim, is_numbered
 from dirl.runs.loggers import Logger, make_logger
 from dirl.runs.paths import RunError, config_file, find_unfinished, is_finished, training_checkpoints
-from dirl.runs.schema import SCHEMA, TABLES
+from dirl.runs.schema import SCHEMA, TABLES, State, Summary
 from dirl.scenes import World
 from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
 from dirl.scenes.io.bounded import read_text
@@ -44,7 +43,7 @@ class Run:
         self,
         folder: Path,
         config: TrainConfig,
-        saved: dict[str, Any] | None = None,
+        saved: State | None = None,
         *,
         lock: FolderLock | None = None,
         unusable: Sequence[Path] = (),
@@ -57,7 +56,7 @@ class Run:
         self._unusable = unusable
         self._began = time.perf_counter() - (saved["seconds"] if saved else 0.0)
         self._last_save = time.perf_counter()
-        self._facts: dict[str, Any] = {}
+        self._facts: State = {}
         self._tables: dict[Path, list[str]] = {}
         """Columns of each that has been begun; none before its first row."""
 
@@ -152,7 +151,7 @@ class Run:
         """True if it is time for the next checkpoint."""
         return time.perf_counter() - self._last_save >= self.config.checkpoint.every_seconds
 
-    def save(self, state: Mapping[str, Any]) -> None:
+    def save(self, state: State) -> None:
         """Write a checkpoint of the training, and delete old ones.
 
         Args:
@@ -170,7 +169,7 @@ class Run:
             file.unlink()
         self._last_save = time.perf_counter()
 
-    def finish(self, state: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
+    def finish(self, state: State, summary: Summary) -> None:
         """Write ``network.pt`` and ``summary.json``."""
         self._check_written()
         save_checkpoint(self.folder / "network.pt", {**state, **self._facts})
@@ -181,11 +180,11 @@ class Run:
         for file in (config_file(self.folder), *self._tables):
             file.stat()
 
-    def write_summary(self, summary: Mapping[str, Any]) -> None:
+    def write_summary(self, summary: Summary) -> None:
         """Write ``summary.json``."""
         write_json(self.folder / "summary.json", summary)
 
-    def clean_up(self, summary: Mapping[str, Any]) -> None:
+    def clean_up(self, summary: Summary) -> None:
         """Delete the checkpoints of the training; the run then counts as finished, and the folder is released."""
         if (self.folder / "checkpoints").exists():
             shutil.rmtree(self.folder / "checkpoints")
@@ -194,7 +193,7 @@ class Run:
             self.logger.finish(summary, self.folder)
 
 
-def facts(config: TrainConfig, world: World, view_order: Sequence[str]) -> dict[str, Any]:
+def facts(config: TrainConfig, world: World, view_order: Sequence[str]) -> State:
     """Return what a checkpoint says beside its weights, for everyone who uses them."""
     scenes = {"scenes": list(world.names), "extractor": world.scenes[0].extractor}
     seen = {"views": list(view_order), "turns": turns_of(world.scenes)}
@@ -243,7 +242,7 @@ def _go_on(folder: Path, config: TrainConfig) -> Run:
     return Run(folder, config, saved, lock=lock, unusable=unusable)
 
 
-def check_tables(file: Path, state: Mapping[str, Any]) -> None:
+def check_tables(file: Path, state: State) -> None:
     """Raise `RunError` unless the tables of a run have at least the rows that its checkpoint counts."""
     if "tables" not in state:
         raise RunError(f"{file}: is no checkpoint of a training; it lacks tables")

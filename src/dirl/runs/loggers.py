@@ -19,6 +19,7 @@ from PIL import Image
 from dirl.config.saved import config_text
 from dirl.config.schemas import ConfigError, LoggerName, TrainConfig
 from dirl.config.values import leaves, plain
+from dirl.runs.schema import Summary
 from dirl.scenes.io.atomic import write_text
 from dirl.scenes.io.bounded import read_text
 
@@ -91,7 +92,7 @@ class WandbLogger:
             self.run.define_metric(f"{stage}/*", step_metric=f"{stage}/step")
         self.run.log({f"{stage}/{name}": value for name, value in _finite(row).items()} | {f"{stage}/step": step})
 
-    def finish(self, summary: Mapping[str, Any], folder: Path) -> None:
+    def finish(self, summary: Summary, folder: Path) -> None:
         """Log summary, pictures, and as an artifact of type ``model`` the configuration, summary and weights."""
         import wandb
 
@@ -123,7 +124,7 @@ class TensorBoardLogger:
         for name, value in _finite(row).items():
             self.writer.add_scalar(f"{stage}/{name}", value, step)
 
-    def finish(self, summary: Mapping[str, Any], folder: Path) -> None:
+    def finish(self, summary: Summary, folder: Path) -> None:
         """Log the summary as text and as metrics of the hyperparameters, and the pictures."""
         frames = int(summary["frames"])
         self.writer.add_text("summary", f"```json\n{json.dumps(summary, indent=1)}\n```", frames)

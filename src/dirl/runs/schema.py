@@ -1,9 +1,16 @@
 """What a checkpoint holds, and which tables a run writes."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from dirl.runs.paths import RunError
+
+State = dict[str, Any]
+"""A checkpoint by entry, see `ENTRIES`."""
+
+Summary = Mapping[str, Any]
+"""What ``summary.json`` holds: facts of the run, and measures by policy, scene and goal."""
 
 SCHEMA = 2
 """Of configurations and checkpoints."""
@@ -15,7 +22,7 @@ TABLES = ("dagger.csv", "evaluation.csv", "imitation.csv", "reinforcement.csv")
 """What a training writes rows to; other files of its folder are left alone."""
 
 
-def check_entries(state: Any, file: Path) -> dict[str, Any]:
+def check_entries(state: object, file: Path) -> State:
     """Return the content of a checkpoint if it has the entries that every one has.
 
     What they hold is not checked: the digest says that dirl wrote it, and weights are loaded strictly.
@@ -23,12 +30,13 @@ def check_entries(state: Any, file: Path) -> dict[str, Any]:
     Raises:
         RunError: it lacks one, or a newer version wrote it.
     """
-    missing = [name for name in ENTRIES if not isinstance(state, dict) or name not in state]
+    held: State = dict(state) if isinstance(state, dict) else {}
+    missing = [name for name in ENTRIES if name not in held]
     if missing:
         raise RunError(f"{file}: is no checkpoint of dirl: it lacks {', '.join(missing)}")
-    if state["schema"] != SCHEMA:
-        raise RunError(f"{file}: was written by another version of dirl (schema {state['schema']}, not {SCHEMA})")
-    turns = state.get("turns", [4])
+    if held["schema"] != SCHEMA:
+        raise RunError(f"{file}: was written by another version of dirl (schema {held['schema']}, not {SCHEMA})")
+    turns = held.get("turns", [4])
     if not isinstance(turns, list) or not all(type(number) is int and number > 0 for number in turns):
         raise RunError(f"{file}: is no checkpoint of dirl: turns={turns!r:.50}")
-    return dict(state)
+    return held
