@@ -512,36 +512,27 @@ def trained_policy(
     return policy
 
 
-def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any] | None]:
+def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any]]:
     """Return the configuration with the architecture of the checkpoint that ``init`` names, and that checkpoint.
-
-    Without ``init`` the configuration is unchanged, and there is no checkpoint.
 
     Raises:
         ConfigError: an option of the architecture is given beside ``init``.
         RunError: there is no such checkpoint, or it is damaged.
     """
-    if config.init is None:
-        return config, None
+    assert config.init is not None
     saved = load_checkpoint(initial_weights_file(config.init, overrides))
     trained = read_config(saved["config"], config.init, trust=config.trust or [])
     return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
 
 
-def initial_weights(
-    config: TrainConfig, world: World, saved: Mapping[str, Any] | None = None
-) -> Mapping[str, Tensor] | None:
-    """Return the weights that a training begins with, by name; None without ``init``.
+def initial_weights(config: TrainConfig, world: World, saved: Mapping[str, Any]) -> Mapping[str, Tensor]:
+    """Return the weights that a training with ``init`` begins with, by name.
 
-    ``saved`` is the checkpoint that ``init`` names, if it has been read, or the one that the run itself resumes from.
+    ``saved`` is the checkpoint that ``init`` names, or the one that the run itself resumes from.
 
     Raises:
         ConfigError: they were trained on the features of another extractor, or have heads for other scenes.
-        RunError: there is no such checkpoint, or it is damaged.
     """
-    if config.init is None:
-        return None
-    saved = saved or load_checkpoint(config.init)
     check_extractor(saved, world.scenes[0].extractor, f"init={config.init}")
     unknown = sorted(set(world.names) - set(saved["scenes"]))
     if unknown and not config.heads.get("shared"):

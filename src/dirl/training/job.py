@@ -22,7 +22,7 @@ from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess, m
 from dirl.models import count_parameters, plain_weights
 from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
-from dirl.runs.checkpoints import restoring
+from dirl.runs.checkpoints import load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run
 from dirl.runs.loggers import check_logger
@@ -116,7 +116,9 @@ def run_one(
 
 def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[Run, Mapping[str, Any] | None]:
     """Return the run of a job, new or to be continued, and the checkpoint that ``init`` names, if it was read."""
-    config, initial = with_architecture(typed(composed), overrides)
+    config, initial = typed(composed), None
+    if config.init is not None:
+        config, initial = with_architecture(config, overrides)
     check_components(config, config.trust)
     check_logger(config)
     run = open_run(config, folder, overrides)
@@ -145,7 +147,9 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None, like: C
     """
     world = build_world(run.config) if like is None else like.protocol.world
     observation = build_observation(run.config, world)
-    weights = initial_weights(run.config, world, run.saved or initial)
+    weights = None
+    if run.config.init is not None:
+        weights = initial_weights(run.config, world, run.saved or initial or load_checkpoint(run.config.init))
     features = None if like is None or weights is not None else like.policy.features
     policy = learning_policy(run.config, world, observation, weights, features)
     demos = build_demonstrations(run.config, world, observation)

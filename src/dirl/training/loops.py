@@ -97,26 +97,27 @@ class TrainState:
 
     def state_dict(self) -> dict[str, Any]:
         """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
+        # Of the losses what is not the policy's: weights, buffers, extra state.
+        of_policy = {value.data_ptr() for value in (*self.policy.parameters(), *self.policy.buffers()) if value.numel()}
+        own_of_losses = {
+            name: value
+            for name, value in self.losses.state_dict().items()
+            if not (isinstance(value, Tensor) and value.data_ptr() in of_policy)
+        }
+        random = {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)}
+        if self.generator is not None:
+            random["cpu"] = self.generator.get_state()
         return {
             "frames": self.frames,
             "training_seconds": self.seconds,
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
-            "losses": self._own_of_losses(),
+            "losses": own_of_losses,
             "optimiser": plain_optimiser(self.optimiser),
             "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
-            "random": {"env": self.env.base_env.generator.get_state(), **self._random_state()},
+            "random": random,
         }
-
-    def _random_state(self) -> dict[str, Tensor]:
-        own = {} if self.generator is None else {"cpu": self.generator.get_state()}
-        return random_state(self.env.device) | own
-
-    def _own_of_losses(self) -> dict[str, Any]:
-        """Return the part of the losses' state_dict that is not the policy's: weights, buffers, extra state."""
-        shared = {_place(value) for value in (*self.policy.parameters(), *self.policy.buffers())}
-        return {name: value for name, value in self.losses.state_dict().items() if _place(value) not in shared}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore a saved state."""
@@ -138,11 +139,6 @@ def plain_optimiser(optimiser: Optimizer) -> dict[str, Any]:
         if isinstance(group["lr"], Tensor):
             group.update(lr=float(group["lr"]), capturable=False)
     return state
-
-
-def _place(value: Any) -> Any:
-    """Return what two entries of state_dicts have in common if they are one tensor."""
-    return value.data_ptr() if isinstance(value, Tensor) and value.numel() else id(value)
 
 
 def random_state(device: torch.device) -> dict[str, Tensor]:
