@@ -26,7 +26,7 @@ from tensordict import TensorDictBase
 from dirl.config.folders import CONF
 from dirl.config.schemas import TrainConfig
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import caching, noisy
+from dirl.models import ActorCritic, caching, noisy
 from dirl.runs.folder import Run
 from dirl.training import hogwild
 from dirl.training.build import build_imitation_loss
@@ -70,7 +70,7 @@ def train(run: Run, components: Components) -> dict[str, Any]:
     return found if components.state is None else reinforce(run, components.state, protocol)
 
 
-def imitate(run: Run, policy: Any, demos: Demonstrations, done: int = 0) -> int:
+def imitate(run: Run, policy: ActorCritic, demos: Demonstrations, done: int = 0) -> int:
     """Clone the expert until its actions are learned (paper section 3.3); takes and returns the steps done so far."""
     options = run.config.imitation
     draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()

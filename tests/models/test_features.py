@@ -1,6 +1,6 @@
 import pytest
 import torch
-from networks import FEATURES, SCENES, batch_of, make_policy, seen, standardised_policy
+from networks import FEATURES, SCENES, SURROUNDING, batch_of, make_policy, seen, standardised_policy
 
 from dirl.models import FeatureTable, ObservationTable, feature_statistics, whitening
 
@@ -72,6 +72,12 @@ FEW = torch.tensor([[0, 1, 2, 0], [1, 2, 0, 1], [2, 0, 1, 2]])
 def rotated(surrounding, states=3):
     features = torch.randn(states, FEATURES, generator=torch.Generator().manual_seed(2))
     return ObservationTable(features, *feature_statistics(features), None, surrounding, 4)
+
+
+@pytest.mark.parametrize(("surrounding", "states", "columns"), [(FEW, 3, 2), (None, 3, 2), (SURROUNDING, 30, 28)])
+def test_observations_have_no_more_coordinates_than_they_span(surrounding, states, columns):
+    # Standardised, three states span two dimensions; 30 states span all 4 x 7 of their observations.
+    assert rotated(surrounding, states).width == columns
 
 
 @pytest.mark.parametrize("surrounding", [FEW, None], ids=["surrounding", "sequential"])

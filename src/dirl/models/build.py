@@ -14,7 +14,15 @@ from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.user_code import tried
 from dirl.envs.transforms import VIEWS
-from dirl.models import FeatureTable, ObservationTable, feature_statistics, initial_state, recurrent_keys, whitening
+from dirl.models import (
+    ActorCritic,
+    FeatureTable,
+    ObservationTable,
+    feature_statistics,
+    initial_state,
+    recurrent_keys,
+    whitening,
+)
 from dirl.perception.backbones.patches import PATCH_SHAPE, coarse
 from dirl.scenes import ACTIONS, World
 
@@ -26,7 +34,7 @@ def build_policy(
     *,
     world: World | None = None,
     views: int = VIEWS,
-) -> nn.Module:
+) -> ActorCritic:
     """Return the policy with its initial weights, which depend on the seed alone.
 
     A policy that is loaded outside of its scenes has no world. ``views`` is how many an observation has.
@@ -46,7 +54,7 @@ def build_policy(
             encoded = _output_width("memory", memory, lambda: _remember(memory, fused), [1, fused])
         heads = make("heads", config.heads, trust, scenes=list(scenes), in_features=encoded, num_actions=len(ACTIONS))
         parts = {"encoder": encoder, "memory": memory, "heads": heads, "features": features, "world": world}
-        policy: nn.Module = make("policy", config.policy, trust, **parts)
+        policy: ActorCritic = make("policy", config.policy, trust, **parts)
         if memory is not None:
             rollout = "memory, of three steps of a rollout"
             _output_width(rollout, memory, lambda: _remember(memory, fused, 3), [1, 3, fused])

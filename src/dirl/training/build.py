@@ -23,6 +23,7 @@ from dirl.evaluation.episodes import every_start, sampled_starts
 from dirl.evaluation.experts import demonstrations, shown_states
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import (
+    ActorCritic,
     FeatureTable,
     LocalisingMemory,
     ObservationTable,
@@ -225,7 +226,7 @@ def _without_a_trace(device: torch.device) -> AbstractContextManager[None]:
     return torch.random.fork_rng(devices=[device] if device.type == "cuda" else [])
 
 
-def build_imitation_loss(config: TrainConfig, policy: Any) -> Any:
+def build_imitation_loss(config: TrainConfig, policy: ActorCritic) -> Any:
     """Return the loss of the imitation stage: the configured loss named ``imitation``."""
     actor = policy.operator().get_policy_head()
     if "imitation" not in config.losses:
@@ -233,7 +234,7 @@ def build_imitation_loss(config: TrainConfig, policy: Any) -> Any:
     return make("losses.imitation", config.losses["imitation"], config.trust, actor=actor, actor_network=actor)
 
 
-def build_losses(config: TrainConfig, policy: Any, world: World, demos: Demonstrations) -> Losses:
+def build_losses(config: TrainConfig, policy: ActorCritic, world: World, demos: Demonstrations) -> Losses:
     """Return the losses of an update, without imitation losses that have no demonstrations or no weight.
 
     Raises:
@@ -351,7 +352,7 @@ def describe(config: TrainConfig, world: World) -> dict[str, Any]:
     }
 
 
-def try_losses(config: TrainConfig, policy: Any, losses: Losses, agents: TensorDictBase) -> None:
+def try_losses(config: TrainConfig, policy: ActorCritic, losses: Losses, agents: TensorDictBase) -> None:
     """Compute each loss once, on a made-up step of two agents; nothing but the losses is changed by it.
 
     Args:
@@ -385,7 +386,7 @@ class Trained(NamedTuple):
     """A trained policy."""
 
     config: TrainConfig
-    policy: nn.Module
+    policy: ActorCritic
     protocol: EvaluationProtocol
     """Where and how it is evaluated."""
 
@@ -438,7 +439,7 @@ def learning_policy(
     observation: SurroundingViews,
     initial: Mapping[str, Tensor] | None = None,
     features: FeatureTable | None = None,
-) -> nn.Module:
+) -> ActorCritic:
     """Return the policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
 
     It begins with the weights ``initial``, see `initial_weights`, or with some sampled with the seed; then it can learn
@@ -466,7 +467,7 @@ def learning_policy(
         and len(world) <= world.features.shape[1]  # with more states there is next to nothing to save
     ):
         table = ObservationTable(table.features, table.mean, table.std, table.axes, surrounding, views)
-    policy: Any = build_policy(config, table, world.names, world=everywhere, views=views)
+    policy: ActorCritic = build_policy(config, table, world.names, world=everywhere, views=views)
     if initial is not None:
         load_weights(policy, initial, str(config.init), world.names)
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
@@ -493,7 +494,7 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
 
 def trained_policy(
     saved: Mapping[str, Any], origin: str, config: TrainConfig, world: World, observation: SurroundingViews
-) -> nn.Module:
+) -> ActorCritic:
     """Return the policy of a checkpoint, see `load_trained`, in a world of its configuration or with other goals.
 
     Raises:
@@ -504,7 +505,7 @@ def trained_policy(
     if not set(names) <= set(saved["scenes"]) and len(names) == len(saved["scenes"]):
         names = saved["scenes"]  # its heads serve as many others, in order
     table, views = feature_table(config, world, saved["network"], origin), len(observation.order)
-    policy: Any = build_policy(config, table, names, world=world, views=views)
+    policy: ActorCritic = build_policy(config, table, names, world=world, views=views)
     load_weights(policy, saved["network"], origin, names)
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
         surrounding, front = _seen_of_each(observation, front=False)

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from dirl.config.schemas import ConfigError, Precision, TrainConfig
-from dirl.models import caching, plain_weights, recurrent_keys
+from dirl.models import ActorCritic, caching, plain_weights, recurrent_keys
 from dirl.training.build import (
     build_demonstrations,
     build_env,
@@ -170,7 +170,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
     world = build_world(config)
     observation = build_observation(config, world)
     options, common = config.reinforcement, learning_policy(config, world, observation, shared.initial)
-    policy: Any = copy.deepcopy(common)
+    policy: ActorCritic = copy.deepcopy(common)
     for parameter, weight in zip(common.parameters(), shared.weights, strict=True):
         parameter.data = weight
     optimiser = build_optimiser(config, common)

@@ -19,7 +19,7 @@ from dirl.config.folders import command
 from dirl.config.schemas import Device, Precision, Starts
 from dirl.config.values import typed
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess, mean_shortest
-from dirl.models import count_parameters, plain_weights
+from dirl.models import ActorCritic, count_parameters, plain_weights
 from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.checkpoints import load_checkpoint, restoring
@@ -56,7 +56,7 @@ from dirl.training.pairs import Demonstrations
 class Components:
     """What a configuration is made into."""
 
-    policy: Any
+    policy: ActorCritic
     """See `dirl.models.ActorCritic`."""
     demos: Demonstrations
     protocol: EvaluationProtocol
@@ -191,7 +191,7 @@ def tell_of_far_goals(world: World) -> None:
             )
 
 
-def begin(run: Run, policy: Any, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
+def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
     """Return the state of a reinforcement before its first update, or from the checkpoint that the run continues."""
     optimiser = build_optimiser(run.config, policy, losses)
     env = build_env(run.config, protocol.world, protocol.observation, policy)
@@ -233,7 +233,7 @@ def facts_of(run: Run, components: Components) -> dict[str, Any]:
 
 
 def conclude(
-    run: Run, policy: Any, protocol: EvaluationProtocol, facts: dict[str, Any], *, shown: bool = True
+    run: Run, policy: ActorCritic, protocol: EvaluationProtocol, facts: dict[str, Any], *, shown: bool = True
 ) -> dict[str, Any]:
     """Evaluate and write the summary; unless the run is one of a stack, show it as a table and in pictures."""
     measures = assess(policy, protocol)

@@ -26,7 +26,7 @@ from dirl.config.schemas import Until
 from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, metrics
-from dirl.models import plain_weights
+from dirl.models import ActorCritic, plain_weights
 from dirl.runs.checkpoints import restoring
 from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
@@ -46,7 +46,7 @@ ROWS = 200
 class TrainState:
     """Everything that changes between updates."""
 
-    policy: Any
+    policy: ActorCritic
     """See `dirl.models.ActorCritic`."""
     losses: Losses
     optimiser: Optimizer
@@ -159,7 +159,7 @@ class ImitationSteps:
     """The steps of an imitation, and what changes from one to the next; made by `imitation_steps`."""
 
     run: Run
-    policy: Any
+    policy: ActorCritic
     """Its encoder and policy head are trained; the value head gets no gradient."""
     optimiser: Optimizer
     first: int
@@ -222,7 +222,7 @@ class ImitationSteps:
 
 
 @contextmanager
-def imitation_steps(run: Run, policy: Any, first: int) -> Iterator[ImitationSteps]:
+def imitation_steps(run: Run, policy: ActorCritic, first: int) -> Iterator[ImitationSteps]:
     """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved."""
     options = run.config.imitation
     optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)
@@ -329,7 +329,7 @@ def noticing_divergence() -> Iterator[None]:
 
 
 def dagger_rounds(
-    run: Run, policy: Any, protocol: EvaluationProtocol, demos: Demonstrations
+    run: Run, policy: ActorCritic, protocol: EvaluationProtocol, demos: Demonstrations
 ) -> Iterator[tuple[Demonstrations, int]]:
     """The rounds of DAgger: the learner walks, the expert labels the states it came to, all is to be cloned again.
 

@@ -21,7 +21,7 @@ from torchrl.objectives.value import GAE
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from dirl.config.schemas import ConfigError, Schedule
-from dirl.models import initial_state, recurrent_keys
+from dirl.models import ActorCritic, initial_state, recurrent_keys
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 EXPERT = {"expert_action", "optimal_actions"}
@@ -69,7 +69,7 @@ class Losses(nn.Module):
 
     def __init__(
         self,
-        policy: Any,
+        policy: ActorCritic,
         losses: Mapping[str, ScheduledLoss],
         demonstrations: Demonstrations,
         batch_size: int | None = None,

@@ -70,7 +70,7 @@ class Stack:
             if hasattr(module, "sorts"):
                 module.sorts = False  # by scene, which has shapes that depend on values
         if isinstance(self.form.encoder, Cacheable) and type(observation) is SurroundingViews:
-            self.form.cached = EmbeddedOnce(self.form, world, observation)
+            self.form.cached = EmbeddedOnce(self.form, world, observation)  # type: ignore[assignment]  # which takes its place
         self._embedded: tuple[Tensor, ...] = ()
         self.weights = _stack_weights([state.policy for state in states])
         self.parameters = list(self.weights.values(True, True))
