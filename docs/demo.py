@@ -216,20 +216,22 @@ class Memory(nn.Module):
         cost: Tensor,
         after: Tensor,
         ring: Tensor,
+        taken: Tensor,
         goal: Tensor,
         here: Tensor,
         action: Tensor,
         quarter: Tensor,
     ) -> tuple[Tensor, ...]:
-        """The logits of the plan, then the next cost, after, ring, goal and here; see `dirl.models.planning.Walked`."""
+        """The logits of the plan, then what is known next, in the order of the arguments; see `Walked`."""
         from dirl.models.planning import Walked
 
         first = here < 0
-        walked = Walked(cost, after, ring, goal, here.clamp(min=0), action.clamp(min=0), quarter)
+        walked = Walked(cost, after, ring, taken, goal, here.clamp(min=0), action.clamp(min=0), quarter)
         made = self.memory.arrive(walked, same, -logits.log_softmax(-1), seen)
         alone = torch.where(quarter[:, None, None], made.ring, -1)
         made.after = torch.where(first[:, None, None], alone, made.after)  # no action led here
-        return self.memory.plan(made), made.cost, made.after, made.ring, made.goal, made.here
+        made.taken = made.taken & ~first[:, None, None]
+        return self.memory.plan(made), made.cost, made.after, made.ring, made.taken, made.goal, made.here
 
 
 def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
@@ -269,12 +271,13 @@ def export_models(navigator: Any, folder: Path) -> None:
     nothing = torch.zeros(1, 8, dtype=torch.bool)
     one = torch.zeros(1, dtype=torch.int64)
     named = {"same": nothing, "logits": torch.rand(1, 4, 4), "seen": nothing[:, :4], "cost": table, "after": unknown}
-    named |= {"ring": unknown.clone(), "goal": nothing.clone(), "here": one, "action": one.clone(), "quarter": one == 0}
+    named |= {"ring": unknown.clone(), "taken": table > 0, "goal": nothing.clone(), "here": one}
+    named |= {"action": one.clone(), "quarter": one == 0}
     nodes = {1: torch.export.Dim("nodes")}
-    free = {name: nodes if name in ("same", "cost", "after", "ring", "goal") else {} for name in named}
+    free = {name: nodes if name in ("same", "cost", "after", "ring", "taken", "goal") else {} for name in named}
     plain, planning.cheapest = planning.cheapest, cheapest
     try:
-        results = ["plan", *(f"next_{name}" for name in ("cost", "after", "ring", "goal", "here"))]
+        results = ["plan", *(f"next_{name}" for name in ("cost", "after", "ring", "taken", "goal", "here"))]
         export(Memory(navigator.memory), named, results, free, folder / "memory.onnx")
     finally:
         planning.cheapest = plain

@@ -86,7 +86,8 @@ def test_the_exported_memory_plans_as_the_memory_does(site):
     for turns in [4, 8] * 5:
         walked = memory.begin(torch.tensor([turns]))
         unknown = np.full((1, 4, 4), -1, np.int64)
-        known = [np.full((1, 4, 4), np.inf, np.float32), unknown, unknown, np.zeros((1, 4), bool), np.array([-1])]
+        known = [np.full((1, 4, 4), np.inf, np.float32), unknown, unknown]
+        known += [np.zeros((1, 4, 4), bool), np.zeros((1, 4), bool), np.array([-1])]
         action = -1
         for _ in range(20):
             same = np.zeros((1, walked.cost.shape[1]), bool)
@@ -95,7 +96,7 @@ def test_the_exported_memory_plans_as_the_memory_does(site):
                 same[0, draw.choice(used)] = True
             logits, seen = draw.normal(0, 3, (1, 4, 4)).astype(np.float32), draw.random((1, 4)) < 0.02
             walked = memory.arrive(walked, *map(torch.from_numpy, (same, -log_softmax(logits, -1), seen)))
-            names = ("same", "logits", "seen", "cost", "after", "ring", "goal", "here", "action", "quarter")
+            names = ("same", "logits", "seen", "cost", "after", "ring", "taken", "goal", "here", "action", "quarter")
             beside = np.concatenate([np.zeros((1, 4), bool), same], 1)
             given = (beside, logits, seen, *known, np.array([action]), np.array([turns == 4]))
             plan, *known = session.run(None, dict(zip(names, given, strict=True)))

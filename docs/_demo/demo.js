@@ -128,7 +128,8 @@ async function planned(found, start, memory) {  // see docs/demo.py: Memory
   let state = start, actions = "", action = -1, seen = Array(HEADINGS).fill(null), used = Array(HEADINGS).fill(false);
   let known = { cost: tensor(new Float32Array(4 * HEADINGS).fill(Infinity), 1, HEADINGS, 4),
     after: whole(Array(4 * HEADINGS).fill(-1), 1, HEADINGS, 4), ring: whole(Array(4 * HEADINGS).fill(-1), 1, HEADINGS, 4),
-    goal: truth(Array(HEADINGS).fill(0), 1, HEADINGS), here: whole([-1], 1) };
+    taken: truth(Array(4 * HEADINGS).fill(0), 1, HEADINGS, 4), goal: truth(Array(HEADINGS).fill(0), 1, HEADINGS),
+    here: whole([-1], 1) };
   while (actions.length < D.max_steps && !(actions && found.stops.has(state))) {
     const around = D.surrounding[state], like = facts.alike[state];
     const same = seen.map((node, i) => used[i] && like.includes(node));

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dirl.models import PlanningMemory
-from dirl.models.planning import SURE
+from dirl.models.planning import LAST, SURE
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
 QUARTERS = torch.tensor([4])
@@ -94,7 +94,9 @@ def test_a_goal_that_was_seen_is_walked_to_and_not_where_the_agent_did_not_stop(
     seen = torch.tensor([[True, False, True, False]])
     walked = memory.arrive(memory.begin(QUARTERS), at(memory.begin(QUARTERS)), LIKES_ROOM, seen)
     assert walked.goal.tolist() == [[False, False, True, False]]
-    assert memory.plan(walked).tolist() == [[-math.inf, -2 * SURE, -2 * SURE, -math.inf]]
+    plan = memory.plan(walked)[0]
+    assert plan[[RIGHT, LEFT]].tolist() == [-2 * SURE, -2 * SURE]
+    assert (plan[[AHEAD, BACK]] < -LAST).all()  # only if the goal could not be reached
     walked.action = torch.tensor([RIGHT])
     assert memory.arrive(walked, at(walked, 1), LIKES_ROOM, seen).goal.tolist() == [[False, False, True] + 5 * [False]]
 
@@ -120,7 +122,41 @@ def test_where_all_was_tried_the_policy_decides():
     memory = PlanningMemory()
     walked = walk(memory)
     walked.after[:] = torch.arange(4).view(1, 4, 1)
+    walked.taken[:] = True
     assert torch.allclose(memory.plan(walked), -LIKES_ROOM[:, 0])
+
+
+def test_what_was_done_is_no_guess_and_a_guess_is_tried_when_nothing_else_is_left():
+    """Ahead leads from the first place to a second, back from there to a third, and ahead from that to the first."""
+    memory = PlanningMemory()
+    walked = walk(memory, (AHEAD, None))
+    assert walked.after[0, 4, BACK] == 0  # a guess
+    walked = walk(memory, (AHEAD, None), (BACK, None), (AHEAD, 0))
+    assert walked.after[0, 4, BACK] == 8
+    assert walked.after[0, 0, AHEAD] == 4  # as it was, though back from the first place is guessed to lead to the third
+    assert walked.after[0, 0, BACK] == 8
+    walked.after[walked.after < 0] = 0  # all is known, or guessed
+    assert memory.plan(walked)[0].max() < -LAST
+
+
+def test_nothing_is_guessed_of_moves_that_no_arrow_shows():
+    memory = PlanningMemory()
+    shown = LIKES_ROOM.clone()
+    shown[:, :, BACK] = math.inf
+    walked = memory.begin(QUARTERS)
+    walked = memory.arrive(walked, at(walked), shown, NOWHERE)
+    walked.action = torch.tensor([AHEAD])
+    walked = memory.arrive(walked, at(walked), shown, NOWHERE)
+    assert walked.after[0, 0, AHEAD] == 4
+    assert walked.after[0, 4, BACK] == -1
+    assert walked.after[0, 6, AHEAD] == 2
+
+
+def test_a_plan_ends_where_costs_are_no_numbers():
+    memory = PlanningMemory()
+    walked = walk(memory, (AHEAD, None))
+    walked.cost[:] = math.nan
+    assert memory.plan(walked).isnan().all()
 
 
 def test_a_step_to_a_known_place_adds_none():

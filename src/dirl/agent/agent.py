@@ -6,6 +6,7 @@ worlds look them up (`dirl.agent.decisions.AgentBatch`), those with cameras comp
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import torch
@@ -24,7 +25,7 @@ Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
 NEVER = -20.0
 """Logit of a move that is not possible."""
 
-SAVED = 8.0
+SAVED = 5.0
 """Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
 
 MANY = 50_000
@@ -120,9 +121,9 @@ class Remembering(Agent):
         self.past: Any = None
         """What the memory says of all visits: a `Trace`, `Walked` or `Places`; None before the first."""
         self.total: Tensor | None = None
-        """Where agents see arrows, the sum of the pooled features of all views so far, float32 ``[B, D]``."""
-        self.views = 0
-        """How many those are."""
+        """Where agents see arrows, the sum of the pooled features of the places seen so far, float32 ``[B, D]``."""
+        self.places: Tensor | None = None
+        """How many those are, float32 ``[B]``."""
         self.best: Tensor | None = None
         """How much this visit looks like the most similar earlier one, float32 ``[B]``; None at the first."""
 
@@ -146,18 +147,26 @@ class Remembering(Agent):
         """
         if now.arrows is None:
             return lambda chosen: -now.facing(chosen).log_softmax(-1)
+        return partial(self.arrow_costs, now)
+
+    def arrow_costs(self, now: Observed, chosen: Tensor) -> Tensor:
+        """Return `costs` where arrows are seen; the chosen agents, bool ``[B]``, are at new places."""
+        assert now.arrows is not None
         views, goal = now.pooled, now.goal_pooled
-        self.total = views.sum(1) if self.total is None else self.total + views.sum(1)
-        self.views += views.shape[1]
-        mean = (self.total + goal.sum(1)) / (self.views + goal.shape[1])
-        cost = arrow_costs(likeness(views, goal, mean), now.arrows)
-        return lambda chosen: cost
+        if self.total is None or self.places is None:
+            self.total, self.places = torch.zeros_like(views[:, 0]), torch.zeros_like(views[:, 0, 0])
+        self.total = self.total + chosen[:, None] * views.sum(1)
+        self.places = self.places + chosen
+        count = self.places * views.shape[1] + goal.shape[1]
+        mean = (self.total + goal.sum(1)) / count[:, None]
+        return arrow_costs(likeness(views, goal, mean), now.arrows)
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents."""
         assert self.seen is not None
         self.action, self.seen, self.past = self.action[chosen], self.seen[chosen], self.past.select(chosen)
-        self.total = None if self.total is None else self.total[chosen]
+        if self.total is not None and self.places is not None:
+            self.total, self.places = self.total[chosen], self.places[chosen]
 
 
 class Counting(Remembering):

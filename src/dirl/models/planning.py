@@ -12,10 +12,13 @@ from dirl.config.bounds import Bounds
 from dirl.envs.transforms import VIEWS
 from dirl.models.episodic import OPPOSITE
 from dirl.scenes import ACTIONS
-from dirl.scenes.graph import LEFT, RIGHT
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 
 SURE = 10.0
 """Cost of an action on the way to a goal that was seen, in nats: one action more is not worth considering."""
+
+LAST = 1e4
+"""Added to what is only tried where nothing else is left; more than any path costs."""
 
 
 @dataclass
@@ -48,6 +51,8 @@ class Walked(Nodes):
 
     ring: Tensor
     """The next node that was seen to the right and to the left of each at its place, in the form of ``after``."""
+    taken: Tensor
+    """Whether an agent took an action at a node, so that ``after`` is no guess, bool ``[B, N, 4]``."""
     goal: Tensor
     """Whether a node looks like the goal and the agent has not stood there, bool ``[B, N]``."""
     here: Tensor
@@ -106,6 +111,7 @@ class PlanningMemory(nn.Module):
             cost=torch.empty((agents, 0, len(ACTIONS)), device=device),
             after=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.int64, device=device),
             ring=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.int64, device=device),
+            taken=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.bool, device=device),
             goal=torch.empty((agents, 0), dtype=torch.bool, device=device),
             here=nowhere,
             action=nowhere,
@@ -136,6 +142,7 @@ class PlanningMemory(nn.Module):
             cost=torch.cat([walked.cost, cost], 1),
             after=torch.cat([walked.after, after], 1),
             ring=torch.cat([walked.ring, ring], 1),
+            taken=torch.cat([walked.taken, torch.zeros_like(ring, dtype=torch.bool)], 1),
             goal=torch.cat([walked.goal, goal & ~known[:, None]], 1),
             here=here,
             action=walked.action,
@@ -143,7 +150,7 @@ class PlanningMemory(nn.Module):
         )
         made.goal[at, here] = False  # the agent would have stopped
         if nodes:
-            connect(made.after, walked.here, walked.action, here, views)
+            connect(made.after, walked.here, walked.action, here, views, made.taken, made.cost.isfinite())
             _connect_turns(made, walked.here)
         return made
 
@@ -157,8 +164,14 @@ class PlanningMemory(nn.Module):
         after = torch.where(seen & (walked.after < 0), walked.ring, walked.after)
         known = after >= 0
         again = again_costs(walked.cost, self.repeated, self.turn, steps=steps)
-        step = torch.where(seen, torch.where(known, SURE, math.inf), torch.where(known, again, walked.cost))
-        found = cheapest(step, after, walked.goal, walked.here)
+        step = torch.where(known, torch.where(seen, SURE, again), walked.cost + LAST * seen)
+        # Where a move leads that was not taken is a guess: a passage of one way, or a place taken for another.
+        moves = [AHEAD, BACK]
+        guessed = torch.where(known & ~walked.taken, walked.cost + LAST, math.inf)[..., moves]
+        nowhere = torch.full_like(after[..., moves], -1)
+        found = cheapest(torch.cat([step, guessed], -1), torch.cat([after, nowhere], -1), walked.goal, walked.here)
+        found, retried = found[:, : len(ACTIONS)].clone(), found[:, len(ACTIONS) :]
+        found[:, moves] = torch.minimum(found[:, moves], retried)
         at = torch.arange(len(walked.here), device=walked.here.device)
         return -torch.where(found.isinf().all(-1, keepdim=True), walked.cost[at, walked.here], found)
 
@@ -195,17 +208,44 @@ def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
     return ways[:, torch.arange(len(here), device=here.device), here].T
 
 
-def connect(after: Tensor, before: Tensor, action: Tensor, here: Tensor, views: int = VIEWS) -> None:
-    """Note in ``after`` what an action led to, and what follows from it for the opposite headings and actions."""
+def connect(
+    after: Tensor,
+    before: Tensor,
+    action: Tensor,
+    here: Tensor,
+    views: int = VIEWS,
+    taken: Tensor | None = None,
+    possible: Tensor | None = None,
+) -> None:
+    """Note in ``after`` what an action led to, and what is guessed from it for the opposite headings and actions.
+
+    Args:
+        after: see `Nodes`; changed in place, as ``taken`` is.
+        before: nodes where agents were, int64 ``[B]``.
+        action: what they did there, int64 ``[B]``.
+        here: nodes where they are now, int64 ``[B]``.
+        views: at each place.
+        taken: see `Walked`; what was done is not overwritten by a guess. None = it is.
+        possible: actions of which something is guessed, bool ``[B, N, 4]``; None = all.
+    """
     at, opposite = torch.arange(len(here), device=here.device), torch.tensor(OPPOSITE, device=here.device)[action]
     moved, turned = here != before, (action == RIGHT) | (action == LEFT)
-    after[at, before, action] = here
-    after[at[moved], here[moved], opposite[moved]] = before[moved]
     # Ahead is back for who faces the other way.
     beyond, behind = (_turned(node, views // 2, views) for node in (before, here))
-    after[at[~turned], beyond[~turned], opposite[~turned]] = behind[~turned]
-    both = moved & ~turned
-    after[at[both], behind[both], action[both]] = beyond[both]
+    guesses = [
+        (moved, here, opposite, before),
+        (~turned, beyond, opposite, behind),
+        (moved & ~turned, behind, action, beyond),
+    ]
+    after[at, before, action] = here
+    if taken is not None:
+        taken[at, before, action] = True
+    for chosen, node, done, outcome in guesses:
+        if taken is not None:
+            chosen = chosen & ~taken[at, node, done]
+        if possible is not None:
+            chosen = chosen & possible[at, node, done]
+        after[at[chosen], node[chosen], done[chosen]] = outcome[chosen]
 
 
 def _connect_turns(made: Walked, before: Tensor) -> None:

@@ -90,6 +90,16 @@ def test_a_move_back_undoes_every_move_ahead_though_panoramas_are_crowded():
     assert told(made, f"a move back undoes {len(links)} of {len(links)} moves ahead along links both ways (1.00)")
 
 
+def test_no_other_link_lies_behind_who_came_by_a_link_one_way():
+    """At the second place the link to the third lies 10 degrees beside the way back to the first."""
+    truth = grid_truth(3, 1)
+    links = [(0, 1, 90.0), (1, 2, 260.0), (2, 1, 80.0), (2, 0, 180.0)]
+    graph = tour_scene(tour_of(replace(truth, links=links)), headings=8).scene.graph
+    came = graph[:8, AHEAD].max()
+    assert came // 8 == 1
+    assert graph[came, BACK] == -1
+
+
 def test_the_only_door_of_a_room_is_shown_before_others():
     doors = [40.0 * number for number in range(9)]
     links = star(doors).links

@@ -6,7 +6,7 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, milp
-from scipy.sparse import csr_array
+from scipy.sparse import block_array, csr_array, eye_array
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from dirl.scenes.graph import AHEAD, BACK, IntArray, turns_only
@@ -21,9 +21,9 @@ ASIDE = 90.0
 FAR = 45.0
 """Degrees aside that a user should know of."""
 
-SHOWN, BRIDGE, UNDONE = 20.0, 60.0, 4.0
-"""What it is worth to show a link, one without which panoramas fall apart, and that a move back undoes a move along it;
-a link 90 degrees aside costs 1."""
+SHOWN, BRIDGE, UNDONE, MISLEADING = 20.0, 60.0, 4.0, 2.0
+"""What it is worth to show a link, one without which panoramas fall apart, that a move back undoes a move along it, and
+that none seems to where a link leads one way; a link 90 degrees aside costs 1."""
 
 TOGETHER = 60
 """Panoramas that are solved as one program, nearly always in less than a second; of more, neighbours are together."""
@@ -102,7 +102,7 @@ def _solve(ends: IntArray, off: Array, worth: Array) -> IntArray:
     """Return the heading of each link as `assign_headings` does, by a set packing as a mixed-integer linear program.
 
     A choice is a link at a heading, or a link both ways at two opposite headings. No link and no heading of a panorama
-    may be in two of the choices that are taken.
+    may be in two of the choices that are taken. Further variables say which links one way have another link behind.
     """
     links, count = off.shape
     number = {(start, end): link for link, (start, end) in enumerate(ends.tolist())}
@@ -129,7 +129,14 @@ def _solve(ends: IntArray, off: Array, worth: Array) -> IntArray:
     assigned = np.full(links, -1)
     if not len(value):
         return assigned
-    takes = csr_array((np.ones(len(choice)), (taken, choice)), shape=(slot.max() + 1, len(value)))
+    uses = csr_array((np.ones(len(choice)), (taken, choice)), shape=(links + count * (ends.max() + 1), len(value)))
+    # What lies behind who came by a link one way would seem to lead back. Where a link must lie there, it costs.
+    one_way = np.flatnonzero(back[link] < 0)
+    misleads = np.arange(len(one_way))
+    behind = uses[links + count * ends[link[one_way], 1] + opposite[heading[one_way]]]
+    came = csr_array((np.ones(len(one_way)), (misleads, one_way)), shape=behind.shape)
+    takes = block_array([[uses, None], [came + behind, -eye_array(len(one_way))]], format="csr")
+    value = np.concatenate([value, np.full(len(one_way), -MISLEADING)])
     solution = milp(
         -value,
         constraints=LinearConstraint(takes, ub=1),
