@@ -9,7 +9,6 @@ from dirl.envs.transforms import SequentialViews, SurroundingViews, ViewFeatures
 gymnasium.register(
     id="dirl/Navigation-v0",
     entry_point="dirl.envs.gymnasium:NavigationGym",
-    vector_entry_point="dirl.envs.gymnasium:NavigationVector",
     max_episode_steps=200,
 )
 

@@ -1,11 +1,12 @@
-"""The navigation task for Gymnasium: ``dirl/Navigation-v0``, one agent or a batch of them.
+"""The navigation task for Gymnasium: ``dirl/Navigation-v0``, one agent; ``gymnasium.make_vec`` makes several.
 
-`import dirl.envs` registers both. The rules are those of `NavigationEnv`: it
-computes every transition once, and from then on a step is a look-up in NumPy arrays.
+`import dirl.envs` registers it; this module is imported when one is made. The rules are those of `NavigationEnv`: it
+computes every transition once, and from then on a step is a look-up in NumPy arrays, which all environments of a scene
+share.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,6 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
@@ -29,11 +28,9 @@ Observation = dict[str, NDArray[Any]]
 OBSERVED = {"features": ("features",), "views": ("views",), "both": ("features", "views")}
 """What an observation holds: of the agent's surroundings, and with the prefix ``goal_`` of the goal's."""
 
-RENDERING = {"render_modes": ["rgb_array"], "render_fps": 4}
-
 
 class Task:
-    """One scene of N states and G goals as tables, which the environments of this module share.
+    """One scene of N states and G goals as tables, which all environments of it share.
 
     Args:
         scene: a built-in room (``bathroom_02``), or the path of a dump file (``.h5``).
@@ -65,7 +62,7 @@ class Task:
         self.goal_views = VIEWS if goal_view == "surrounding" else 1
         if observation not in OBSERVED:
             raise ValueError(f"there is no observation '{observation}'; choose one of {list(OBSERVED)}")
-        if scene == "all" or not isinstance(scene, str | Path):
+        if scene == "all":
             raise SceneError(f"scene={scene!r}: this environment holds one scene; name one, e.g. scene='bathroom_02'")
         self.observed = OBSERVED[observation]
         (self.scene,) = load_scenes(str(scene), source=source, root=root)
@@ -93,21 +90,20 @@ class Task:
         self.decoded: dict[int, NDArray[np.uint8]] = {}
 
     def space(self) -> spaces.Space[Any]:
-        """Return the observation space of one agent."""
+        """Return the observation space."""
         low, high = self.features.min(), self.features.max()
         made: dict[str, spaces.Space[Any]] = {}
-        for key, seen in self.observe(np.array(0), np.array(0)).items():
+        for key, seen in self.observe(0, 0).items():
             if key.endswith("features"):
                 made[key] = spaces.Box(low, high, seen.shape, np.float32)
             else:
                 made[key] = spaces.Box(0, 255, seen.shape, np.uint8)
         return spaces.Dict(made)
 
-    def draw(self, rng: np.random.Generator, count: int) -> tuple[Ints, Ints]:
-        """Goal indices and starts of new episodes, int64 ``[count]`` each, sampled as `NavigationEnv` does."""
-        goal = rng.integers(len(self.goals), size=count)
-        start = rng.integers(self.start_count[goal])
-        return goal, np.array([self.starts[one][at] for one, at in zip(goal, start, strict=True)], np.int64)
+    def draw(self, rng: np.random.Generator) -> tuple[int, int]:
+        """Return the goal's index and the start of a new episode, sampled as `NavigationEnv` does."""
+        goal = int(rng.integers(len(self.goals)))
+        return goal, int(self.starts[goal][rng.integers(self.start_count[goal])])
 
     def chosen(self, options: dict[str, Any], goal: int, state: int) -> tuple[int, int]:
         """Return the goal's index and the start: those that ``options`` name, else those that were sampled."""
@@ -126,17 +122,14 @@ class Task:
                 raise ValueError(f"reset: state {state!r} is not a start of goal {self.goals[goal]}, see Task.starts")
         return goal, int(state)
 
-    def observe(self, goal: Ints, state: Ints) -> Observation:
-        """Return the agents' observations: features float32 ``[..., 4, D]``, views uint8 ``[..., 4, H, W, 3]``."""
+    def observe(self, goal: int, state: int) -> Observation:
+        """Return what an agent sees: features float32 ``[4, D]``, views uint8 ``[4, H, W, 3]``."""
         made: Observation = {}
         for prefix, at, count in (("", state, VIEWS), ("goal_", self.goals[goal], self.goal_views)):
-            around = self.surrounding[at][..., :count]
+            around = self.surrounding[at, :count]
             for key in self.observed:
-                if key == "features":
-                    made[prefix + key] = self.features[around]
-                else:
-                    views = np.stack([self.view(int(seen)) for seen in around.flat])
-                    made[prefix + key] = views.reshape(*around.shape, *views.shape[1:])
+                seen = self.features[around] if key == "features" else np.stack([self.view(int(one)) for one in around])
+                made[prefix + key] = seen
         return made
 
     def view(self, state: int) -> NDArray[np.uint8]:
@@ -147,9 +140,14 @@ class Task:
         return self.decoded[state]
 
 
-def _check_render_mode(render_mode: str | None) -> None:
-    if render_mode not in (None, "rgb_array"):
-        raise ValueError(f"there is no render_mode {render_mode!r}; choose 'rgb_array' or None")
+@lru_cache(maxsize=4)
+def shared_task(scene: str, written: int, **options: Any) -> Task:
+    """Return the same `Task` for the same arguments: many environments take the memory of one.
+
+    ``written`` is when the scene's file was, in nanoseconds; 0 if it is none. A dump that was changed is read again.
+    """
+    del written
+    return Task(scene, **options)
 
 
 class NavigationGym(gymnasium.Env[Observation, np.int64]):
@@ -169,12 +167,14 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         task: the further arguments of `Task`: source, root, goal, observation, reward.
     """
 
-    metadata: dict[str, Any] = RENDERING
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012  as Gymnasium declares it
 
     def __init__(self, scene: str = "bathroom_02", *, render_mode: str | None = None, **task: Any) -> None:
-        _check_render_mode(render_mode)
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"there is no render_mode {render_mode!r}; choose 'rgb_array' or None")
         self.render_mode = render_mode
-        self.task = Task(scene, **task)
+        file = Path(scene)
+        self.task = shared_task(str(scene), file.stat().st_mtime_ns if file.is_file() else 0, **task)
         self.observation_space = self.task.space()
         self.action_space = spaces.Discrete(len(ACTIONS))
         self._goal = self._state = -1
@@ -185,8 +185,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode; ``seed`` seeds the draws of goals and starts."""
         super().reset(seed=seed)
-        goal, state = self.task.draw(self.np_random, 1)
-        self._goal, self._state = self.task.chosen(options or {}, int(goal[0]), int(state[0]))
+        self._goal, self._state = self.task.chosen(options or {}, *self.task.draw(self.np_random))
         return self._seen(success=False, collision=False)
 
     def step(self, action: np.int64) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -206,7 +205,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         task, goal, state = self.task, self._goal, self._state
         distance = int(task.distances[goal, state])
         info = {"state": state, "goal": int(task.goals[goal]), "distance": distance, **flags}
-        return task.observe(np.array(goal), np.array(state)), info
+        return task.observe(goal, state), info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the view, the goal's view and the map (agent blue, goal a yellow star), uint8 ``[300, W, 3]``."""
@@ -218,99 +217,3 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
     def _check_begun(self, what: str) -> None:
         if self._state < 0:
             raise ValueError(f"{what}: there is no episode yet; call reset() first")
-
-
-class NavigationVector(VectorEnv[Observation, Ints, NDArray[Any]]):
-    """Many agents in one scene, ``gymnasium.make_vec("dirl/Navigation-v0", num_envs=64, scene="bathroom_02")``.
-
-    As `NavigationGym`, with a batch dimension: a step of all agents is one look-up. An agent whose episode ended begins
-    the next one in the following step, whatever its action (``AutoresetMode.NEXT_STEP``).
-
-    Args:
-        scene: a built-in room, or the path of a dump file.
-        num_envs: B, how many agents.
-        max_episode_steps: number of steps after which an episode is truncated; None for no limit.
-        render_mode: ``rgb_array``: `render` returns one picture for each agent; or None.
-        task: the further arguments of `Task`: source, root, goal, observation, reward.
-    """
-
-    metadata: dict[str, Any] = {**RENDERING, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  as Gymnasium declares it
-
-    def __init__(
-        self,
-        scene: str = "bathroom_02",
-        *,
-        num_envs: int = 1,
-        max_episode_steps: int | None = None,
-        render_mode: str | None = None,
-        **task: Any,
-    ) -> None:
-        _check_render_mode(render_mode)
-        self.render_mode, self.num_envs, self.max_episode_steps = render_mode, num_envs, max_episode_steps
-        self.task = Task(scene, **task)
-        self.single_observation_space, self.single_action_space = self.task.space(), spaces.Discrete(len(ACTIONS))
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._goal, self._state, self._steps = np.zeros((3, num_envs), np.int64)
-        self._ended = np.zeros(num_envs, bool)
-        self._painter = Painter(self.task.scene, self.task.view)
-
-    def reset(
-        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode of every agent; ``seed``, a number or one for each, determines all draws.
-
-        There are no ``options``.
-        """
-        if isinstance(seed, Sequence | np.ndarray):
-            self.np_random = np.random.default_rng([int(number) for number in seed])
-        else:
-            super().reset(seed=seed)
-        if options:
-            raise ValueError(f"reset of a vector environment has no options, found {sorted(options)}")
-        self._begin(np.ones(self.num_envs, bool))
-        return self._seen(self._ended.copy(), self._ended.copy())
-
-    def step(self, actions: Ints) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Move every agent; ``actions`` are integers 0 to 3, ``[B]``, else ValueError."""
-        actions = np.asarray(actions)
-        whole = actions.shape == (self.num_envs,) and np.issubdtype(actions.dtype, np.integer)
-        if not whole or ((actions < 0) | (actions >= len(ACTIONS))).any():
-            raise ValueError(f"actions: expected {self.num_envs} integers 0..{len(ACTIONS) - 1}, found {actions!r}")
-        begins, before = self._ended, self._state
-        taken = self._goal, before, actions
-        reward = np.where(begins, 0.0, self.task.reward[taken])
-        arrived = self.task.terminated[taken] & ~begins
-        self._state = self.task.graph[before, actions]
-        collided = (self._state == before) & ~begins
-        self._steps = self._steps + 1
-        self._begin(begins)
-        limit = np.inf if self.max_episode_steps is None else self.max_episode_steps
-        truncated = self._steps >= limit
-        self._ended = arrived | truncated
-        observation, info = self._seen(arrived.copy(), collided)
-        return observation, reward, arrived, truncated, info
-
-    def _begin(self, agents: NDArray[np.bool_]) -> None:
-        self._goal[agents], self._state[agents] = self.task.draw(self.np_random, int(agents.sum()))
-        self._steps[agents] = 0
-        self._ended = self._ended & ~agents
-
-    def _seen(self, success: NDArray[np.bool_], collision: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:
-        task, goal, state = self.task, self._goal, self._state
-        info: dict[str, Any] = {
-            "state": state.copy(),
-            "goal": task.goals[goal],
-            "distance": task.distances[goal, state],
-        }
-        info.update(success=success, collision=collision)
-        # In Gymnasium's convention _<key> marks the agents that have <key>: here, all of them.
-        info.update({f"_{key}": np.ones(self.num_envs, bool) for key in list(info)})
-        return task.observe(goal, state), info
-
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return the picture of each agent, see `NavigationGym.render`."""
-        if self.render_mode is None:
-            return None
-        goals = self.task.goals[self._goal]
-        return tuple(self._painter.paint(int(goal), int(state)) for goal, state in zip(goals, self._state, strict=True))
