@@ -55,35 +55,31 @@ def dirl(wheel, tmp_path_factory):
     return run
 
 
+@pytest.fixture(scope="module")
 def metadata(wheel):
     archive = zipfile.ZipFile(wheel)
     (file,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
     return archive.read(file).decode()
 
 
-def test_the_package_index_shows_the_readme_for_users_of_the_package(wheel):
-    shown = metadata(wheel)
-    assert "Description-Content-Type: text/markdown" in shown
-    assert "pip install dirl\ndirl train scene=bathroom_02" in shown
-    assert [word for word in ("pip install -e", "python recipes/") if word in shown] == []
-    linked = re.findall(r"\]\(((?!https://doi)[^)#]+)[^)]*\)", shown)
+def test_the_package_index_shows_the_readme_for_users_of_the_package(metadata):
+    assert "Description-Content-Type: text/markdown" in metadata
+    assert "pip install dirl\ndirl train scene=bathroom_02" in metadata
+    assert [word for word in ("pip install -e", "python recipes/") if word in metadata] == []
+    linked = re.findall(r"\]\(((?!https://doi)[^)#]+)[^)]*\)", metadata)
     addresses = [re.sub(r"https://example\.org/dirl/(?:blob|raw)/main/", "", link) for link in linked]
     assert linked
     assert [address for address in addresses if not (ROOT / address).exists() and "github.com" not in address] == []
 
 
-def test_the_licences_of_code_and_weights_are_told_and_come_with_it(wheel):
-    shown = metadata(wheel)
-    assert "License-Expression: MIT AND CC-BY-NC-4.0" in shown
-    told = re.findall(r"^License-File: (.*)$", shown, re.MULTILINE)
+def test_licences_version_and_address_are_told_everywhere(wheel, metadata):
+    assert "License-Expression: MIT AND CC-BY-NC-4.0" in metadata
+    told = re.findall(r"^License-File: (.*)$", metadata, re.MULTILINE)
     assert {Path(file).name for file in told} == {"LICENSE", "LICENSE.CC-BY-NC-4.0.txt"}
     names = zipfile.ZipFile(wheel).namelist()
     assert all(any(name.endswith(f"licenses/{file}") for name in names) for file in told)
-
-
-def test_one_version_and_one_address_stand_everywhere(wheel):
-    (version,) = re.findall(r"^Version: (.*)$", metadata(wheel), re.MULTILINE)
-    (repository,) = re.findall(r"^Project-URL: Repository, (.*)$", metadata(wheel), re.MULTILINE)
+    (version,) = re.findall(r"^Version: (.*)$", metadata, re.MULTILINE)
+    (repository,) = re.findall(r"^Project-URL: Repository, (.*)$", metadata, re.MULTILINE)
     cited = (ROOT / "CITATION.cff").read_text()
     assert f"\nversion: {version}\n" in cited
     assert f'repository-code: "{repository}"' in cited
@@ -110,14 +106,10 @@ def test_an_empty_folder_is_enough_to_train_evaluate_and_inspect(dirl):
     assert "| states        | 180 |" in dirl("scenes", "inspect", "scene=bathroom_02")
 
 
-def test_a_copied_recipe_runs(dirl):
+def test_a_copied_recipe_runs_and_versions_are_told(dirl, wheel):
     dirl("copy", "train", "mine.py")
-    printed = dirl(*TINY[:-1], "hydra.run.dir=copied", "system=random", script="mine.py")
-    assert "copied" in printed
+    dirl(*TINY[:-1], "hydra.run.dir=copied", "system=random", script="mine.py")
     assert (dirl.folder / "copied" / "summary.json").is_file()
-
-
-def test_versions_are_told_from_the_metadata(dirl, wheel):
     version = wheel.name.split("-")[1]
     assert dirl("--version") == f"{version}\n"
     assert f"dirl {version}" in dirl("version")

@@ -73,7 +73,7 @@ def _lines(values: Mapping[str, Any], name: str = "", indent: str = "") -> Itera
             yield f"{indent}{key}: {shown(value)}", full
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Return a value as it is written on a command line."""
     if isinstance(value, list):
         return f"[{', '.join(map(shown, value))}]"

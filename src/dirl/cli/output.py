@@ -4,7 +4,6 @@ import os
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from dirl.config.schemas import ConfigError
 
@@ -35,7 +34,7 @@ def check_writable(name: str) -> None:
         raise ConfigError(f"out={name}: cannot be written ({error.strerror})") from None
 
 
-def unwritten(options: Any) -> str:
+def unwritten(options: object) -> str:
     """Return what an interrupted command has left of its ``out``, for the last line; None are those of a training."""
     if options is None:  # of a sweep, some runs may be finished
         return "" if {"-m", "--multirun"} & set(sys.argv) else "nothing was trained"

@@ -11,7 +11,7 @@ import typing
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from dirl.config.schemas import ConfigError, Schedule
+from dirl.config.schemas import ConfigError, Schedule, TrainConfig
 from dirl.config.user_code import CODE, describe_error
 from dirl.config.values import check_choice, check_value
 
@@ -72,7 +72,7 @@ NONE = ("memory", "episodic_memory", "losses")
 """Groups of which a policy may have none."""
 
 
-def components(config: Any) -> dict[str, dict[str, Any]]:
+def components(config: TrainConfig) -> dict[str, dict[str, Any]]:
     """Return the options of each component of a `TrainConfig` that names a class, by dotted name (``losses.a2c``).
 
     Raises:
@@ -94,13 +94,13 @@ def components(config: Any) -> dict[str, dict[str, Any]]:
     return found
 
 
-def packages_to_trust(config: Any) -> list[str]:
+def packages_to_trust(config: TrainConfig) -> list[str]:
     """Return the packages that must be trusted to read the configuration from a file, see `find_class`."""
     targets = [str(options[TARGET]) for options in components(config).values()]
     return sorted({target.partition(".")[0] for target in targets if target not in PUBLIC} - {"dirl"})
 
 
-def check_components(config: Any, trust: Collection[str] | None = None) -> None:
+def check_components(config: TrainConfig, trust: Collection[str] | None = None) -> None:
     """Find the class of every component of a `TrainConfig` and check its options, before anything is made.
 
     Raises:
@@ -110,7 +110,7 @@ def check_components(config: Any, trust: Collection[str] | None = None) -> None:
         check_options(name, class_parameters(find_class(name, options[TARGET], trust)), options)
 
 
-def find_class(name: str, target: Any, trust: Collection[str] | None = None) -> type:
+def find_class(name: str, target: object, trust: Collection[str] | None = None) -> type:
     """Return the class that a component names.
 
     Args:
@@ -198,7 +198,7 @@ def check_options(name: str, parameters: Parameters, options: Mapping[str, Any])
             raise ConfigError(f"{name}.{option}: {kind} needs it; give {name}.{option}=...")
 
 
-def is_schedule(value: Any) -> bool:
+def is_schedule(value: object) -> bool:
     """True if a value is ``{start: ..., end: ...}``."""
     return isinstance(value, Mapping) and set(value) == {"start", "end"}
 

@@ -84,7 +84,7 @@ def _named_by_user(changes: Mapping[str, Any]) -> list[str]:
     return [target.partition(".")[0] for target in named if target not in PUBLIC and not target.startswith("dirl.")]
 
 
-def _replace(values: dict[str, Any], name: str, value: Any) -> None:
+def _replace(values: dict[str, Any], name: str, value: object) -> None:
     """Set a value by its dotted name."""
     *above, last = name.split(".")
     for part in above:

@@ -5,7 +5,6 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from dirl.config.schemas import ConfigError
 
@@ -14,7 +13,7 @@ CODE = (ArithmeticError, AssertionError, AttributeError, LookupError, NameError,
 
 
 @contextmanager
-def tried(name: str, made: Any, how: str = "") -> Iterator[None]:
+def tried(name: str, made: object, how: str = "") -> Iterator[None]:
     """Within this context an error of a component is told in one line.
 
     Args:

@@ -64,7 +64,7 @@ def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def check_value(name: str, value: Any, annotation: Any) -> None:
+def check_value(name: str, value: object, annotation: Any) -> None:
     """Check one value against an annotation.
 
     Raises:
@@ -74,7 +74,7 @@ def check_value(name: str, value: Any, annotation: Any) -> None:
         raise ConfigError(f"{name}={'null' if value is None else value}: {wrong}")
 
 
-def misfit(value: Any, annotation: Any) -> str:
+def misfit(value: object, annotation: Any) -> str:
     """Return what is wrong with a plain value by pydantic, which takes it as JSON: true is no number; or nothing."""
     from pydantic import PydanticUserError, TypeAdapter, ValidationError  # here: most refusals do without
     from pydantic_core import to_json

@@ -88,7 +88,7 @@ def sweep_table(runs: Sequence[Swept], folder: Path, options: Collection[str]) -
     return result_table(rows, leave_out=["false", "missed", "episodes"])
 
 
-def _told(name: str, value: Any) -> str:
+def _told(name: str, value: object) -> str:
     """Return an option and its value in few letters: its last name, of a component its group and class."""
     group, _, last = name.rpartition(".")
     return f"{group}={str(value).rpartition('.')[2]}" if last == "_target_" else f"{last}={value}"

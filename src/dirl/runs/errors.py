@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 MEMORY, FILES, PIPE = 71, 74, 128 + 13
@@ -53,7 +53,7 @@ def _end_at_once(advice: bytes, number: int, _: Any) -> NoReturn:
     os._exit(128 + number)
 
 
-def _is_ours(handler: Any) -> bool:
+def _is_ours(handler: object) -> bool:
     return isinstance(handler, partial) and handler.func is _end_at_once
 
 
@@ -132,7 +132,7 @@ def _raising(raised: list[BaseException]) -> dict[signal.Signals, Any]:
     return dict.fromkeys(SIGNALS if own else SIGNALS[1:], raise_)
 
 
-def _silence(stream: Any) -> None:
+def _silence(stream: IO[str]) -> None:
     """Discard the buffer of a closed stream, or the interpreter would complain at its end."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
