@@ -8,7 +8,7 @@ from typing import Protocol
 
 from tqdm import tqdm
 
-from dirl.scenes.collection import Collection, read_collection
+from dirl.scenes.collection import read_collection
 from dirl.scenes.io.read import ROOMS, Dump, read_dumps
 from dirl.scenes.scene import Scene, SceneError
 
@@ -84,9 +84,10 @@ def load_scenes(
     Raises:
         SceneError: no such scene (the message lists the choices), an invalid file, or a source that gives no scenes.
     """
-    collection = find_rooms(scene, split, rooms)
-    if collection is not None:
-        return list(tqdm(collection, desc="rooms", disable=None))
+    if (folder := collection_folder(scene)) is not None:
+        return list(tqdm(read_collection(folder).select(split=split)[:rooms], desc="rooms", disable=None))
+    if split is not None or rooms is not None:
+        raise SceneError("split and rooms choose among the rooms of a collection: scene=collection:<folder>")
     if isinstance(source, str) and source not in ("rooms", "thor"):
         raise SceneError(f"there is no source '{source}'; choose one of ['rooms', 'thor']")
     if isinstance(source, str):
@@ -121,15 +122,6 @@ def _own_scenes(source: SceneSource, names: list[str]) -> list[Scene]:
 
 def _is_file(name: str) -> bool:
     return Path(name).suffix.lower() in (".h5", ".hdf5")
-
-
-def find_rooms(scene: str | Sequence[str], split: str | None, rooms: int | None) -> Collection | None:
-    """The rooms of a collection that a user asks for, not read yet; None if it is none. See `load_scenes`."""
-    if (folder := collection_folder(scene)) is not None:
-        return read_collection(folder).select(split=split)[:rooms]
-    if split is not None or rooms is not None:
-        raise SceneError("split and rooms choose among the rooms of a collection: scene=collection:<folder>")
-    return None
 
 
 def collection_folder(scene: str | Sequence[str]) -> Path | None:

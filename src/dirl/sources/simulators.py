@@ -138,18 +138,12 @@ def take_look(
         to_x, to_z, turned, brighter = sampled[state // turns].tolist()
         towards = (planned.heading + turned) % 360
         with simulator_errors(simulator.name):
-            _place_near(simulator, planned._replace(heading=towards), to_x, to_z)
+            for share in NEARER:  # as near to what is asked for as the agent can stand
+                try:
+                    simulator.place(Pose(planned.x + share * to_x, planned.z + share * to_z, towards))
+                    break
+                except SceneError as error:
+                    if isinstance(error, SimulatorError) or share == NEARER[-1]:
+                        raise
             seen = looked(simulator, towards).astype(np.float64) * np.exp(brighter)
         yield encode(seen.clip(0, 255).astype(np.uint8), QUALITY)
-
-
-def _place_near(simulator: Simulator, pose: Pose, to_x: float, to_z: float) -> None:
-    """Put the agent beside a pose, as near to what is asked for as it can stand."""
-    for share in NEARER:
-        try:
-            simulator.place(Pose(pose.x + share * to_x, pose.z + share * to_z, pose.heading))
-        except SceneError as error:
-            if isinstance(error, SimulatorError) or share == NEARER[-1]:
-                raise
-        else:
-            return

@@ -86,7 +86,11 @@ class Recording:
         elif not self.source.is_dir() and not self.source.is_file():  # ffmpeg would wait for a pipe
             raise SceneError(f"{self.source}: there is no such video, folder of images or bag")
         else:
-            duration = _bag_duration(self.source) if self.is_bag else _video_duration(self.source)
+            if self.is_bag:
+                with _opened_bag(self.source) as reader:
+                    duration = float(reader.duration / 1e9)
+            else:
+                duration = _video_duration(self.source)
             self.count = int(duration / self.every) + 1
             """Frames that will be kept, about."""
 
@@ -249,11 +253,6 @@ def _opened_bag(source: Path) -> Any:
     except Exception as error:  # of the storage plugins, and struct.error of damaged files
         raise SceneError(f"{source}: is no bag that is read ({type(error).__name__}: {_line(error)})") from None
     return closing(reader)
-
-
-def _bag_duration(source: Path) -> float:
-    with _opened_bag(source) as reader:
-        return float(reader.duration / 1e9)
 
 
 def _connections(source: Path, reader: Any, option: str, topic: str | None, kinds: tuple[str, ...]) -> list[Any]:

@@ -87,7 +87,11 @@ class VizDoom:
         with simulator_errors(f"{self.name}: VizDoom"):
             end_with_this_process(self, game)
             game.init()
-            self._clear()
+            self._tics(0, 0, SETTLED)  # until then Doom takes no commands
+            for thing in {item.name for item in game.get_state().objects if item.category not in SCENERY}:
+                game.send_game_command(f"remove {thing}")  # what can be taken
+            game.send_game_command("god")  # makes the agent invulnerable
+            self._tics(0, 0, SETTLED)
         with suppress(OSError):  # an empty folder that Doom leaves
             Path("_vizdoom").rmdir()
 
@@ -130,7 +134,13 @@ class VizDoom:
                 thrust = 32 * (NEARER * (along @ left) - speed)
                 self._tics(0, way * np.clip(thrust, -PUSH, PUSH), 1)
                 still = still + 1 if abs(along @ self._speed()) < 0.05 else 0
-            self._halt(Pose(float(end[0]), float(end[1]), start.heading) if arrived else start)
+            stop = Pose(float(end[0]), float(end[1]), start.heading) if arrived else start
+            self._warp(stop)
+            for _ in range(TICS):  # until it has lost its speed; on a floor that carries, it never does
+                if np.abs(self._speed()).max() < 0.05:
+                    break
+                self._tics(0, 0, 4)
+                self._warp(stop)
         return arrived
 
     def look(self, heading: float) -> NDArray[np.uint8]:
@@ -142,14 +152,6 @@ class VizDoom:
             image = Image.fromarray(self._game.get_state().screen_buffer)
         return np.asarray(ImageOps.fit(image, self.size, Image.Resampling.LANCZOS))
 
-    def _clear(self) -> None:
-        """Take away what can be taken, and make the agent invulnerable."""
-        self._tics(0, 0, SETTLED)  # until then Doom takes no commands
-        for thing in {item.name for item in self._game.get_state().objects if item.category not in SCENERY}:
-            self._game.send_game_command(f"remove {thing}")
-        self._game.send_game_command("god")
-        self._tics(0, 0, SETTLED)
-
     def _speed(self) -> NDArray[np.float64]:
         return np.array([self._game.get_game_variable(variable) for variable in self._variables[3:]])
 
@@ -160,15 +162,6 @@ class VizDoom:
         self._game.send_game_command(f"warp {pose.x * UNITS:.3f} {pose.z * UNITS:.3f}")
         self._tics(0, 0, 1)
         self._heading, self._moved = pose.heading, True
-
-    def _halt(self, pose: Pose) -> None:
-        """Put the agent somewhere, and let it lose its speed there."""
-        self._warp(pose)
-        for _ in range(TICS):  # on a floor that carries, it never does
-            if np.abs(self._speed()).max() < 0.05:
-                break
-            self._tics(0, 0, 4)
-            self._warp(pose)
 
     def _turn(self, heading: float) -> None:
         for _ in range(3):  # the second and third time for rounding

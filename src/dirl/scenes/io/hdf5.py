@@ -105,7 +105,9 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
         "positions": location[:],
         "headings": rotation[:],
         "features": None if features is None else _read_features(features, path, mapped=intact),
-        "extractor": "none" if features is None else _extractor(features),
+        "extractor": "none"
+        if features is None
+        else extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown",
         "name": _text_attribute(file, "name"),
         "source": _text_attribute(file, "source"),
         "goals": _goals(read_attribute(file, "goals"), states),
@@ -153,10 +155,6 @@ def _read_features(dataset: h5py.Dataset, path: Path, *, mapped: bool) -> NDArra
     for rows in blocks(dataset):
         values[rows] = dataset[rows, 0] if dataset.ndim == 3 else dataset[rows]
     return values
-
-
-def _extractor(features: h5py.Dataset) -> str:
-    return extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown"
 
 
 def _check_differences(headings: NDArray[Any], features: NDArray[np.floating] | None) -> None:

@@ -66,17 +66,15 @@ def write_dump(
                 file[name] = array.astype(np.float16, copy=False)
         if scene.patches is not None:
             file["patches"].attrs.update(patch_attributes or {})
-        if views is not None:
-            _write_views(file, list(views), len(scene), path)
-
-
-def _write_views(file: h5py.File, views: list[bytes], states: int, path: Path) -> None:
-    if len(views) != states:
-        raise ValueError(f"{path}: {len(views)} views for {states} states")
-    stored = file.create_dataset("observation_webp", (states,), h5py.vlen_dtype(np.uint8))
-    for state, view in enumerate(views):
-        check_view(view, f"{path}: the view of state {state} is")  # the reader will trust it with the digest
-        stored[state] = np.frombuffer(view, np.uint8)
+        if views is None:
+            return
+        encoded = list(views)
+        if len(encoded) != len(scene):
+            raise ValueError(f"{path}: {len(encoded)} views for {len(scene)} states")
+        stored = file.create_dataset("observation_webp", (len(scene),), h5py.vlen_dtype(np.uint8))
+        for state, view in enumerate(encoded):
+            check_view(view, f"{path}: the view of state {state} is")  # the reader will trust it with the digest
+            stored[state] = np.frombuffer(view, np.uint8)
 
 
 def replace_features(
@@ -109,24 +107,20 @@ def replace_features(
 
 
 def copy_with(
-    path: str | Path,
-    to: str | Path,
-    arrays: Mapping[str, NDArray[Any] | str],
-    attributes: Mapping[str, Mapping[str, str]],
+    path: str, to: str, arrays: Mapping[str, str], attributes: Mapping[str, Mapping[str, str]]
 ) -> dict[str, Any]:
-    """Write a copy of a dump, in this process, with other values and attributes of the named datasets.
+    """Write a copy of a dump with other values, of ``.npy`` files, and attributes of the named datasets.
 
-    Values are arrays or the names of ``.npy`` files. Returns nothing by any name, as `call_apart` wants it.
+    Returns nothing by any name, as `call_apart` wants it.
     """
     with h5py.File(path) as old, whole_file(Path(to)) as new:
         new.attrs.update(old.attrs)
-        # Of further looks the file has no views to encode anew.
-        stale = {"look_feature", "look_patches"} if "resnet_feature" in arrays else set()
+        left = {*arrays, "look_feature", "look_patches"}  # of further looks the file has no views to encode anew
         for name in DATASETS:
-            if name in old and name not in arrays and name not in stale:
+            if name in old and name not in left:
                 old.copy(name, new)
-        for name, values in arrays.items():
-            new[name] = np.load(values, mmap_mode="r") if isinstance(values, str) else values
+        for name, file in arrays.items():
+            new[name] = np.load(file, mmap_mode="r")
             new[name].attrs.update(attributes[name])
     return {}
 

@@ -35,11 +35,7 @@ def check_room(room: RoomDescription) -> list[str]:
 
     Pieces that overlap, reach out of the room, or stand in front of a door; places that are cut off.
     """
-    return [*_intersections(room), *_blocked_doors(room), *_cut_off(room)]
-
-
-def _intersections(room: RoomDescription) -> list[str]:
-    found, boxes = [], []
+    found, boxes, solid = [], [], footprints(room)
     for (where, parts), piece in zip(assemble_pieces(room)[1:], room.furniture, strict=True):
         boxes.append((where, _boxes(parts, place_of(piece, room.size)[2])))
         corners = np.concatenate([part.corners.reshape(-1, 3) for part in parts])
@@ -50,6 +46,20 @@ def _intersections(room: RoomDescription) -> list[str]:
         depth = _overlap(its_boxes, others_boxes)
         if depth > MARGIN:
             found.append(f"{one} and {other} reach {100 * depth:.0f} cm into each other")
+    for (where, _), piece in zip(boxes, room.furniture, strict=True):
+        if piece.kind == "door":
+            start, end = door_strip(piece, room.size)
+            if clearance(start[None], end[None], solid)[0] < DOOR_SPACE / 2 - MARGIN:
+                found.append(f"{where}: less than {DOOR_SPACE} m in front of it are free")
+    # The places are compared with all free points of the grid.
+    steps = [np.arange(start, end, room.grid.step) for start, end in zip(room.grid.origin, room.size[:2], strict=True)]
+    points = np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 2)
+    radius = room.grid.radius
+    indoors = ((points >= radius) & (points <= np.array(room.size[:2]) - radius)).all(1)
+    free = int((indoors & (clearance(points, points, solid) >= radius)).sum())
+    places = len(walk(room).places)
+    if places < COVERED * free:
+        found.append(f"[grid] only {places} of {free} free points can be reached from each other")
     return found
 
 
@@ -77,16 +87,6 @@ def _overlap(a: Boxes, b: Boxes) -> float:
     return float(max(0.0, np.minimum.reduce(depths).max()))
 
 
-def _blocked_doors(room: RoomDescription) -> list[str]:
-    found, solid = [], footprints(room)
-    for number, piece in enumerate(room.furniture, 1):
-        if piece.kind == "door":
-            start, end = door_strip(piece, room.size)
-            if clearance(start[None], end[None], solid)[0] < DOOR_SPACE / 2 - MARGIN:
-                found.append(f"[[furniture]] number {number} (door): less than {DOOR_SPACE} m in front of it are free")
-    return found
-
-
 def door_strip(door: Piece, size: Size) -> tuple[Array, Array]:
     """The line in the middle of the space in front of a door that must be free, in a room of this size."""
     x, y, yaw = place_of(door, size)
@@ -95,19 +95,6 @@ def door_strip(door: Piece, size: Size) -> tuple[Array, Array]:
     middle = np.array([x, y]) + inwards * (DOOR_SPACE / 2 - door.size[1] / 2)
     half = max(0.0, door.size[0] / 2 - DOOR_SPACE / 2)
     return middle - across * half, middle + across * half
-
-
-def _cut_off(room: RoomDescription) -> list[str]:
-    """Compare the places with all free points of the grid."""
-    steps = [np.arange(start, end, room.grid.step) for start, end in zip(room.grid.origin, room.size[:2], strict=True)]
-    points = np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 2)
-    radius = room.grid.radius
-    indoors = ((points >= radius) & (points <= np.array(room.size[:2]) - radius)).all(1)
-    free = int((indoors & (clearance(points, points, footprints(room)) >= radius)).sum())
-    places = len(walk(room).places)
-    if places < COVERED * free:
-        return [f"[grid] only {places} of {free} free points can be reached from each other"]
-    return []
 
 
 def thumbnail(view: Array) -> Array:

@@ -56,12 +56,7 @@ def _of_marzipano(name: str, scene: Mapping[str, Any], file: Path) -> Panorama:
         Link(entry(spot, "target", str, where), math.degrees(number(spot.get("yaw"), f"{where}: yaw")))
         for spot in entries(scene, "linkHotspots", where)
     )
-    return Panorama(name, _cube(scene, name, file, where), links)
-
-
-def _cube(scene: Mapping[str, Any], name: str, file: Path, where: str) -> Cube:
-    """Levels are numbered from the smallest, 0; a first one that is only a preview has no tiles."""
-    sizes = []
+    sizes = []  # of levels, numbered from the smallest, 0; a first one that is only a preview has no tiles
     for level in entries(scene, "levels", where):
         size, tile = (int(number(level.get(key), f"{where}: {key}", 1, 2**15)) for key in ("size", "tileSize"))
         sizes.append((size, tile, level.get("fallbackOnly") is True))
@@ -77,7 +72,7 @@ def _cube(scene: Mapping[str, Any], name: str, file: Path, where: str) -> Cube:
     ]
     if not levels:
         raise SceneError(f"{where}: has no level with tiles")
-    return Cube(tuple(levels))
+    return Panorama(name, Cube(tuple(levels)), links)
 
 
 SCENES = re.compile(r"""(?:"scenes"|'scenes'|\bscenes)\s*:""")

@@ -19,7 +19,13 @@ from dirl.sources.tours.tour import FlatError, Link, Panorama, Tour, number, rea
 
 def read_krpano(file: Path) -> Tour:
     """The tour that a ``tour.xml`` describes."""
-    root = _root(file)
+    text = tour_text(file)
+    if "<!DOCTYPE" in text:  # it can declare entities; refused before anything is expanded
+        raise SceneError(f"{file}: has a document type (DOCTYPE), which no tour needs")
+    try:
+        root = ET.fromstring(text)
+    except (ET.ParseError, ValueError, RecursionError) as error:
+        raise SceneError(f"{file}: is not XML ({error})") from None
     if root.tag == "encrypted":
         raise SceneError(f"{file}: is encrypted; make the tour again with encrypt=false, or ask its author for the XML")
     scenes = list(root.iter("scene"))
@@ -40,17 +46,6 @@ def read_krpano(file: Path) -> Tour:
     if not any(panorama.heading for panorama in panoramas):  # MakeVTour writes 0.0 where nothing is known
         panoramas = tuple(replace(panorama, heading=None) for panorama in panoramas)
     return Tour(file.resolve().parent.name, panoramas, (note,) if unlinked else (), str(file), unusable)
-
-
-def _root(file: Path) -> ET.Element:
-    """The parsed file. A document type, which can declare entities, is refused before anything is expanded."""
-    text = tour_text(file)
-    if "<!DOCTYPE" in text:
-        raise SceneError(f"{file}: has a document type (DOCTYPE), which no tour needs")
-    try:
-        return ET.fromstring(text)
-    except (ET.ParseError, ValueError, RecursionError) as error:
-        raise SceneError(f"{file}: is not XML ({error})") from None
 
 
 def _panorama(scene: ET.Element, file: Path, names: Mapping[str, str]) -> Panorama:

@@ -28,6 +28,9 @@ REACH = 3.0
 APART = 3.0
 """Metres between two floors on the map."""
 
+NEAR = 0.2
+"""Metres from a wall's crossing at which a gap is: the two sides of a wall are drawn apart."""
+
 MOST_COMPARED = 10**9
 """Pairs of panoramas, times walls, times doors of a floor."""
 
@@ -54,7 +57,11 @@ def read_zind(file: Path, reach: float = REACH) -> Tour:
         if scale is None:
             notes.append(f"floor '{name}' has no scale: its lengths are heights of the camera, taken for 1.5 m")
         metres = 1.5 if scale is None else number(scale, f"{file}: scale of '{name}'", 1e-3, 1e3)
-        floor = _read_floor(rooms, metres, name, file)
+        floor = _Floor()
+        for room, parts in _objects(rooms, f"{file}: {name}"):
+            for part, found in _objects(parts, f"{file}: {name}: {room}"):
+                for pano, about in _objects(found, f"{file}: {name}: {room}: {part}"):
+                    _read_panorama(floor, f"{name}/{part}/{pano}", about, metres, file)
         if len(panoramas) + len(floor.standing) > MOST_PANORAMAS:
             raise SceneError(f"{file}: more than {MOST_PANORAMAS} panoramas; no more are read")
         across = [at[0] for at, _, _ in floor.standing.values()]
@@ -66,15 +73,6 @@ def read_zind(file: Path, reach: float = REACH) -> Tour:
         edge = max(across) + shift if across else edge
         panoramas += _linked(floor, reach, shift, file)
     return Tour(file.resolve().parent.name, tuple(panoramas), tuple(notes), str(file))
-
-
-def _read_floor(rooms: Any, metres: float, name: str, file: Path) -> _Floor:
-    floor = _Floor()
-    for room, parts in _objects(rooms, f"{file}: {name}"):
-        for part, panoramas in _objects(parts, f"{file}: {name}: {room}"):
-            for pano, about in _objects(panoramas, f"{file}: {name}: {room}: {part}"):
-                _read_panorama(floor, f"{name}/{part}/{pano}", about, metres, file)
-    return floor
 
 
 def _objects(values: Any, where: str) -> list[tuple[str, Mapping[str, Any]]]:
@@ -135,22 +133,15 @@ def _linked(floor: _Floor, reach: float, shift: float, file: Path) -> Iterator[P
 
 def _is_free(start: Array, end: Array, walls: Array, gaps: Array) -> bool:
     """True if the way crosses no wall, or only where a gap is; walls and gaps are ``[W, 2, 2]`` and ``[G, 2, 2]``."""
-    return all(_lies_on(met, gaps).any() for met in _crossings(start, end, walls))
-
-
-def _crossings(start: Array, end: Array, walls: Array) -> Array:
-    """Where a way meets walls ``[W, 2, 2]``, for those that it meets, ``[M, 2]``."""
     way, along, apart = end - start, walls[:, 1] - walls[:, 0], walls[:, 0] - start
     cross = way[0] * along[:, 1] - way[1] * along[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):  # of parallels, which do not meet
         on_way = (apart[:, 0] * along[:, 1] - apart[:, 1] * along[:, 0]) / cross
         on_wall = (apart[:, 0] * way[1] - apart[:, 1] * way[0]) / cross
     met = (cross != 0) & (on_way >= 0) & (on_way <= 1) & (on_wall >= 0) & (on_wall <= 1)
-    return start + on_way[met, None] * way
-
-
-def _lies_on(point: Array, gaps: Array, near: float = 0.2) -> NDArray[np.bool_]:
-    """Return which gaps ``[G, 2, 2]`` are within ``near`` metres of a point: a wall's two sides are drawn apart."""
-    way = gaps[:, 1] - gaps[:, 0]
-    share = np.clip(((point - gaps[:, 0]) * way).sum(1) / np.maximum((way**2).sum(1), 1e-12), 0, 1)
-    return np.asarray(np.hypot(*(point - gaps[:, 0] - share[:, None] * way).T) <= near)
+    points = (start + on_way[met, None] * way)[:, None]
+    # The distance of each crossing from each gap.
+    gap = gaps[:, 1] - gaps[:, 0]
+    share = np.clip(((points - gaps[:, 0]) * gap).sum(-1) / np.maximum((gap**2).sum(-1), 1e-12), 0, 1)
+    off = points - gaps[:, 0] - share[..., None] * gap
+    return bool((np.hypot(off[..., 0], off[..., 1]) <= NEAR).any(1).all())
