@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from tours import grid_truth, tour_of, turned
 
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
@@ -17,39 +16,31 @@ from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.views import encode
 from dirl.sources.tours.moves import tour_scene
 
-HEADINGS = 8
 
-
-@pytest.fixture(scope="module")
-def world(tmp_path_factory):
+def tour_world(folder):
     """A laid-out tour of three by two places; from the second one leads a way to the first, and none back."""
-    file = tmp_path_factory.mktemp("tour") / "tour.h5"
-    scene = tour_scene(
-        tour_of(turned(grid_truth(3, 2), 0.5), dropped=[(0, 1)]), headings=HEADINGS, compare_images=False
-    ).scene
+    tour = tour_of(turned(grid_truth(3, 2), 0.5), dropped=[(0, 1)])
+    scene = tour_scene(tour, headings=8, compare_images=False).scene
     rng = np.random.default_rng(0)
     features = rng.normal(size=(len(scene), 32)).astype(np.float32)
     views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8), quality=None) for _ in range(len(scene))]
-    write_dump(file, replace(scene, features=features, goals=(len(scene) - 1,)), views)
-    return make_world(load_scenes(str(file)))
+    write_dump(folder / "tour.h5", replace(scene, features=features, goals=(len(scene) - 1,)), views)
+    return make_world(load_scenes(str(folder / "tour.h5")))
 
 
-def opened(world, watched_tab, folder, last_steps):
+def test_a_tour_is_drawn_and_walked(watched_tab, tmp_path):
+    world = tour_world(tmp_path)
     memory = GraphMemory(world, 3.0)
     ((name, text),) = viewer_pages(
-        GuidedPolicy(ShortestPathPolicy(world), memory, last_steps),
+        GuidedPolicy(ShortestPathPolicy(world), memory, 3),
         EvaluationProtocol(world, SurroundingViews(world, "front"), every_start(world), max_steps=60),
         matching=TemplateStop(0.95, "front"),
         title="a test",
         graphs=memory.graphs,
-        last_steps=last_steps,
+        last_steps=3,
     ).items()
-    (folder / name).write_text(text, encoding="utf-8")
-    return watched_tab((folder / name).as_uri())
-
-
-def test_a_tour_is_drawn_and_walked(world, watched_tab, tmp_path):
-    tab = opened(world, watched_tab, tmp_path, 3)
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    tab = watched_tab((tmp_path / name).as_uri())
     assert tab.is_visible("#about-map")
     assert "known only by their links" in tab.inner_text("#about-map")
     assert tab.locator("#map line.link").count() == 7  # between three by two places, also where a way leads only back
