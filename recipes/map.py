@@ -5,7 +5,7 @@
 All options: `Options` below.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from dirl.cli.start import run, start
@@ -71,7 +71,7 @@ def main(options: Options) -> None:
     angle = options.field_of_view or recordings[0].field_of_view
     matcher = load_matcher(options.points)
     graph = map_recordings(recordings, matcher, angle or FIELD_OF_VIEW, expected, progress=True)
-    graph = replace(graph, links=find_links(graph, matcher, progress=True))
+    graph = find_links(graph, matcher, progress=True)
     graph.save(options.out)
     print(f"| {Path(options.out).name} | |\n|---|--:|")
     print(f"| frames | {len(graph)} |\n| seconds between them | {graph.spacing:.2f} |\n| links | {len(graph.links)} |")

@@ -407,8 +407,6 @@ def test_images_that_are_no_bytes_or_no_array_are_refused(world, navigator):
         navigator.reset(images / np.float32(255))
     with pytest.raises(NavigatorError, match="found list"):
         navigator.reset(list(images))
-    with pytest.raises(NavigatorError, match=r"layout torch.sparse_coo"):
-        navigator.reset(torch.zeros(images.shape, dtype=torch.uint8).to_sparse())
 
 
 def test_agents_and_goals_must_be_as_many(sequential, world, navigator):

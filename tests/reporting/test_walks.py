@@ -28,7 +28,7 @@ def frames():
 
 def test_a_page_steps_through_a_map_and_shows_where_the_photo_was_found(tmp_path, matcher, frames, browser):
     graph = map_recordings([frames, walk([(1.2 + x, 2.4, 1) for x in range(12)])], matcher, 65.0)
-    graph.links = find_links(graph, matcher)
+    graph = find_links(graph, matcher)
     found = graph.find(matcher, matcher.describe([look(6.4, 2.3, 4)]))
     file = tmp_path / "walk.html"
     write_page(graph, file, graph.path(2, found.frame), found)

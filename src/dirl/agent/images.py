@@ -43,8 +43,8 @@ def checked_images(images: Images, name: str, *, sequential: bool, views: int = 
         raise NavigatorError(
             f"{name}: expected an array, a tensor, or the files of photos, found {type(images).__name__}"
         )
-    if (found := _unreadable(images)) is not None:
-        raise NavigatorError(f"{name}: expected uint8 pixels, found {found}")
+    if isinstance(images, np.ndarray) and images.dtype != np.uint8:
+        raise NavigatorError(f"{name}: expected uint8 pixels, found an array of {images.dtype}")
     # Copied, because the array of a camera driver or image library may be read-only or have negative strides.
     pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.array(images, order="C"))
     shape = tuple(pixels.shape)
@@ -129,12 +129,3 @@ def _accepted(shape: tuple[int, ...], *, sequential: bool, goal: bool, views: in
     if len(shape) == 3:
         return goal
     return (len(shape) in (4, 5) and shape[-4] in (VIEWS, views)) or (goal and len(shape) == 5 and shape[-4] == 1)
-
-
-def _unreadable(images: Tensor | NDArray[Any]) -> str | None:
-    """What images are that hold no pixels; None if they do."""
-    if not isinstance(images, Tensor):
-        return None if images.dtype == np.uint8 else f"an array of {images.dtype}"
-    if images.is_meta:
-        return "a tensor without data (device meta)"
-    return None if images.layout == torch.strided else f"a tensor of layout {images.layout}"

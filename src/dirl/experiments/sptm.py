@@ -7,7 +7,6 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -223,7 +222,8 @@ class Player:
             return TURN_LEFT if advice.turn > 0 else TURN_RIGHT
         if abs(advice.right) > 25 and abs(advice.right) > 0.8 * abs(advice.ahead):
             return RIGHT if advice.right > 0 else LEFT
-        return BACK if advice.say == "back" or (advice.ahead < -40 and advice.say != "arrived") else AHEAD
+        back = advice.backwards or advice.ahead < -40
+        return BACK if back and not advice.to_photo else AHEAD  # what shows the goal is walked past
 
     def _notice_walls(self, frame: NDArray[np.uint8]) -> None:
         """Step aside where the view stayed the same."""
@@ -247,8 +247,7 @@ def map_walkthrough(frames: NDArray[np.uint8]) -> FrameMap:
     """Return the map of a player's frames, RGB, uint8 ``[N, H, W, 3]``, recorded at every step of the simulator."""
     net = load_column_net()
     recording = [(frame, step / SECOND, None) for step, frame in enumerate(frames)][::SKIP]
-    graph = map_recordings([recording], net, 90.0, len(recording))
-    return replace(graph, links=find_links(graph, net))
+    return find_links(map_recordings([recording], net, 90.0, len(recording)), net)
 
 
 def walk_maze(data: Path, maze: Maze, name: str, trials: int) -> list[tuple[bool, int]]:

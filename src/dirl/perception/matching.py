@@ -70,7 +70,7 @@ class Scale(NamedTuple):
     recognised: float
     """So many show that a frame of the map is in sight."""
     unit: float
-    """So many make it four times as likely that a frame is the present one."""
+    """So many make it four times as likely that a frame is the present one; infinite where likeness tells enough."""
     look: float
     """Points that a likeness of 1 counts as, where a photo is looked for."""
     distinct: float
@@ -88,7 +88,7 @@ SCALES = {
     "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0, (4.2, 1.1, -7.5)),
     "none": Scale(False, np.inf, 0.0, 10.0, 20.0, 1.2, 0, 5.0, (4.2, 1.1, -7.5)),
     # Columns of walls; all frames are compared, and how certain an answer is was never measured.
-    "columns": Scale(True, 0.9, 0.2, 2.0, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
+    "columns": Scale(True, 1.0, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
 }
 """By what finds the points, `FrameMatcher.kind`."""
 

@@ -10,7 +10,7 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -51,6 +51,9 @@ EVERY = 0.55
 NEAR, TURNED = 90.0, 35.0
 """Units and degrees between the ends of a link, at most, where points tell."""
 
+STRIDE, TURN = 40.0, 28.0
+"""Units and degrees of a step of a game: so many make a link cost as much as another frame."""
+
 FAR = 300.0
 """Units from which a frame that fits a photo counts exp(-1) of one that was taken where the photo was, likewise."""
 
@@ -89,6 +92,7 @@ class FrameMap:
         kind: of the `FrameMatcher` that described the frames.
         size: height and width of the frames as they were described, pixels.
         places: x, y (metres) and heading (degrees to the left) by odometry, ``[N, 3]``; None without.
+        costs: of going along each link, where going on by a frame costs 1, ``[L]``; 1 each if left out.
     """
 
     pictures: Sequence[bytes]
@@ -100,6 +104,7 @@ class FrameMap:
     kind: str
     size: tuple[int, int]
     places: NDArray[np.float64] | None = None
+    costs: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         count = len(self)
@@ -107,7 +112,8 @@ class FrameMap:
         one, two = self.links.T
         first = np.concatenate([before, before + 1, one, two])
         second = np.concatenate([before + 1, before, two, one])
-        cost = np.concatenate([np.ones(len(before)), np.full(len(before), BACKWARDS), np.ones(2 * len(one))])
+        along = np.ones(len(one)) if self.costs is None else self.costs
+        cost = np.concatenate([np.ones(len(before)), np.full(len(before), BACKWARDS), along, along])
         self.graph: csr_array = coo_array((cost, (first, second)), shape=(count, count)).tocsr()
 
     def __len__(self) -> int:
@@ -196,8 +202,9 @@ class FrameMap:
         arrays |= {"pictures": np.frombuffer(b"".join(self.pictures), np.uint8)}
         arrays |= {"schema": np.int64(SCHEMA), "field_of_view": np.float64(self.field_of_view)}
         arrays |= {"kind": np.array(self.kind), "size": np.array(self.size)}
-        if self.places is not None:
-            arrays["places"] = self.places
+        for name, values in (("places", self.places), ("costs", self.costs)):
+            if values is not None:
+                arrays[name] = values
         with atomic_path(Path(file)) as temporary, temporary.open("wb") as stream:
             np.savez(stream, **arrays)
 
@@ -233,6 +240,7 @@ def load_frames_map(file: str | Path) -> FrameMap:
             str(arrays["kind"]),
             (int(arrays["size"][0]), int(arrays["size"][1])),
             arrays.get("places"),
+            arrays.get("costs"),
         )
     except FileNotFoundError:
         raise MapError(f"{file}: there is no such map") from None
@@ -344,8 +352,8 @@ def map_recordings(
     )
 
 
-def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False) -> NDArray[np.int64]:
-    """Return pairs of frames of one place, seen at different times or in different recordings, int64 ``[L, 2]``.
+def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False) -> FrameMap:
+    """Return the map with its links: pairs of frames of one place, seen at different times or in different recordings.
 
     Frames of every half second are compared, each with those that are most alike as a whole. Two are linked if so many
     of their points agree, and those of the frames before or after, too: places that only look alike seldom do so for
@@ -353,10 +361,11 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
     """
     scale, stride = graph.scale, max(1, round(EVERY / graph.spacing))
     if not scale.shortlist:
-        return np.zeros((0, 2), np.int64)
+        return graph
     some = np.arange(0, len(graph), stride)
     times, parts = graph.times[some], graph.parts[some]
     agreeing: dict[tuple[int, int], float] = {}
+    cost: dict[tuple[int, int], float] = {}
     compared: dict[int, list[tuple[int, float]]] = {}
     for row in tqdm(range(1, len(some)), desc="links", unit="", disable=None if progress else True):
         frame = some[row]
@@ -366,9 +375,12 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
             likeness = matcher.likeness(seen, graph.described)[some[apart]]
             apart = apart[np.argsort(-likeness)[: scale.shortlist]]
         fit = matcher.fit(seen, graph.described, some[apart].tolist())
-        near = (np.hypot(fit.ahead, fit.right) < NEAR) & (np.abs(fit.turned) < TURNED)
-        compared[row] = list(zip(apart.tolist(), (fit.score * near).tolist(), strict=True))
+        compared[row] = list(zip(apart.tolist(), fit.score.tolist(), strict=True))
         agreeing |= {(other, row): value for other, value in compared[row]}
+        distance, turn = np.hypot(fit.ahead, fit.right), np.abs(fit.turned)
+        near = (distance < NEAR) & (turn < TURNED)
+        costs = 1 + distance / STRIDE + turn / TURN
+        cost |= {(other, row): value for other, value in zip(apart[near].tolist(), costs[near].tolist(), strict=True)}
 
     def supported(one: int, two: int) -> bool:
         """True if the frames around agree, too, walked in the same direction or in the other."""
@@ -392,17 +404,18 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
 
     links: list[tuple[int, int]] = []
     linked: dict[int, list[int]] = defaultdict(list)
-    # The best first; of frames that see each other from afar only the nearest pair is linked.
-    for one, two in sorted(
-        (pair for pair in agreeing if agreeing[pair] >= scale.link), key=lambda pair: -agreeing[pair]
-    ):
+    candidates = [pair for pair, value in agreeing.items() if value >= scale.link and pair in cost]
+    for one, two in sorted(candidates, key=lambda pair: -agreeing[pair]):  # the best first
+        # Of frames that see each other from afar only the nearest pair is linked, where points do not tell how far.
         beside = any(abs(other - two) <= WINDOW for other in linked[one])
         beside |= any(abs(other - one) <= WINDOW for other in linked[two])
-        if not beside and distinct(one, two) and supported(one, two):
+        if (scale.tells_places or not beside) and distinct(one, two) and supported(one, two):
             links.append((one, two))
             linked[one].append(two)
             linked[two].append(one)
-    return some[np.array(sorted(links), np.int64).reshape(-1, 2)]
+    links.sort()
+    found = some[np.array(links, np.int64).reshape(-1, 2)]
+    return replace(graph, links=found, costs=np.array([cost[pair] for pair in links]))
 
 
 def _inside(parts: NDArray[np.int64], frame: int, step: int) -> bool:

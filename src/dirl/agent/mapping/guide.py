@@ -54,6 +54,9 @@ STRAIGHT = 12.0
 BEYOND = 60.0
 """Units from which a frame is walked to; nearer ones tell by their heading where the path goes on."""
 
+ASIDE = 70.0
+"""Degrees from which another heading has nothing in common with the present one; then points only seem to agree."""
+
 PATIENCE = 45
 """Views without progress before another path is taken."""
 
@@ -76,6 +79,10 @@ class Guidance(NamedTuple):
     """Units to where the frame that leads was taken, where points tell that."""
     right: float = 0.0
     """Likewise, to the right."""
+    backwards: bool = False
+    """True if the path follows the recording back in time: the camera looks to where one comes from."""
+    to_photo: bool = False
+    """True if the photo itself is in sight and leads."""
 
     def __str__(self) -> str:
         if self.say != "turn":
@@ -165,7 +172,8 @@ class Guide:
         if sure < SURE or not np.isfinite(self._far[here]):
             return Guidance("lost", 0.0, here, sure)
         path = self._path(here)
-        scores = self.matcher.fit(seen, self.graph.described, path).score
+        fit = self.matcher.fit(seen, self.graph.described, path)
+        scores = fit.score
         of_photo = float(self.matcher.fit(seen, self._photo, [0]).score[0]) if self._far[path[-1]] == 0 else 0.0
         best, least = max(scores.max(), of_photo), self.graph.scale.recognised
         self._missed = self._missed + 1 if best < least else 0
@@ -176,22 +184,23 @@ class Guide:
             return Guidance("stuck", 0.0, here, sure)
         enough = max(least, NEARLY * best)
         if of_photo >= enough:
-            return self._towards_photo(seen, of_photo, here, sure)
-        leading = int(np.flatnonzero(scores >= enough).max())
+            arrived = self._far[here] <= NEAR and of_photo >= self._arrived
+            motion = self._motion(seen, self._photo, 0)
+            return self._towards(motion, here, sure, "arrived" if arrived else "ahead", to_photo=True)
+        in_sight = (scores >= enough) & (np.abs(fit.turned) < ASIDE)
+        leading = int(np.flatnonzero(in_sight).max()) if in_sight.any() else int(scores.argmax())
         motion = self._motion(seen, self.graph.described, path[leading])
-        turn = _heading(motion)
-        # Along a recording that is followed back in time the camera looks back.
-        if leading and all(0 <= one - two <= 1 for one, two in pairwise(path[: leading + 1])):
-            return Guidance("turn" if abs(turn) >= STRAIGHT else "back", turn, here, sure, motion.ahead, motion.right)
-        return Guidance("turn" if abs(turn) >= STRAIGHT else "ahead", turn, here, sure, motion.ahead, motion.right)
+        backwards = leading > 0 and all(0 <= one - two <= 1 for one, two in pairwise(path[: leading + 1]))
+        return self._towards(motion, here, sure, "back" if backwards else "ahead", backwards=backwards)
 
     def _localise(self, seen: Described) -> None:
         """Where one is: moves spread the belief, and what is seen weighs it."""
         self.belief.move()
         likelihood = np.exp(LIKE * self.matcher.likeness(seen, self.graph.described, self.belief.of))
-        some = np.argsort(-self.belief.of * likelihood)[:COMPARED]
-        agreeing = self.matcher.fit(seen, self.graph.described, some.tolist()).score
-        likelihood[some] *= (1 + agreeing / self.graph.scale.unit) ** 2
+        if np.isfinite(self.graph.scale.unit):
+            some = np.argsort(-self.belief.of * likelihood)[:COMPARED]
+            agreeing = self.matcher.fit(seen, self.graph.described, some.tolist()).score
+            likelihood[some] *= (1 + agreeing / self.graph.scale.unit) ** 2
         self.belief.weigh(likelihood)
 
     def _path(self, here: int) -> list[int]:
@@ -214,13 +223,15 @@ class Guide:
             self._steps[frame, following] = self._motion(described[frame : frame + 1], described, following).turned
         return self._steps[frame, following]
 
-    def _towards_photo(self, seen: Described, agreeing: float, here: int, sure: float) -> Guidance:
-        """Say what leads to where the photo was taken, or that one has arrived."""
-        turn, motion = 0.0, self._motion(seen, self._photo, 0)
-        turn = _heading(motion)
-        if self._far[here] <= NEAR and agreeing >= self._arrived:
-            return Guidance("arrived", turn, here, sure, motion.ahead, motion.right)
-        return Guidance("turn" if abs(turn) >= STRAIGHT else "ahead", turn, here, sure, motion.ahead, motion.right)
+    def _towards(
+        self, motion: Motion, here: int, sure: float, straight: Literal["ahead", "back", "arrived"], **facts: bool
+    ) -> Guidance:
+        """Say what leads along a motion: a turn, or what is to be done straight on."""
+        turn = motion.turned
+        if motion.ahead > BEYOND:  # half to the heading of the frame, and half to where it was taken
+            turn = (turn - float(np.degrees(np.arctan2(motion.right, motion.ahead)))) / 2
+        say = "turn" if abs(turn) >= STRAIGHT and straight != "arrived" else straight
+        return Guidance(say, turn, here, sure, motion.ahead, motion.right, **facts)
 
     def _without_progress(self, here: int) -> bool:
         """Return True if for `PATIENCE` views one came no nearer."""
@@ -260,10 +271,3 @@ class Guide:
         resized = np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX if scale < 1 else None))
         top, left = (size[1] - height) // 2, (size[0] - width) // 2
         return resized[top : top + height, left : left + width]
-
-
-def _heading(motion: Motion) -> float:
-    """Degrees to the left: to the heading of a frame, and half to where it was taken if that is far ahead."""
-    if motion.ahead <= BEYOND:
-        return motion.turned
-    return (motion.turned - float(np.degrees(np.arctan2(motion.right, motion.ahead)))) / 2
