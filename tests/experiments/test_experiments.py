@@ -18,7 +18,7 @@ from dirl.experiments.measures import ambiguous, wrong_goals
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
 from dirl.perception.backbones.registry import ViewEncoder, encode_views
-from dirl.reporting.statistics import bootstrap_interval, iqm, of_rooms, summarised
+from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.collection import Entry, add_entry
@@ -177,10 +177,10 @@ def test_bootstrap_interval_holds_the_true_mean_about_as_often_as_it_says():
 
 def test_numbers_of_several_rooms_or_runs_as_text():
     rates = [1.0, 1.0, 1.0, 0.9, 0.2]
-    assert of_rooms(rates, ".2f", min) == "0.82 [0.50,\N{NO-BREAK SPACE}1.00], worst 0.20"
-    assert of_rooms(rates, ".2f", max).endswith("worst 1.00")
-    assert of_rooms([1.0, 1.0], ".2f", min) == "1.00"
-    assert of_rooms([], ".2f", min) == summarised([], ".1f") == "-"
+    assert summarised(rates, ".2f", min) == "0.82 [0.50,\N{NO-BREAK SPACE}1.00], worst 0.20"
+    assert summarised(rates, ".2f", max).endswith("worst 1.00")
+    assert summarised([1.0, 1.0], ".2f", min) == "1.00"
+    assert summarised([], ".2f", min) == summarised([], ".1f") == "-"
     assert summarised([2.0], ".1f") == summarised([2.0, 2.0, 2.0], ".1f") == "2.0"
     assert summarised([1.0, 3.0, math.inf], ".0f") == "never [1,\N{NO-BREAK SPACE}never]"
     assert summarised([math.inf, math.inf], ".1f") == "never"

@@ -11,7 +11,7 @@ from typing import Any
 from dirl.config.choices import goal_view_options
 from dirl.config.saved import read_config
 from dirl.config.schemas import TrainConfig
-from dirl.reporting.statistics import FloatArray, of_rooms, summarised
+from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import RunError, finished_folders
@@ -154,7 +154,7 @@ def _text(cell: Any, form: str, worst: Callable[[Sequence[float]], float] | None
     if cell is None:
         return ""
     if isinstance(cell, list):
-        return summarised(cell, form) if worst is None else of_rooms(cell, form, worst)
+        return summarised(cell, form, worst)
     return str(cell) if isinstance(cell, str) else format(cell, form)
 
 

@@ -36,9 +36,11 @@ def bootstrap_interval(
     return low, high
 
 
-def summarised(values: Sequence[float], form: str) -> str:
-    """Return interquartile mean and 95 % interval as text, e.g. "13.51 [13.20, 14.02]"; infinity is "never".
+def summarised(values: Sequence[float], form: str, worst: Callable[[Sequence[float]], float] | None = None) -> str:
+    """Return a mean and its 95 % bootstrap interval as text, "13.51 [13.20, 14.02]"; infinity is "never".
 
+    Of runs it is the interquartile mean. Of rooms, where ``worst`` says which is the worst (``min`` or ``max``), it is
+    the mean of all, and the worst one follows: an interquartile mean would hide the room that a reader may live in.
     An interval whose ends round to the mean is left out. An interval contains no line break.
     """
 
@@ -47,18 +49,10 @@ def summarised(values: Sequence[float], form: str) -> str:
 
     if len(values) == 0 or np.isnan(values).any():
         return "-"
-    middle = text(float(iqm(values)))
-    low, high = (text(float(limit)) for limit in bootstrap_interval(values))
-    return middle if low == middle == high else f"{middle} [{low},\N{NO-BREAK SPACE}{high}]"
-
-
-def of_rooms(values: Sequence[float], form: str, worst: Callable[[Sequence[float]], float]) -> str:
-    """Return mean over rooms, 95 % bootstrap interval and worst room as text: "0.981 [0.962, 0.994], worst 0.930".
-
-    An interquartile mean would hide the worst room, which is the one that a reader may live in.
-    """
-    if len(values) == 0 or np.isnan(values).any():
-        return "-"
-    low, high = (format(float(limit), form) for limit in bootstrap_interval(values, mean=lambda runs: runs.mean(0)))
-    middle, least = format(float(np.mean(values)), form), format(worst(values), form)
-    return middle if low == middle == high else f"{middle} [{low},\N{NO-BREAK SPACE}{high}], worst {least}"
+    mean: Callable[[ArrayLike], FloatArray] = iqm if worst is None else lambda runs: np.asarray(runs, float).mean(0)
+    middle = text(float(mean(values)))
+    low, high = (text(float(limit)) for limit in bootstrap_interval(values, mean=mean))
+    if low == middle == high:
+        return middle
+    told = f"{middle} [{low},\N{NO-BREAK SPACE}{high}]"
+    return told if worst is None else f"{told}, worst {text(worst(values))}"
