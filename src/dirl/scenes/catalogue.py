@@ -27,7 +27,7 @@ class SceneSource(Protocol):
     """Where scenes are looked up by name: a class of one's own, named by ``source._target_``."""
 
     def load(self, names: list[str]) -> Sequence[Scene]:
-        """The scenes of these names, as ``scene=`` gives them; `SceneError` if there is no such."""
+        """Return the scenes of these names, as ``scene=`` gives them; `SceneError` if there is no such."""
 
 
 class Rooms:
@@ -38,7 +38,7 @@ class Rooms:
         return ROOMS
 
     def load(self, names: list[str]) -> list[Scene]:
-        """The scenes of these names or files."""
+        """Return the scenes of these names or files."""
         scenes = read_dumps(find_scenes(names, self), stacklevel=4)  # names who called `load_scenes`
         return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
 
@@ -101,7 +101,7 @@ def load_scenes(
 
 
 def _own_scenes(source: SceneSource, names: list[str]) -> list[Scene]:
-    """The scenes of a user's own source, which may do anything."""
+    """Return the scenes of a user's own source, which may do anything."""
     kind = type(source).__name__
     if not callable(getattr(source, "load", None)):
         raise SceneError(f"source: {kind} has no method load(names); see dirl.scenes.catalogue.SceneSource")
@@ -131,7 +131,7 @@ def collection_folder(scene: str | Sequence[str]) -> Path | None:
 
 
 def find_scenes(scene: str | Sequence[str], source: Rooms | None = None) -> list[Dump]:
-    """The dumps of the scenes a user asks for, not read yet; of the built-in rooms if no source is given."""
+    """Return the dumps of the scenes a user asks for, not read yet; of the built-in rooms if no source is given."""
     folder = (source or Rooms()).folder()
     names = [scene] if isinstance(scene, str) else list(scene)
     if not names:

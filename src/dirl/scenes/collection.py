@@ -61,7 +61,7 @@ class Collection(Sequence[Scene]):
     entries: tuple[Entry, ...]
 
     def __len__(self) -> int:
-        """The number of rooms."""
+        """Return the number of rooms."""
         return len(self.entries)
 
     @overload
@@ -80,7 +80,7 @@ class Collection(Sequence[Scene]):
         return scene
 
     def path(self, entry: Entry) -> Path:
-        """The dump of a room."""
+        """Return the dump of a room."""
         return self.folder / f"{entry.name}.h5"
 
     def select(self, *, split: str | None = None) -> "Collection":
@@ -92,12 +92,12 @@ class Collection(Sequence[Scene]):
         return replace(self, entries=chosen)
 
     def damaged(self) -> Iterator[str]:
-        """The names of rooms whose dumps are missing or differ from the index; reads every file."""
+        """Yield the names of rooms whose dumps are missing or differ from the index; reads every file."""
         yield from (entry.name for entry in self.entries if not is_whole(self.path(entry), entry))
 
 
 def read_collection(folder: str | Path) -> Collection:
-    """The collection in a folder; no dump is read.
+    """Return the collection in a folder; no dump is read.
 
     Raises:
         SceneError: the folder holds no index, or it cannot be understood; the message names the line.
@@ -136,5 +136,5 @@ def add_entry(folder: Path, entry: Entry) -> None:
 
 
 def is_whole(dump: Path, entry: Entry) -> bool:
-    """Whether a dump exists and is the one that the index describes."""
+    """True if a dump exists and is the one that the index describes."""
     return dump.is_file() and file_digest(dump) == entry.sha256

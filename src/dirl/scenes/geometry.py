@@ -8,13 +8,13 @@ from dirl.scenes.scene import Scene
 
 
 def step_length(scene: Scene) -> float:
-    """The median length of the moves ahead, metres; 0.5 where there are none."""
+    """Return the median length of the moves ahead, metres; 0.5 where there are none."""
     _, moves = _moves_ahead(scene)
     return float(np.median(np.abs(moves))) if len(moves) else 0.5
 
 
 def heading_directions(scene: Scene) -> NDArray[np.float64]:
-    """Where each state's heading points to on the map: unit vectors (x, z), float64 ``[N, 2]``.
+    """Return where each state's heading points to on the map: unit vectors (x, z), float64 ``[N, 2]``.
 
     Headings are clockwise from +z in AI2-THOR, but other files may differ. The sense of rotation and its zero are
     therefore those that agree best with the moves ahead; where the moves leave it open, those of AI2-THOR.
@@ -34,7 +34,7 @@ def heading_directions(scene: Scene) -> NDArray[np.float64]:
 
 
 def _moves_ahead(scene: Scene) -> tuple[IntArray, NDArray[np.complex128]]:
-    """The states whose way ahead is free, and the moves as z + ix, whose angle is the clockwise one from +z."""
+    """Return the states whose way ahead is free, and the moves as z + ix, whose angle is the clockwise one from +z."""
     states = np.flatnonzero(scene.graph[:, AHEAD] >= 0)
     x, z = (scene.positions[scene.graph[states, AHEAD]] - scene.positions[states]).T
     return states, z + 1j * x

@@ -66,7 +66,7 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
 
 
 def well_reached(scene: Scene) -> np.ndarray:
-    """Whether a state can be reached from the largest part of the scene, bool ``[N]``: true in a connected scene.
+    """True if a state can be reached from the largest part of the scene, bool ``[N]``: true in a connected scene.
 
     All states of a part can be reached from each other. A dead end that has no way out takes no goals from others.
     """
@@ -90,7 +90,7 @@ def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
 
 
 def _order(scene: Scene, seed: int, named: Sequence[int]) -> IntArray:
-    """The places that have no named goal, int64, in an order sampled with the seed."""
+    """Return the places that have no named goal, int64, in an order sampled with the seed."""
     place = places(scene.graph)
     drawn = np.random.default_rng(seed).permutation(int(place.max()) + 1)
     return drawn[~np.isin(drawn, place[list(named)])]
@@ -101,7 +101,7 @@ def _count(fraction: float, scene: Scene) -> int:
 
 
 def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.ndarray:
-    """Which states a rule chooses, bool ``[N]``."""
+    """Return which states a rule chooses, bool ``[N]``."""
     kind, _, given = rule.partition(":")
     states = np.arange(len(scene))
     if rule == "all":

@@ -92,13 +92,13 @@ def _ring_lengths(graph: IntArray, alive: IntArray) -> IntArray:
 
 
 def turns_per_circle(graph: IntArray) -> int:
-    """The number of right turns in a full circle: 4 if a turn is 90 degrees, 12 if it is 30."""
+    """Return the number of right turns in a full circle: 4 if a turn is 90 degrees, 12 if it is 30."""
     alive = np.flatnonzero((graph >= 0).any(1))
     return int(_ring_lengths(graph, alive[:1])[0])
 
 
 def turns_only(places: int, headings: int) -> IntArray:
-    """Next states of so many places with so many headings each, int64 ``[P * K, 4]``: moves are blocked."""
+    """Return next states of so many places with so many headings each, int64 ``[P * K, 4]``: moves are blocked."""
     state = np.arange(places * headings)
     heading = state % headings
     graph = np.full((len(state), len(ACTIONS)), -1, np.int64)
@@ -108,7 +108,7 @@ def turns_only(places: int, headings: int) -> IntArray:
 
 
 def surrounding_states(graph: IntArray) -> IntArray:
-    """The states seen ahead, to the right, behind and to the left, relative to the heading.
+    """Return the states seen ahead, to the right, behind and to the left, relative to the heading.
 
     They are found by repeated turns along the graph's own links, never from the numbering of the states
     (paper section 3.5). Of a checked graph, int64 ``[N, 4]``, they are int64 ``[N, 4]``; column 0 is the state itself,
@@ -125,7 +125,7 @@ def surrounding_states(graph: IntArray) -> IntArray:
 
 
 def places(graph: IntArray) -> IntArray:
-    """The place of each state, int64 ``[N]``: states that are connected by turns share one.
+    """Return the place of each state, int64 ``[N]``: states that are connected by turns share one.
 
     Places are numbered 0, 1, ... in the order of their first states.
     """
@@ -137,7 +137,7 @@ def places(graph: IntArray) -> IntArray:
 
 
 def shortest_distances(graph: IntArray, goals: IntArray | None = None) -> NDArray[np.int32]:
-    """The fewest actions from every state to each goal.
+    """Return the fewest actions from every state to each goal.
 
     Args:
         graph: a checked graph, int64 ``[N, 4]``.

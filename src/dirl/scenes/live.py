@@ -55,7 +55,7 @@ class LiveWorld(Protocol):
         """Take one of `dirl.scenes.ACTIONS`, with a turn by ``error`` degrees clockwise too many; whether it moved."""
 
     def views(self) -> Image:
-        """What is ahead, to the right, behind and to the left: uint8 RGB ``[4, H, W, 3]``."""
+        """Return what is ahead, to the right, behind and to the left: uint8 RGB ``[4, H, W, 3]``."""
 
 
 class Simulator(Protocol):
@@ -75,7 +75,7 @@ class Simulator(Protocol):
         """Try to walk along the heading, backwards if negative; where blocked the agent stays where it was."""
 
     def look(self, heading: float) -> Image:
-        """The view towards a heading, uint8 RGB ``[H, W, 3]``."""
+        """Return the view towards a heading, uint8 RGB ``[H, W, 3]``."""
 
 
 def looked(simulator: Simulator, heading: float) -> Image:
@@ -84,14 +84,14 @@ def looked(simulator: Simulator, heading: float) -> Image:
 
 
 def stride(heading: float, step: float) -> float:
-    """The metres of a move along a heading on a grid: to the next place on an axis or a diagonal, else none."""
+    """Return the metres of a move along a heading on a grid: to the next place on an axis or a diagonal, else none."""
     if round(heading) % 45:
         return 0.0
     return step if round(heading) % 90 == 0 else step * 2**0.5
 
 
 def turns_by_angle(turn: float) -> int:
-    """How many turns by so many degrees are a full circle; `SceneError` unless they go into 90 without rest."""
+    """Return how many turns by so many degrees are a full circle; `SceneError` unless they go into 90 without rest."""
     turns = round(360 / turn) if turn > 0 else 0
     if turns == 0 or turns % 4 or abs(360 / turns - turn) > 1e-9:
         raise SceneError(f"turn={turn:g}: a turn must go into 90 degrees without rest, as 90, 45 and 30 do")
@@ -135,7 +135,7 @@ class Simulated:
             return True
 
     def views(self) -> Image:
-        """The four views around the agent."""
+        """Return the four views around the agent."""
         with simulator_errors(self.simulator.name):
             heading = self.pose.heading
             return np.stack([looked(self.simulator, (heading + quarter) % 360) for quarter in (0, 90, 180, 270)])
@@ -180,7 +180,7 @@ class Dumped:
         return moved
 
     def views(self) -> Image:
-        """The four views around the agent."""
+        """Return the four views around the agent."""
         return np.stack([self._views[int(state)] for state in self._around[self.state]])
 
 
@@ -214,19 +214,19 @@ class Noisy:
 
 
 def state_pose(scene: Scene, state: int) -> Pose:
-    """Where a state of a dump is."""
+    """Return where a state of a dump is."""
     x, z = scene.positions[state].tolist()
     return Pose(x, z, float(scene.headings[state]))
 
 
 def arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
-    """Whether a pose is within so many metres of another one, and turned away from it by so many degrees at most."""
+    """True if a pose is within so many metres of another one, and turned away from it by so many degrees at most."""
     turned = abs((pose.heading - wanted.heading + 180) % 360 - 180)
     return bool(np.hypot(pose.x - wanted.x, pose.z - wanted.z) <= within and turned <= degrees)
 
 
 def shortest_move(scene: Scene) -> float:
-    """The metres of the shortest move ahead or back in a scene."""
+    """Return the metres of the shortest move ahead or back in a scene."""
     state, action = np.nonzero(scene.graph[:, [AHEAD, BACK]] >= 0)
     after = scene.graph[state, np.array([AHEAD, BACK])[action]]
     return float(np.linalg.norm(scene.positions[after] - scene.positions[state], axis=1).min())

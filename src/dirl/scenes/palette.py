@@ -27,6 +27,6 @@ GOAL_COLOR, WALL_COLOR = "#F0E442", "#C9CDD3"
 
 
 def star_points(x: float, y: float, radius: float) -> list[tuple[float, float]]:
-    """The corners of the goal's star in a picture, one of them up; rows of a picture count downwards."""
+    """Return the corners of the goal's star in a picture, one of them up; rows of a picture count downwards."""
     corners = [(math.pi * corner / 5, radius * (0.42 if corner % 2 else 1)) for corner in range(10)]
     return [(x + reach * math.sin(turn), y - reach * math.cos(turn)) for turn, reach in corners]

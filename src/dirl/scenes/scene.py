@@ -127,7 +127,7 @@ class Scene:
         return f"<Scene {self.name} ({self.source}): {shown}, from {self.origin}>"
 
     def __len__(self) -> int:
-        """The number of states."""
+        """Return the number of states."""
         return len(self.graph)
 
     @property
@@ -190,7 +190,7 @@ class Scene:
         return array
 
     def _checked_looks(self) -> dict[str, NDArray[Any]]:
-        """The arrays of further looks: as many of patches as of features, each as that of the default look."""
+        """Return the arrays of further looks: as many of patches as of features, each as that of the default look."""
         if self.look_features is None:
             return {}
         pairs = [("look_features", np.floating, self.features), ("look_patches", np.float16, self.patches)]
@@ -233,5 +233,5 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def turns_of(scenes: Iterable[Scene]) -> list[int]:
-    """How many right turns make a full circle in the scenes, each number once."""
+    """Return how many right turns make a full circle in the scenes, each number once."""
     return sorted({turns_per_circle(scene.graph) for scene in scenes})

@@ -41,10 +41,10 @@ class Views(Protocol):
     """The camera images of a scene: an array uint8 ``[N, H, W, 3]``, or anything that gives one image a state."""
 
     def __len__(self) -> int:
-        """The number of states."""
+        """Return the number of states."""
 
     def __getitem__(self, state: int, /) -> NDArray[np.uint8]:
-        """The view of a state as RGB, uint8 ``[H, W, 3]``."""
+        """Return the view of a state as RGB, uint8 ``[H, W, 3]``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class FileViews:
         return len(self.spans)
 
     def __getitem__(self, state: int) -> NDArray[np.uint8]:
-        """The view of a state as RGB, uint8 ``[H, W, 3]``.
+        """Return the view of a state as RGB, uint8 ``[H, W, 3]``.
 
         Raises:
             IndexError: there is no such state.
@@ -88,7 +88,7 @@ class FileViews:
             raise ValueError(f"{self.path}: {self.dataset}: state {state}: not a readable image ({error})") from None
 
     def encoded(self, state: int) -> bytes | None:
-        """The stored bytes of an encoded view; None where views are stored as raw pixels."""
+        """Return the stored bytes of an encoded view; None where views are stored as raw pixels."""
         return None if self.dataset == "observation" else self._stored(state)
 
     def _stored(self, state: int) -> bytes:
@@ -113,7 +113,7 @@ def check_image(view: NDArray[np.generic], what: str) -> NDArray[np.uint8]:
 
 
 def encoded_view(views: Views, state: int) -> bytes:
-    """The view of a state as the bytes of an image: those of its file, or WebP."""
+    """Return the view of a state as the bytes of an image: those of its file, or WebP."""
     stored = views.encoded(state) if isinstance(views, FileViews) else None
     return stored or encode(views[state])
 
@@ -130,7 +130,7 @@ def encode(view: NDArray[np.uint8], quality: int | None = 85, method: int = 6) -
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
-    """The RGB image, uint8 ``[H, W, 3]``, in the bytes of an encoded one; `ImageError` if there is none."""
+    """Return the RGB image, uint8 ``[H, W, 3]``, in the bytes of an encoded one; `ImageError` if there is none."""
     return np.asarray(to_rgb(open_image(data, MAX_PIXELS)))
 
 

@@ -47,7 +47,7 @@ class World:
     """Of each goal, int64 ``[G]``: its pair with a state is ``row[goal_index] + state``, see `pair`."""
 
     def __len__(self) -> int:
-        """The number of states."""
+        """Return the number of states."""
         return len(self.graph)
 
     @property
@@ -56,7 +56,7 @@ class World:
         return len(self.features) // len(self)
 
     def pictures(self, scene: int) -> Tensor:
-        """The view ids of one scene, look by look, int64 ``[L * n]``."""
+        """Return the view ids of one scene, look by look, int64 ``[L * n]``."""
         states = torch.arange(len(self.scenes[scene]), device=self.device) + self.offsets[scene]
         return torch.cat([states + look * len(self) for look in range(self.looks)])
 
@@ -83,7 +83,7 @@ class World:
         return index
 
     def panoramas(self) -> Tensor:
-        """The states of all headings of each place, clockwise from each state, int64 ``[N, K]``.
+        """Return the states of all headings of each place, clockwise from each state, int64 ``[N, K]``.
 
         Raises:
             SceneError: scenes whose turns differ.
@@ -97,7 +97,7 @@ class World:
         return torch.stack(views, 1)
 
     def pair(self, goal_index: Tensor, state: Tensor) -> Tensor:
-        """The place of pairs in ``distances`` and every other table of pairs, int64 ``[...]``.
+        """Return the place of pairs in ``distances`` and every other table of pairs, int64 ``[...]``.
 
         Args:
             goal_index: goals by their place in ``goals``, int64 ``[...]``.
@@ -117,31 +117,31 @@ class World:
         return goal_index, torch.arange(len(goal_index), device=self.device) - self.row[goal_index]
 
     def block(self, table: Tensor, goal_index: int) -> Tensor:
-        """The rows of a table of pairs ``[P, ...]`` for one goal, in the order of its scene's states."""
+        """Return the rows of a table of pairs ``[P, ...]`` for one goal, in the order of its scene's states."""
         scene = int(self.scene_of[self.goals[goal_index]])
         first = int(self.row[goal_index]) + self.offsets[scene]
         return table[first : first + len(self.scenes[scene])]
 
     def goals_in(self, scene: int) -> list[int]:
-        """The places in ``goals`` of those in one scene, given by its place in ``scenes``."""
+        """Return the places in ``goals`` of those in one scene, given by its place in ``scenes``."""
         return torch.nonzero(self.scene_of[self.goals] == scene).flatten().tolist()
 
     def local_goals(self, scene: int) -> Tensor:
-        """The goals of one scene, given by its place in ``scenes``, as its own states, int64 ``[g]``."""
+        """Return the goals of one scene, given by its place in ``scenes``, as its own states, int64 ``[g]``."""
         return self.goals[self.goals_in(scene)] - self.offsets[scene]
 
     def with_goals(self, goals: "Goals") -> "World":
-        """The same scenes with other goals, see `make_world`; what does not depend on goals is shared."""
+        """Return the same scenes with other goals, see `make_world`; what does not depend on goals is shared."""
         return replace(self, **_goal_tables(self.scenes, self.offsets, _goals(self.scenes, goals))).to(self.device)
 
     def to(self, device: torch.device | str) -> "World":
-        """The same world with its tensors on a device."""
+        """Return the same world with its tensors on a device."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         moved = {name: value.to(device) for name, value in values.items() if isinstance(value, Tensor)}
         return World(**{**values, **moved})
 
     def local(self, state: int) -> tuple[Scene, int]:
-        """The scene of a state of the world, and the state's number in it."""
+        """Return the scene of a state of the world, and the state's number in it."""
         index = int(self.scene_of[state])
         return self.scenes[index], state - self.offsets[index]
 
@@ -207,7 +207,7 @@ def _sharing(scene: Scene, features: NDArray[np.float32]) -> Scene:
 
 
 def _looks(scenes: Sequence[Scene]) -> int:
-    """How many looks every state has in the world; a scene of one look shows it at every visit."""
+    """Return how many looks every state has in the world; a scene of one look shows it at every visit."""
     counts = sorted({scene.looks for scene in scenes})
     if len(counts) > 1 and counts[:-1] != [1]:
         raise SceneError(f"the scenes have different numbers of looks, {counts}; make them with one or as many")
@@ -215,7 +215,7 @@ def _looks(scenes: Sequence[Scene]) -> int:
 
 
 def _look_by_look(scenes: Sequence[Scene], name: str, looks: int) -> list[NDArray[np.floating]]:
-    """The features or patches of all scenes in their first look, then in the next one, and so on."""
+    """Return the features or patches of all scenes in their first look, then in the next one, and so on."""
     return [
         getattr(scene, name) if look == 0 or scene.looks == 1 else getattr(scene, f"look_{name}")[look - 1]
         for look in range(looks)
@@ -224,7 +224,7 @@ def _look_by_look(scenes: Sequence[Scene], name: str, looks: int) -> list[NDArra
 
 
 def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
-    """The patches of all scenes, look by look, one behind the other."""
+    """Return the patches of all scenes, look by look, one behind the other."""
     found = [scene.patches for scene in scenes if scene.patches is not None]
     if len(found) < len(scenes):
         return None
@@ -235,7 +235,7 @@ def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
 
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:
-    """The fields of a world that depend on its goals, by name."""
+    """Return the fields of a world that depend on its goals, by name."""
     blocks, rows, pairs = [], [], 0
     for scene, offset, states in zip(scenes, offsets, chosen, strict=True):
         blocks.append(shortest_distances(scene.graph, np.array(states)).T.astype(np.int16).ravel())

@@ -70,7 +70,7 @@ class GymSimulator:
         return moved
 
     def look(self, heading: float) -> Image:
-        """The view towards a heading."""
+        """Return the view towards a heading."""
         before = self.heading
         self._face(heading)
         seen = self.seen

@@ -72,7 +72,7 @@ class MiniWorld:
         return True
 
     def look(self, heading: float) -> NDArray[np.uint8]:
-        """The view towards a heading."""
+        """Return the view towards a heading."""
         self._face(heading)
         with simulator_errors(f"{self.name}: MiniWorld"):
             return np.array(self._world.render_obs())

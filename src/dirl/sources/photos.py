@@ -79,7 +79,7 @@ class Row:
 
 
 def read_photos(folder: str | Path, *, name: str | None = None, source: str = "photos") -> tuple[Scene, list[Path]]:
-    """A scene without views and features from a folder, and the image of each of its states.
+    """Return a scene without views and features from a folder, and the image of each of its states.
 
     States are numbered by location, in the order of the table, and then by heading. With K further shots of each state
     there are (K + 1) N images, shot by shot.
@@ -145,14 +145,14 @@ def _further_shots(states: Sequence[Row], numbers: Mapping[str, range], rows: Se
 
 
 def _state_at(states: Sequence[Row], here: Sequence[int], heading: float) -> int | None:
-    """Which of some states has a heading; None if none does."""
+    """Return which of some states has a heading; None if none does."""
     off = {state: abs((states[state].heading - heading + 180) % 360 - 180) for state in here}
     nearest = min(off, key=off.__getitem__, default=None)
     return nearest if nearest is not None and off[nearest] <= TOLERANCE else None
 
 
 def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[bytes]:
-    """The images as a dump stores them: upright, cropped in the middle to the shape, scaled to it, WebP.
+    """Yield the images as a dump stores them: upright, cropped in the middle to the shape, scaled to it, WebP.
 
     An image that is WebP of that shape already is stored as it is.
 
@@ -315,7 +315,7 @@ def _check_place(location: str, here: Sequence[Row], count: int) -> None:
 
 
 def _graph(states: Sequence[Row], numbers: Mapping[str, range]) -> IntArray:
-    """Next states, int64 ``[N, 4]``: turns by the order of headings, moves as the rows say.
+    """Return next states, int64 ``[N, 4]``: turns by the order of headings, moves as the rows say.
 
     Where no row says where a move back leads, it is the reverse of a move ahead.
     """

@@ -140,7 +140,7 @@ def _images(recording: h5py.File, name: str, axes: int) -> h5py.Dataset:
 
 
 def _positions(recording: h5py.File, name: str, places: int) -> NDArray[np.float64]:
-    """The positions of all places, metres, float64 ``[P, 2]``."""
+    """Return the positions of all places, metres, float64 ``[P, 2]``."""
     if name not in recording:
         raise SceneError(f"positions: {recording.filename} has no dataset '{name}'")
     dataset = open_dataset(recording, name, kinds="fiu", shape=(places, 2))
@@ -170,7 +170,7 @@ def _smallest_distance(at: NDArray[np.float64]) -> float:
 def _rows(
     places: Sequence[tuple[int, ...]], at: NDArray[np.float64], angles: Sequence[float], step: float, shots: int
 ) -> list[dict[str, object]]:
-    """The rows of ``states.csv``, of the first shot with moves."""
+    """Return the rows of ``states.csv``, of the first shot with moves."""
     rows: list[dict[str, object]] = []
     for index, (heading, angle), shot in product(range(len(places)), enumerate(angles), range(shots)):
         x, z = at[index].tolist()

@@ -114,7 +114,7 @@ def _explore(
 def take_look(
     simulator: Simulator, scene: Scene, seed: int, *, position: float, heading: float, exposure: float
 ) -> Iterator[bytes]:
-    """The views of a scene's states, WebP, as visits that differ a little from the planned ones show them.
+    """Yield the views of a scene's states, WebP, as visits that differ a little from the planned ones show them.
 
     The error of a visit is sampled once for each place: all views from there share it, as those of a robot that turns
     on the spot do. Errors are of normal distributions.

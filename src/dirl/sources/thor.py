@@ -23,7 +23,7 @@ class Controller(Protocol):
 def start_controller(
     scene: str, *, step: float, height: int, width: int, field_of_view: float, headless: bool
 ) -> Controller:
-    """A controller of AI2-THOR with the agent in a scene; its build is downloaded when it is first used.
+    """Return a controller of AI2-THOR with the agent in a scene; its build is downloaded when it is first used.
 
     Args:
         scene: e.g. ``FloorPlan401``.
@@ -81,7 +81,7 @@ class Thor:
         return bool(event.metadata["lastActionSuccess"])
 
     def look(self, heading: float) -> NDArray[np.uint8]:
-        """The view towards a heading."""
+        """Return the view towards a heading."""
         pose = self.pose
         frame = np.array(self.place(pose._replace(heading=heading)).frame)
         self.place(pose)

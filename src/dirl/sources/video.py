@@ -150,7 +150,7 @@ class Recording:
 
 
 def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
-    """A photo, upright, RGB, uint8 ``[H, W, 3]``, its longer side ``side`` pixels or less.
+    """Return a photo, upright, RGB, uint8 ``[H, W, 3]``, its longer side ``side`` pixels or less.
 
     Raises:
         SceneError: it cannot be decoded, or has 16 bits.
@@ -159,7 +159,7 @@ def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
 
 
 def photo_field_of_view(file: str | Path) -> float | None:
-    """Degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none."""
+    """Return degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none."""
     try:
         image = open_photo(file, load=False)
         focal = float(image.getexif().get_ifd(0x8769).get(0xA405) or 0)
@@ -231,7 +231,7 @@ def _video_frames(file: Path, every: float) -> Iterator[Frame]:
 
 
 def _read_ppm(stream: IO[bytes]) -> Image.Image | None:
-    """The next picture of ffmpeg; None at the end."""
+    """Return the next picture of ffmpeg; None at the end."""
     if stream.readline() != b"P6\n":
         return None
     width, height = map(int, stream.readline().split())
@@ -271,14 +271,14 @@ def _topics(reader: Any) -> str:
 
 
 def _pose(message: Any) -> tuple[float, float, float]:
-    """Where odometry is, metres, and its heading, degrees to the left."""
+    """Return where odometry is, metres, and its heading, degrees to the left."""
     at, turn = message.pose.pose.position, message.pose.pose.orientation
     heading = np.arctan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
     return float(at.x), float(at.y), float(np.degrees(heading))
 
 
 def _message_image(source: Path, message: Any) -> NDArray[np.uint8]:
-    """The picture of a message ``Image`` or ``CompressedImage``."""
+    """Return the picture of a message ``Image`` or ``CompressedImage``."""
     data = message.data.tobytes()
     if not hasattr(message, "encoding"):
         try:

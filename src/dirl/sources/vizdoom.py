@@ -104,7 +104,7 @@ class VizDoom:
         return Pose(x, y, self._heading)
 
     def pose_in_game(self) -> Pose:
-        """Where Doom's player is and looks."""
+        """Return where Doom's player is and looks."""
         x, y, angle = (self._game.get_game_variable(variable) for variable in self._variables[:3])
         return Pose(x / UNITS, y / UNITS, (90 - angle) % 360)
 
@@ -144,7 +144,7 @@ class VizDoom:
         return arrived
 
     def look(self, heading: float) -> NDArray[np.uint8]:
-        """The view towards a heading."""
+        """Return the view towards a heading."""
         with simulator_errors(f"{self.name}: VizDoom"):
             self._turn(heading)
             self._tics(0, 0, SETTLED if self._moved else 1)

@@ -21,7 +21,7 @@ UNKNOWN = "unexpected_keyword_argument"
 
 
 def checked(value: Any, kind: Any, where: str = "", *, strict: bool = True) -> Any:
-    """What a file holds as a type: tables become dataclasses, lists tuples, whole numbers floats.
+    """Return what a file holds as a type: tables become dataclasses, lists tuples, whole numbers floats.
 
     Args:
         value: made of dictionaries, lists, texts and numbers.

@@ -41,7 +41,7 @@ KINDS = {"i": "integer", "u": "unsigned integer", "f": "float", "O": "byte strin
 
 
 def open_dataset(file: h5py.File, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
-    """A dataset whose place, type and shape are as expected; its values are not read."""
+    """Return a dataset whose place, type and shape are as expected; its values are not read."""
     dataset = own_dataset(file, name)
     if dataset.dtype.kind not in kinds:
         wanted = " or ".join(KINDS[kind] for kind in kinds)
@@ -54,7 +54,7 @@ def open_dataset(file: h5py.File, name: str, *, kinds: str, shape: tuple[int | N
 
 
 def own_dataset(file: h5py.File, name: str) -> h5py.Dataset:
-    """A dataset of the file itself; its values are not read."""
+    """Return a dataset of the file itself; its values are not read."""
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise SceneError(f"{name}: is a link to elsewhere; a dump must hold its own data")
     dataset = file[name]
@@ -108,7 +108,7 @@ def _check_chunks(dataset: h5py.Dataset, name: str) -> bool:
 
 
 def read_attribute(holder: h5py.File | h5py.Dataset, name: str) -> Any:
-    """The value of an attribute of a plausible size; None if there is none."""
+    """Return the value of an attribute of a plausible size; None if there is none."""
     if name not in holder.attrs:
         return None
     stored = holder.attrs.get_id(name)
@@ -119,7 +119,7 @@ def read_attribute(holder: h5py.File | h5py.Dataset, name: str) -> Any:
 
 
 def short(value: Any, show: Any = repr) -> str:
-    """A value of a file for a message, on one line, as Python's own type where it is NumPy's."""
+    """Return a value of a file for a message, on one line, as Python's own type where it is NumPy's."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     text = " ".join(show(value).split())
@@ -158,7 +158,7 @@ def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...
 
 
 def open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
-    """The checked dataset of views, encoded or raw; None if there is none."""
+    """Return the checked dataset of views, encoded or raw; None if there is none."""
     if "observation_webp" in file:
         dataset = open_dataset(file, "observation_webp", kinds="O", shape=(states,))
         if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
@@ -182,7 +182,7 @@ def open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
 
 
 def locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> dict[str, Any]:
-    """The arguments of `dirl.scenes.views.Views`, with ``view_`` before their names; each view is decoded once.
+    """Return the arguments of `dirl.scenes.views.Views`, with ``view_`` before their names; each view is decoded once.
 
     ``decoded`` says that it is known that they can be.
     """
@@ -198,7 +198,7 @@ def locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> dict[st
 
 
 def _find_values(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> IntArray:
-    """The first byte and the length in the file of each encoded view, int64 ``[N, 2]``.
+    """Return the first byte and the length in the file of each encoded view, int64 ``[N, 2]``.
 
     libhdf5 does not tell where it finds them: each is looked for where it writes the next value of a collection, then
     behind all, then everywhere.

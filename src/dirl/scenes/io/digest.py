@@ -55,7 +55,7 @@ def check_digest(file: h5py.File) -> bool:
 
 
 def compute_digest(file: h5py.File) -> str:
-    """The SHA-256 over the datasets and attributes of a dump that are read, as hexadecimal digits.
+    """Return the SHA-256 over the datasets and attributes of a dump that are read, as hexadecimal digits.
 
     It covers the names, types, shapes and values of `DATASETS`, the file's attributes `FILE_ATTRIBUTES`, the
     `EXTRACTOR_ATTRIBUTES` of the features and the `PATCH_ATTRIBUTES` of patches; not how HDF5 stores them.
@@ -87,7 +87,7 @@ def blocks(dataset: h5py.Dataset) -> Iterator[slice]:
 
 
 def file_digest(path: Path) -> str:
-    """The SHA-256 of a file's bytes, as hexadecimal digits."""
+    """Return the SHA-256 of a file's bytes, as hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

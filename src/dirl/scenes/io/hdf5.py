@@ -142,7 +142,7 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
 
 
 def _read_features(dataset: h5py.Dataset, path: Path, *, mapped: bool) -> NDArray[np.floating]:
-    """The features ``[N, D]`` of the first crop, a block at a time: float64 would take three times the memory.
+    """Return the features ``[N, D]`` of the first crop, a block at a time: float64 would take three times the memory.
 
     Those of a file as we write it are memory-mapped on request: a world copies them, and then they need no memory.
     """
@@ -195,7 +195,7 @@ def _in_our_order(graph: NDArray[Any], declared: Any) -> NDArray[Any]:
 
 
 def _compare_distances(graph: NDArray[Any], dataset: h5py.Dataset) -> str:
-    """The problem with the stored distances; empty if there is none, or if the graph itself is invalid."""
+    """Return the problem with the stored distances; empty if there is none, or if the graph itself is invalid."""
     links = graph.astype(np.int64)
     try:
         check_graph(links)
@@ -217,7 +217,7 @@ def _compare_distances(graph: NDArray[Any], dataset: h5py.Dataset) -> str:
 
 
 def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
-    """A text, empty if there is none."""
+    """Return a text, empty if there is none."""
     value = read_attribute(holder, name)
     try:
         text = "" if value is None else _text(value)

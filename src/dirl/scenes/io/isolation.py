@@ -33,7 +33,7 @@ PROGRAM = Path(__file__)
 
 
 def call_apart(function: str, calls: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """What a function of dirl returns for each of its calls, all of them made in one separate process.
+    """Yield what a function of dirl returns for each of its calls, all of them made in one separate process.
 
     Args:
         function: such as ``dirl.scenes.io.hdf5:read_contents``; it returns arrays and what JSON can hold, by name.

@@ -29,7 +29,7 @@ shared."""
 
 
 def in_processes(tasks: Sequence[Callable[[], Result]], processes: int, name: str) -> Iterator[Result]:
-    """The results of tasks in the order in which they end; each process has one thread.
+    """Yield the results of tasks in the order in which they end; each process has one thread.
 
     After an error, or when no more results are wanted, tasks that have not begun are dropped.
 

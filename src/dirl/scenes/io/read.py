@@ -126,14 +126,14 @@ def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
 
 
 def _is_intact(dump: Dump) -> bool:
-    """Whether a file is unchanged since dirl wrote it, byte for byte."""
+    """True if a file is unchanged since dirl wrote it, byte for byte."""
     if dump.sha256 is not None:
         return file_digest(dump.path) == dump.sha256
     return _is_intact_room(dump.path)
 
 
 def _is_intact_room(path: Path) -> bool:
-    """Whether a file is one of the built-in rooms; `SceneError` if it is, but not as it was installed."""
+    """True if a file is one of the built-in rooms; `SceneError` if it is, but not as it was installed."""
     sums = ROOMS / "SHA256SUMS"
     if path.resolve().parent != ROOMS.resolve() or not sums.is_file():
         return False

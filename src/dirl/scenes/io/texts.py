@@ -13,7 +13,7 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+")
 
 
 def read_rows(file: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file whose first line names the columns; ValueError if it is no such table."""
+    """Return the rows of a CSV file whose first line names the columns; ValueError if it is no such table."""
     try:
         return list(csv.DictReader(read_text(file).splitlines(), strict=True))
     except csv.Error as error:
@@ -23,7 +23,7 @@ def read_rows(file: Path) -> list[dict[str, str]]:
 def read_csv(
     file: Path, required: Sequence[str], optional: Sequence[str] = (), most: int = MOST
 ) -> list[tuple[str, dict[str, str]]]:
-    """The rows of a CSV file by column, each with the file and line for errors; empty lines are left out.
+    """Return the rows of a CSV file by column, each with the file and line for errors; empty lines are left out.
 
     `SceneError` if it cannot be read, has another column or lacks one, or a line is none of the table.
     """

@@ -34,12 +34,12 @@ QUALITY = 72
 
 
 def built_in_rooms() -> list[str]:
-    """The names of the rooms that come with the package."""
+    """Return the names of the rooms that come with the package."""
     return sorted(path.stem for path in DESCRIPTIONS.glob("*.toml"))
 
 
 def describe_room(description: str | Path | RoomDescription) -> RoomDescription:
-    """The description itself, that of a built-in room by its name, or one read from a TOML file.
+    """Return the description itself, that of a built-in room by its name, or one read from a TOML file.
 
     Raises:
         SceneError: there is no such room or file, or it is invalid.
@@ -152,7 +152,7 @@ def write_room(
 
 
 def scene_of(room: RoomDescription, way: Walk, *, source: str = "synthetic") -> Scene:
-    """The scene of a room, without features and views."""
+    """Return the scene of a room, without features and views."""
     turns = len(way.headings)
     return Scene(
         name=room.name,
@@ -167,12 +167,12 @@ def scene_of(room: RoomDescription, way: Walk, *, source: str = "synthetic") -> 
 
 
 def poses(way: Walk) -> list[Pose]:
-    """Where the camera of each state is and looks."""
+    """Return where the camera of each state is and looks."""
     return [(float(x), float(y), float(heading)) for x, y in way.places for heading in way.headings]
 
 
 def view_problems(views: Sequence["View"], way: Walk) -> list[str]:
-    """What `check_views` finds in views."""
+    """Return what `check_views` finds in views."""
     return check_views(np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views]), way)
 
 

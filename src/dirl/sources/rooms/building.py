@@ -139,7 +139,7 @@ def sample_building(kinds: Sequence[str], seed: int) -> Building:
 
 
 def _spots(rooms: Sequence[RoomDescription], corners: Array, pair: tuple[int, int], axis: int) -> list[float]:
-    """Where the middle of a doorway between two rooms may be along their wall, see `Door`."""
+    """Return where the middle of a doorway between two rooms may be along their wall, see `Door`."""
     low = max(corners[index, 1 - axis] for index in pair)
     high = min(corners[index, 1 - axis] + rooms[index].size[1 - axis] for index in pair)
     spots = np.arange(low + (DOORWAY[0] / 2 + 0.2), high - DOORWAY[0] / 2 - 0.2, 0.1)
@@ -163,7 +163,7 @@ def _join(rooms: list[RoomDescription], corners: Array, pair: tuple[int, int], a
 
 
 def _cleared(room: RoomDescription, end: float, at: float, axis: int = 0) -> RoomDescription:
-    """A room without the furniture in front of a doorway, and without what stood on it.
+    """Return a room without the furniture in front of a doorway, and without what stood on it.
 
     The doorway is in the wall at ``end`` of the room, x with axis 0 or y with axis 1, and its middle at ``at``.
     """
@@ -178,7 +178,7 @@ def _cleared(room: RoomDescription, end: float, at: float, axis: int = 0) -> Roo
 
 
 def walls(building: Building) -> Array:
-    """The walls of a building and what lies outside them, as `footprints` gives them, ``[n, 5]``."""
+    """Return the walls of a building and what lies outside them, as `footprints` gives them, ``[n, 5]``."""
     width, depth, _ = building.size
     far, half = max(width, depth) + 2, DOORWAY[0] / 2
     first = len(building.rooms) - building.south
@@ -204,7 +204,7 @@ def walls(building: Building) -> Array:
 
 
 def furniture(building: Building) -> Array:
-    """What stands in a building, as `footprints` gives them, ``[n, 5]``."""
+    """Return what stands in a building, as `footprints` gives them, ``[n, 5]``."""
     rooms = zip(building.rooms, building.corners, strict=True)
     return np.concatenate([footprints(room) + np.array([*corner, 0, 0, 0]) for room, corner in rooms])
 
@@ -214,7 +214,7 @@ WALLS = (("east", "west"), ("north", "south"))
 
 
 def assemble_building(building: Building) -> tuple[list[Part], dict[str, Material]]:
-    """All triangles of a building, and its materials; those of different rooms have different names."""
+    """Return all triangles of a building, and its materials; those of different rooms have different names."""
     parts: list[Part] = []
     materials: dict[str, Material] = {}
     for index, (room, corner) in enumerate(zip(building.rooms, building.corners, strict=True)):
@@ -236,7 +236,7 @@ def assemble_building(building: Building) -> tuple[list[Part], dict[str, Materia
 
 
 def _jambs(x: float, y: float) -> list[Part]:
-    """The inside of a doorway from west to east: threshold, sides and top."""
+    """Return the inside of a doorway from west to east: threshold, sides and top."""
     (left, right), (low, high) = (x - WALL / 2, x + WALL / 2), (y - DOORWAY[0] / 2, y + DOORWAY[0] / 2)
     top, paint = DOORWAY[1], "white_paint"
     mesh = Mesh().quad([(left, low, 0), (right, low, 0), (right, high, 0), (left, high, 0)], paint)
@@ -247,5 +247,5 @@ def _jambs(x: float, y: float) -> list[Part]:
 
 
 def building_renderer(building: Building) -> Renderer:
-    """A building in coarse light, seen from anywhere in it."""
+    """Return a building in coarse light, seen from anywhere in it."""
     return Renderer.lit(*assemble_building(building), building.size, 1.4, fine=False)

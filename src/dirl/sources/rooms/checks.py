@@ -31,7 +31,7 @@ COVERED = 0.6
 
 
 def check_room(room: RoomDescription) -> list[str]:
-    """The problems of a room's furniture, one line each.
+    """Return the problems of a room's furniture, one line each.
 
     Pieces that overlap, reach out of the room, or stand in front of a door; places that are cut off.
     """
@@ -77,7 +77,7 @@ def _boxes(parts: list[Part], yaw: float) -> Boxes:
 
 
 def _overlap(a: Boxes, b: Boxes) -> float:
-    """How far the deepest pair of boxes reach into each other, metres along the best way out; 0 if none meet."""
+    """Return how far the deepest pair of boxes reach into each other, metres along the best way out; 0 if none meet."""
     (axes_a, corners_a, heights_a), (axes_b, corners_b, heights_b) = a, b
     spans = [((corners_a * axis).sum(-1), (corners_b * axis).sum(-1)) for axis in (*axes_a, *axes_b)]
     depths = [
@@ -88,7 +88,7 @@ def _overlap(a: Boxes, b: Boxes) -> float:
 
 
 def door_strip(door: Piece, size: Size) -> tuple[Array, Array]:
-    """The line in the middle of the space in front of a door that must be free, in a room of this size."""
+    """Return the line in the middle of the space in front of a door that must be free, in a room of this size."""
     x, y, yaw = place_of(door, size)
     turn = np.radians(yaw)
     across, inwards = np.array([np.cos(turn), np.sin(turn)]), np.array([np.sin(turn), -np.cos(turn)])
@@ -98,18 +98,18 @@ def door_strip(door: Piece, size: Size) -> tuple[Array, Array]:
 
 
 def thumbnail(view: Array) -> Array:
-    """A view as 32x24 grey values, float32 ``[24, 32]``."""
+    """Return a view as 32x24 grey values, float32 ``[24, 32]``."""
     small = Image.fromarray(view).convert("L").resize((32, 24), Image.Resampling.BOX)
     return np.asarray(small, np.float32)
 
 
 def contrast(view: Array) -> float:
-    """The standard deviation of a view's grey values, of 255."""
+    """Return the standard deviation of a view's grey values, of 255."""
     return float(np.asarray(Image.fromarray(view).convert("L"), np.float32).std())
 
 
 def check_views(thumbnails: Array, contrasts: Array, way: Walk) -> list[str]:
-    """The problems of a room's views, one line each: nearly blank ones, far pairs that look alike.
+    """Return the problems of a room's views, one line each: nearly blank ones, far pairs that look alike.
 
     Args:
         thumbnails: of every state, see `thumbnail`, float32 ``[N, 24, 32]``.
@@ -135,7 +135,7 @@ def far_apart(positions: Array, headings: Array) -> NDArray[np.bool_]:
 
 
 def correlation(thumbnails: Array) -> Array:
-    """The normalised cross-correlation of all pairs of thumbnails ``[N, h, w]``, ``[N, N]``."""
+    """Return the normalised cross-correlation of all pairs of thumbnails ``[N, h, w]``, ``[N, N]``."""
     flat = thumbnails.reshape(len(thumbnails), -1)
     flat = flat - flat.mean(1, keepdims=True)
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-6)

@@ -60,7 +60,7 @@ class RoomSettings:
     changes: Changes = field(default_factory=Changes)
 
     def load_encoder(self) -> "ViewEncoder | None":
-        """The encoder that the settings name."""
+        """Return the encoder that the settings name."""
         if self.encoder is None:
             return None
         from dirl.perception.backbones import load_encoder
@@ -69,7 +69,7 @@ class RoomSettings:
         return load_encoder(self.encoder, self.device, precision=self.precision, **patches)
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
-        """The settings as the index stores them: the encoder by its description, not by its name."""
+        """Return the settings as the index stores them: the encoder by its description, not by its name."""
         kept = {key: getattr(self, key) for key in ("height", "width", "turn", "fine", "precision")}
         if self.looks:
             kept |= {"looks": self.looks, **{f"changes.{name}": value for name, value in vars(self.changes).items()}}
@@ -84,7 +84,7 @@ encoder_of = cache(RoomSettings.load_encoder)
 
 
 def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]) -> list[Wanted]:
-    """The rooms that a collection lacks, or does not have completely and as the index describes them.
+    """Return the rooms that a collection lacks, or does not have completely and as the index describes them.
 
     The folder may not exist yet. For ``stored`` see `RoomSettings.stored`.
 
@@ -186,7 +186,7 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
 
 
 def checks(room: RoomDescription, scene: Scene, problems: list[str]) -> dict[str, Any]:
-    """What the index says of a room: its measures, connected parts, and with features how many far states match.
+    """Return what the index says of a room: its measures, connected parts, and with features how many far states match.
 
     ``alike_front`` and ``alike_views`` count pairs of states that are `far_apart` and match above 0.9 by one view, and
     by the four views that decide a stop.

@@ -198,7 +198,7 @@ class _File:
 
 
 def parse_description(text: str) -> RoomDescription:
-    """The room that a TOML text describes; raises `SceneError` as `read_description` does."""
+    """Return the room that a TOML text describes; raises `SceneError` as `read_description` does."""
     if len(max(text.splitlines(), key=len, default="")) > LONGEST_LINE:  # the time for a.a.a... is its square
         raise SceneError(f"not TOML of a room: it has a line of more than {LONGEST_LINE} characters")
     try:
@@ -227,7 +227,7 @@ def _with_options(kind: Any, table: Mapping[str, Any], where: str, kinds: Mappin
 
 @cache
 def _table(kind: type, made: Callable[..., Any]) -> type:
-    """A dataclass that has the options of a function, its keyword-only parameters, among its own."""
+    """Return a dataclass that has the options of a function, its keyword-only parameters, among its own."""
     hints = get_type_hints(made)
     options = [(name, hints[name], None) for name in inspect.getfullargspec(made).kwonlyargs]
     return make_dataclass(kind.__name__, [*options, ("options", ClassVar[Any])], bases=(kind,), frozen=True)
@@ -237,7 +237,7 @@ _Walls = make_dataclass("_Walls", [(side, tuple[Band, ...]) for side in SIDES])
 
 
 def _walls(room: _Shell) -> dict[str, tuple[Band, ...]]:
-    """The bands of each side; a side that is one material has one as high as the room."""
+    """Return the bands of each side; a side that is one material has one as high as the room."""
     height = room.size[2]
     bands = {side: [[height, given]] if isinstance(given, str) else given for side, given in room.walls.items()}
     walls = vars(checked(bands, _Walls, "[room.walls]"))
@@ -270,7 +270,7 @@ def _piece(table: Mapping[str, Any], where: str) -> Piece:
 
 
 def description_text(room: RoomDescription) -> str:
-    """The TOML text of a room; `parse_description` makes an equal room of it."""
+    """Return the TOML text of a room; `parse_description` makes an equal room of it."""
     shell = {one.name: value for one in fields(_Shell) if (value := getattr(room, one.name)) is not None}
     tables = {
         "name": room.name,
@@ -299,7 +299,7 @@ def write_description(description: RoomDescription, path: str | Path) -> None:
 
 
 def _changed(item: Material | Piece) -> dict[str, Any]:
-    """What differs from the defaults, options among the rest."""
+    """Return what differs from the defaults, options among the rest."""
     defaults = {option.name: option.default for option in fields(item)}
     own = {k: v for k, v in vars(item).items() if k != "options" and (k == "kind" or v != defaults[k])}
     return {**own, **item.options}

@@ -7,7 +7,7 @@ from typing import Any
 
 
 def functions_of(*modules: types.ModuleType) -> dict[str, Callable[..., Any]]:
-    """The public functions that modules define, by their names, in the order of their definitions."""
+    """Return the public functions that modules define, by their names, in the order of their definitions."""
     return {
         name: made
         for module in modules

@@ -44,7 +44,7 @@ def place_of(piece: Piece, size: Size) -> tuple[float, float, float]:
 
 
 def materials_of(room: RoomDescription) -> dict[str, Material]:
-    """The materials that a room may use: its own, and those in stock."""
+    """Return the materials that a room may use: its own, and those in stock."""
     return {**STOCK, **room.materials}
 
 

@@ -11,7 +11,7 @@ from dirl.sources.rooms.scenery import Scenery, interpolate, unit
 
 
 def bake(scenery: Scenery, *, direct: int = 36, indirect: int = 100, bounces: int = 4) -> Array:
-    """The irradiance at each of the P points of a scenery, float32 ``[P, 3]``.
+    """Return the irradiance at each of the P points of a scenery, float32 ``[P, 3]``.
 
     Args:
         scenery: the room.
@@ -67,7 +67,7 @@ def direct_light(scenery: Scenery, origins: Array, normals: Array, rays: int, rn
 
 
 def gather(scenery: Scenery, origins: Array, normals: Array, rays: int, rng: np.random.Generator) -> Array:
-    """The points that each point sees, cosine-distributed, int32 ``[rays, P]``; -1 for nothing or a light."""
+    """Return the points that each point sees, cosine-distributed, int32 ``[rays, P]``; -1 for nothing or a light."""
     side, count = int(np.sqrt(rays)), len(origins)
     across = unit(np.cross(np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0, 1]], [[1.0, 0, 0]]), normals))
     along = np.cross(normals, across)
@@ -108,5 +108,5 @@ def _smoothed(scenery: Scenery, light: Array, rounds: int) -> Array:
 
 
 def _summed(group: Array, values: Array, count: int) -> Array:
-    """The sums of values, ``[n, 3]``, over the members of each group, ``[count, 3]``."""
+    """Return the sums of values, ``[n, 3]``, over the members of each group, ``[count, 3]``."""
     return np.stack([np.bincount(group, values[:, k], count) for k in range(3)], 1)

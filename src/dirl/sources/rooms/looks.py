@@ -47,7 +47,7 @@ class Changes:
                 raise SceneError(f"changes.{name}={value:g}: must be 0 to {_largest(name):g}")
 
     def times(self, factor: float) -> "Changes":
-        """All errors times a factor, at most the largest."""
+        """Return all errors times a factor, at most the largest."""
         return replace(self, **{name: min(_largest(name), factor * value) for name, value in vars(self).items()})
 
 
@@ -58,7 +58,7 @@ def _largest(name: str) -> float:
 def look_views(
     renderer: Renderer, camera: Camera, way: Walk, size: tuple[int, int], changes: Changes, seed: int
 ) -> Iterator[Array]:
-    """The views of one look, uint8 ``[height, width, 3]``, in the order of the states, as they would be stored.
+    """Yield the views of one look, uint8 ``[height, width, 3]``, in the order of the states, as they would be stored.
 
     The error of a visit is sampled once for each place: all views from there share it, as those of a robot that turns
     on the spot do.

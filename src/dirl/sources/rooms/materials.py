@@ -68,7 +68,7 @@ STOCK: Mapping[str, Material] = {
 
 
 def paint(name: str, material: Material, limit: int = 2048) -> Array:
-    """The texture of a material, named in its room: sRGB in [0, 1], float64 ``[n, n, 3]``.
+    """Return the texture of a material, named in its room: sRGB in [0, 1], float64 ``[n, n, 3]``.
 
     The material's name and seed determine every pixel; `SceneError` if an option of the texture is out of range.
     """

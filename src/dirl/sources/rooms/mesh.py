@@ -83,7 +83,7 @@ def corner_normals(corners: Array, angle: float) -> Array:
 
 
 def _triangles(points: Array) -> Array:
-    """Two triangles for every cell of a ``[rows, columns, k]`` grid of points."""
+    """Return two triangles for every cell of a ``[rows, columns, k]`` grid of points."""
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]
     both = np.stack([np.stack([a, b, c], -2), np.stack([a, c, d], -2)], 2)
     return both.reshape(-1, 3, points.shape[-1])
@@ -111,7 +111,7 @@ class Mesh:
     def box(
         self, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float, material: str, bevel: float = 0.008
     ) -> Self:
-        """A box from corner to corner, its edges cut off by ``bevel`` metres (less where the box is thin)."""
+        """Add a box from corner to corner, its edges cut off by ``bevel`` metres (less where the box is thin)."""
         low, high = np.array([x0, y0, z0]), np.array([x1, y1, z1])
         bevel = min(bevel, 0.45 * (high - low).min())
         signs, inset = _box_corners(bool(bevel))
@@ -132,7 +132,7 @@ class Mesh:
         bottom: bool = True,
         smooth: float = 45.0,
     ) -> Self:
-        """A body through rings ``(z, rx, ry[, exponent[, dx, dy]])``, as on a lathe; it may turn back inside itself.
+        """Add a body through rings ``(z, rx, ry[, exponent[, dx, dy]])``, as on a lathe; it may turn back in itself.
 
         Rings are superellipses: exponent 2 is an ellipse, more is squarer. ``dx, dy`` is a ring's offset from ``at``.
         """
@@ -150,17 +150,17 @@ class Mesh:
         return self.add(np.concatenate([_triangles(points), *lower, upper]), material, smooth=smooth)
 
     def cylinder(self, x: float, y: float, z0: float, z1: float, radius: float, material: str, sides: int = 28) -> Self:
-        """An upright cylinder."""
+        """Add an upright cylinder."""
         return self.loft([(z0, radius, radius), (z1, radius, radius)], material, at=(x, y), sides=sides)
 
     def ball(self, x: float, y: float, z: float, radius: float, material: str, sides: int = 16) -> Self:
-        """A sphere."""
+        """Add a sphere."""
         angles = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
         rings = [(z + radius * np.sin(a), *2 * (max(radius * np.cos(a), 1e-4),)) for a in angles]
         return self.loft(rings, material, at=(x, y), sides=sides, smooth=90)
 
     def tube(self, path: ArrayLike, radius: float, material: str, sides: int = 12) -> Self:
-        """A round bar along a path of points ``[n, 3]``, closed at both ends."""
+        """Add a round bar along a path of points ``[n, 3]``, closed at both ends."""
         points = np.asarray(path, float)
         along = np.gradient(points, axis=0)
         along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -174,7 +174,7 @@ class Mesh:
         return self.add(np.concatenate([_triangles(rings), *ends]), material)
 
     def quad(self, corners: ArrayLike, material: str, *, image: bool = False) -> Self:
-        """A flat rectangle, corners anticlockwise from the lower left; an ``image`` shows the whole texture once."""
+        """Add a flat rectangle, corners anticlockwise from the lower left; an ``image`` shows all of the texture."""
         points, whole = np.asarray(corners, float), np.array([(0, 1), (1, 1), (1, 0), (0, 0)], float)
         split = [[0, 1, 2], [0, 2, 3]]
         return self.add(points[split], material, whole[split] if image else None, smooth=1.0)
@@ -182,7 +182,7 @@ class Mesh:
     def sheet(
         self, surface: Callable[[Array, Array], Array], columns: int, rows: int, material: str, *, image: bool = True
     ) -> Self:
-        """A curved surface: ``surface(u, v)`` maps ``[rows, columns]`` numbers in [0, 1] to points ``[..., 3]``."""
+        """Add a curved surface: ``surface(u, v)`` maps ``[rows, columns]`` numbers in [0, 1] to points ``[..., 3]``."""
         v, u = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
         uv = _triangles(np.stack([u, 1 - v], -1)) if image else None
         return self.add(_triangles(surface(u, v)), material, uv, smooth=80.0)

@@ -45,7 +45,7 @@ def footprints(room: RoomDescription) -> Array:
 
 
 def footprint(piece: Piece, room: RoomDescription) -> tuple[float, ...]:
-    """The rectangle of a piece on the floor plan, see `footprints`."""
+    """Return the rectangle of a piece on the floor plan, see `footprints`."""
     x, y, yaw = place_of(piece, room.size)
     return x, y, piece.size[0] / 2, piece.size[1] / 2, float(np.radians(yaw))
 
@@ -84,7 +84,7 @@ def clearance(a: Array, b: Array, rectangles: Array) -> Array:
 
 
 def walk(room: RoomDescription, turn: float = 90) -> Walk:
-    """The places of a room and how they are linked.
+    """Return the places of a room and how they are linked.
 
     Places are the points of the grid where the agent's disc is clear of the walls and of every solid piece, and that
     can be reached from most others by steps along the axes. A move is possible if it leads to a place and the disc
@@ -109,7 +109,7 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
 
 
 def _places(room: RoomDescription) -> tuple[IntArray, Array]:
-    """The grid cells ``[P, 2]`` and points ``[P, 2]`` of the largest connected group of free points."""
+    """Return the grid cells ``[P, 2]`` and points ``[P, 2]`` of the largest connected group of free points."""
     grid = room.grid
     if grid.step <= 0 or max(room.size[:2]) / grid.step > 1000:
         raise SceneError(f"[grid] step: expected at least a thousandth of the room's length, found {grid.step:g}")
@@ -140,7 +140,7 @@ def _steps(cells: IntArray, points: Array, way: IntArray, room: RoomDescription)
 
 
 def _free(a: Array, b: Array, room: RoomDescription) -> Array:
-    """Whether the agent's disc stays clear from each point a to each point b, bool ``[n]``."""
+    """True if the agent's disc stays clear from each point a to each point b, bool ``[n]``."""
     radius, extent = room.grid.radius, np.array(room.size[:2])
     both = np.concatenate([a, b], 1).reshape(-1, 2, 2)
     indoors = ((both >= radius - TOUCH) & (both <= extent - radius + TOUCH)).all((1, 2))

@@ -54,7 +54,7 @@ class Scenery:
         return {**self.__dict__, "_embree": None}  # Embree's tree cannot be pickled; it is rebuilt
 
     def trace(self, origins: Array, directions: Array) -> Hits:
-        """The first hit of each ray; origins and directions ``[n, 3]``."""
+        """Return the first hit of each ray; origins and directions ``[n, 3]``."""
         if self._embree is None:
             from embreex import mesh_construction, rtcore_scene
 
@@ -119,7 +119,7 @@ def divide(soup: Array, material: Array, edge: float) -> tuple[Array, Array]:
 
 
 def _distinct(corners: Array, normals: Array) -> tuple[Array, Array]:
-    """Which distinct point each corner is, int32 ``[n, 3]``, and for each point one of its corners, int ``[P]``.
+    """Return which distinct point each corner is, int32 ``[n, 3]``, and for each point one of its corners, int ``[P]``.
 
     Corners are one point if they lie within half a millimetre of each other and face about the same way.
     """
@@ -133,16 +133,16 @@ def _distinct(corners: Array, normals: Array) -> tuple[Array, Array]:
 
 
 def linear(srgb: Array) -> Array:
-    """Linear light from sRGB values in [0, 1]."""
+    """Return linear light from sRGB values in [0, 1]."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def unit(vectors: Array) -> Array:
-    """Vectors ``[..., 3]`` scaled to length 1."""
+    """Return vectors ``[..., 3]`` scaled to length 1."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def interpolate(values: Array, u: Array, v: Array) -> Array:
-    """Values at the corners of triangles, ``[n, 3, k]``, between them, ``[n, k]``."""
+    """Return values at the corners of triangles, ``[n, 3, k]``, between them, ``[n, k]``."""
     u, v = u[:, None], v[:, None]
     return values[:, 0] * (1 - u - v) + values[:, 1] * u + values[:, 2] * v

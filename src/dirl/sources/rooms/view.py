@@ -63,7 +63,7 @@ class Renderer:
         return renderer
 
     def view(self, camera: Camera, pose: Pose, size: tuple[int, int]) -> Array:
-        """The view from a pose, uint8 ``[height, width, 3]``; ``size`` is height and width in pixels."""
+        """Return the view from a pose, uint8 ``[height, width, 3]``; ``size`` is height and width in pixels."""
         (x, y, heading), (height, width) = pose, size
         half = np.tan(np.radians(camera.fov / 2))
         turn, pitch = np.radians(heading), np.radians(camera.pitch)
@@ -78,7 +78,7 @@ class Renderer:
         return self._picture((x, y, camera.height), size, way, 1.4 * half / width)
 
     def panorama(self, height: float, pose: Pose, size: tuple[int, int]) -> Array:
-        """All directions from a place as an equirectangular image, uint8 ``[height, width, 3]``.
+        """Return all directions from a place as an equirectangular image, uint8 ``[height, width, 3]``.
 
         Columns are degrees clockwise from the pose's heading, -180 to 180; rows are degrees up, 90 to -90.
 
@@ -120,7 +120,7 @@ class Renderer:
         return display(seen.reshape(height, width, 3) * self.exposure)
 
     def radiance(self, origins: Array, way: Array, spread: float, *, reflect: bool) -> Array:
-        """The radiance along rays, linear, float32 ``[n, 3]``; black where a ray meets nothing.
+        """Return the radiance along rays, linear, float32 ``[n, 3]``; black where a ray meets nothing.
 
         Args:
             origins: ``[n, 3]``.
@@ -158,7 +158,7 @@ class Renderer:
 
 
 def exposure(renderer: Renderer, size: Size, height: float) -> float:
-    """What makes the mean brightness of rays from all over a room `MIDDLE_GREY`; ``height`` is the camera's.
+    """Return what makes the mean brightness of rays from all over a room `MIDDLE_GREY`; ``height`` is the camera's.
 
     It has three digits, so that the last bit of a sum, which differs between machines, does not show.
     """
@@ -171,7 +171,7 @@ def exposure(renderer: Renderer, size: Size, height: float) -> float:
 
 
 def display(light: Array) -> Array:
-    """Linear light as sRGB, uint8; values above white are compressed smoothly."""
+    """Return linear light as sRGB, uint8; values above white are compressed smoothly."""
     bent = np.clip(1.05 * light / (1 + 0.22 * light), 0, 1)
     srgb = np.where(bent <= 0.0031308, 12.92 * bent, 1.055 * bent ** (1 / 2.4) - 0.055)
     return (srgb * 255 + 0.5).astype(np.uint8)

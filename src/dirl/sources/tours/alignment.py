@@ -64,7 +64,7 @@ class Alignment:
 
 
 def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Alignment:
-    """The headings that agree best with a tour's links.
+    """Return the headings that agree best with a tour's links.
 
     Args:
         tour: of P panoramas.
@@ -102,7 +102,7 @@ def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Ali
 
 
 def wrap(degrees: Array) -> Array:
-    """Angles from -180 to below 180 degrees."""
+    """Return angles from -180 to below 180 degrees."""
     return (degrees + 180) % 360 - 180
 
 
@@ -127,7 +127,7 @@ def least_squares(ends: Integers, offsets: Array, weight: Array, part: Integers)
 
 
 def _off(ends: Integers, turns: Array, headings: Array) -> Array:
-    """How much larger each turn is than the difference of the headings, degrees."""
+    """Return how much larger each turn is than the difference of the headings, degrees."""
     return wrap(turns - headings[ends[:, 1]] + headings[ends[:, 0]])
 
 
@@ -137,7 +137,7 @@ def _relaxed(ends: Integers, turns: Array, headings: Array, weight: Array, part:
 
 
 def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
-    """Headings that most equations agree with: along a tree of those whose loops close best, then reweighted.
+    """Return headings that most equations agree with: along a tree of those whose loops close best, then reweighted.
 
     All equations of a lone loop close it equally well, so that the one trusted least is left out of the tree.
     """
@@ -201,7 +201,7 @@ def _short_path(
 def _forest(
     ends: Integers, turns: Array, count: int, rank: Integers | None = None
 ) -> tuple[Array, Integers, NDArray[np.bool_]]:
-    """A spanning forest with the equations of lowest rank; without ranks the nearest panoramas come first.
+    """Return a spanning forest with the equations of lowest rank; without ranks the nearest panoramas come first.
 
     Returns the headings along it, from 0 at the first panorama of each part; the part of each panorama, the largest
     first; and which equations it takes.

@@ -51,7 +51,7 @@ class Seen:
 
 
 def columns(image: Equirectangular | Cube) -> Array:
-    """How colours change in each column, clockwise from the one behind, float64 ``[COLUMNS, ROWS, 6]``.
+    """Return how colours change in each column, clockwise from the one behind, float64 ``[COLUMNS, ROWS, 6]``.
 
     Three of the six are the changes downwards, three those clockwise: a wall between two others looks alike in many
     columns if only its upper and its lower edge tell.
@@ -65,7 +65,7 @@ def columns(image: Equirectangular | Cube) -> Array:
 
 
 def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
-    """How much two panoramas are turned against each other.
+    """Return how much two panoramas are turned against each other.
 
     Args:
         first: see `columns`.
@@ -129,7 +129,7 @@ TOO_NEAR = np.abs(_GROWTH - SCALE) > 0.75
 
 
 def _agreement(alike: Array, yaws: Array | float, turns: Array) -> Array:
-    """How well the columns of two panoramas agree, each with its best distance: at each turn, ``[T]``.
+    """Return how well the columns of two panoramas agree, each with its best distance: at each turn, ``[T]``.
 
     It is the mean of cubes: some columns that agree well tell more than many that agree a little, as all do where
     the other panorama does not see what they show. ``yaws`` are where the second panorama stands in the image of the

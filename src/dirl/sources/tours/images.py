@@ -33,7 +33,7 @@ class Equirectangular:
     file: Path
 
     def files(self) -> Iterator[Path]:
-        """The files of the image."""
+        """Yield the files of the image."""
         yield self.file
 
     @property
@@ -57,7 +57,7 @@ class CubeLevel:
     path: Callable[[str, int, int], Path]
 
     def tiles(self, face: str) -> list[list[Path]]:
-        """The rows of the tiles of one of `FACES`."""
+        """Return the rows of the tiles of one of `FACES`."""
         return [[self.path(face, y, x) for x in range(self.count)] for y in range(self.count)]
 
 
@@ -76,7 +76,7 @@ class Cube:
     levels: tuple[CubeLevel, ...]
 
     def files(self) -> Iterator[Path]:
-        """The files of all sizes."""
+        """Yield the files of all sizes."""
         yield from (file for level in self.levels for face in FACES for row in level.tiles(face) for file in row)
 
     @property
@@ -86,7 +86,7 @@ class Cube:
 
 
 def six_images(path: Callable[[str], Path]) -> Cube:
-    """A cube of one image a face."""
+    """Return a cube of one image a face."""
     return Cube((CubeLevel(None, 1, lambda face, y, x: path(face)),))
 
 
@@ -133,7 +133,7 @@ def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
 
 
 def _face(tiles: Sequence[Sequence[Path]]) -> Image.Image:
-    """A face put together from its tiles, whose sizes fit, see `_tile_sizes`."""
+    """Return a face put together from its tiles, whose sizes fit, see `_tile_sizes`."""
     rows = [np.concatenate([np.asarray(to_rgb(open_photo(file))) for file in row], 1) for row in tiles]
     return Image.fromarray(np.concatenate(rows))
 
@@ -150,7 +150,7 @@ def density(size: tuple[int, int], field_of_view: float) -> float:
 
 
 def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], field_of_view: float) -> Pixels:
-    """A view out of the pixels of `read_panorama`, uint8 ``[height, width, 3]``.
+    """Return a view out of the pixels of `read_panorama`, uint8 ``[height, width, 3]``.
 
     It looks ``yaw`` degrees clockwise from the middle of the image (of the front face) and ``pitch`` up; the field of
     view is horizontal, degrees.
@@ -159,7 +159,7 @@ def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], f
 
 
 def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
-    """What lies in some directions of a panorama, uint8 ``[H, W, 3]``, by bilinear interpolation.
+    """Return what lies in some directions of a panorama, uint8 ``[H, W, 3]``, by bilinear interpolation.
 
     ``directions`` are unit vectors to the right of, above and ahead of its middle, float64 ``[3, H, W]``.
     """
@@ -191,7 +191,7 @@ def _directions(yaw: float, pitch: float, size: tuple[int, int], focal: float) -
 
 
 def _on_cube(x: NDArray, y: NDArray, z: NDArray) -> tuple[NDArray, NDArray, NDArray]:  # type: ignore[type-arg]
-    """Which of `FACES` each direction meets, and where: right and below its middle, -1 to 1."""
+    """Return which of `FACES` each direction meets, and where: right and below its middle, -1 to 1."""
     along = np.stack([z, x, -z, -x, y, -y])
     face = along.argmax(0)
     right = np.stack([x, -z, -x, z, x, x])
@@ -202,7 +202,7 @@ def _on_cube(x: NDArray, y: NDArray, z: NDArray) -> tuple[NDArray, NDArray, NDAr
 
 
 def _bilinear(pixels: Pixels, across: NDArray[np.float64], down: NDArray[np.float64], *, wraps: bool) -> Pixels:
-    """Pixels at fractional columns and rows; beyond the edges the last ones, or those of the other side."""
+    """Return pixels at fractional columns and rows; beyond the edges the last ones, or those of the other side."""
     height, width = pixels.shape[:2]
     left, top = np.floor(across).astype(int), np.floor(down).astype(int)
     share_x, share_y = (across - left)[..., None], (down - top)[..., None]
@@ -221,7 +221,7 @@ def cut_views(
     pitch: float = 0.0,
     quality: int = 90,
 ) -> Iterator[bytes]:
-    """The views of all panoramas, one after the other, as WebP.
+    """Yield the views of all panoramas, one after the other, as WebP.
 
     Args:
         images: of P panoramas.

@@ -38,7 +38,7 @@ ASSIGNMENT = re.compile(
 
 
 def read_marzipano(file: Path) -> Tour:
-    """The tour that a ``data.js`` describes."""
+    """Return the tour that a ``data.js`` describes."""
     text = tour_text(file)
     assigned = ASSIGNMENT.match(text)
     if assigned is None:
@@ -96,7 +96,7 @@ MOST_PARSED = 2**28
 
 
 def read_pannellum(file: Path) -> Tour:
-    """The tour that a configuration describes."""
+    """Return the tour that a configuration describes."""
     text = _without_functions(tour_text(file))
     data = read_json(text, file) if text.lstrip().startswith("{") else _within(text, file)
     common = data.get("default")
@@ -122,7 +122,7 @@ def _without_functions(text: str) -> str:
 
 
 def _within(text: str, file: Path) -> dict[str, Any]:
-    """The configuration in a page or a script: the smallest object with scenes."""
+    """Return the configuration in a page or a script: the smallest object with scenes."""
     why = SceneError(f"{file}: has no object with 'scenes', as pannellum.viewer(...) takes it")
     for begin in islice(_objects(text), MOST_PARSED // (len(text) + 1)):
         try:
@@ -136,7 +136,7 @@ def _within(text: str, file: Path) -> dict[str, Any]:
 
 
 def _objects(text: str) -> Iterator[int]:
-    """Where objects begin that may hold scenes, each once, the smallest first."""
+    """Yield where objects begin that may hold scenes, each once, the smallest first."""
     begins, tried = [match.start() for match in re.finditer("{", text)], set[int]()
     for scenes in SCENES.finditer(text):
         last = bisect(begins, scenes.start())

@@ -18,7 +18,7 @@ from dirl.sources.tours.tour import FlatError, Link, Panorama, Tour, number, rea
 
 
 def read_krpano(file: Path) -> Tour:
-    """The tour that a ``tour.xml`` describes."""
+    """Return the tour that a ``tour.xml`` describes."""
     text = tour_text(file)
     if "<!DOCTYPE" in text:  # it can declare entities; refused before anything is expanded
         raise SceneError(f"{file}: has a document type (DOCTYPE), which no tour needs")

@@ -152,7 +152,7 @@ def _solve(ends: IntArray, off: Array, worth: Array) -> IntArray:
 
 
 def about_links(tour: Tour, graph: IntArray, aside: Array) -> Iterator[str]:
-    """What became of the links (see `follow_links`), a line each, and which panoramas are lost."""
+    """Yield what became of the links (see `follow_links`), a line each, and which panoramas are lost."""
     ids = [panorama.id for panorama in tour.panoramas]
     ends, _ = link_ends(tour)
     count = len(graph) // len(ids)
@@ -185,7 +185,7 @@ def about_links(tour: Tour, graph: IntArray, aside: Array) -> Iterator[str]:
 
 
 def _together(count: int, ends: IntArray) -> NDArray[np.bool_]:
-    """Which of so many panoramas are in the largest group that can be reached from each other, bool ``[P]``."""
+    """Return which of so many panoramas are in the largest group that can be reached from each other, bool ``[P]``."""
     links = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
     group = connected_components(links, directed=True, connection="strong")[1]
     return np.asarray(group == np.bincount(group).argmax())

@@ -52,7 +52,7 @@ def tour_scene(
     name: str | None = None,
     compare_images: bool = True,
 ) -> Converted:
-    """The scene of a tour.
+    """Return the scene of a tour.
 
     Each link has a heading of its own, along which a move ahead leads, and a link both ways has opposite headings at
     its ends, so that a move back undoes a move ahead: see `dirl.sources.tours.links.follow_links`.
@@ -112,13 +112,13 @@ def tour_scene(
 
 
 def _scene_name(text: str) -> str:
-    """A tour's title as a name: letters, digits and some signs, see `dirl.scenes.scene.check_name`."""
+    """Return a tour's title as a name: letters, digits and some signs, see `dirl.scenes.scene.check_name`."""
     kept = "".join(sign if sign.isalnum() or sign in " _.,()+-" else "_" for sign in text)
     return kept.encode()[:100].decode(errors="ignore").strip() or "tour"
 
 
 def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Array]:
-    """Where the middle of each panorama and each link look on the map, degrees clockwise.
+    """Return where the middle of each panorama and each link look on the map, degrees clockwise.
 
     The zero of each part is the one of its stated headings that agrees best with the others; where none is stated, the
     one that has most links along a heading of the agent.
@@ -138,13 +138,13 @@ def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Arr
 
 
 def _stated(tour: Tour) -> tuple[IntArray, Array]:
-    """The panoramas that state headings, int64 ``[H]``, and the headings, degrees, float64 ``[H]``."""
+    """Return the panoramas that state headings, int64 ``[H]``, and the headings, degrees, float64 ``[H]``."""
     found = [(index, one.heading) for index, one in enumerate(tour.panoramas) if one.heading is not None]
     return np.array([index for index, _ in found], np.int64), np.array([heading for _, heading in found], np.float64)
 
 
 def _contrary(tour: Tour, middles: Array) -> Iterator[str]:
-    """A note where stated headings are not those that are used, which the links give."""
+    """Yield a note where stated headings are not those that are used, which the links give."""
     known, stated = _stated(tour)
     off = np.abs(wrap(stated - middles[known]))
     if (off > AGREE).any():
@@ -156,7 +156,7 @@ def _contrary(tour: Tour, middles: Array) -> Iterator[str]:
 
 
 def _zero(along: Array, turn: float) -> float:
-    """The offset of headings, half a turn at most, that has links along them: a circular mean."""
+    """Return the offset of headings, half a turn at most, that has links along them: a circular mean."""
     if not len(along):
         return 0.0
     mean = np.exp(1j * np.radians(along) * 360 / turn).mean()
@@ -164,7 +164,7 @@ def _zero(along: Array, turn: float) -> float:
 
 
 def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
-    """Positions ``[P, 2]`` at which links are a step long in their directions, or nearly; parts side by side."""
+    """Return positions ``[P, 2]`` at which links are a step long in their directions, or nearly; parts side by side."""
     ends, _ = link_ends(tour)
     ends, along = ends[part[ends[:, 0]] == part[ends[:, 1]]], along[part[ends[:, 0]] == part[ends[:, 1]]]
     way = step * np.stack([np.sin(np.radians(along)), np.cos(np.radians(along))], 1)
@@ -194,7 +194,7 @@ def _compared(tour: Tour, aligned: Alignment) -> dict[tuple[int, int], Seen]:
 def _about_headings(
     tour: Tour, by_links: Alignment, aligned: Alignment, seen: Mapping[tuple[int, int], Seen]
 ) -> Iterator[str]:
-    """The notes on how well headings agree, by links alone and by what panoramas show."""
+    """Yield the notes on how well headings agree, by links alone and by what panoramas show."""
 
     def closing(loops: Array) -> str:
         return f"close with a median error of {np.median(loops):.1f} degrees, at most {loops.max():.1f}"

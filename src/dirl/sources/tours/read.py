@@ -22,7 +22,7 @@ PAGES = (".js", ".html", ".htm")
 
 
 def read_table(file: Path) -> Tour:
-    """The tour of a folder of equirectangular images with ``links.csv``, and maybe ``panoramas.csv``.
+    """Return the tour of a folder of equirectangular images with ``links.csv``, and maybe ``panoramas.csv``.
 
     | table | column | contents |
     |---|---|---|
@@ -67,7 +67,7 @@ FORMATS = {
 
 
 def read_tour(path: str | Path, *, reach: float = REACH, skip: Collection[str] = ()) -> Tour:
-    """The tour in a folder, or that a file describes.
+    """Return the tour in a folder, or that a file describes.
 
     Args:
         path: the folder, or the file itself: ``data.js``, ``tour.xml``, a Pannellum configuration (JSON, or JavaScript
@@ -90,7 +90,7 @@ def read_tour(path: str | Path, *, reach: float = REACH, skip: Collection[str] =
 
 
 def _by_name(file: Path) -> tuple[str, Path] | None:
-    """Which kind of tour a file describes."""
+    """Return which kind of tour a file describes."""
     named = [kind for kind, (_, names) in FORMATS.items() if any(file.match(Path(name).name) for name in names)]
     by_ending = {".xml": "krpano", **dict.fromkeys(PAGES, "pannellum")}
     kind = named[0] if named else by_ending.get(file.suffix.lower())
@@ -98,7 +98,7 @@ def _by_name(file: Path) -> tuple[str, Path] | None:
 
 
 def _in_folder(folder: Path) -> tuple[str, Path] | None:
-    """Which kind of tour a folder holds, and the file that describes it."""
+    """Return which kind of tour a folder holds, and the file that describes it."""
     pages = tuple(f"*{ending}" for ending in PAGES)
     for kind, names in [*((kind, names) for kind, (_, names) in FORMATS.items()), ("pannellum", pages)]:
         found = sorted(file for name in names for file in folder.glob(name) if kind != "pannellum" or _has_scenes(file))

@@ -85,7 +85,7 @@ class Tour:
     unusable: Mapping[str, SceneError] = field(default_factory=dict)
 
     def yaws(self) -> dict[tuple[int, int], float]:
-        """The yaw of each link, degrees, by the places of its two panoramas in the tour."""
+        """Return the yaw of each link, degrees, by the places of its two panoramas in the tour."""
         number = {panorama.id: index for index, panorama in enumerate(self.panoramas)}
         links = ((index, link) for index, panorama in enumerate(self.panoramas) for link in panorama.links)
         return {(index, number[link.target]): link.yaw for index, link in links}
@@ -184,7 +184,7 @@ def read_json(text: str, where: Path) -> dict[str, Any]:
 
 
 def tour_text(file: Path) -> str:
-    """The text of a file that describes a tour."""
+    """Return the text of a file that describes a tour."""
     try:
         return read_text(file, MOST_TEXT, encoding="utf-8-sig")
     except OSError as error:
@@ -194,14 +194,14 @@ def tour_text(file: Path) -> str:
 
 
 def entry(values: Any, key: str, kind: type, where: str) -> Any:
-    """A required value of a JSON object."""
+    """Return a required value of a JSON object."""
     if not isinstance(values, Mapping) or not isinstance(values.get(key), kind):
         raise SceneError(f"{where}: expected '{key}' ({kind.__name__})")
     return values[key]
 
 
 def entries(values: Any, key: str, where: str) -> list[Mapping[str, Any]]:
-    """A list of JSON objects, empty if it is missing."""
+    """Return a list of JSON objects, empty if it is missing."""
     found = values.get(key, []) if isinstance(values, Mapping) else None
     if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
         raise SceneError(f"{where}: expected '{key}' (list of objects)")
@@ -209,7 +209,7 @@ def entries(values: Any, key: str, where: str) -> list[Mapping[str, Any]]:
 
 
 def number(value: Any, where: str, low: float = -1e6, high: float = 1e6) -> float:
-    """A number of a tour, as a number or as its text."""
+    """Return a number of a tour, as a number or as its text."""
     try:
         found = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):

@@ -47,7 +47,7 @@ class _Floor:
 
 
 def read_zind(file: Path, reach: float = REACH) -> Tour:
-    """The tour that a ``zind_data.json`` describes; linked panoramas are ``reach`` metres apart at most."""
+    """Return the tour that a ``zind_data.json`` describes; linked panoramas are ``reach`` metres apart at most."""
     data = read_json(tour_text(file), file)
     scales = data.get("scale_meters_per_coordinate")
     panoramas: list[Panorama] = []
@@ -110,7 +110,7 @@ def _points(values: Any, where: str) -> Array:
 
 
 def _linked(floor: _Floor, reach: float, shift: float, file: Path) -> Iterator[Panorama]:
-    """The panoramas of a floor with their links, drawn ``shift`` metres to the right."""
+    """Yield the panoramas of a floor with their links, drawn ``shift`` metres to the right."""
     names, places = list(floor.standing), np.array([at for at, _, _ in floor.standing.values()]).reshape(-1, 2)
     near = KDTree(places).query_pairs(reach, output_type="ndarray") if names else np.zeros((0, 2), np.int64)
     walls, gaps = np.array(floor.walls).reshape(-1, 2, 2), np.array(floor.gaps).reshape(-1, 2, 2)

@@ -65,7 +65,7 @@ class Draft:
         return True
 
     def between(self, low: float, high: float) -> float:
-        """A random length, to centimetres."""
+        """Return a random length, to centimetres."""
         return round(float(self.rng.uniform(low, high)), 2)
 
     def any_seed(self) -> int:
@@ -73,7 +73,7 @@ class Draft:
         return int(self.rng.integers(*self.style.repertoire.seeds))
 
     def from_wall(self, wall: str, along: float, away: float) -> tuple[float, float]:
-        """The point so far along a wall and away from it."""
+        """Return the point so far along a wall and away from it."""
         return rounded(place_of(Piece("", (0.0, 0.0, 0.0), wall=wall, along=along, off=away), self.size))
 
     def length(self, wall: str) -> float:
@@ -172,7 +172,7 @@ class Draft:
                     break
 
     def _bare(self, wall: str) -> list[tuple[float, float]]:
-        """Stretches of a wall without anything on it or near before it at eye height."""
+        """Return stretches of a wall without anything on it or near before it at eye height."""
         axis, far = (0, self.size[1]) if wall in ("north", "south") else (1, self.size[0])
         taken = []
         for other in self.placed:
@@ -212,14 +212,14 @@ class Draft:
 
 @lru_cache(maxsize=1000)
 def _bounds(kind: str, size: Size, yaw: float, options: tuple[tuple[str, Any], ...]) -> Array:
-    """The upright box around a turned piece at the origin, lower and upper corner, ``[6]``."""
+    """Return the upright box around a turned piece at the origin, lower and upper corner, ``[6]``."""
     parts = FURNITURE[kind](*size, **dict(options)).parts
     corners = np.concatenate([part.moved((0, 0, 0), yaw, 1.0).corners.reshape(-1, 3) for part in parts])
     return np.concatenate([corners.min(0), corners.max(0)])
 
 
 def _meets(a: Array, b: Array, gap: float) -> bool:
-    """Whether two boxes come nearer than a gap, seen from above, and overlap in height."""
+    """True if two boxes come nearer than a gap, seen from above, and overlap in height."""
     plan = (a[:2] < b[3:5] + gap).all() and (b[:2] < a[3:5] + gap).all()
     return bool(plan and a[2] < b[5] - 1e-3 and b[2] < a[5] - 1e-3)
 

@@ -38,7 +38,7 @@ def shower(draft: Draft) -> None:
 
 
 def chest(draft: Draft, width: float) -> Piece | None:
-    """A sideboard or a chest of drawers with something on it."""
+    """Put a sideboard or a chest of drawers with something on it."""
     rows = int(draft.rng.integers(1, 5))
     size = (width, 0.46, draft.between(0.75, 0.98))
     doors = max(1, round(width / 0.5))

@@ -52,7 +52,7 @@ KINDS = {
 
 
 def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True) -> RoomDescription:
-    """A random room that passes `check_room` and, in small views, `check_views`; kind and seed determine it.
+    """Return a random room that passes `check_room` and, in small views, `check_views`; kind and seed determine it.
 
     Args:
         kind: bathroom, bedroom, kitchen or living_room.
@@ -70,7 +70,7 @@ def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = 
 def sample_views(
     kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True
 ) -> tuple[RoomDescription, list[View]]:
-    """The room that `sample_room` returns, and the views of its check: of `LOOK` pixels, in coarse light.
+    """Return the room that `sample_room` returns, and the views of its check: of `LOOK` pixels, in coarse light.
 
     They are those that `build_room` takes with that ``size`` and without ``fine``; none without ``look``.
     """
@@ -90,7 +90,7 @@ def sample_views(
 
 
 def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
-    """A random room, unchecked."""
+    """Return a random room, unchecked."""
     rng = np.random.default_rng([zlib.crc32(kind.encode()), seed, attempt])
     made = KINDS[kind]
     width, depth = (round(float(rng.uniform(*made.extent)), 1) for _ in range(2))
@@ -125,7 +125,7 @@ def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
 
 
 def problems_of(room: RoomDescription, kind: Kind) -> list[str]:
-    """The problems of a room's furniture and places, one line each."""
+    """Return the problems of a room's furniture and places, one line each."""
     try:
         way = walk(room)
     except SceneError as error:
@@ -137,6 +137,6 @@ def problems_of(room: RoomDescription, kind: Kind) -> list[str]:
 
 
 def look_around(room: RoomDescription) -> list[View]:
-    """The views of all states, of `LOOK` pixels, in coarse light."""
+    """Return the views of all states, of `LOOK` pixels, in coarse light."""
     renderer = Renderer.of(room, fine=False)
     return list(take_views(renderer, room.camera, poses(walk(room)), LOOK, progress=False))

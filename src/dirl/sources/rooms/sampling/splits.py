@@ -106,12 +106,12 @@ TRAIN, TEST = _repertoire(held_out=False), _repertoire(held_out=True)
 
 
 def split_of(seed: int) -> str | None:
-    """The split that the rooms of a seed belong to: test, validation or train; None below all of them."""
+    """Return the split that the rooms of a seed belong to: test, validation or train; None below all of them."""
     splits = [split for split, first in FIRST_SEEDS.items() if seed >= first]
     return splits[-1] if splits else None
 
 
 def repertoire_of(seed: int) -> Repertoire:
-    """The stock that the rooms of a seed may use."""
+    """Return the stock that the rooms of a seed may use."""
     split = split_of(seed)
     return EVERYTHING if split is None else TEST if split == "test" else TRAIN

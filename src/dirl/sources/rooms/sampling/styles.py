@@ -37,7 +37,7 @@ class Style:
         return name
 
     def color(self, *, hue: float | None = None, saturation: float | None = None, value: float | None = None) -> str:
-        """A colour of the room's palette, a little off; what is not given is sampled."""
+        """Return a colour of the room's palette, a little off; what is not given is sampled."""
         base = float(self.rng.choice(self.hues, p=(0.45, 0.35, 0.2))) if hue is None else hue
         s = self.vivid * self.rng.uniform(0.5, 1.0) if saturation is None else saturation
         v = self.rng.uniform(0.35, 0.85) if value is None else value
@@ -45,7 +45,7 @@ class Style:
         return f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
 
     def colors(self, count: int) -> tuple[str, ...]:
-        """Several colours, from dark to light, of all hues of the palette."""
+        """Return several colours, from dark to light, of all hues of the palette."""
         values = np.linspace(0.3, 0.9, count)
         return tuple(self.color(hue=self.hues[k % 3], value=float(value)) for k, value in enumerate(values))
 
@@ -56,7 +56,7 @@ class Style:
         return str(self.rng.choice(["wood", "wood_dark", "wood_c"]))
 
     def cloth(self, value: float | None = None) -> str:
-        """A fabric of one colour, striped or checked."""
+        """Return a fabric of one colour, striped or checked."""
         color, kind = self.color(value=value), self.rng.random()
         options: dict[str, Any] = {"color": color, "color2": self.color(saturation=0.15, value=0.85)}
         if kind < 0.35:
@@ -76,13 +76,13 @@ class Style:
         return self.add(Material("marble", {"a": a, "b": b, "scale": scale}, rough=0.14), "stone")
 
     def rug(self) -> str:
-        """A rug."""
+        """Return a rug."""
         kind = str(self.rng.choice(self.repertoire.rugs))
         dark, ornament, border, line = self.colors(4)
         return self.add(Material(kind, {"colors": (dark, line, border, ornament)}, size=0, rough=1.0), "rug")
 
     def painting(self) -> str:
-        """A picture unlike any other in the room."""
+        """Return a picture unlike any other in the room."""
         kind = str(self.rng.choice(self.repertoire.paintings))
         options: dict[str, Any] = (
             self._scenery(kind) if kind in ("landscape", "skyline", "sea") else {"colors": self._bold()}
@@ -96,7 +96,7 @@ class Style:
         return self.add(Material(kind, options, size=0), "art")
 
     def outlook(self) -> str:
-        """What a window shows; it lights the room."""
+        """Return what a window shows; it lights the room."""
         shares = np.array(list(self.repertoire.outlooks.values()))
         kind = str(self.rng.choice(list(self.repertoire.outlooks), p=shares / shares.sum()))
         light = self.rng.uniform(2.6, 3.8)
@@ -145,7 +145,7 @@ class Style:
         return self.add(made, "floor")
 
     def _one_wood(self, *names: str) -> tuple[str, str]:
-        """The colours of one of some woods that is in the repertoire."""
+        """Return the colours of one of some woods that is in the repertoire."""
         woods = self.repertoire.woods
         return woods[str(self.rng.choice([name for name in names if name in woods]))]
 
@@ -193,7 +193,7 @@ class Style:
         return self.add(Material("planks", {"a": a, "b": b, "rows": 8}, size=1.2, rough=0.45), "panel")
 
     def _bold(self) -> tuple[str, ...]:
-        """Colours of a painting: of any hue, dark to light."""
+        """Return colours of a painting: of any hue, dark to light."""
         values = np.linspace(0.25, 0.95, 5)
         hues = np.interp(self.rng.random(5), *HUES)
         return tuple(
