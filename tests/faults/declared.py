@@ -30,7 +30,7 @@ from dirl.sources.recordings import unpack_recording
 from dirl.sources.rooms import read_description
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.images import cut_views
-from dirl.sources.video import read_photo
+from dirl.sources.video import Recording, read_photo
 from dirl.sources.vizdoom import _check_map
 
 SECONDS, MEMORY = 60, 2.0
@@ -187,6 +187,10 @@ def header_of_a_map(folder):
     return lambda: load_frames_map(folder / "a.npz")
 
 
+def unpack(file):
+    return unpack_recording(file, file.parent / "out", images="images", axes=["x", "z", "heading"])
+
+
 def recording(shape, chunks):
     def make(folder):
         with h5py.File(folder / "a.h5", "w") as file:
@@ -194,7 +198,7 @@ def recording(shape, chunks):
             packed = zlib.compress(bytes(int(np.prod(chunks))), 9)
             for at in np.ndindex(*(-(-length // chunk) for length, chunk in zip(shape, chunks, strict=True))):
                 stored.id.write_direct_chunk([step * chunk for step, chunk in zip(at, chunks, strict=True)], packed)
-        return lambda: unpack_recording(folder / "a.h5", folder / "out", images="images", axes=["x", "z", "heading"])
+        return lambda: unpack(folder / "a.h5")
 
     return make
 
@@ -231,6 +235,10 @@ CASES = {
     "a pipe for states.csv": pipe("states.csv", read_photos),
     "a pipe for tour.json": pipe("tour.json", read_tour),
     "a pipe for a room": pipe("a.toml", lambda folder: read_description(folder / "a.toml")),
+    "a pipe for a WAD": pipe("a.wad", lambda folder: _check_map(folder / "a.wad", "map01")),
+    "a pipe for a video": pipe("a.mp4", lambda folder: Recording(folder / "a.mp4")),
+    "a pipe for a recording": pipe("a.h5", lambda folder: unpack(folder / "a.h5")),
+    "functions without end": tour("index.html")(lambda: "scenes: {" + ":function(){:a=>{:function(" * 200_000),
     "a WAD of 44 bytes": wad,
     "a map of 5.4 GB": frames_map,
     "a header of a map": header_of_a_map,
