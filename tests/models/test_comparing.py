@@ -37,11 +37,13 @@ def test_the_goal_enters_by_comparison_only(encoder):
     assert not torch.equal(encoder(seen, views(6, seed=1)), encoder(views(6, seed=3), views(6, seed=1)))
 
 
-def test_a_view_that_is_not_known_has_no_cosine_with_anything(encoder):
+def test_a_view_has_unit_vectors_and_one_that_is_not_known_no_cosine_with_anything(encoder):
     goal = views(6, seed=1)
     goal[:, 1:] = 0
-    patches, of_views = encoder.embed_goal(goal).split(encoder.sizes, -1)
-    assert patches.unflatten(1, (4, -1))[:, 1:].abs().max() == 0 == of_views.unflatten(1, (4, -1))[:, 1:].abs().max()
+    patches, of_views = (part.unflatten(1, (4, -1)) for part in encoder.embed_goal(goal).split(encoder.sizes, -1))
+    assert patches[:, 1:].abs().max() == 0 == of_views[:, 1:].abs().max()
+    torch.testing.assert_close(of_views[:, 0].norm(dim=-1), torch.ones(6))
+    torch.testing.assert_close(patches[:, 0].unflatten(1, (SHAPE[0], -1)).norm(dim=-1), torch.ones(6, SHAPE[0]))
 
 
 @pytest.mark.parametrize("encoder", [5], indirect=True)

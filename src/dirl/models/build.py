@@ -58,8 +58,9 @@ def build_policy(
         if memory is not None:
             rollout = "memory, of three steps of a rollout"
             _output_width(rollout, memory, lambda: _remember(memory, fused, 3), [1, 3, fused])
-        with tried("heads", heads, f", on rows {[1, encoded]}"), torch.no_grad():
-            _decide(heads, encoded)
+        if not type(heads).__module__.startswith("dirl."):
+            with tried("heads", heads, f", on rows {[1, encoded]}"), torch.no_grad():
+                _decide(heads, encoded)
         policy = policy.to(features.table.device)
         if not type(policy).__module__.startswith("dirl."):  # those of dirl may need a state of the world
             with tried("policy", policy, f", on view ids {[1, views]}"), torch.no_grad():
