@@ -166,8 +166,10 @@ def open_photo(file: str | Path, *, load: bool = True) -> Image.Image:
     """
     try:
         return open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS, load=load)
-    except (OSError, ValueError) as error:
-        raise ImageError(f"{file}: not a readable image ({getattr(error, 'strerror', None) or error})") from None
+    except OSError as error:
+        raise ImageError(f"{file}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ImageError(f"{file}: not a readable image ({error})") from None
 
 
 def natural_order(file: Path) -> list[tuple[int, int | str]]:
