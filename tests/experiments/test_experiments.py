@@ -17,7 +17,7 @@ from dirl.experiments.any_goal import main_variant, nearest_trained, variant
 from dirl.experiments.measures import ambiguous, wrong_goals
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.stopping import coefficients, disturb, precision_recall, recommended_threshold, report_stopping
-from dirl.perception.backbones.registry import ViewEncoder, encode_views
+from dirl.perception.backbones.registry import ViewEncoder, encode_all
 from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import load_scenes, make_world, write_dump
@@ -239,7 +239,7 @@ def test_stopping_is_reported_for_disturbed_views(tmp_path):
     views = rng.integers(0, 256, (24, 30, 40, 3), np.uint8)
     mixing = torch.from_numpy(rng.normal(size=(3600, 32))).float()
     encoder = ViewEncoder(lambda batch: (batch.flatten(1).float() / 255) @ mixing, {"extractor": "mixed pixels"})
-    features = encode_views(encoder, views, 24, "test")
+    features = encode_all(encoder, views, 24, "test").features
     scene = replace(grid_scene(goals=(0, 13)), features=features, extractor=encoder.extractor)
     write_dump(tmp_path / "room.h5", scene, [encode(view, quality=None) for view in views])
     options = [f"scene={tmp_path / 'room.h5'}", *SMALL, "experiment=fig4", "system=dirl", "seed=0"]

@@ -19,7 +19,7 @@ from dirl.experiments.measures import decimals
 from dirl.experiments.results import Result, Table, published, write_tables
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy, load_weights
-from dirl.perception.backbones import ViewEncoder, encode_views
+from dirl.perception.backbones import ViewEncoder, encode_all
 from dirl.perception.recognition.matching import ncc, template_vectors
 from dirl.reporting.style import plain, tell_cut
 from dirl.runs.paths import RunError
@@ -73,7 +73,7 @@ def encode_disturbed(scene: Scene, encoder: ViewEncoder, kind: str | None = None
         views[state] if kind is None else disturb(views[state], kind, strength, generator)
         for state in range(len(scene))
     )
-    return torch.from_numpy(encode_views(encoder, seen, len(scene), scene.origin))
+    return torch.from_numpy(encode_all(encoder, seen, len(scene), scene.origin).features)
 
 
 def coefficients(clean: Tensor, disturbed: Tensor, scene: Scene, match: str) -> tuple[Tensor, Tensor]:

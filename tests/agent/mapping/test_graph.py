@@ -74,17 +74,6 @@ def test_what_stands_still_does_not_flicker():
     assert graph.at == 4  # one of them is as good as the other, and it stays
 
 
-def test_a_walker_that_is_carried_away_is_found_again():
-    scene = grid_scene(**ROOM)
-    graph = ImageGraph()
-    explore(scene, graph, 5, 100)
-    seen = looks(scene)
-    for state in (0, 17, 30):
-        assert graph.follow(seen[state]) == graph.scores(seen[state]).argmax()
-    assert graph.follow(torch.randn(4, 64)) is None
-    assert graph.follow(seen[3], AHEAD) == graph.scores(seen[3]).argmax()
-
-
 def test_a_door_that_has_been_closed_is_noticed():
     open_, closed = grid_scene(3, 2, feature_width=64), grid_scene(3, 2, feature_width=64).graph.copy()
     closed[[0 * 4 + 1, 1 * 4 + 3], AHEAD] = closed[[1 * 4 + 1, 0 * 4 + 3], BACK] = -1

@@ -3,7 +3,6 @@
 import sys
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
 import torch
@@ -15,8 +14,6 @@ from dirl.perception.backbones import (
     EncoderError,
     ResNet50,
     ViewEncoder,
-    encode_scene,
-    encode_views,
     load_encoder,
     preprocess,
     registry,
@@ -24,7 +21,7 @@ from dirl.perception.backbones import (
 from dirl.perception.backbones.encoder import weights_hash
 from dirl.perception.backbones.patches import coarse
 from dirl.perception.backbones.registry import encode_all, encoded_as
-from dirl.scenes import SceneError, make_world, read_dump, write_dump
+from dirl.scenes import make_world, read_dump, write_dump
 from dirl.scenes.io.write import replace_features
 from dirl.scenes.views import encode as webp
 
@@ -193,44 +190,11 @@ def test_views_that_cannot_be_encoded_name_the_state(state):
     views = [np.zeros((3, 4, 3), np.uint8) for _ in range(36)]
     views[state] = np.zeros((4, 4, 3), np.uint8)
     with pytest.raises(EncoderError, match=rf"^here: state {state} has a view \(4, 4, 3\), state 0 one \(3, 4, 3\)"):
-        encode_views(counting(), views, 36, "here")
+        encode_all(counting(), views, 36, "here")
     views[state] = np.full((3, 4, 3), 255, np.uint8)
     spoilt = ViewEncoder(lambda v: torch.where(v.float().mean((1, 2)) > 254, torch.nan, 1.0), {})
     with pytest.raises(EncoderError, match=f"^here: state {state}: its features are not finite"):
-        encode_views(spoilt, views, 36, "here")
-
-
-def test_only_the_features_of_a_dump_are_replaced(tmp_path):
-    scene = room_with_views(tmp_path / "room.h5", goals=(3, 13))
-    encoder = counting(width=7)
-    replace_features(
-        tmp_path / "room.h5", tmp_path / "new.h5", encode_scene(scene, encoder).features, encoder.attributes
-    )
-    again = read_dump(tmp_path / "new.h5")
-    assert (again.extractor, again.features.shape) == ("mean red", (24, 7))
-    assert [again.views.encoded(s) for s in range(24)] == [scene.views.encoded(s) for s in range(24)]
-    for part in ("graph", "positions", "headings", "distances"):
-        assert (getattr(again, part) == getattr(scene, part)).all()
-    with h5py.File(tmp_path / "room.h5") as old, h5py.File(tmp_path / "new.h5") as new:
-        assert new.attrs["note"] == "kept"
-        assert set(old.attrs) == set(new.attrs)
-        assert "resnet_feature" not in old
-
-
-def test_features_of_different_encoders_cannot_share_a_world(tmp_path, weights):
-    one = room_with_views(tmp_path / "one.h5", name="one")
-    state = torch.load(weights, weights_only=True)
-    state["bn1.bias"] += 1
-    torch.save(state, tmp_path / "other.pth")
-    scenes = []
-    for name, file in (("one", weights), ("two", tmp_path / "other.pth")):
-        encoder = load_encoder(str(file))
-        features = np.random.default_rng(0).random((24, 2048), np.float32)
-        replace_features(tmp_path / "one.h5", tmp_path / f"{name}2.h5", features, encoder.attributes)
-        scenes.append(read_dump(tmp_path / f"{name}2.h5", name=name))
-    assert len(one) == 24
-    with pytest.raises(SceneError, match="two and one have features of different extractors, which cannot be mixed"):
-        make_world(scenes)
+        encode_all(spoilt, views, 36, "here")
 
 
 def test_kept_features_are_used_only_if_they_are_of_this_encoder(tmp_path, monkeypatch):

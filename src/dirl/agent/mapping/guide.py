@@ -162,6 +162,7 @@ class Guide:
         self._window = max(AHEAD, round(ON_THE_WAY / graph.spacing))
         self._steps: dict[tuple[int, int], float] = {}
         self._missed = MISSED
+        self._since, self._least = 0, float("inf")  # views without progress, and the least way to the goal so far
         self._plan()
 
     def see(self, frame: NDArray[np.uint8]) -> Guidance:
@@ -236,7 +237,7 @@ class Guide:
     def _without_progress(self, here: int) -> bool:
         """Return True if for `PATIENCE` views one came no nearer."""
         self._since = 0 if self._far[here] < self._least - 0.5 else self._since + 1
-        self._least = min(self._least, self._far[here])
+        self._least = min(self._least, float(self._far[here]))
         return self._since > PATIENCE
 
     def _doubt(self, path: list[int]) -> None:
@@ -254,7 +255,7 @@ class Guide:
         self._far, self._following = distances_to(self._links, self.goal)
         agreeing = float(self.matcher.fit(self._photo, self.graph.described, [self.goal]).score[0])
         self._arrived = max(self.graph.scale.recognised, ARRIVED * agreeing)
-        self._since, self._least = 0, np.inf
+        self._since, self._least = 0, float("inf")
 
     def _motion(self, seen: Described, frames: Described, frame: int) -> Motion:
         """The motion to a frame; none where too few points agree."""

@@ -203,13 +203,6 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     return replace(scene, features=features, patches=parts, extractor=extractor)
 
 
-def encode_views(
-    encoder: ViewEncoder, views: Iterable[NDArray[np.uint8]], count: int, origin: str
-) -> NDArray[np.float32]:
-    """The features of views, float32 ``[N, D]``, see `encode_all`."""
-    return encode_all(replace(encoder, forward_patches=None), views, count, origin).features
-
-
 def encode_all(
     encoder: ViewEncoder, views: Iterable[NDArray[np.uint8]], count: int, origin: str, *, progress: bool = True
 ) -> Encoded:
