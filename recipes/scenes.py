@@ -439,7 +439,7 @@ from dirl.cli.output import check_writable, new_file
 from dirl.config.choices import group_options, load_simulator
 from dirl.config.components import make
 from dirl.config.folders import command as command_of
-from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
+from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, encode_views, load_encoder
 from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_false_stops, draw_scene_map
@@ -471,6 +471,9 @@ COLUMNS, KEY = 80, 13
 
 SHOWN_PAIRS = 10
 """Of the ambiguous ones."""
+
+ALONG = 40.0
+"""Degrees of the view along an arrow; what is farther away is small in the others."""
 
 SHEET = 32
 """Random rooms that are shown on one contact sheet at most; a room takes as long as some ten of its views."""
@@ -554,7 +557,17 @@ def tour(options: TourOptions) -> None:
     images = [panorama.image for panorama in found.panoramas]
     cutting = cut_views(images, made.yaws, size=(options.height, options.width), **camera)
     views = list(tqdm(cutting, total=len(made.scene), desc="views", disable=None))
-    write_encoded(out, made.scene, views, encoder, {**camera, "positions": "layout" if made.layout else "given"})
+    along = None
+    if encoder is not None:
+        shown = np.isfinite(made.arrows)
+        arrows = [yaws[seen] for yaws, seen in zip(made.arrows, shown, strict=True)]
+        size, zoomed = (options.height, options.width), {**camera, "field_of_view": ALONG}
+        cutting = map(decode, cut_views(images, arrows, size=size, **zoomed))
+        features = encode_views(encoder, cutting, int(shown.sum()), found.origin)
+        along = np.zeros((len(made.scene), features.shape[1]), np.float16)
+        along[shown.ravel()] = features
+    about = {**camera, "positions": "layout" if made.layout else "given"}
+    write_encoded(out, made.scene, views, encoder, about, along)
 
 
 def write_encoded(
@@ -563,6 +576,7 @@ def write_encoded(
     views: list[bytes],
     encoder: ViewEncoder | None,
     attributes: dict[str, Any] | None = None,
+    along: np.ndarray | None = None,
 ) -> None:
     """A dump of a scene with its views, and with features if there is an encoder; of further looks with those alone."""
     states, about, about_patches = len(scene), dict[str, str](), dict[str, str]()
@@ -575,6 +589,7 @@ def write_encoded(
             patches=None if patches is None else patches[:states],
             look_features=_looks(features.astype(np.float16), states),
             look_patches=None if patches is None else _looks(patches, states),
+            along=along,
         )
         about, about_patches = dict(encoder.attributes), dict(encoder.patch_attributes)
     write_dump(

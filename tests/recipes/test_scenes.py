@@ -149,6 +149,12 @@ def test_a_tour_becomes_a_dump(here, capsys):
     off = (shown - scene.headings.reshape(4, 8) + 180) % 360 - 180
     off = (off - np.median(off) + 180) % 360 - 180  # the zero of the map is any multiple of 45 degrees
     assert (np.abs(off) < 5).sum() >= 28  # not where white follows black
+    run("tour path=hall out=encoded.h5 height=16 width=16 field_of_view=40 patches=false")
+    encoded = read_dump("encoded.h5")
+    ahead = encoded.graph[:, 0] >= 0
+    assert ((encoded.along != 0).any(1) == ahead).all()
+    # In a grid each arrow lies along a heading, whose view is here as wide as that along the arrow.
+    np.testing.assert_allclose(encoded.along[ahead], encoded.features[ahead], atol=0.05)
     with pytest.raises(SceneError, match="headings=6: must be a multiple of four"):
         run("tour path=hall out=new.h5 headings=6 encoder=null")
 

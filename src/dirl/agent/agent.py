@@ -25,7 +25,7 @@ Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
 NEVER = -20.0
 """Logit of a move that is not possible."""
 
-SAVED = 5.0
+SAVED = 4.0
 """Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
 
 MANY = 50_000
@@ -49,6 +49,10 @@ class Observed(Protocol):
     @property
     def pooled(self) -> Tensor:
         """Pooled features of the views around the agents, float32 ``[B, K, D]``."""
+
+    @property
+    def along(self) -> Tensor | None:
+        """Pooled features of what is seen along the arrow of each view, ``[B, K, D]``; None = the views tell."""
 
     @property
     def goal_pooled(self) -> Tensor:
@@ -159,7 +163,7 @@ class Remembering(Agent):
         self.places = self.places + chosen
         count = self.places * views.shape[1] + goal.shape[1]
         mean = (self.total + goal.sum(1)) / count[:, None]
-        return arrow_costs(likeness(views, goal, mean), now.arrows)
+        return arrow_costs(likeness(views, goal, mean, now.along), now.arrows)
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents."""
@@ -247,25 +251,28 @@ def make_agent(
     return Agent(guide) if memory is None else Counting(memory, guide=guide)
 
 
-def likeness(views: Tensor, goal: Tensor, mean: Tensor) -> Tensor:
+def likeness(views: Tensor, goal: Tensor, mean: Tensor, along: Tensor | None = None) -> Tensor:
     """Return how much what lies in the direction of each view looks like the goal.
 
     Cosines of features that are not centred tell views of one place from those of another. Without the mean of the
-    place they tell what differs within it. A view counts as the best of itself and the two beside it, which overlap it.
+    place they tell what differs within it. Where what lies along the arrows is not known, a view counts as the best of
+    itself and the two beside it: an arrow may lie aside of the heading that shows it.
 
     Args:
         views: pooled features of the K views around the agents, clockwise, float32 ``[B, K, D]``.
         goal: of the goals' views, float32 ``[B, V, D]``.
         mean: of what was seen of the place, float32 ``[B, D]``.
+        along: features of what is seen along the arrow of each view, float32 ``[B, K, D]``, or None.
 
     Returns:
         float32 ``[B, K]``, in [-1, 1]; zero without views of the goal.
     """
     if not goal.shape[1]:
         return views.new_zeros(views.shape[:2])
-    centred, wanted = (F.normalize(features - mean.unsqueeze(1), dim=-1) for features in (views, goal))
+    ahead = views if along is None else along
+    centred, wanted = (F.normalize(features - mean.unsqueeze(1), dim=-1) for features in (ahead, goal))
     best = (centred @ wanted.mT).amax(-1)
-    return torch.stack([best, best.roll(1, 1), best.roll(-1, 1)]).amax(0)
+    return best if along is not None else torch.stack([best, best.roll(1, 1), best.roll(-1, 1)]).amax(0)
 
 
 def arrow_costs(along: Tensor, arrows: Tensor) -> Tensor:

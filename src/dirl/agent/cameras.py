@@ -211,6 +211,10 @@ class Views:
         return self.features[..., : len(self.goal.policy.table.mean)]
 
     @property
+    def along(self) -> None:
+        """A camera looks at its headings alone."""
+
+    @property
     def goal_pooled(self) -> Tensor:
         """Those of the goals, ``[B, 4, D]``, or of photos ``[B, 1, D]``."""
         views = 1 if self.goal.photo else VIEWS

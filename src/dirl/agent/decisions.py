@@ -205,6 +205,12 @@ class AgentBatch:
         return self.known.world.features[self.visit]
 
     @property
+    def along(self) -> Tensor | None:
+        """Features of what is seen along the arrow of each view around the agents."""
+        world = self.known.world
+        return None if world.along is None else world.along[self.visit % len(world)]
+
+    @property
     def goal_pooled(self) -> Tensor:
         """Those of the goals that are shown."""
         world, observation = self.known.world, self.known.observation

@@ -55,6 +55,8 @@ class Scene:
         look_features: of further looks, what a state looks like at other visits, float16 or float32 ``[K, N, D]``; or
             None.
         look_patches: likewise, float16 ``[K, N, cells, channels]``; there if both ``patches`` and looks are.
+        along: features of what is seen along the arrow that a move ahead follows, float16 ``[N, D]``, zero where there
+            is none; or None. An arrow of a tour may lie aside of the heading that shows it.
 
     Raises:
         SceneError: an array has the wrong shape or type, or the first offending state of it is named.
@@ -73,6 +75,7 @@ class Scene:
     patches: NDArray[np.float16] | None = None
     look_features: NDArray[np.floating] | None = None
     look_patches: NDArray[np.float16] | None = None
+    along: NDArray[np.float16] | None = None
 
     def __post_init__(self) -> None:
         given = self._array("graph", self.graph, np.integer, (None, 4))
@@ -97,6 +100,9 @@ class Scene:
                 )
         if self.patches is not None:
             arrays["patches"] = self._array("patches", self.patches, np.float16, (states, None, None))
+        if self.along is not None:
+            width = 0 if self.features is None else self.features.shape[1]
+            arrays["along"] = self._array("along_feature", self.along, np.float16, (states, width))
         arrays |= self._checked_looks()
         turned = np.where(graph[:, RIGHT] < 0, np.arange(states), graph[:, RIGHT])
         moved = np.flatnonzero((np.abs(positions[turned] - positions) > 1e-3).any(1))

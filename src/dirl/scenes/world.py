@@ -32,6 +32,8 @@ class World:
     """The frozen backbone's output, float32 ``[L * N, D]``: that of look l of a state is row ``l * N + state``."""
     patches: Tensor | None
     """What each part of each view shows, float16 ``[L * N, cells, channels]``; None if a scene has none."""
+    along: Tensor | None
+    """What is seen along the arrow ahead of each state, float32 ``[N, D]``; None if a scene does not say."""
     scene_of: Tensor
     """The scene of each state, int64 ``[N]``."""
     turns: Tensor
@@ -192,6 +194,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
         features=torch.from_numpy(features),
         patches=_patches(scenes, looks),
+        along=_along(scenes),
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         turns=torch.tensor([turns_per_circle(scene.graph) for scene in scenes]),
         **_goal_tables(scenes, offsets, chosen),
@@ -232,6 +235,12 @@ def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
     if len(shapes) > 1:
         raise SceneError(f"the scenes' patches have different shapes, {shapes}; encode them alike")
     return torch.from_numpy(np.concatenate(_look_by_look(scenes, "patches", looks)))
+
+
+def _along(scenes: Sequence[Scene]) -> Tensor | None:
+    """The features along the arrows of all scenes, one behind the other."""
+    found = [scene.along for scene in scenes if scene.along is not None]
+    return torch.from_numpy(np.concatenate(found, dtype=np.float32)) if len(found) == len(scenes) else None
 
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:

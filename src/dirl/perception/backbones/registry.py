@@ -174,6 +174,7 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     ``extractor`` describes the encoder, see `Scene.extractor`; ``patches`` says whether they are needed too. The result
     is kept in the folder ``dirl`` of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), if that can be written.
     """
+    along = scene.along if scene.extractor == extractor else None  # a file has no views to encode them anew
     enough = scene.extractor == extractor and (scene.patches is not None or not patches)
     if enough or scene.views is None:
         return scene
@@ -184,14 +185,15 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     encoder = load_encoder(name, patches=patches, fine_patches=fine)
     if not isinstance(scene.views, FileViews):
         features, parts = encode_scene(scene, encoder)
-        return replace(scene, features=features, patches=parts, extractor=extractor)
+        return replace(scene, features=features, patches=parts, along=along, extractor=extractor)
     wanted = f"{file_digest(scene.views.path)} {extractor} {patches} {fine}"
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # "~" itself where nobody has a home
     kept = Path(home) / "dirl" / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
     with suppress(SceneError, OSError):  # what is missing, damaged or of another encoder is made anew
         found = read_dump(kept)
         if found.extractor == extractor and len(found) == len(scene) and (found.patches is not None or not patches):
-            return replace(scene, features=found.features, patches=found.patches, extractor=extractor)
+            kept_values = {"features": found.features, "patches": found.patches}
+            return replace(scene, **kept_values, along=along, extractor=extractor)
     print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
     features, parts = encode_scene(scene, encoder)
     try:
@@ -200,7 +202,7 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
         replace_features(scene.views.path, kept, features, encoder.attributes, parts, encoder.patch_attributes)
     except (SceneError, OSError) as error:
         print(f"not kept: {error}", flush=True)
-    return replace(scene, features=features, patches=parts, extractor=extractor)
+    return replace(scene, features=features, patches=parts, along=along, extractor=extractor)
 
 
 def encode_all(

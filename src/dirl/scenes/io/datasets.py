@@ -127,7 +127,7 @@ def short(value: Any, show: Any = repr) -> str:
 
 
 def locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[int, list[int]]]:
-    """Offset and shape of patches, and of features and patches of further looks, as `Scene` names them; not read.
+    """Offset and shape of patches, of features and patches of further looks, and along arrows, as `Scene` names them.
 
     They are float16 and in one piece, so that those of many scenes can be memory-mapped.
     """
@@ -135,6 +135,7 @@ def locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[i
         "patches": ("patches", (states, None, None)),
         "look_features": ("look_feature", (None, states, None)),
         "look_patches": ("look_patches", (None, states, None, None)),
+        "along": ("along_feature", (states, None)),
     }
     found = {array: _locate(file, path, name, shape) for array, (name, shape) in stored.items() if name in file}
     if "look_patches" in found and "look_features" not in found:

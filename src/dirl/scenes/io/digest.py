@@ -20,6 +20,7 @@ DATASETS = (
     "patches",
     "look_feature",
     "look_patches",
+    "along_feature",
     "shortest_path_distance",
     "observation",
     "observation_webp",

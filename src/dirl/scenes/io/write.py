@@ -60,7 +60,12 @@ def write_dump(
             file["resnet_feature"] = scene.features[:, None]
             file["resnet_feature"].attrs.update(feature_attributes or {"extractor": scene.extractor})
         # In one piece each, so that a reader can map them into memory.
-        large = {"patches": scene.patches, "look_feature": scene.look_features, "look_patches": scene.look_patches}
+        large = {
+            "patches": scene.patches,
+            "look_feature": scene.look_features,
+            "look_patches": scene.look_patches,
+            "along_feature": scene.along,
+        }
         for name, array in large.items():
             if array is not None:
                 file[name] = array.astype(np.float16, copy=False)
@@ -115,7 +120,8 @@ def copy_with(
     """
     with h5py.File(path) as old, whole_file(Path(to)) as new:
         new.attrs.update(old.attrs)
-        left = {*arrays, "look_feature", "look_patches"}  # of further looks the file has no views to encode anew
+        # Of further looks and arrows the file has no views to encode anew.
+        left = {*arrays, "look_feature", "look_patches", "along_feature"}
         for name in DATASETS:
             if name in old and name not in left:
                 old.copy(name, new)

@@ -214,7 +214,7 @@ def _bilinear(pixels: Pixels, across: NDArray[np.float64], down: NDArray[np.floa
 
 def cut_views(
     images: Sequence[Equirectangular | Cube],
-    yaws: NDArray[np.float64],
+    yaws: Sequence[NDArray[np.float64]],
     *,
     size: tuple[int, int],
     field_of_view: float,
@@ -225,7 +225,7 @@ def cut_views(
 
     Args:
         images: of P panoramas.
-        yaws: where the views of each look, degrees clockwise from its middle, float64 ``[P, K]``.
+        yaws: where the views of each of them look, degrees clockwise from its middle, P of float64 ``[K]``.
         size: height and width in pixels.
         field_of_view: horizontal, degrees.
         pitch: degrees up.

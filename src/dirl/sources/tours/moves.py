@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from dirl.scenes.graph import IntArray
+from dirl.scenes.graph import AHEAD, IntArray
 from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.sources.tours.alignment import LEAD, Alignment, align, least_squares, wrap
 from dirl.sources.tours.columns import Seen, columns, compare
@@ -33,12 +33,14 @@ class Converted:
     Args:
         scene: K states for each panorama, in their order; without views and features.
         yaws: where the view of each state looks, degrees clockwise from the middle of its panorama, float64 ``[P, K]``.
+        arrows: where the arrow is that a move ahead follows, likewise, nan where there is none, float64 ``[P, K]``.
         notes: what a user must know: what was left out, how well headings agree, what is not aligned, a line each.
         layout: whether positions are no measured ones but were laid out by the links.
     """
 
     scene: Scene
     yaws: Array
+    arrows: Array
     notes: list[str]
     layout: bool
 
@@ -108,7 +110,16 @@ def tour_scene(
         known = sum(panorama.position is not None for panorama in tour.panoramas)
         so = f"known of {known} of {len(places)} panoramas only, so they are not used" if known else "not known"
         notes.append(f"positions are {so}: the map is a layout in which each link is {step:g} m long")
-    return Converted(scene, wrap(facing - middles[:, None]), notes, layout)
+    return Converted(scene, wrap(facing - middles[:, None]), _arrows(tour, graph), notes, layout)
+
+
+def _arrows(tour: Tour, graph: IntArray) -> Array:
+    """Where the arrow is that a move ahead follows, see `Converted`."""
+    yaws, headings = tour.yaws(), len(graph) // len(tour.panoramas)
+    found = np.full(len(graph), np.nan)
+    for state in np.flatnonzero(graph[:, AHEAD] >= 0).tolist():
+        found[state] = yaws[state // headings, int(graph[state, AHEAD]) // headings]
+    return found.reshape(-1, headings)
 
 
 def _scene_name(text: str) -> str:
