@@ -20,11 +20,14 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 from dirl.agent.mapping.frames import load_frames_map
+from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.collection import INDEX, read_collection
+from dirl.scenes.io.tensors import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.recordings import unpack_recording
 from dirl.sources.rooms import read_description
@@ -150,6 +153,11 @@ def sparse(name, read):
     return make
 
 
+def weights(folder):
+    torch.save({"a": torch.zeros(1).expand(10**12)}, folder / "a.pt")
+    return lambda: read_tensors(folder / "a.pt")["a"].half()
+
+
 def pipe(name, read):
     def make(folder):
         os.mkfifo(folder / name)
@@ -232,6 +240,8 @@ CASES = {
     "36,000 headings": many_headings,
     "a sparse states.csv": sparse("states.csv", read_photos),
     "a sparse collection": sparse(INDEX, read_collection),
+    "a sparse checkpoint": sparse("network.pt", load_checkpoint),
+    "weights that repeat a number": weights,
     "a pipe for states.csv": pipe("states.csv", read_photos),
     "a pipe for tour.json": pipe("tour.json", read_tour),
     "a pipe for a room": pipe("a.toml", lambda folder: read_description(folder / "a.toml")),
