@@ -223,9 +223,13 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
         drafts.insert(0, ("the compass in their EXIF, from the first photo's direction", counted, facing))
     named = [_said_by_name(file) for file in files]
     drafts.insert(0, ("their names", [place for place, _ in named], [heading for _, heading in named]))
-    whole = (draft for draft in drafts if _are_whole(*draft[1:], headings))
-    how, places, facing = next(whole, ("", [], []))
-    if not places:
+    for draft in drafts:  # the first by which each place has one photo for each heading
+        how, places, facing = draft
+        seen = {(place, round(heading / turn, 2)) for place, heading in zip(places, facing, strict=True)}
+        each = {(place, heading) for place in places for heading in range(headings)}
+        if all(places) and len(seen) == len(places) and seen == each:
+            break
+    else:
         raise SceneError(
             f"{folder}: {len(files)} photos are no whole places of {headings} headings each; take what is missing, "
             "move what is too much, or give headings=..."
@@ -246,13 +250,6 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
         "  before (heading 0); correct the column ahead where the way turns, branches or\n"
         "  is blocked, and mark goals by yes in the column goal"
     )
-
-
-def _are_whole(places: Sequence[str], facing: Sequence[float], headings: int) -> bool:
-    """True if each place has one photo for each heading, and all places are named."""
-    seen = {(place, round(heading * headings / 360, 2)) for place, heading in zip(places, facing, strict=True)}
-    each = {(place, heading) for place in set(places) for heading in range(headings)}
-    return all(places) and len(seen) == len(places) and seen == each
 
 
 def _said_by_name(file: Path) -> tuple[str, float]:

@@ -10,7 +10,7 @@ import pytest
 from malformed import VIEW, make, picture, views
 from rooms import grid_scene, published_dump, read_here
 
-from dirl.scenes import SceneError, SceneWarning, load_scenes, read_dump, write_dump
+from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
 from dirl.scenes.io import isolation
 from dirl.scenes.io.digest import BLOCK_BYTES
 from dirl.scenes.io.hdf5 import read_contents
@@ -53,14 +53,6 @@ def test_a_scene_is_the_same(tmp_path, what):
         assert (apart.views[state] == here.views[state]).all()
         assert stored is None or (apart.views[state] == stored[state]).all()
         assert apart.views.encoded(state) == here.views.encoded(state)
-
-
-def test_a_warning_comes_through(dump):
-    with h5py.File(dump, "a") as file:
-        file["shortest_path_distance"][2, 7] = 99
-    with pytest.warns(SceneWarning, match="1 entries disagree") as caught:
-        load_scenes(str(dump))
-    assert caught[0].filename == __file__
 
 
 def test_several_files_are_read_by_one_process_and_the_error_names_the_one(tmp_path, monkeypatch):

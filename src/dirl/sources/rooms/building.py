@@ -76,11 +76,6 @@ class Building:
         return np.array([starts, lows]).T
 
     @property
-    def starts(self) -> list[float]:
-        """Where each room begins, x in metres."""
-        return [float(x) for x in self.corners[:, 0]]
-
-    @property
     def size(self) -> tuple[float, float, float]:
         """Width, depth and height of all rooms together."""
         width, depth = (self.corners + [room.size[:2] for room in self.rooms]).max(0)
@@ -91,7 +86,7 @@ class Building:
         """All doorways, those between the rows last."""
         found = [Door(*pair, 0, y) for pair, y in zip(self._neighbours, self.doors, strict=True)]
         for x in self.across:
-            spans = zip(self.starts, self.rooms, strict=True)
+            spans = zip(self.corners[:, 0].tolist(), self.rooms, strict=True)
             north, south = (i for i, (start, room) in enumerate(spans) if start < x < start + room.size[0])
             found.append(Door(south, north, 1, x))
         return found

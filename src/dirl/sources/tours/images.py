@@ -144,20 +144,6 @@ def _reduced(image: Image.Image, has: float, needs: float) -> Pixels:
     return np.asarray(image.reduce(factor) if factor > 1 else image)
 
 
-def density(size: tuple[int, int], field_of_view: float) -> float:
-    """Pixels a radian in the middle of a view of this height and width; the field of view is horizontal, degrees."""
-    return float(size[1] / 2 / np.tan(np.radians(field_of_view / 2)))
-
-
-def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], field_of_view: float) -> Pixels:
-    """Return a view out of the pixels of `read_panorama`, uint8 ``[height, width, 3]``.
-
-    It looks ``yaw`` degrees clockwise from the middle of the image (of the front face) and ``pitch`` up; the field of
-    view is horizontal, degrees.
-    """
-    return sample(pixels, _directions(np.radians(yaw), np.radians(pitch), size, density(size, field_of_view)))
-
-
 def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
     """Return what lies in some directions of a panorama, uint8 ``[H, W, 3]``, by bilinear interpolation.
 
@@ -181,7 +167,10 @@ def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
 
 
 def _directions(yaw: float, pitch: float, size: tuple[int, int], focal: float) -> NDArray[np.float64]:
-    """Unit vectors of a view's pixels: right, up and ahead of the panorama's middle, float64 ``[3, height, width]``."""
+    """Unit vectors of a view's pixels: right, up and ahead of the panorama's middle, float64 ``[3, height, width]``.
+
+    The view looks ``yaw`` clockwise from that middle and ``pitch`` up, radians; ``focal`` is its focal length, pixels.
+    """
     height, width = size
     right, down = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
     up = -down * np.cos(pitch) + focal * np.sin(pitch)
@@ -234,7 +223,8 @@ def cut_views(
     Raises:
         SceneError: an image cannot be read; raised when its turn comes.
     """
+    density = float(size[1] / 2 / np.tan(np.radians(field_of_view / 2)))  # pixels a radian in the middle of a view
     for image, of_image in zip(images, yaws, strict=True):
-        pixels = read_panorama(image, density(size, field_of_view))
+        pixels = read_panorama(image, density)
         for yaw in of_image.tolist():
-            yield encode(cut(pixels, yaw, pitch, size, field_of_view), quality)
+            yield encode(sample(pixels, _directions(np.radians(yaw), np.radians(pitch), size, density)), quality)
