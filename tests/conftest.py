@@ -26,8 +26,8 @@ settings.load_profile("dirl")
 QUICK = ("agent", "config", "envs", "evaluation", "models", "perception/recognition", "training")
 """Folders whose tests are run by ``pytest -m quick``, besides `test_layout.py`."""
 
-SLOW = ("agent/test_navigator_encoders.py", "envs/test_start_method.py")
-"""What is left out of them: large networks of other packages are loaded, and interpreters started."""
+SLOW = ("agent/test_navigator_encoders.py", "envs/test_start_method.py", "perception/recognition/test_learned.py")
+"""What is left out of them: large networks are loaded, interpreters started, or a recogniser is trained."""
 
 
 def pytest_collection_modifyitems(config, items):

@@ -1,6 +1,7 @@
 """The structure of the package: which wing may import which. A new arrow or file in the root is decided here."""
 
 import ast
+import functools
 from pathlib import Path
 
 import dirl
@@ -31,8 +32,10 @@ def module(path):
 MODULES = {module(path): path for path in ROOT.rglob("*.py")}
 
 
+@functools.cache
 def imports(name):
     """The modules of dirl that a module imports, at its top or later; a package if no module of it is named."""
+    found = set()
     for node in ast.walk(ast.parse(MODULES[name].read_text())):
         named = []
         if isinstance(node, ast.Import):
@@ -43,7 +46,8 @@ def imports(name):
             while one and one not in MODULES:
                 one = one.rpartition(".")[0]
             if one and one != name:
-                yield one
+                found.add(one)
+    return found
 
 
 def arrows():
