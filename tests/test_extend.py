@@ -505,5 +505,5 @@ def test_views_of_a_source_may_be_an_array():
 
     (scene,) = Halls().load(["hall_2x2"])
     assert scene.views[3].shape == (48, 64, 3)
-    with pytest.raises(SceneError, match=r"views\[0\] is float64 .*; expected"):
+    with pytest.raises(SceneError, match=r"views\[0\] gave float64 .*; expected"):
         replace(scene, views=scene.views / 255)
