@@ -439,7 +439,7 @@ from dirl.cli.output import check_writable, new_file
 from dirl.config.choices import group_options, load_simulator
 from dirl.config.components import make
 from dirl.config.folders import command as command_of
-from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, encode_views, load_encoder
+from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import Inspection, inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_false_stops, draw_scene_map
@@ -563,7 +563,7 @@ def tour(options: TourOptions) -> None:
         arrows = [yaws[seen] for yaws, seen in zip(made.arrows, shown, strict=True)]
         size, zoomed = (options.height, options.width), {**camera, "field_of_view": ALONG}
         cutting = map(decode, cut_views(images, arrows, size=size, **zoomed))
-        features = encode_views(encoder, cutting, int(shown.sum()), found.origin)
+        features = encode_all(encoder, cutting, int(shown.sum()), found.origin).features
         along = np.zeros((len(made.scene), features.shape[1]), np.float16)
         along[shown.ravel()] = features
     about = {**camera, "positions": "layout" if made.layout else "given"}

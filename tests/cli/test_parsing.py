@@ -94,6 +94,7 @@ def test_every_option_says_what_it_means():
         ("imitation.bc_coef={start:1,end:0}", "imitation.bc_coef={start:1,end:0}"),
         ("encoder.width=8", "++encoder.width=8"),
         ("~heads.width", "~heads.width"),
+        ("losses=[imitation,gail]", "losses=[imitation,gail]"),
         ("hydra.run.dir=x", "hydra.run.dir=x"),
     ],
 )

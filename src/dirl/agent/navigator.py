@@ -302,7 +302,8 @@ class Navigator:
         own = self.recogniser.thresholds
         if not isinstance(self.agent, Remembering) or self.agent.best is None or self._strange < 0:
             return
-        known = own.memory if own is not None else self.agent.memory.threshold
+        # Of a memory that localises, log odds: more likely than not.
+        known = own.memory if own is not None else getattr(self.agent.memory, "threshold", 0.0)
         self._strange = 0 if bool(((self.agent.best > known) | stop).any()) else self._strange + 1
         if self._strange >= UNRECOGNISED:
             self._strange = -1

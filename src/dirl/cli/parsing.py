@@ -141,7 +141,8 @@ def prepare(arguments: Sequence[str]) -> list[str]:
         name = override.key_or_group
         group = re.split(r"[/.]", name)[0]
         if group == "hydra" or "@" in text.partition("=")[0] or (CONF / name).is_dir():
-            if group != "hydra" and any(isinstance(value, list | dict) for value in _values(override)):
+            several = name == "losses"  # the one group of which a list may be chosen
+            if group != "hydra" and any(isinstance(one, dict if several else dict | list) for one in _values(override)):
                 raise ConfigError(f"{text}: must name a choice of {name}: --help lists them")
             prepared.append(text)
         elif "." in name and group in GROUPS:
