@@ -184,8 +184,8 @@ class Guide:
             self._doubt(path)
             return Guidance("stuck", 0.0, here, sure)
         enough = max(least, NEARLY * best)
-        if of_photo >= enough:
-            arrived = self._far[here] <= NEAR and of_photo >= self._arrived
+        arrived = self._far[here] <= NEAR and of_photo >= self._arrived
+        if arrived or of_photo >= enough:
             motion = self._motion(seen, self._photo, 0)
             return self._towards(motion, here, sure, "arrived" if arrived else "ahead", to_photo=True)
         in_sight = (scores >= enough) & (np.abs(fit.turned) < ASIDE)
