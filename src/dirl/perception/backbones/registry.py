@@ -192,8 +192,7 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     with suppress(SceneError, OSError):  # what is missing, damaged or of another encoder is made anew
         found = read_dump(kept)
         if found.extractor == extractor and len(found) == len(scene) and (found.patches is not None or not patches):
-            kept_values = {"features": found.features, "patches": found.patches}
-            return replace(scene, **kept_values, along=along, extractor=extractor)
+            return replace(scene, features=found.features, patches=found.patches, along=along, extractor=extractor)
     print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
     features, parts = encode_scene(scene, encoder)
     try:
