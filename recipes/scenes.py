@@ -555,15 +555,15 @@ def tour(options: TourOptions) -> None:
     )
     camera: dict[str, Any] = {"field_of_view": options.field_of_view, "pitch": options.pitch}
     images = [panorama.image for panorama in found.panoramas]
-    cutting = cut_views(images, made.yaws, size=(options.height, options.width), **camera)
+    size = (options.height, options.width)
+    cutting = cut_views(images, list(made.yaws), size=size, **camera)
     views = list(tqdm(cutting, total=len(made.scene), desc="views", disable=None))
     along = None
     if encoder is not None:
         shown = np.isfinite(made.arrows)
         arrows = [yaws[seen] for yaws, seen in zip(made.arrows, shown, strict=True)]
-        size, zoomed = (options.height, options.width), {**camera, "field_of_view": ALONG}
-        cutting = map(decode, cut_views(images, arrows, size=size, **zoomed))
-        features = encode_all(encoder, cutting, int(shown.sum()), found.origin).features
+        cutting = cut_views(images, arrows, size=size, field_of_view=ALONG, pitch=options.pitch)
+        features, _ = encode_all(encoder, map(decode, cutting), int(shown.sum()), found.origin)
         along = np.zeros((len(made.scene), features.shape[1]), np.float16)
         along[shown.ravel()] = features
     about = {**camera, "positions": "layout" if made.layout else "given"}
