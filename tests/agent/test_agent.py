@@ -54,7 +54,7 @@ def test_likeness_is_of_what_differs_within_the_place():
     along = views.roll(1, 1)  # each arrow lies one view to the left of the heading that shows it
     exact = likeness(views, goal, views.mean(1), along)[0]
     assert exact.argmax() == 3
-    assert exact[[1, 2]].max() < 0.5
+    assert exact[[1, 2]].max() < 0.8
 
 
 def test_a_move_along_an_arrow_costs_less_where_the_goal_is_likely_forwards_and_backwards():

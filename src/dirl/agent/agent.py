@@ -25,7 +25,7 @@ Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
 NEVER = -20.0
 """Logit of a move that is not possible."""
 
-SAVED = 4.0
+SAVED = 5.0
 """Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
 
 MANY = 50_000
@@ -255,8 +255,8 @@ def likeness(views: Tensor, goal: Tensor, mean: Tensor, along: Tensor | None = N
     """Return how much what lies in the direction of each view looks like the goal.
 
     Cosines of features that are not centred tell views of one place from those of another. Without the mean of the
-    place they tell what differs within it. Where what lies along the arrows is not known, a view counts as the best of
-    itself and the two beside it: an arrow may lie aside of the heading that shows it.
+    place they tell what differs within it. A view counts as the best of itself and the two beside it, because an arrow
+    may lie aside of the heading that shows it; where what is seen along the arrow itself is known, half as much.
 
     Args:
         views: pooled features of the K views around the agents, clockwise, float32 ``[B, K, D]``.
@@ -269,10 +269,13 @@ def likeness(views: Tensor, goal: Tensor, mean: Tensor, along: Tensor | None = N
     """
     if not goal.shape[1]:
         return views.new_zeros(views.shape[:2])
-    ahead = views if along is None else along
-    centred, wanted = (F.normalize(features - mean.unsqueeze(1), dim=-1) for features in (ahead, goal))
+    centred, wanted = (F.normalize(features - mean.unsqueeze(1), dim=-1) for features in (views, goal))
     best = (centred @ wanted.mT).amax(-1)
-    return best if along is not None else torch.stack([best, best.roll(1, 1), best.roll(-1, 1)]).amax(0)
+    best = torch.stack([best, best.roll(1, 1), best.roll(-1, 1)]).amax(0)
+    if along is None:
+        return best
+    exact = F.normalize(along - mean.unsqueeze(1), dim=-1) @ wanted.mT
+    return (best + exact.amax(-1)) / 2
 
 
 def arrow_costs(along: Tensor, arrows: Tensor) -> Tensor:
