@@ -144,6 +144,20 @@ def _reduced(image: Image.Image, has: float, needs: float) -> Pixels:
     return np.asarray(image.reduce(factor) if factor > 1 else image)
 
 
+def density(size: tuple[int, int], field_of_view: float) -> float:
+    """Return the pixels a radian in the middle of a view; its field of view is horizontal, degrees."""
+    return float(size[1] / 2 / np.tan(np.radians(field_of_view / 2)))
+
+
+def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], field_of_view: float) -> Pixels:
+    """Return a view out of the pixels of `read_panorama`, uint8 ``[height, width, 3]``.
+
+    It looks ``yaw`` degrees clockwise from the middle of the image (of the front face) and ``pitch`` up; the field of
+    view is horizontal, degrees.
+    """
+    return sample(pixels, _directions(np.radians(yaw), np.radians(pitch), size, density(size, field_of_view)))
+
+
 def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
     """Return what lies in some directions of a panorama, uint8 ``[H, W, 3]``, by bilinear interpolation.
 
@@ -223,8 +237,7 @@ def cut_views(
     Raises:
         SceneError: an image cannot be read; raised when its turn comes.
     """
-    density = float(size[1] / 2 / np.tan(np.radians(field_of_view / 2)))  # pixels a radian in the middle of a view
     for image, of_image in zip(images, yaws, strict=True):
-        pixels = read_panorama(image, density)
+        pixels = read_panorama(image, density(size, field_of_view))
         for yaw in of_image.tolist():
-            yield encode(sample(pixels, _directions(np.radians(yaw), np.radians(pitch), size, density)), quality)
+            yield encode(cut(pixels, yaw, pitch, size, field_of_view), quality)
