@@ -1,10 +1,17 @@
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import torch
 from rooms import grid_scene
+from tensordict.nn import TensorDictModule
 
-from dirl.agent.agent import Planning, arrow_costs, likeness
+from dirl.agent.agent import Planning, Remembering, arrow_costs, likeness
 from dirl.agent.cameras import compare
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import EvaluationProtocol, every_start
+from dirl.evaluation.protocol import metrics
 from dirl.models import PlanningMemory
 from dirl.perception.recognition.recogniser import NCC
 from dirl.perception.recognition.tables import VisitScores
@@ -65,6 +72,46 @@ def test_a_move_along_an_arrow_costs_less_where_the_goal_is_likely_forwards_and_
     assert cost[1, 0] == cost[3, 3] < cost[0, 0]
     assert (cost[:, 1:3] == 1).all()
     assert cost[2, [0, 3]].isinf().all()
+
+
+def test_a_place_counts_once_however_long_the_agent_stays_there():
+    """Beside another agent, that is always at new places."""
+    generator = torch.Generator().manual_seed(0)
+    shown = torch.ones(2, 4, 4, dtype=torch.bool)
+    first, second = (
+        SimpleNamespace(pooled=torch.randn(2, 4, 8, generator=generator), arrows=shown, along=None) for _ in range(2)
+    )
+    for place in (first, second):
+        place.goal_pooled = torch.ones(2, 1, 8)
+    costs = []
+    for stays in (1, 5):
+        agent = Remembering(PlanningMemory())
+        for stay in range(stays):
+            agent.costs(first)(torch.tensor([stay == 0, True]))
+        costs.append(agent.costs(second)(torch.tensor([True, True]))[0])
+    assert torch.equal(*costs)
+
+
+def test_in_a_world_each_arrow_is_judged_by_the_view_along_it():
+    """Along the arrows that lead nearer the goal is seen; seen along those of other states it leads astray."""
+    scene, goal = grid_scene(5, 5, feature_width=32), 0
+    ahead = scene.graph[:, 0]
+    nearer = (ahead >= 0) & (scene.distances[ahead, goal] < scene.distances[:, goal])
+    along = np.where(nearer[:, None], scene.features[goal], -scene.features[goal]).astype(np.float16)
+    policy = TensorDictModule(lambda state: torch.zeros(*state.shape, 4), in_keys=["state"], out_keys=["logits"])
+    spl = []
+    for views in (along, along[::-1]):
+        world = make_world([replace(scene, along=views)], {scene.name: [goal]})
+        protocol = EvaluationProtocol(
+            world=world,
+            observation=SurroundingViews(world),
+            starts=every_start(world),
+            memory=PlanningMemory(),
+            panorama=True,
+            arrows=True,
+        )
+        spl.append(metrics(protocol.run(policy))["spl"])
+    assert spl[0] > 1.2 * spl[1]
 
 
 def test_of_panoramas_all_views_are_compared_looked_up_or_computed():

@@ -135,6 +135,8 @@ def test_what_was_done_is_no_guess_and_a_guess_is_tried_when_nothing_else_is_lef
     assert walked.after[0, 4, BACK] == 8
     assert walked.after[0, 0, AHEAD] == 4  # as it was, though back from the first place is guessed to lead to the third
     assert walked.after[0, 0, BACK] == 8
+    again = walk(memory, (AHEAD, None), (AHEAD, None), (BACK, 0))
+    assert again.after[0, 0, AHEAD] == 4  # though back from the third place leads here
     walked.after[walked.after < 0] = 0  # all is known, or guessed
     assert memory.plan(walked)[0].max() < -LAST
 

@@ -74,6 +74,7 @@ def test_features_stay_float16_or_become_float32(given, kept):
         ({"features": np.ones((24, 2), int)}, "resnet_feature: expected floating values, found int64"),
         ({"features": np.ones((23, 2))}, r"resnet_feature: expected shape \(24, 'any'\), found \(23, 2\)"),
         (spoiled("features", 11, np.nan), "resnet_feature: state 11 holds a value that is not finite"),
+        ({"along": np.ones((24, 1), np.float16)}, r"along_feature: expected shape \(24, \d+\), found \(24, 1\)"),
         ({"views": FileViews("file.h5", "observation", np.zeros((23, 2), int))}, "23 views for 24 states"),
         ({"goals": (0, 24)}, r"goal 24 is not a state; states are 0\.\.23"),
     ],

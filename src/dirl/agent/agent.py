@@ -156,6 +156,8 @@ class Remembering(Agent):
     def arrow_costs(self, now: Observed, chosen: Tensor) -> Tensor:
         """Return `costs` where arrows are seen; the chosen agents, bool ``[B]``, are at new places."""
         assert now.arrows is not None
+        if not chosen.any():  # most steps are turns, or lead to known places
+            return torch.full_like(now.arrows, math.inf, dtype=torch.float32)
         views, goal = now.pooled, now.goal_pooled
         if self.total is None or self.places is None:
             self.total, self.places = torch.zeros_like(views[:, 0]), torch.zeros_like(views[:, 0, 0])

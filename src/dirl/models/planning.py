@@ -187,13 +187,13 @@ def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
     """Cost of the cheapest path that begins with each action and ends at a goal or with an unknown outcome.
 
     Args:
-        step: cost of each action at each node, float32 ``[B, N, 4]``.
-        after: the node that it leads to, int64 ``[B, N, 4]``; -1 where that is not known.
+        step: cost of each of A actions at each node, float32 ``[B, N, A]``.
+        after: the node that it leads to, int64 ``[B, N, A]``; -1 where that is not known.
         goal: nodes that are goals, bool ``[B, N]``.
         here: where the agents are, int64 ``[B]``.
 
     Returns:
-        float32 ``[B, 4]``; infinite where there is no such path.
+        float32 ``[B, A]``; infinite where there is no such path.
     """
     # By action first, which is five times as fast; an unknown outcome is a node of value zero behind the others.
     nodes = after.shape[1]

@@ -238,7 +238,7 @@ def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
 
 
 def _along(scenes: Sequence[Scene]) -> Tensor | None:
-    """The features along the arrows of all scenes, one behind the other."""
+    """Return the features along the arrows of all scenes, one behind the other."""
     found = [scene.along for scene in scenes if scene.along is not None]
     return torch.from_numpy(np.concatenate(found, dtype=np.float32)) if len(found) == len(scenes) else None
 

@@ -114,7 +114,7 @@ def tour_scene(
 
 
 def _arrows(tour: Tour, graph: IntArray) -> Array:
-    """Where the arrow is that a move ahead follows, see `Converted`."""
+    """Return where the arrow is that a move ahead follows, see `Converted`."""
     yaws, headings = tour.yaws(), len(graph) // len(tour.panoramas)
     found = np.full(len(graph), np.nan)
     for state in np.flatnonzero(graph[:, AHEAD] >= 0).tolist():
