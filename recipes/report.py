@@ -1,9 +1,8 @@
-"""Write a table or figure of the paper from finished runs, the paper's numbers beside ours; or measure agents.
+"""Write a table or figure of the paper from finished runs, the paper's numbers beside ours; or measure SPTM's mazes.
 
     python recipes/train.py -m experiment=fig8 && python recipes/report.py experiment=fig8
     python recipes/report.py experiment=table2 preset=paper out=table2_paper
-    python recipes/report.py experiment=stop                      # disturbs views, and encodes them anew
-    python recipes/report.py experiment=other_worlds 'collections=[doom.h5]'    # of an agent instead of runs
+    python recipes/report.py experiment=sptm folder=SPTM          # of no runs, but in the mazes of SPTM
 
 A report is a folder: README.md with the tables, CSV files with the value of every run, figures as PNG and SVG.
 All options: `Options` below.
@@ -20,32 +19,19 @@ from dirl.config.schemas import ConfigError, ExperimentName, Positive, TrainConf
 
 @dataclass
 class Options:
-    """Write a table or figure of the paper from finished runs, or measure agents."""
+    """Write a table or figure of the paper from finished runs, or measure SPTM's mazes."""
 
-    experiment: ExperimentName = option(
-        "of runs: table1 | table2 | fig4 | fig5 | fig6 | fig7 | fig8 | stop | any_goal; of agents: "
-        "image_graph | other_worlds | sptm"
-    )
+    experiment: ExperimentName = option("of runs: table1 | table2 | fig4 | fig5 | fig6 | fig7 | fig8; of none: sptm")
     runs: str = option("the folder that recipes/train.py -m experiment=... wrote its runs to", "runs/experiments")
     preset: str = option("of the runs", "fast")
     out: str | None = option("a folder for the result; null = reports/<preset>/<experiment>", None)
-    scene: str = option("fig6 and stop look at one scene only", "bathroom_02")
+    scene: str = option("of fig6, which looks at one scene only", "bathroom_02")
     goal: Annotated[int, Bounds(0)] = option("the new goal of fig6, a state of the scene", 51)
     starts: Positive = option("of each new goal of fig5", 500)
-    encoder: str = option(
-        "stop: what made the scene's features: resnet50 (of the built-in rooms) | weights of one (.pth) | ...",
-        "resnet50",
-    )
-    agents: list[str] = option(
-        "of agents: a checkpoint, or an agent of the package; [] for image_graph without one",
-        ["general"],
-    )
-    collections: list[str] = option("of agents: where; folders made by scenes.py sample, for other_worlds files", [])
     folder: str | None = option("sptm: what github.com/nsavinov/SPTM was cloned to", None)
     trials: Positive = option("sptm: of each start and goal", 6)
     validation: bool = option("sptm: its three validation mazes instead of the seven for tests", False)
     workers: Positive | None = option("sptm: processes; null = all cores", None)
-    rooms: Positive | None = option("image_graph: the first so many of the test rooms; null = all", None)
 
 
 if __name__ == "__main__":
@@ -56,47 +42,29 @@ from pathlib import Path
 from omegaconf import OmegaConf
 
 from dirl.config.folders import CONF, command
-from dirl.experiments.any_goal import report_any_goal
 from dirl.experiments.efficiency import report_efficiency
-from dirl.experiments.image_graph import report_image_graph
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
-from dirl.experiments.other_worlds import report_other_worlds
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.sptm import report_sptm
-from dirl.experiments.stopping import report_stopping
 from dirl.models.build import reads_patches
-from dirl.perception.backbones.registry import load_encoder
 from dirl.reporting.tables import scene_names
-from dirl.runs.paths import RunError, find_checkpoint
-
-OF_AGENTS = [ExperimentName[name] for name in ("image_graph", "other_worlds", "sptm")]
-"""The experiments on agents instead of runs."""
+from dirl.runs.paths import RunError
 
 
 def main(options: Options) -> None:
     """Read the runs, measure what they did not, write the report."""
     out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
-    of_agents = options.experiment in OF_AGENTS
-    if of_agents:
-        check(options)
-    print(write_of_agents(options, out) if of_agents else write(options, chosen(options), out))
-    print(f"report: {out}")
-
-
-def check(options: Options) -> None:
-    """Refuse an experiment on agents without these, or without somewhere to test them, before anything takes time."""
     if options.experiment == ExperimentName.sptm:
         if options.folder is None or not (Path(options.folder) / "data").is_dir():
             raise ConfigError(f"folder={options.folder}: name a folder that github.com/nsavinov/SPTM was cloned to")
-        return
-    if not options.collections or (options.experiment == "image_graph" and len(options.collections) > 1):
-        wanted = "files of scenes" if options.experiment == "other_worlds" else "folders made by scenes.py sample"
-        raise ConfigError(f"collections={options.collections}: say where; {wanted}, of image_graph one")
-    if len(options.agents) > 1 or (not options.agents and options.experiment != "image_graph"):
-        raise ConfigError(f"agents={options.agents}: must be one; [] for image_graph without one")
-    for agent in options.agents:
-        find_checkpoint(agent)
+        text = report_sptm(
+            Path(options.folder), options.trials, out, validation=options.validation, workers=options.workers
+        )
+    else:
+        text = write(options, chosen(options), out)
+    print(text)
+    print(f"report: {out}")
 
 
 def chosen(options: Options) -> list[Result]:
@@ -120,8 +88,6 @@ def belongs(config: TrainConfig, experiment: ExperimentName, usual: tuple[float,
     shown = config.imitation.fraction, config.imitation.rule
     as_usual = config.system != "dirl" or shown == usual
     match experiment:
-        case ExperimentName.any_goal:
-            return config.system == "any_goal" and config.hold_out > 0
         case ExperimentName.fig5 if config.system == "any_goal":
             return config.hold_out > 0 and config.imitation.noise > 0 and reads_patches(config)
         case ExperimentName.fig5 if config.system == "dirl_compared":
@@ -132,8 +98,6 @@ def belongs(config: TrainConfig, experiment: ExperimentName, usual: tuple[float,
             return config.system in ("dirl", "td_drl") and config.imitation.fraction == 0
         case ExperimentName.fig8:
             return config.system == "dirl"
-        case ExperimentName.stop:
-            return config.system == "dirl" and as_usual
     return as_usual
 
 
@@ -146,25 +110,9 @@ def write(options: Options, runs: list[Result], out: Path) -> str:
             return report_performance(name, runs, out, note)
         case ExperimentName.fig4 | ExperimentName.fig7 | ExperimentName.fig8:
             return report_efficiency(name, runs, out, note)
-        case ExperimentName.any_goal:
-            return report_any_goal(runs, out, note)
         case ExperimentName.fig5:
             return report_new_goals(runs, out, note, options.starts)
-        case ExperimentName.fig6:
-            return report_control(runs, out, note, options.scene, options.goal)
-    return report_stopping(runs, out, note, options.scene, load_encoder(options.encoder))
-
-
-def write_of_agents(options: Options, out: Path) -> str:
-    """Write the report of an experiment on agents into a folder; returns its text."""
-    agents, collections = options.agents, options.collections
-    match options.experiment:
-        case ExperimentName.image_graph:
-            return report_image_graph(collections[0], options.rooms, agents[0] if agents else None, out)
-        case ExperimentName.sptm:
-            folder, trials = Path(options.folder or ""), options.trials
-            return report_sptm(folder, trials, out, validation=options.validation, workers=options.workers)
-    return report_other_worlds(collections, agents[0], out)
+    return report_control(runs, out, note, options.scene, options.goal)
 
 
 def describe_runs(runs: list[Result]) -> str:

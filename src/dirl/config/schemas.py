@@ -12,9 +12,7 @@ Axes = StrEnum("Axes", ["features", "principal"])
 Cache = StrEnum("Cache", ["auto", "off"])
 Precision = StrEnum("Precision", ["float32", "tf32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
-ExperimentName = StrEnum(
-    "ExperimentName", "table1 table2 fig4 fig5 fig6 fig7 fig8 stop any_goal image_graph other_worlds sptm"
-)
+ExperimentName = StrEnum("ExperimentName", "table1 table2 fig4 fig5 fig6 fig7 fig8 sptm")
 Existing = StrEnum("Existing", ["refuse", "keep"])
 Split = StrEnum("Split", ["train", "validation", "test"])
 Reduction = StrEnum("Reduction", ["mean", "sum"])

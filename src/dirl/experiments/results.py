@@ -15,7 +15,7 @@ from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import RunError, finished_folders
-from dirl.scenes.io.atomic import atomic_path, write_text
+from dirl.scenes.io.atomic import atomic_path, write_json, write_text
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.build import Trained, load_trained
@@ -111,21 +111,22 @@ def published(experiment: str) -> dict[str, Any]:
     return tomllib.loads(text)[experiment]
 
 
+Cell = str | float | list[float] | None
+"""Of a `Table`: a text, a number, numbers of all runs, or nothing."""
+
+
 class Table:
     """Rows of texts, numbers, and lists of numbers: one for each run, shown as interquartile mean and interval.
 
     Args:
         columns: the format of each column's numbers, as for `format`, by its heading; empty for texts.
-        worst: of columns whose lists are of rooms, ``min`` or ``max``: shown as mean, interval and worst room.
     """
 
-    def __init__(
-        self, columns: Mapping[str, str], worst: Mapping[str, Callable[[Sequence[float]], float]] | None = None
-    ) -> None:
-        self.columns, self.worst = dict(columns), dict(worst or {})
-        self.rows: list[tuple[Any, ...]] = []
+    def __init__(self, columns: Mapping[str, str]) -> None:
+        self.columns = dict(columns)
+        self.rows: list[tuple[Cell, ...]] = []
 
-    def add(self, *cells: Any) -> None:
+    def add(self, *cells: Cell) -> None:
         """Add a row; None stays empty."""
         assert len(cells) == len(self.columns)
         self.rows.append(cells)
@@ -134,8 +135,7 @@ class Table:
         """The table as Markdown."""
         forms = list(self.columns.values())
         lines = [list(self.columns), ["--:" if form else ":--" for form in forms]]
-        worst = [self.worst.get(name) for name in self.columns]
-        lines += [[_text(*cell) for cell in zip(row, forms, worst, strict=True)] for row in self.rows]
+        lines += [[_text(*cell) for cell in zip(row, forms, strict=True)] for row in self.rows]
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
     def write_csv(self, file: Path) -> None:
@@ -144,17 +144,15 @@ class Table:
             writer = csv.writer(stream)
             writer.writerow([*self.columns, "run"])
             for row in self.rows:
-                # Lists may be shorter: not every room has episodes of every distance.
                 for run in range(max((len(cell) for cell in row if isinstance(cell, list)), default=1)):
-                    cells = [next(iter(cell[run:]), None) if isinstance(cell, list) else cell for cell in row]
-                    writer.writerow([*cells, run])
+                    writer.writerow([*(cell[run] if isinstance(cell, list) else cell for cell in row), run])
 
 
-def _text(cell: Any, form: str, worst: Callable[[Sequence[float]], float] | None) -> str:
+def _text(cell: Cell, form: str) -> str:
     if cell is None:
         return ""
     if isinstance(cell, list):
-        return summarised(cell, form, worst)
+        return summarised(cell, form)
     return str(cell) if isinstance(cell, str) else format(cell, form)
 
 
@@ -172,3 +170,12 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
     text = "\n\n".join(parts) + "\n"
     write_text(out / "README.md", text)
     return text
+
+
+def kept(file: Path, measure: Callable[[], Any]) -> Any:
+    """Return what a JSON file holds; if there is none yet, it is measured and written."""
+    if not file.exists():
+        found = measure()
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(file, found)
+    return json.loads(read_text(file))

@@ -18,8 +18,7 @@ from tqdm import tqdm
 
 from dirl.agent.mapping.frames import FrameMap, find_links, map_recordings
 from dirl.agent.mapping.guide import Guidance, Guide
-from dirl.experiments.measures import kept
-from dirl.experiments.results import Table, write_tables
+from dirl.experiments.results import Table, kept, write_tables
 from dirl.perception.columns import load_column_net
 from dirl.scenes.io.processes import end_with_this_process, in_processes
 from dirl.scenes.live import simulator_errors

@@ -1,6 +1,6 @@
-"""Statistics over several seeds (Agarwal et al. 2021), or over several rooms: means, bootstrap intervals, the worst."""
+"""Statistics over several seeds (Agarwal et al. 2021): interquartile means and bootstrap intervals."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,26 +22,22 @@ def iqm(values: ArrayLike) -> FloatArray:
     return runs[cut : len(runs) - cut].mean(0)
 
 
-def bootstrap_interval(
-    values: ArrayLike, seed: int = 0, mean: Callable[[FloatArray], FloatArray] = iqm
-) -> tuple[FloatArray, FloatArray]:
-    """Return the 95 % percentile bootstrap interval of the interquartile or another mean, by resampling the runs.
+def bootstrap_interval(values: ArrayLike, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Return the 95 % percentile bootstrap interval of the interquartile mean, by resampling the runs.
 
     Lower and upper limit, float ``[...]`` each, of values as for `iqm`; of one run both are the value itself.
     """
     runs = np.asarray(values, float)
     drawn = np.random.default_rng(seed).integers(len(runs), size=(len(runs), RESAMPLES))
     # Nearest ranks: nothing is interpolated between a number and infinity.
-    low, high = np.percentile(mean(runs[drawn]), [2.5, 97.5], axis=0, method="nearest")
+    low, high = np.percentile(iqm(runs[drawn]), [2.5, 97.5], axis=0, method="nearest")
     return low, high
 
 
-def summarised(values: Sequence[float], form: str, worst: Callable[[Sequence[float]], float] | None = None) -> str:
-    """Return a mean and its 95 % bootstrap interval as text, "13.51 [13.20, 14.02]"; infinity is "never".
+def summarised(values: Sequence[float], form: str) -> str:
+    """Return the interquartile mean and its 95 % bootstrap interval as text, "13.51 [13.20, 14.02]".
 
-    Of runs it is the interquartile mean. Of rooms, where ``worst`` says which is the worst (``min`` or ``max``), it is
-    the mean of all, and the worst one follows: an interquartile mean would hide the room that a reader may live in.
-    An interval whose ends round to the mean is left out. An interval contains no line break.
+    Infinity is "never". An interval whose ends round to the mean is left out; one contains no line break.
     """
 
     def text(number: float) -> str:
@@ -49,10 +45,6 @@ def summarised(values: Sequence[float], form: str, worst: Callable[[Sequence[flo
 
     if len(values) == 0 or np.isnan(values).any():
         return "-"
-    mean: Callable[[ArrayLike], FloatArray] = iqm if worst is None else lambda runs: np.asarray(runs, float).mean(0)
-    middle = text(float(mean(values)))
-    low, high = (text(float(limit)) for limit in bootstrap_interval(values, mean=mean))
-    if low == middle == high:
-        return middle
-    told = f"{middle} [{low},\N{NO-BREAK SPACE}{high}]"
-    return told if worst is None else f"{told}, worst {text(worst(values))}"
+    middle = text(float(iqm(values)))
+    low, high = (text(float(limit)) for limit in bootstrap_interval(values))
+    return middle if low == middle == high else f"{middle} [{low},\N{NO-BREAK SPACE}{high}]"
