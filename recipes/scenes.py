@@ -24,7 +24,7 @@ from typing import Annotated
 from dirl.cli.start import run, start
 from dirl.config.bounds import Bounds
 from dirl.config.options import option
-from dirl.config.schemas import Correlation, Device, Fraction, Match, NotNegative, Positive, Precision, Seed
+from dirl.config.schemas import Correlation, Device, EncoderPrecision, Fraction, Match, NotNegative, Positive, Seed
 
 Layout = StrEnum("Layout", ["icra17"])
 Pixels = Annotated[int, Bounds(16, 4096)]
@@ -322,8 +322,8 @@ class SampleOptions(EncodedPatches):
     turn: Turn = option(TURN, 90)
     fine: bool = option(FINER, True)
     workers: Positive | None = option("processes, one room each; null = all cores", None)
-    precision: Precision = option(
-        "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", Precision.float32
+    precision: EncoderPrecision = option(
+        "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", EncoderPrecision.float32
     )
     looks: Looks = option(LOOKS, 0)
     changes: LookChanges = option(CHANGES, LookChanges)
@@ -349,8 +349,8 @@ class EncodeOptions(EncodedPatches):
         "YAML file of your own",
         "resnet50",
     )
-    precision: Precision = option(
-        "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", Precision.float32
+    precision: EncoderPrecision = option(
+        "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", EncoderPrecision.float32
     )
 
 

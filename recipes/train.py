@@ -19,7 +19,6 @@ if __name__ == "__main__":
 from typing import Any
 
 import hydra
-import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
@@ -43,21 +42,30 @@ from dirl.training.objectives import (
 )
 from dirl.training.pairs import Demonstrations
 from dirl.training.rollout import collect
-from dirl.training.together import Job, goes_together, run_together, train_alone
+from dirl.training.together import Job, goes_together, reinforce_together, run_together
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
 def main(composed: DictConfig | list[Job]) -> Any:
     """Train a run, or the jobs of a stack; returns the greedy SPL, which sweepers maximise, or those of all jobs."""
     if isinstance(composed, list):
-        return run_together(composed, train, learn)
+        return run_together(composed, train, imitation, learn)
     return run_job(composed, train)["greedy"]["spl"]
 
 
 def train(run: Run, components: Components) -> dict[str, Any]:
     """Imitation, then reinforcement; returns what the summary says of them (paper section 3, algorithm 1)."""
+    found = imitation(run, components)
+    if components.state is None:
+        return found
     if run.config.device == "cuda" and goes_together(run, components):
-        return train_alone(run, components, learn)  # a stack of one, whose update is a CUDA graph
+        reinforce_together([(run, components)], learn)  # a stack of one, whose update is a CUDA graph
+        return components.state.summary
+    return reinforce(run, components.state, components.protocol)
+
+
+def imitation(run: Run, components: Components) -> dict[str, Any]:
+    """Clone the expert (paper section 3.3), unless the run is beyond that; returns what the summary says of it."""
     policy, demos, protocol = components.policy, components.demos, components.protocol
     found: dict[str, Any] = {}
     if components.before_reinforcement and len(demos):
@@ -67,7 +75,7 @@ def train(run: Run, components: Components) -> dict[str, Any]:
             found = {"frames": frames, "demonstrations": len(labelled)}
     if components.before_reinforcement and run.config.evaluation.times:
         write_evaluation(run, policy, protocol, 0)
-    return found if components.state is None else reinforce(run, components.state, protocol)
+    return found
 
 
 def imitate(run: Run, policy: ActorCritic, demos: Demonstrations, done: int = 0) -> int:
@@ -92,7 +100,7 @@ def imitate(run: Run, policy: ActorCritic, demos: Demonstrations, done: int = 0)
 def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
     improve = hogwild.learn if run.config.reinforcement.workers > 1 else learn
-    with updates(run, state, protocol) as loop:
+    with updates(state, [run], [protocol]) as loop:
         improve(run.config, state, loop)
     return state.summary
 
@@ -106,10 +114,9 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
     operator, advantages = policy.operator(), make_advantages(options.gamma, options.lmbda)
     critic = operator.get_value_operator()
     by_agent = bool(state.losses.recurrent)  # a memory needs the steps of an agent together and in order
-    bfloat16 = config.precision == "bfloat16"
 
     def update() -> tuple[TensorDictBase, TensorDictBase]:
-        with caching(policy), torch.autocast(state.env.device.type, torch.bfloat16, enabled=bfloat16):
+        with caching(policy):
             batch, state.agents = collect(state.env, operator, state.agents, options.n_steps)
             batch = state.losses.rewarded(batch)  # the environment's reward, unless a loss defines one
             batch = advantages(bootstrap(batch, critic))  # equations 5 and 6

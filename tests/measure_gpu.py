@@ -80,7 +80,7 @@ def stack(count, *options):
     if DEVICE == "cuda":
         torch.cuda.reset_peak_memory_stats()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as told:
-        results = run_together(jobs, recipe.train, recipe.learn)
+        results = run_together(jobs, recipe.train, recipe.imitation, recipe.learn)
     graphs = {line for line in told.getvalue().splitlines() if "CUDA graph" in line}
     for result in results:
         if isinstance(result, Exception):

@@ -76,9 +76,10 @@ class Loop:
     def left(self):
         return 1 - self.state.frames / self.total
 
-    def record(self, update, paused=None):
+    def record(self, reports, paused=None):
+        (update,) = reports
         with paused or nullcontext():
-            self.state.count(update)
+            self.state.count(update, 1.0)
         self.told.append(update.values)
         if self.enough(self.state):
             self.stop.append(1)

@@ -36,7 +36,7 @@ class Updates:
 
     def __init__(self, count, stack=None):
         self.count, self.reports = count, []
-        self.left = 1.0 if stack is None else stack.left
+        self.stack, self.left = stack, 1.0 if stack is None else stack.left
 
     @property
     def goes_on(self):
@@ -44,10 +44,10 @@ class Updates:
 
     def record(self, report):
         self.reports.append(report)
-        if isinstance(self.left, torch.Tensor):
-            self.left.fill_(1 - len(self.reports) / 100)
-        else:
+        if self.stack is None:
             self.left = 1 - len(self.reports) / 100
+        else:
+            self.stack.left = 1 - len(self.reports) / 100
 
 
 def learned(stack, updates):
@@ -65,11 +65,11 @@ def test_each_run_of_a_stack_learns_what_it_learns_alone(tmp_path):
         torch.manual_seed(parts.config.seed)
         loop = Updates(3)
         learn(parts.config, state, loop)
-        for alone, together in zip(loop.reports, reports, strict=True):
+        for (alone,), together in zip(loop.reports, reports, strict=True):
             own = together[number]
             assert (alone.goal_index, alone.steps, alone.frames) == (own.goal_index, own.steps, own.frames)
             assert own.values == pytest.approx(alone.values, abs=1e-4)
-        weights = dict(stack.states[number].policy.named_parameters())
+        weights = dict(stack.members[number].policy.named_parameters())
         for name, value in state.policy.named_parameters():
             torch.testing.assert_close(weights[name], value, atol=1e-5, rtol=0)
 

@@ -8,12 +8,13 @@ import pytest
 import torch
 from commands import TINY, room_file, train_config
 from pretend_graph import pretend
-from train import learn, train
+from train import imitation, learn, train
 
 from dirl.cli.parsing import compose_training
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.training.job import build_components
-from dirl.training.together import Job, StackedUpdates, run_together, why_alone
+from dirl.training.loops import Updates
+from dirl.training.together import Job, run_together, why_alone
 
 SHORT = [*TINY, "imitation.max_steps=25", "reinforcement.frames_per_scene=240", "checkpoint.every_seconds=0"]
 
@@ -38,13 +39,13 @@ def rows_of(file):
 def test_every_job_of_a_stack_has_the_folder_it_would_have_alone(tmp_path, capsys):
     room = room_file(tmp_path)
     changes = (("seed=1",), ("seed=2",), ("seed=3", "reinforcement.until=stable"))
-    together = run_together(jobs_in(tmp_path / "stack", room, changes=changes), train, learn)
+    together = run_together(jobs_in(tmp_path / "stack", room, changes=changes), train, imitation, learn)
     told = capsys.readouterr().out
     assert f"2 runs as one: {tmp_path / 'stack/0'}, {tmp_path / 'stack/1'}" in told
     assert f"by itself: {tmp_path / 'stack/2'}: until=stable" in told
     for number in range(2):
         (alone,) = run_together(
-            jobs_in(tmp_path / f"alone{number}", room, changes=changes[number : number + 1]), train, learn
+            jobs_in(tmp_path / f"alone{number}", room, changes=changes[number : number + 1]), train, imitation, learn
         )
         folder, own = tmp_path / "stack" / str(number), tmp_path / f"alone{number}" / "0"
         assert {file.name for file in folder.iterdir()} == {file.name for file in own.iterdir()}
@@ -62,9 +63,11 @@ def test_every_job_of_a_stack_has_the_folder_it_would_have_alone(tmp_path, capsy
 def test_a_stack_that_was_killed_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     room = room_file(tmp_path)
     assert not [
-        one for one in run_together(jobs_in(tmp_path / "whole", room), train, learn) if isinstance(one, Exception)
+        one
+        for one in run_together(jobs_in(tmp_path / "whole", room), train, imitation, learn)
+        if isinstance(one, Exception)
     ]
-    record, count = StackedUpdates.record, []
+    record, count = Updates.record, []
 
     def killed(loop, reports):
         record(loop, reports)
@@ -73,10 +76,10 @@ def test_a_stack_that_was_killed_goes_on_to_the_same_bits(tmp_path, monkeypatch)
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(StackedUpdates, "record", killed)
+        patch.setattr(Updates, "record", killed)
         with pytest.raises(KeyboardInterrupt):
-            run_together(jobs_in(tmp_path / "parts", room), train, learn)
-    run_together(jobs_in(tmp_path / "parts", room), train, learn)
+            run_together(jobs_in(tmp_path / "parts", room), train, imitation, learn)
+    run_together(jobs_in(tmp_path / "parts", room), train, imitation, learn)
     for number in range(3):
         whole, parts = (tmp_path / name / str(number) for name in ("whole", "parts"))
         saved, after = weights_in(whole), weights_in(parts)
@@ -88,7 +91,7 @@ def test_a_stack_that_was_killed_goes_on_to_the_same_bits(tmp_path, monkeypatch)
 def test_a_run_that_diverges_does_not_end_the_others(tmp_path, capsys):
     room = room_file(tmp_path)
     changes = (("seed=1",), ("seed=2", "optimiser.lr=1e30"))
-    fine, failed = run_together(jobs_in(tmp_path, room, changes=changes), train, learn)
+    fine, failed = run_together(jobs_in(tmp_path, room, changes=changes), train, imitation, learn)
     assert fine["frames"] == 240
     assert "diverged" in str(failed)
     assert "diverged" in capsys.readouterr().err
@@ -112,7 +115,7 @@ def test_what_cannot_be_stacked_is_told(option, reason, tmp_path):
 def test_a_run_alone_is_captured_too(tmp_path, monkeypatch, capsys):
     room = room_file(tmp_path)
     graphs = pretend(monkeypatch)
-    (alone,) = run_together(jobs_in(tmp_path, room, changes=(("seed=1",),)), train, learn)
+    (alone,) = run_together(jobs_in(tmp_path, room, changes=(("seed=1",),)), train, imitation, learn)
     assert alone["frames"] == 240
-    assert len(graphs) == 2  # of the imitation and of the reinforcement
+    assert len(graphs) == 1
     assert capsys.readouterr().err.count("CUDA graph") == 0

@@ -10,7 +10,8 @@ from dirl.config.options import option
 Device = StrEnum("Device", ["cpu", "cuda"])
 Axes = StrEnum("Axes", ["features", "principal"])
 Cache = StrEnum("Cache", ["auto", "off"])
-Precision = StrEnum("Precision", ["float32", "tf32", "bfloat16"])
+Precision = StrEnum("Precision", ["float32", "tf32"])
+EncoderPrecision = StrEnum("EncoderPrecision", ["float32", "bfloat16"])
 Rule = StrEnum("Rule", ["interval", "interval_pos", "random"])
 ExperimentName = StrEnum("ExperimentName", "table1 table2 fig4 fig5 fig6 fig7 fig8 sptm")
 Existing = StrEnum("Existing", ["refuse", "keep"])
@@ -210,7 +211,7 @@ class TrainConfig:
     )
     seed: Seed = option("determines everything: weights, demonstrations, starts, actions")
     device: Device = option("cpu | cuda")
-    precision: Precision = option("float32 | tf32 (GPU only) | bfloat16: of the matrix products in learning")
+    precision: Precision = option("float32 | tf32 (GPU only): of the matrix products in learning")
     init: str | None = option(
         "weights to begin with: a run's folder or .pt file, or the agent of the package, general", None
     )

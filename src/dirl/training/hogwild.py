@@ -20,7 +20,7 @@ import torch.multiprocessing
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from dirl.config.schemas import ConfigError, Precision, TrainConfig
+from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.models import ActorCritic, caching, plain_weights, recurrent_keys
 from dirl.training.build import (
     build_demonstrations,
@@ -125,7 +125,7 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
     if config.init is not None:
         shared.initial = {name: value.detach().clone() for name, value in plain_weights(state.policy).items()}
     for update in asynchronous_updates(config, shared, loop):
-        loop.record(update, waiting(shared, state.policy))
+        loop.record([update], waiting(shared, state.policy))
     fetch(shared, state.policy)
 
 
@@ -195,7 +195,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
             break
         set_learning_rate(optimiser, rate * left)
         fetch(shared, policy)
-        with caching(policy), torch.autocast("cpu", torch.bfloat16, enabled=config.precision == Precision.bfloat16):
+        with caching(policy):
             batch, agents = collect(env, operator, agents, options.n_steps)
             batch = advantages(bootstrap(compute_losses.rewarded(batch), critic))
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):

@@ -10,7 +10,7 @@ A loop is used within its context, whose end stops the program if a signal came 
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -57,8 +57,8 @@ class TrainState:
     frames: int = 0
     seconds: float = 0.0
     """Spent on updates, without evaluation."""
-    began: float = field(default_factory=time.perf_counter)
-    """When the current update began."""
+    left: float = 1.0
+    """The fraction of the training that is left, 1 to 0."""
     generator: torch.Generator | None = None
     """In a stack that of the run's actions; else they are drawn by torch's own."""
 
@@ -74,10 +74,21 @@ class TrainState:
         """Return the update as it is called; that of a stack is a CUDA graph."""
         return update
 
-    def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> Update:
-        """Return the report of an update."""
-        (report,) = summarise(self.env, batch.unsqueeze(0), losses.unsqueeze(0))
-        return report
+    def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
+        """Return the report of an update, as a stack returns those of its runs."""
+        return summarise(self.env, batch.unsqueeze(0), losses.unsqueeze(0))
+
+    @property
+    def members(self) -> list["TrainState"]:
+        """Itself, as a stack has the states of its runs."""
+        return [self]
+
+    def walked(self, protocols: Sequence[EvaluationProtocol]) -> Sequence[EvaluationProtocol]:
+        """Return the protocols; those of a stack come with the episodes, walked together."""
+        return protocols
+
+    def separate(self) -> None:
+        """Do nothing; a stack gives its runs what it holds for them."""
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -85,13 +96,9 @@ class TrainState:
         stable = {"stable_at_frame": self.meter.stable_at, "near_shortest_at_frame": self.meter.near_at}
         return {"frames": self.frames, "frames_per_second": self.frames / self.seconds, **stable}
 
-    def start_clock(self) -> None:
-        """Start to time an update."""
-        self.began = time.perf_counter()
-
-    def count(self, update: Update) -> None:
-        """Count a finished update."""
-        self.seconds += time.perf_counter() - self.began
+    def count(self, update: Update, seconds: float) -> None:
+        """Count an update that took so many seconds."""
+        self.seconds += seconds
         self.frames += update.frames
         self.meter.add(update.goal_index, update.steps, self.frames)
 
@@ -170,7 +177,7 @@ class ImitationSteps:
     accuracy: float = 0.0
     saves: bool = True
     """False where the steps are not saved, and a run that is killed in them begins anew."""
-    bar: Any = field(default_factory=lambda: tqdm(disable=True))
+    bar: Any = None
     signals: list[int] = field(default_factory=list)
     """Signals that ask the loop to end."""
 
@@ -240,77 +247,111 @@ def imitation_steps(run: Run, policy: ActorCritic, first: int) -> Iterator[Imita
 
 @dataclass
 class Updates:
-    """The updates of a reinforcement; made by `updates`."""
+    """The updates of a reinforcement, of one run or of those of a stack; made by `updates`."""
 
-    run: Run
-    state: TrainState
-    protocol: EvaluationProtocol
+    state: Any
+    """A `TrainState`, or a `dirl.training.stacked.Stack`; ``members`` are the states of the runs."""
+    runs: Sequence[Run]
+    protocols: Sequence[EvaluationProtocol]
     total: int
-    """Frames of the whole training."""
+    """Frames of the whole training of a run."""
     bar: Any
     signals: list[int]
     """Signals that ask the loop to end."""
+    began: float = field(default_factory=time.perf_counter)
+    """When the present update began."""
+    failed: set[int] = field(default_factory=set)
+    """Places of the runs of a stack whose policies have diverged."""
 
     @property
     def goes_on(self) -> bool:
         """True if there are updates left to do."""
-        return not self.done and not self.signals
+        return not self.done and not self.signals and len(self.failed) < len(self.runs)
 
     @property
-    def left(self) -> float:
-        """The fraction of the training that is left, 1 to 0."""
-        return 1 - self.state.frames / self.total
+    def left(self) -> float | Tensor:
+        """The fraction of the training that is left, 1 to 0; of a stack on its device, where a graph reads it."""
+        return self.state.left
 
     @property
     def done(self) -> bool:
         """True if all frames are done, or with ``until=stable`` every goal is stable and was evaluated since."""
-        config, frames = self.run.config, self.state.frames
-        stable = self.state.meter.stable_at if config.reinforcement.until == Until.stable else None
-        return frames >= self.total or (stable is not None and due(stable, frames, self.total, config.evaluation.times))
+        config, first = self.runs[0].config, self.state.members[0]
+        stable = first.meter.stable_at if config.reinforcement.until == Until.stable else None
+        return first.frames >= self.total or (
+            stable is not None and due(stable, first.frames, self.total, config.evaluation.times)
+        )
 
-    def record(
-        self, update: Update, paused: AbstractContextManager[None] | None = None, *, saves: bool | None = None
-    ) -> None:
-        """Count an update; write, evaluate and save when they are due, the latter two within ``paused``.
+    def record(self, reports: Sequence[Update], paused: AbstractContextManager[None] | None = None) -> None:
+        """Count an update of every run; write, evaluate and save when they are due, the latter two within ``paused``.
 
-        With ``saves`` somebody else has decided whether to save: all runs of a stack are saved after the same update.
+        Raises:
+            RunError: the policy of a run alone has diverged; of a stack the other runs go on.
         """
-        before = self.state.frames
-        lr = self.state.optimiser.defaults["lr"] * self.left
-        self.state.count(update)
-        frames, meter = self.state.frames, self.state.meter
+        seconds = time.perf_counter() - self.began
+        config, members = self.runs[0].config, self.state.members
+        before = members[0].frames
+        for place, (state, report) in enumerate(zip(members, reports, strict=True)):
+            state.count(report, seconds)
+            if not all(math.isfinite(value) for key, value in report.values.items() if key.startswith("loss_")):
+                self.failed.add(place)
+        if len(self.failed) == len(self.runs) == 1:
+            raise RunError(DIVERGED)
+        going = [place for place in range(len(members)) if place not in self.failed]
+        frames = members[0].frames
         if due(before, frames, self.total, ROWS):
-            seconds = self.state.seconds
-            row = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
-            row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
-            row |= {"sr": meter.success_rate(self.run.config.reinforcement.max_steps), "lr": lr}
-            self.run.write("reinforcement", frames, row | update.values)
-        evaluates = due(before, frames, self.total, self.run.config.evaluation.times)
-        saves = (self.run.save_due() if saves is None else saves) or self.done
+            for place in going:
+                self._write(place, reports[place], 1 - before / self.total)
+        evaluates = due(before, frames, self.total, config.evaluation.times)
+        saves = self.done or any(run.save_due() for run in self.runs)
         if evaluates or saves:
             with paused or nullcontext():
                 if evaluates:
-                    write_evaluation(self.run, self.state.policy, self.protocol, frames)
+                    walked = self.state.walked(self.protocols)
+                    for place in going:
+                        write_evaluation(self.runs[place], members[place].policy, walked[place], frames)
                 if saves:
-                    self.run.save(self.state.state_dict())
-        self.state.start_clock()
-        self.bar.update(min(update.frames, self.total - self.bar.n))  # tqdm drops a bar that is more than full
-        self.bar.set_postfix_str(f"ATL {meter.atl:.1f}", refresh=False)
+                    self.save(going)
+        self.state.left = 1 - frames / self.total
+        # tqdm drops a bar that is more than full.
+        self.bar.update(min(reports[0].frames * len(reports), self.bar.total - self.bar.n))
+        self.bar.set_postfix_str(f"ATL {members[0].meter.atl:.1f}", refresh=False)
+        self.began = time.perf_counter()
+
+    def save(self, places: Collection[int]) -> None:
+        """Save some of the runs, all after the same update."""
+        self.state.separate()
+        for place in places:
+            self.runs[place].save(self.state.members[place].state_dict())
+
+    def _write(self, place: int, report: Update, left: float) -> None:
+        """Write a row of ``reinforcement.csv``; ``left`` is the fraction of the training before the update."""
+        state, run = self.state.members[place], self.runs[place]
+        frames, seconds, meter = state.frames, state.seconds, state.meter
+        row = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
+        row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
+        row |= {"sr": meter.success_rate(run.config.reinforcement.max_steps)}
+        run.write("reinforcement", frames, row | {"lr": state.optimiser.defaults["lr"] * left} | report.values)
 
 
 @contextmanager
-def updates(run: Run, state: TrainState, protocol: EvaluationProtocol) -> Iterator[Updates]:
-    """The updates of a reinforcement, from its present state on."""
-    total = run.config.reinforcement.frames_per_scene * len(protocol.world.scenes)
-    shown: dict[str, Any] = {"total": total, "initial": state.frames, "unit": " frames", "unit_scale": True}
-    with interruptible() as signals, tqdm(**shown, mininterval=bar_interval()) as bar:
-        loop = Updates(run, state, protocol, total, bar, signals)
-        state.start_clock()
+def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProtocol]) -> Iterator[Updates]:
+    """The updates of a reinforcement from its present state on, of one run or of a stack; see `Updates`."""
+    total, frames = (
+        runs[0].config.reinforcement.frames_per_scene * len(protocols[0].world.scenes),
+        state.members[0].frames,
+    )
+    shown: dict[str, Any] = {"total": total * len(runs), "initial": frames * len(runs), "unit": " frames"}
+    state.left = 1 - frames / total
+    with interruptible() as signals, tqdm(**shown, unit_scale=True, mininterval=bar_interval()) as bar:
+        loop = Updates(state, runs, protocols, total, bar, signals)
         yield loop
-        if loop.signals and not loop.done:
-            run.save(state.state_dict())
+        if signals and not loop.done:
+            loop.save(range(len(runs)))
             bar.close()
-            leave("interrupted", 128 + loop.signals[0], run.how_to_go_on)
+            again = f"go on with the same command and existing=keep hydra.sweep.dir={runs[0].folder.parent}"
+            advice = runs[0].how_to_go_on() if len(runs) == 1 else f"all checkpoints are safe; {again}"
+            leave("interrupted", 128 + signals[0], lambda: advice)
 
 
 @contextmanager

@@ -99,7 +99,7 @@ class Losses(nn.Module):
         demonstrated = any(loss.on_demonstrations or loss.compares for loss in self.losses.values())
         return self.compute(batch, self.draw() if demonstrated else None, self.coefficients(left))
 
-    def coefficients(self, left: float) -> dict[str, dict[str, Any]]:
+    def coefficients(self, left: float | Tensor) -> dict[str, dict[str, Any]]:
         """The coefficients of each loss, by its name and theirs, when a fraction ``left`` of the training remains."""
         return {
             name: {option: schedule(left) for option, schedule in loss.schedules.items()}

@@ -116,7 +116,7 @@ def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mappin
         above = jobs[0].folder.parent if jobs else folder
         jobs.append(Job(composed, above / f"seed_{seed}", arguments))
     module = recipe("train")
-    summaries = run_together(jobs, module.train, module.learn)
+    summaries = run_together(jobs, module.train, module.imitation, module.learn)
     runs = []
     for job, summary in zip(jobs, summaries, strict=True):
         if isinstance(summary, Exception):

@@ -7,11 +7,11 @@ evaluated, saved and resumed as if it had been trained alone.
 
 import copy
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from types import SimpleNamespace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -20,7 +20,7 @@ from torch.distributions import Categorical
 from torch.func import vmap
 
 from dirl.agent.decisions import PAIRS_AT_ONCE, observe
-from dirl.config.schemas import TrainConfig
+from dirl.config.schemas import Schedule, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import EvaluationProtocol
 from dirl.models.distinct import Cacheable
@@ -29,8 +29,6 @@ from dirl.training.build import build_env, build_losses
 from dirl.training.loops import TrainState
 from dirl.training.objectives import Losses, set_learning_rate
 from dirl.training.rollout import Update, summarise
-
-Result = TypeVar("Result")
 
 WARM_UP = 3
 """Updates before the capture: libraries choose their kernels, and optimisers make their state. They count."""
@@ -44,8 +42,8 @@ class Stack:
 
     Args:
         configs: of the runs.
-        states: of the runs.
-        demos: of the runs, rows ``[M]`` each, of different numbers.
+        members: their states.
+        demos: theirs, rows ``[M]`` each, of different numbers.
         world: of all of them.
         observation: likewise.
     """
@@ -55,13 +53,13 @@ class Stack:
     def __init__(
         self,
         configs: Sequence[TrainConfig],
-        states: Sequence[TrainState],
+        members: Sequence[TrainState],
         demos: Sequence[TensorDictBase],
         world: World,
         observation: SurroundingViews,
     ) -> None:
-        self.configs, self.states = configs, states
-        first, self.device = states[0], states[0].env.device
+        self.members = members
+        first, self.device = members[0], members[0].env.device
         self.config: TrainConfig = with_tensors(configs, self.device)
         # One policy with its losses is the form that the weights of every run are put into. Its features are shared.
         self.form: Any = copy.deepcopy(first.policy, {id(first.policy.features): first.policy.features})
@@ -72,20 +70,20 @@ class Stack:
         if isinstance(self.form.encoder, Cacheable) and type(observation) is SurroundingViews:
             self.form.cached = EmbeddedOnce(self.form, world, observation)  # type: ignore[assignment]  # which takes its place
         self._embedded: tuple[Tensor, ...] = ()
-        self.weights = _stack_weights([state.policy for state in states])
+        self.weights = _stack_weights([state.policy for state in members])
         self.parameters = list(self.weights.values(True, True))
-        self.optimiser = StackedOptimiser([state.optimiser for state in states], self.parameters, self.device)
+        self.optimiser = StackedOptimiser([state.optimiser for state in members], self.parameters, self.device)
         # On a CPU each run draws what it would alone; on a GPU one kernel draws for all.
-        drawn = [state.env.base_env.generator for state in states]
-        self.generators: list[torch.Generator] = [state.generator or drawn[0] for state in states]
+        drawn = [state.env.base_env.generator for state in members]
+        self.generators: list[torch.Generator] = [state.generator or drawn[0] for state in members]
         if self.device.type != "cpu":
             self.generators = drawn[:1]
-        self.env = build_env(self.config, world, observation, self.form, agents=(len(states), *first.agents.shape))
+        self.env = build_env(self.config, world, observation, self.form, agents=(len(members), *first.agents.shape))
         self.env.base_env.generators = drawn[: len(self.generators)]
-        self._agents: TensorDictBase = torch.stack([state.agents for state in states])
-        self.left = torch.ones((), dtype=torch.float64, device=self.device)
+        self._agents: TensorDictBase = torch.stack([state.agents for state in members])
+        self._left = torch.ones((), dtype=torch.float64, device=self.device)
         losses = build_losses(configs[0], self.form, world, demos[0])
-        self.losses = StackedLosses(self, [state.losses for state in states], losses, demos)
+        self.losses = StackedLosses(self, [state.losses for state in members], losses, demos)
 
     @property
     def policy(self) -> "Stack":
@@ -96,6 +94,15 @@ class Stack:
     def cached(self) -> "Stack | None":
         """Itself if observations are embedded once, see `dirl.models.caching`."""
         return None if self.form.cached is None else self
+
+    @property
+    def left(self) -> Tensor:
+        """The fraction of the training that is left, 1 to 0, float64 ``[]`` on the device."""
+        return self._left
+
+    @left.setter
+    def left(self, fraction: float) -> None:
+        self._left.fill_(fraction)
 
     @property
     def agents(self) -> TensorDictBase:
@@ -112,37 +119,31 @@ class Stack:
 
     def each(self, function: Callable[..., Any], *rows: Any) -> Any:
         """Return the function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
+        if self.form.cached is None:
+            return self._with_weights(function, *rows)
+        embedded = self._embedded or self._with_weights(self.form.cached.embed)
+        if not torch.is_grad_enabled():
+            embedded = tuple(every.detach() for every in embedded)
 
-        def of_run(weights: TensorDictBase, embedded: tuple[Tensor, ...], *own: Any) -> Any:
+        def with_embeddings(own: tuple[Tensor, ...], *rows: Any) -> Any:
+            self.form.cached.rows = own
+            return function(*rows)
+
+        return self._with_weights(with_embeddings, embedded, *rows)
+
+    def _with_weights(self, function: Callable[..., Any], *rows: Any) -> Any:
+        def of_run(weights: TensorDictBase, *own: Any) -> Any:
             with weights.to_module(self.form, preserve_module_state=False):
-                if self.form.cached is not None:
-                    self.form.cached.rows = embedded
                 return function(*own)
 
-        embedded: tuple[Tensor, ...] = ()
-        if self.form.cached is not None:
-            embedded = self._embedded or self._embed()
-            if not torch.is_grad_enabled():
-                embedded = tuple(rows.detach() for rows in embedded)
-        try:
-            return vmap(of_run)(self.weights, embedded, *rows)
-        finally:
-            if self.form.cached is not None:
-                self.form.cached.rows = ()  # nothing of their graph is kept until the next update
-
-    def _embed(self) -> tuple[Tensor, ...]:
-        def of_run(weights: TensorDictBase) -> tuple[Tensor, ...]:
-            with weights.to_module(self.form, preserve_module_state=False):
-                return self.form.cached.embed()
-
-        return vmap(of_run)(self.weights)
+        return vmap(of_run)(self.weights, *rows)
 
     @contextmanager
     def caching(self) -> Iterator[None]:
         """A context, of one update, in which the observations are embedded once: for the rollout and for the losses."""
         if self.form.cached is not None:
             with torch.enable_grad():
-                self._embedded = self._embed()
+                self._embedded = self._with_weights(self.form.cached.embed)
         try:
             yield
         finally:
@@ -150,7 +151,8 @@ class Stack:
 
     def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
         """Return the update as a CUDA graph, where there is a GPU."""
-        return Captured(update, {*self.generators, *self.env.base_env.generators}, self.device)
+        generators = {*self.generators, *self.env.base_env.generators}
+        return Captured(update, generators) if is_gpu(self.device) else update
 
     def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
         """Return the report of each run's update."""
@@ -158,7 +160,7 @@ class Stack:
 
     def separate(self) -> None:
         """Give each run's state what the stack holds for it besides the weights."""
-        for state, agents in zip(self.states, self._agents.unbind(0), strict=True):
+        for state, agents in zip(self.members, self._agents.unbind(0), strict=True):
             state.agents = agents.clone()
 
     def finite(self) -> list[bool]:
@@ -166,6 +168,36 @@ class Stack:
         by_layer = [value.flatten(1).isfinite().all(1) for value in self.parameters]
         found: list[bool] = torch.stack(by_layer).all(0).tolist()
         return found
+
+    @torch.no_grad()
+    def walked(self, protocols: Sequence[EvaluationProtocol], *, assess: bool = False) -> list[EvaluationProtocol]:
+        """Return the protocols of the runs, equal but for their starts, with greedy episodes; to assess, with all."""
+        world, observation = protocols[0].world, protocols[0].observation
+        operator, (goals, states) = StackedOperator(self, acts=False), world.pairs()
+        parts = []
+        with self.caching():
+            for rows in torch.arange(len(goals), device=world.device).split(max(1, PAIRS_AT_ONCE // len(protocols))):
+                views = observation.reset_view_ids(states[rows])
+                asked = observe(world, observation, states[rows], views, goals[rows])
+                parts.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
+        # Of every run for each pair, [R, P, 4]. One that has diverged is walked too: others do not wait.
+        logits = torch.cat(parts, 1).nan_to_num()
+        every_goal, every_start = zip(*(protocol.starts for protocol in protocols), strict=True)
+        joined = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
+        episodes = len(every_start[0])  # of each run; those of the first come first
+
+        def decide(episode: Tensor, ahead: Tensor, _: Tensor, wanted: Tensor) -> Tensor:
+            return logits[episode // episodes, world.pair(wanted, ahead)]
+
+        policies: Any = SimpleNamespace(decide=decide)  # each is asked in its own episodes
+        kinds = [joined.run(policies)]
+        if assess:
+            kinds += [joined.run(policies, greedy=False), joined.run_random()]
+        rows_of_runs = torch.arange(len(joined.starts[0]), device=world.device).split(episodes)
+        return [
+            replace(protocol, walked=tuple(kind.select(own) for kind in kinds))
+            for protocol, own in zip(protocols, rows_of_runs, strict=True)
+        ]
 
 
 class StackedOperator:
@@ -209,17 +241,18 @@ class StackedLosses:
 
     def __init__(self, stack: Stack, losses: Sequence[Losses], form: Losses, demos: Sequence[TensorDictBase]) -> None:
         self.stack, self.form = stack, form
-        self.demos, self.shown = padded(demos)
-        self.reductions = {name: loss.module.reduction for name, loss in form.losses.items()}
-        self.schedules: dict[str, dict[str, tuple[Tensor, Tensor]]] = {}
+        self.demonstrated = padded(demos) if max(map(len, demos)) else ()
+        self.reductions: dict[str, str] = {}
         for name, loss in form.losses.items():
+            self.reductions[name] = loss.module.reduction
             loss.module.reduction = "none"  # rows are reduced without those that only fill up
-            self.schedules[name] = {}
+            schedules: dict[str, Any] = {}
             for option in loss.schedules:
-                of_runs = [own.losses[name].schedules[option] for own in losses]
-                end = torch.tensor([schedule.end for schedule in of_runs], device=stack.device)
-                span = torch.tensor([schedule.start - schedule.end for schedule in of_runs], device=stack.device)
-                self.schedules[name][option] = (end, span)
+                ends = [
+                    (own.losses[name].schedules[option].start, own.losses[name].schedules[option].end) for own in losses
+                ]
+                schedules[option] = Schedule(*torch.tensor(ends, device=stack.device).T)
+            form.losses[name] = replace(loss, schedules=schedules)
 
     def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
         """Return the rollout as it is: losses that define a reward are not stacked."""
@@ -227,27 +260,15 @@ class StackedLosses:
 
     def __call__(self, batch: TensorDictBase, left: Tensor) -> TensorDict:
         """Return the weighted losses of a batch ``[R, B]``, see `Losses.forward`."""
-        coefficients = {
-            name: {option: (end + span * left).float() for option, (end, span) in options.items()}
-            for name, options in self.schedules.items()
-        }
-        demonstrated = [] if self.demos is None else [self.demos, self.shown]
-        return TensorDict(self.stack.each(self._of_run, batch, coefficients, *demonstrated))
+        return TensorDict(self.stack.each(self._of_run, batch, self.form.coefficients(left), *self.demonstrated))
 
     def _of_run(
-        self,
-        batch: TensorDictBase,
-        coefficients: Mapping[str, Mapping[str, Tensor]],
-        rows: TensorDictBase | None = None,
-        shown: Tensor | None = None,
+        self, batch: TensorDictBase, coefficients: Any, rows: TensorDictBase | None = None, counts: Tensor | None = None
     ) -> dict[str, Tensor]:
         def reduce(name: str, value: Tensor) -> Tensor:
-            if not value.ndim:
-                return value
-            value = value.flatten()
-            if shown is not None and self.form.losses[name].on_demonstrations:
-                value = value * shown / shown.mean()
-            return value.mean() if self.reductions[name] == "mean" else value.sum()
+            if counts is not None and self.form.losses[name].on_demonstrations:
+                value = value.flatten() * counts / counts.mean()
+            return value.sum() if self.reductions[name] == "sum" else value.mean()
 
         return self.form.compute(batch, rows, coefficients, reduce).to_dict()
 
@@ -289,14 +310,15 @@ class EmbeddedOnce(nn.Module):
         observation: surrounding views.
     """
 
+    rows: tuple[Tensor, ...] = ()
+    """What `embed` gave, of the run that is computed."""
+
     def __init__(self, form: Any, world: World, observation: SurroundingViews) -> None:
         super().__init__()
         self._form = (form,)  # in a tuple, or the encoder would be a submodule of the policy twice
         states = torch.arange(len(world), device=world.device)
         self.views, self.goal_views = observation.reset_view_ids(states), observation.goal_view_ids(world.goals)
         self.goal_index = world.goal_index
-        self.rows: tuple[Tensor, ...] = ()
-        """What `embed` gave, of the run that is computed."""
 
     def embed(self) -> tuple[Tensor, Tensor]:
         """Return the embeddings of all states and of all goals, ``[N, E]`` and ``[G, E]``."""
@@ -312,40 +334,6 @@ class EmbeddedOnce(nn.Module):
         return fused
 
 
-@torch.no_grad()
-def walk_together(
-    stack: Stack, protocols: Sequence[EvaluationProtocol], *, assess: bool = False
-) -> list[EvaluationProtocol]:
-    """Return the protocols of the runs, equal but for their starts, with their episodes; to assess, with all."""
-    world, observation = protocols[0].world, protocols[0].observation
-    operator, (goals, states) = StackedOperator(stack, acts=False), world.pairs()
-    parts = []
-    with stack.caching():
-        for place in torch.arange(len(goals), device=world.device).split(max(1, PAIRS_AT_ONCE // len(protocols))):
-            asked = observe(world, observation, states[place], observation.reset_view_ids(states[place]), goals[place])
-            parts.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
-    # Of every run for each pair of goal and state, [R, P, 4]. One that has diverged is walked too: others do not wait.
-    logits = torch.cat(parts, 1).nan_to_num()
-    every_goal, every_start = zip(*(protocol.starts for protocol in protocols), strict=True)
-    joined = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
-    episodes = len(every_start[0])  # of each run; those of the first come first
-
-    def decide(episode: Tensor, ahead: Tensor, _: Tensor, wanted: Tensor) -> Tensor:
-        return logits[episode // episodes, world.pair(wanted, ahead)]
-
-    policies: Any = SimpleNamespace(
-        decide=decide
-    )  # each asked in its own episodes, see `dirl.agent.decisions.deciding`
-    walked = [joined.run(policies)]
-    if assess:
-        walked += [joined.run(policies, greedy=False), joined.run_random()]
-    rows = torch.arange(len(joined.starts[0]), device=world.device).split(episodes)
-    return [
-        replace(protocol, walked=tuple(kind.select(own) for kind in walked))
-        for protocol, own in zip(protocols, rows, strict=True)
-    ]
-
-
 def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainConfig:
     """Return the first configuration with tensors, which broadcast to batches, for numbers in which runs may differ."""
 
@@ -358,12 +346,9 @@ def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainC
     return replace(configs[0], reward=replace(reward, **rewards), reinforcement=replace(options, **discount))
 
 
-def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase | None, Tensor | None]:
+def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase, Tensor]:
     """The demonstrations of all runs, ``[R, M]``, and which count, float32 ``[R, M]``: the others fill up the rows."""
-    most = max(map(len, demos))
-    if not most:
-        return None, None
-    rows = torch.arange(most, device=demos[0].device)
+    rows = torch.arange(max(map(len, demos)), device=demos[0].device)
     kept = set.intersection(*(set(own.keys()) for own in demos))
     together = torch.stack([own.select(*kept)[rows.clamp(max=len(own) - 1)] for own in demos])
     return together, torch.stack([rows < len(own) for own in demos]).float()
@@ -380,8 +365,8 @@ def _stack_weights(policies: Sequence[nn.Module]) -> TensorDict:
     return TensorDict(stacked, batch_size=[len(named)]).unflatten_keys(".")
 
 
-class Captured(Generic[Result]):
-    """A function of no arguments that reads and writes tensors in place; on a GPU its kernels are replayed.
+class Captured:
+    """A function of no arguments that reads and writes tensors in place, as a CUDA graph from its fourth call on.
 
     What cannot be captured is called as it is, and the reason is told in one line. (tensordict's ``CudaGraphModule``
     synchronises before every replay, copies what it returns, and cannot register a generator.)
@@ -389,30 +374,23 @@ class Captured(Generic[Result]):
     Args:
         function: the same operations on the same memory at each call. Its result is overwritten by the next one.
         generators: that it draws from, besides torch's own.
-        device: where it computes; it is only captured on a GPU.
     """
 
-    graph: torch.cuda.CUDAGraph | None = None
-    result: Result | None = None
-
-    def __init__(
-        self, function: Callable[[], Result], generators: Collection[torch.Generator], device: torch.device
-    ) -> None:
+    def __init__(self, function: Callable[[], Any], generators: Collection[torch.Generator]) -> None:
         self.function, self.generators = function, generators
-        self.calls, self.captures = 0, is_gpu(device)
-        self.stream: Any = torch.cuda.Stream() if self.captures else None
+        self.calls = 0
+        self.graph: torch.cuda.CUDAGraph | None = None
+        self.result: Any = None
+        self.stream = torch.cuda.Stream()  # not the default one, with which a capture must share nothing
 
-    def __call__(self) -> Result:
-        """Call the function; from the fourth time on by its graph."""
+    def __call__(self) -> Any:
+        """Call the function, or replay its graph."""
         self.calls += 1
-        if self.graph is None and self.captures and self.calls > WARM_UP:
+        if self.calls == WARM_UP + 1:
             self._capture()
         if self.graph is not None:
             self.graph.replay()
-            return self.result  # type: ignore[return-value]
-        if not self.captures:
-            return self.function()
-        # Not on the default stream, with which a capture must share nothing.
+            return self.result
         self.stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(self.stream):
             result = self.function()
@@ -428,7 +406,6 @@ class Captured(Generic[Result]):
                 self.result = self.function()
             self.graph = graph
         except Exception as error:
-            self.captures = False
             reason = " ".join(str(error).split())[:200]
             print(f"no CUDA graph, each kernel is launched by itself: {reason}", file=sys.stderr, flush=True)
 
