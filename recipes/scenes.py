@@ -388,7 +388,7 @@ class ImportOptions:
 
 @dataclass
 class InspectOptions:
-    """Look at a scene and check it: tables, map, contact sheet, distances, ambiguous states, false stops.
+    """Look at a scene and check it: contents, ambiguous states, problems; map and contact sheet.
 
     Examples:
         python recipes/scenes.py inspect scene=bathroom_02
@@ -441,8 +441,8 @@ from dirl.config.components import make
 from dirl.config.folders import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
 from dirl.perception.recognition.build import chosen_stop
-from dirl.perception.recognition.diagnostics import Inspection, inspect_scene
-from dirl.reporting import draw_contact_sheet, draw_false_stops, draw_scene_map
+from dirl.perception.recognition.diagnostics import inspect_scene
+from dirl.reporting import draw_contact_sheet, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
 from dirl.scenes.io.checked import check_choice
@@ -719,28 +719,15 @@ def inspect(options: InspectOptions) -> None:
         print("\n| state | state | matching | actions between |\n|--:|--:|--:|--:|")
         for a, b, score, distance in found.ambiguous[:SHOWN_PAIRS]:
             print(f"| {a} | {b} | {score:.3f} | {distance if distance >= 0 else 'unconnected'} |")
-    if found.errors:
-        print("\n| false stops above |", *(f"{name} |" for name in found.errors))
-        print("|--:" * (len(found.errors) + 1) + "|")
-        for index in range(0, len(found.thresholds), 10):
-            cells = ("-" if one is None else f"{one[index]:.4%}" for one in found.errors.values())
-            print(f"| {found.thresholds[index]:.2f} |", *(f"{cell} |" for cell in cells))
     print("\nproblems:" if found.problems else "\nno problems found")
     for problem in found.problems:
         print(textwrap.fill(problem, COLUMNS, initial_indent="- ", subsequent_indent="  "))
     if folder is not None:
-        draw_inspection(scene, found, folder, stop.threshold)
-
-
-def draw_inspection(scene: Scene, found: Inspection, folder: Path, threshold: float) -> None:
-    """The pictures of a scene and of what was found in it."""
-    folder.mkdir(parents=True)
-    draw_scene_map(scene, found.parts, folder / "map.png")
-    if scene.views is not None:
-        draw_contact_sheet(scene, folder / "contact_sheet.jpg")
-    if found.errors:
-        draw_false_stops(scene, found, threshold, folder / "false_stops.png")
-    print(f"\npictures: {folder}")
+        folder.mkdir(parents=True)
+        draw_scene_map(scene, found.parts, folder / "map.png")
+        if scene.views is not None:
+            draw_contact_sheet(scene, folder / "contact_sheet.jpg")
+        print(f"\npictures: {folder}")
 
 
 def one_scene(name: str, source: str = "rooms") -> Scene:

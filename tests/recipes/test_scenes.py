@@ -119,7 +119,7 @@ def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
     np.testing.assert_allclose(read_dump("at_once.h5").features, scene.features, rtol=1e-4, atol=1e-6)
     run("inspect scene=encoded.h5 out=pictures")
     assert "| turn          | 45 degrees |" in capsys.readouterr().out
-    names = {"map.png", "contact_sheet.jpg", "false_stops.png"}
+    names = {"map.png", "contact_sheet.jpg"}
     assert {path.name for path in (here / "pictures").iterdir()} == names
 
 
@@ -219,6 +219,6 @@ def test_a_dump_goes_out_and_comes_back_as_it_was(room, capsys):
 def test_inspect_prints_what_it_finds(room, capsys):
     run("inspect scene=room.h5 threshold=0.2 match=front")
     printed = capsys.readouterr().out
-    for words in ("| states        | 24 |", "ambiguous pairs (match=front above 0.2)", "| 0.90 | 0.0000% | 0.0000% |"):
+    for words in ("| states        | 24 |", "ambiguous pairs (match=front above 0.2)"):
         assert words in printed
     assert "problems:\n- states " in printed

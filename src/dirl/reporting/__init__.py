@@ -2,7 +2,7 @@
 
 from dirl.reporting.animation import write_gif
 from dirl.reporting.curves import draw_learning_curve, draw_learning_curves
-from dirl.reporting.inspection import draw_contact_sheet, draw_false_stops, draw_scene_map
+from dirl.reporting.inspection import draw_contact_sheet, draw_scene_map
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.pictures import draw_paths, draw_scene
 from dirl.reporting.tables import result_table, run_title, summary_table, write_goals
@@ -11,7 +11,6 @@ from dirl.reporting.viewer import viewer_pages
 
 __all__ = [
     "draw_contact_sheet",
-    "draw_false_stops",
     "draw_learning_curve",
     "draw_learning_curves",
     "draw_paths",

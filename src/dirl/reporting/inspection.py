@@ -1,4 +1,4 @@
-"""Pictures of a scene: its map, all its views, and the errors of template matching."""
+"""Pictures of a scene: its map, and all its views."""
 
 import math
 from pathlib import Path
@@ -10,8 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from PIL import Image, ImageDraw
 
-from dirl.perception.recognition.diagnostics import Inspection
-from dirl.reporting.style import draw_room, has_walls, star, tell_cut, write_figure
+from dirl.reporting.style import draw_room, has_walls, star, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
@@ -29,12 +28,12 @@ NUMBER: dict[str, Any] = {"ha": "center", "va": "center", "color": "0.25", "zord
 NUMBER |= {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.8}}
 """Of the numbers on the map."""
 
-ERROR_LINES = (("-", COLORS[0]), ("-", COLORS[1]), ("--", "0.4"))
-"""Styles and colours of `Inspection.errors`."""
-
 
 def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
-    """Draw walls, free cells, moves and goals, as a PNG; parts, see `Inspection`, but the largest are coloured."""
+    """Draw walls, free cells, moves and goals, as a PNG; parts other than the largest are coloured.
+
+    ``parts`` is `dirl.perception.recognition.diagnostics.Inspection.parts`.
+    """
     side, place = step_length(scene), places(scene.graph)
     spans = np.ptp(scene.positions, axis=0) + 2 * side
     width, height = spans * MAP_SIZE / spans.max()
@@ -102,24 +101,3 @@ def draw_contact_sheet(scene: Scene, file: Path) -> None:
             sheet.paste(view, (left + turn * (THUMBNAIL + 1), top + LABEL))
     with atomic_path(file) as temporary:
         sheet.save(temporary, quality=85)
-
-
-def draw_false_stops(scene: Scene, found: Inspection, threshold: float, file: Path) -> None:
-    """Draw how often an agent would stop at a wrong state, and miss a changed goal, over the threshold, as a PNG.
-
-    The scene has features, so that errors were found; ``threshold`` is the one in use.
-    """
-    figure = Figure((6, 3.6), layout="constrained")
-    axes = figure.subplots()
-    for (label, shares), (line, color) in zip(found.errors.items(), ERROR_LINES, strict=False):
-        if shares is not None:
-            axes.plot(found.thresholds, 100 * shares, line, color=color, label=label)
-    axes.axvline(threshold, color="0.5", linestyle=":", label=f"threshold {threshold:g}")
-    axes.set(xlabel="threshold", ylabel="false stops (% of states)", title=f"{scene.name} ({scene.source})")
-    axes.set_yscale("symlog", linthresh=0.1)
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.set(xlim=found.thresholds[[0, -1]], ylim=(-0.005, 110))
-    tell_cut(axes)
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    write_figure(figure, file)

@@ -20,13 +20,6 @@ LAID_OUT = "tour, laid out"
 """The source of a scene whose positions are known only by its links."""
 
 
-def tell_cut(axes: Axes) -> None:
-    """Say in the label of the linear x axis, whose limits are final, that it does not begin at zero, if so."""
-    low, high = sorted(axes.xaxis.get_view_interval())
-    if low > 0.05 * high:
-        axes.set_xlabel(f"{axes.get_xlabel()}\n(axis begins at {low:.3g})")
-
-
 def plain(axes: Axes) -> None:
     """Draw a pale grid behind what is drawn, and no frame above and at the right."""
     axes.grid(color="0.9")

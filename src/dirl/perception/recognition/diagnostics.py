@@ -2,12 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.recogniser import in_blocks
@@ -18,11 +16,6 @@ from dirl.scenes.graph import AHEAD, BACK, RIGHT, IntArray, places, turns_per_ci
 
 MAX_STATES = 5_000
 """All pairs of states are compared; of a scene with more states that would take gigabytes."""
-
-CORRELATIONS, LOG_ODDS = np.linspace(0.5, 1.0, 101), np.linspace(-5.0, 15.0, 101)
-"""Thresholds at which the errors of the stop are counted, by what the recogniser's scores are."""
-
-EVERY, OWN, MISSED = "every state as a goal", "the scene's own goals", "missed in other looks"
 
 BLANK = 6.0
 """A view whose grey levels (0 to 255) deviate less than this from their mean shows next to nothing."""
@@ -43,11 +36,6 @@ class Inspection:
     """Which part each state is in, int64 ``[N]``, 0 is the largest; within a part every state reaches every other."""
     ambiguous: list[tuple[int, int, float, int]]
     """Pairs of states that match above the threshold: both states, score, actions between them; worst first."""
-    thresholds: NDArray[np.floating]
-    """`CORRELATIONS`, or `LOG_ODDS` of a recogniser that is calibrated."""
-    errors: dict[str, NDArray[np.floating] | None]
-    """Shares above each of the thresholds: of pairs of a goal and a state that reaches it those that match, for every
-    state as a goal and for the scene's own, and of states those that in another look do not match themselves."""
 
 
 def inspect_scene(scene: Scene, stop: TemplateStop | None = None) -> Inspection:
@@ -67,45 +55,29 @@ def inspect_scene(scene: Scene, stop: TemplateStop | None = None) -> Inspection:
     parts = _parts(scene)
     problems = [*_graph_problems(scene, parts), *_map_problems(scene), *_view_problems(scene)]
     stop = stop or TemplateStop()
-    thresholds = LOG_ODDS if stop.recogniser.calibrated else CORRELATIONS
-    ambiguous, errors = [], {}
+    ambiguous = []
     if scene.features is None:
         problems.append("there are no features; add them by: scenes.py encode")
     else:
         problems += _feature_problems(scene)
-        scores, again = _scores(scene, stop)
+        scores = _scores(scene, stop)
         ambiguous = _ambiguous(scene, scores, stop.threshold)
-        for name, goals in ((EVERY, np.arange(len(scene))), (OWN, np.array(scene.goals, np.int64))):
-            errors[name] = _false_stops(scene, scores, goals, thresholds) if len(goals) else None
-        if len(again):
-            errors[MISSED] = np.searchsorted(np.sort(again), thresholds, side="right") / len(again)
         problems += _matching_problems(scene, scores, ambiguous, stop.threshold)
-    return Inspection(_facts(scene, parts), problems, parts, ambiguous, thresholds, errors)
+    return Inspection(_facts(scene, parts), problems, parts, ambiguous)
 
 
-def _scores(scene: Scene, stop: TemplateStop) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Of every state (row) as seen on the way to every goal (column), and of each state in its further looks."""
+def _scores(scene: Scene, stop: TemplateStop) -> NDArray[np.floating]:
+    """Return how well every state (row) matches every goal (column), float32 ``[N, N]``."""
     recogniser, surrounding = stop.recogniser, torch.from_numpy(scene.surrounding.copy())
     if recogniser.reads_patches and scene.patches is None:
         raise SceneError(f"{scene.origin}: has no patches, which the recogniser compares; encode it with patches=true")
-    looks = [_tensors(scene.features, scene.patches)]
-    if scene.look_features is not None:
-        patches = [None] * len(scene.look_features) if scene.look_patches is None else scene.look_patches
-        looks += map(_tensors, scene.look_features, patches)
-    fitted = recogniser.fit(*looks[0])
+    assert scene.features is not None
+    features = torch.from_numpy(scene.features.astype(np.float32))
+    patches = None if scene.patches is None else torch.from_numpy(scene.patches.astype(np.float32))
+    fitted = recogniser.fit(features, patches)
     with torch.no_grad():
-        default, *others = (fitted.describe(*look)[surrounding] for look in looks)
-        goals = matched(default, stop.match)
-        again = [fitted.scores(visits.unsqueeze(1), goals.unsqueeze(1)).flatten() for visits in others]
-        scores = in_blocks(fitted, default, goals)
-    return scores.numpy(), torch.cat([torch.empty(0), *again]).numpy()
-
-
-def _tensors(features: NDArray[Any] | None, patches: NDArray[Any] | None) -> tuple[Tensor, Tensor | None]:
-    """Features and patches of the views of one look, float32."""
-    assert features is not None
-    parts = None if patches is None else torch.from_numpy(patches.astype(np.float32))
-    return torch.from_numpy(features.astype(np.float32)), parts
+        visits = fitted.describe(features, patches)[surrounding]
+        return in_blocks(fitted, visits, matched(visits, stop.match)).numpy()
 
 
 def _facts(scene: Scene, parts: IntArray) -> dict[str, str]:
@@ -237,14 +209,6 @@ def _ambiguous(scene: Scene, scores: NDArray[np.floating], threshold: float) -> 
     order = np.argsort(-scores[tuple(pairs.T)], kind="stable")
     distances = scene.distances
     return [(int(a), int(b), float(scores[a, b]), int(distances[a, b])) for a, b in pairs[order]]
-
-
-def _false_stops(
-    scene: Scene, scores: NDArray[np.floating], goals: IntArray, thresholds: NDArray[np.floating]
-) -> NDArray[np.floating]:
-    """The fraction of (goal, state that reaches it) whose score is above each threshold."""
-    wrong = np.sort(scores[:, goals][scene.distances[:, goals] > 0])
-    return 1 - np.searchsorted(wrong, thresholds, side="right") / len(wrong)
 
 
 def _matching_problems(
