@@ -43,6 +43,8 @@ def test_every_job_of_a_stack_has_the_folder_it_would_have_alone(tmp_path, capsy
     told = capsys.readouterr().out
     assert f"2 runs as one: {tmp_path / 'stack/0'}, {tmp_path / 'stack/1'}" in told
     assert f"by itself: {tmp_path / 'stack/2'}: until=stable" in told
+    assert together[2]["frames"] == 240
+    assert (tmp_path / "stack/2/network.pt").is_file()
     for number in range(2):
         (alone,) = run_together(
             jobs_in(tmp_path / f"alone{number}", room, changes=changes[number : number + 1]), train, imitation, learn

@@ -120,6 +120,7 @@ def run_together(
             components = build_components(run, initial, None if like is None else next(iter(like.values()))[1])
             if (reason := why_alone(run, components)) is not None:
                 print(f"by itself: {run.folder}: {reason}", flush=True)
+                run.begin(components.protocol.world, components.protocol.observation.order)
                 results[number] = run_stages(run, components, train)
                 continue
             # Runs that stand at the same frame, with the same losses and about as many demonstrations.
