@@ -5,7 +5,6 @@
     python recipes/scenes.py miniworld env=FourRooms out=four_rooms.h5
     python recipes/scenes.py draft folder=my_office
     python recipes/scenes.py photos folder=my_office out=my_office.h5
-    python recipes/scenes.py recording file=robot.h5 positions=positions out=my_corridor
     python recipes/scenes.py tour path=my_tour out=my_tour.h5
     python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
     python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
@@ -24,7 +23,7 @@ from typing import Annotated
 from dirl.cli.start import run, start
 from dirl.config.bounds import Bounds
 from dirl.config.options import option
-from dirl.config.schemas import Correlation, Device, EncoderPrecision, Fraction, Match, NotNegative, Positive, Seed
+from dirl.config.schemas import Correlation, Device, EncoderPrecision, Match, NotNegative, Positive, Seed
 
 Layout = StrEnum("Layout", ["icra17"])
 Pixels = Annotated[int, Bounds(16, 4096)]
@@ -208,32 +207,8 @@ class PhotosOptions(EncodedForGeneral):
 
 
 @dataclass
-class RecordingOptions:
-    """Unpack the recording of a robot, HDF5, into a folder of photographs: one of each place, heading and shot.
-
-    Examples:
-        python recipes/scenes.py recording file=robot.h5 positions=positions out=my_corridor
-        python recipes/scenes.py recording file=robot.h5 images=frames 'axes=[x,z,heading,shot]' out=my_corridor
-        python recipes/scenes.py photos folder=my_corridor out=my_corridor.h5
-    docs/howto/make_scenes.md tells more.
-    """
-
-    file: str = option("HDF5")
-    out: str = option("a new folder for states.csv and the images, which photos reads")
-    images: str = option("the dataset: uint8, one dimension for each axis, then height, width and 3", "images")
-    axes: list[str] = option(
-        "what the first dimensions are: heading, and place or x and z; shot where places were visited several times",
-        ["place", "heading", "shot"],
-    )
-    positions: str | None = option("with place: the dataset of the places' x and z, metres", None)
-    step: Step | None = option("metres between neighbours; null = the smallest distance (place), 1 (x and z)", None)
-    first_heading: float = option("degrees clockwise from z; the others follow evenly", 0.0)
-    clockwise: bool = option("whether the headings do", True)
-
-
-@dataclass
 class TourOptions(EncodedForGeneral):
-    """Make a scene dump from a 360-degree tour: Marzipano, krpano, Pannellum, panoramas with links.csv, ZInD.
+    """Make a scene dump from a 360-degree tour: Marzipano, krpano, Pannellum, panoramas with links.csv.
 
     Examples:
         python recipes/scenes.py tour path=my_tour out=my_tour.h5
@@ -242,8 +217,8 @@ class TourOptions(EncodedForGeneral):
     """
 
     path: str = option(
-        "the folder of the tour, or its data.js, tour.xml, links.csv, zind_data.json or configuration of Pannellum "
-        "(JSON, JavaScript, HTML)"
+        "the folder of the tour, or its data.js, tour.xml, links.csv or configuration of Pannellum (JSON, JavaScript, "
+        "HTML)"
     )
     out: str = option(DUMP)
     name: str | None = option("name of the scene; null = the tour's", None)
@@ -256,9 +231,6 @@ class TourOptions(EncodedForGeneral):
     )
     tolerance: Degrees = option("degrees between a heading and the link that a move follows, at most", 90)
     step: Step = option("metres of a link on the map, where the tour gives no positions", 2.0)
-    reach: Annotated[float, Bounds(0.1, 100)] = option(
-        "metres between linked panoramas of the Zillow dataset, whose files have no links", 3.0
-    )
     height: Pixels = option(OF_VIEW, 224)
     width: Pixels = option(OF_VIEW, 224)
     field_of_view: FieldOfView = option("horizontal, degrees", 75)
@@ -291,11 +263,6 @@ class LookChanges(VisitChanges):
     """How looks of a built room differ."""
 
     position: NotNegative = option("metres, along each axis", 0.05)
-    white_balance: NotNegative = option("of the logarithm of red and of blue", 0.0)
-    camera_height: NotNegative = option("metres", 0.0)
-    vary: Fraction = option(
-        "each look has all of these times a factor sampled from 1 - vary to 1 + vary; for rooms to train in", 0.0
-    )
 
 
 @dataclass
@@ -327,7 +294,6 @@ class SampleOptions(EncodedPatches):
     )
     looks: Looks = option(LOOKS, 0)
     changes: LookChanges = option(CHANGES, LookChanges)
-    sheet: bool = option("draw a contact sheet, rooms.png, of 32 rooms at most", True)
 
 
 @dataclass
@@ -412,7 +378,6 @@ OPTIONS: dict[str, type] = {
     "simulator": SimulatorOptions,
     "draft": DraftOptions,
     "photos": PhotosOptions,
-    "recording": RecordingOptions,
     "tour": TourOptions,
     "build": BuildOptions,
     "sample": SampleOptions,
@@ -453,12 +418,10 @@ from dirl.scenes.views import FileViews, decode
 from dirl.scenes.views import encode as webp
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import draft_table, encoded_photos, read_photos
-from dirl.sources.recordings import unpack_recording
-from dirl.sources.rooms import build_room, read_description
+from dirl.sources.rooms import build_room
 from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
 from dirl.sources.rooms.looks import Changes
 from dirl.sources.rooms.sampling import KINDS
-from dirl.sources.rooms.sheet import draw_sheet, preview
 from dirl.sources.simulators import take_look, take_scene
 from dirl.sources.thor import Thor, start_controller
 from dirl.sources.tours import read_tour
@@ -474,9 +437,6 @@ SHOWN_PAIRS = 10
 
 ALONG = 40.0
 """Degrees of the view along an arrow; what is farther away is small in the others."""
-
-SHEET = 32
-"""Random rooms that are shown on one contact sheet at most; a room takes as long as some ten of its views."""
 
 
 def thor(options: ThorOptions) -> None:
@@ -533,19 +493,10 @@ def photos(options: PhotosOptions) -> None:
     write_encoded(out, scene, views, encoder)
 
 
-def recording(options: RecordingOptions) -> None:
-    """Unpack a robot's recording into a folder of photographs."""
-    names = ("images", "positions", "step", "first_heading", "clockwise")
-    chosen = {name: getattr(options, name) for name in names}
-    folder = new_file(options.out, ending="")
-    print(unpack_recording(options.file, folder, axes=list(options.axes), **chosen))
-    print(f"go on with: {command_of('scenes')} photos folder={folder} out={folder}.h5")
-
-
 def tour(options: TourOptions) -> None:
     """Make a dump from a 360-degree tour."""
     out = new_file(options.out)
-    found = read_tour(options.path, reach=options.reach, skip=options.skip)
+    found = read_tour(options.path, skip=options.skip)
     chosen = {name: getattr(options, name) for name in ("headings", "compare_images", "tolerance", "step", "name")}
     made = tour_scene(found, **chosen)
     encoder = chosen_encoder(options)
@@ -646,9 +597,6 @@ def sample(options: SampleOptions) -> None:
     for error in left_out:
         print(f"left out: {error}")
     print(f"\n{len(wanted) - len(left_out)} rooms: {folder}")
-    if todo and options.sheet and len(wanted) <= SHEET:
-        made_of = [folder / f"{kind}_{seed}.toml" for kind, seed in wanted]
-        draw_sheet([preview(read_description(path)) for path in made_of if path.is_file()], folder / "rooms.png")
 
 
 def sampled(entry: Entry) -> list[str]:
@@ -753,7 +701,6 @@ COMMANDS: dict[type, Callable[[Any], None]] = {
     SimulatorOptions: simulator,
     DraftOptions: draft,
     PhotosOptions: photos,
-    RecordingOptions: recording,
     TourOptions: tour,
     BuildOptions: build,
     SampleOptions: sample,

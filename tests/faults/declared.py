@@ -18,7 +18,6 @@ import zipfile
 import zlib
 from pathlib import Path
 
-import h5py
 import numpy as np
 import torch
 
@@ -29,7 +28,6 @@ from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.collection import INDEX, read_collection
 from dirl.scenes.io.tensors import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos
-from dirl.sources.recordings import unpack_recording
 from dirl.sources.rooms import read_description
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.images import cut_views
@@ -79,15 +77,6 @@ def multires():
         "multiRes": {"path": "%l%s%y%x", "cubeResolution": 2**15, "tileResolution": 512, "maxLevel": 16},
     }
     return json.dumps({"scenes": {str(number): scene for number in range(2000)}})
-
-
-def zind():
-    def panorama(number):
-        at = {"rotation": 0, "scale": 1, "translation": [number / 1e6, 0]}
-        return {"image_path": "a.jpg", "floor_plan_transformation": at, "layout_raw": None}
-
-    floor = {"room": {"part": {str(number): panorama(number) for number in range(20_000)}}}
-    return json.dumps({"merger": {"floor": floor}})
 
 
 def panorama_of(data, name="a.png"):
@@ -195,22 +184,6 @@ def header_of_a_map(folder):
     return lambda: load_frames_map(folder / "a.npz")
 
 
-def unpack(file):
-    return unpack_recording(file, file.parent / "out", images="images", axes=["x", "z", "heading"])
-
-
-def recording(shape, chunks):
-    def make(folder):
-        with h5py.File(folder / "a.h5", "w") as file:
-            stored = file.create_dataset("images", shape, np.uint8, chunks=chunks, compression="gzip")
-            packed = zlib.compress(bytes(int(np.prod(chunks))), 9)
-            for at in np.ndindex(*(-(-length // chunk) for length, chunk in zip(shape, chunks, strict=True))):
-                stored.id.write_direct_chunk([step * chunk for step, chunk in zip(at, chunks, strict=True)], packed)
-        return lambda: unpack(folder / "a.h5")
-
-    return make
-
-
 def description(text):
     def make(folder):
         (folder / "a.toml").write_text(text())
@@ -229,7 +202,6 @@ CASES = {
     "an address with 300,000 zeros": tour("tour.xml")(lambda: KRPANO % f"%{'0' * 300_000}s.jpg"),
     "5 million elements": tour("tour.xml")(lambda: f"<krpano>{'<a/>' * 1_500_000}</krpano>"),
     "2,000 cubes of 64 tiles a side": tour("tour.json")(multires),
-    "ZInD: 20,000 panoramas": tour("zind_data.json")(zind),
     "a large panorama": panorama_of(lambda: png(28_000, 14_000)),
     "a panorama as large as may be": panorama_of(lambda: png(19_998, 9_999, colour=2)),
     "a face of a cube as large as may be": cube(11_584),
@@ -247,18 +219,15 @@ CASES = {
     "a pipe for a room": pipe("a.toml", lambda folder: read_description(folder / "a.toml")),
     "a pipe for a WAD": pipe("a.wad", lambda folder: _check_map(folder / "a.wad", "map01")),
     "a pipe for a video": pipe("a.mp4", lambda folder: Recording(folder / "a.mp4")),
-    "a pipe for a recording": pipe("a.h5", lambda folder: unpack(folder / "a.h5")),
     "functions without end": tour("index.html")(lambda: "scenes: {" + ":function(){:a=>{:function(" * 200_000),
     "a WAD of 44 bytes": wad,
     "a map of 5.4 GB": frames_map,
     "a header of a map": header_of_a_map,
-    "a recording of large images": recording((1, 2, 8, 5_000, 5_000, 3), (1, 1, 1, 5_000, 5_000, 3)),
-    "a recording of 90,000 places": recording((300, 300, 4, 1, 1, 3), (300, 300, 4, 1, 1, 3)),
     "a description of tables": description(lambda: "a = " + "[" * 100_000),
 }
 """Each writes its file into a folder and returns what reads it."""
 
-SLOW = ("as large as may be", "a map of", "ZInD", "a recording of", "a large photo to go to")
+SLOW = ("as large as may be", "a map of", "a large photo to go to")
 """In the names of cases that take seconds or gigabytes."""
 
 

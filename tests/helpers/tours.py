@@ -211,36 +211,11 @@ def write_table(folder, truth, camera, side=48, *, places=True):
     return folder
 
 
-def write_zind(folder, truth, camera, side=48, *, size=(2.0, 1.5), scale=2.5):
-    """``zind_data.json``: places and rotations in a rectangular room of this size, no links."""
-    panoramas = {}
-    for index, name in enumerate(truth.names):
-        save(camera.panorama(truth, index, 4 * side), folder / "panos" / f"{name}.jpg")
-        shift, turn = truth.places[index] * [-1, 1] / scale, np.radians(truth.middles[index])
-        corners = np.array([(0, 0), (0, size[1]), size, (size[0], 0)]) * [-1, 1] / scale - shift
-        local = corners @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) / 0.7
-        panoramas[f"pano_{index}"] = {
-            "image_path": f"panos/{name}.jpg",
-            "is_primary": index == 0,
-            "floor_plan_transformation": {
-                "rotation": truth.middles[index],
-                "scale": 0.7,
-                "translation": shift.tolist(),
-            },
-            "layout_raw": {"vertices": local.tolist(), "doors": [], "windows": [], "openings": []},
-        }
-    floor = {"complete_room_01": {"partial_room_01": panoramas}}
-    data = {"scale_meters_per_coordinate": {"floor_01": scale}, "merger": {"floor_01": floor}, "redraw": {}}
-    (folder / "zind_data.json").write_text(json.dumps(data))
-    return folder
-
-
 WRITERS = {
     "marzipano": write_marzipano,
     "krpano": write_krpano,
     "pannellum": write_pannellum,
     "table": write_table,
-    "zind": write_zind,
 }
 
 

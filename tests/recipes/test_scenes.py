@@ -195,7 +195,7 @@ def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch
     assert table[3].startswith(f"| bedroom_30000 | train | 2 x 1.5 x 2.4 | 3 | 5 | 20 | 1 | {far[0]} | {far[1]} | ")
     assert table[-1] == "2 rooms: many"
     made = [f"bedroom_{seed}.{ending}" for seed in (29999, 30000) for ending in ("h5", "toml")]
-    assert sorted(path.name for path in (here / "many").iterdir()) == [*made, "collection.jsonl", "rooms.png"]
+    assert sorted(path.name for path in (here / "many").iterdir()) == [*made, "collection.jsonl"]
     assert asked == [("bedroom", 29999), ("bedroom", 30000)]
     run(line.replace("count=2", "count=3"))
     assert asked[2:] == [("bedroom", 30001)]

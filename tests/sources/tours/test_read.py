@@ -1,24 +1,18 @@
 """Tours as tools and users write them, odd, broken or hostile: read, noted, or refused in one line."""
 
-import json
 import os
 import re
 import struct
 import zlib
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
-from tours import WRITERS, Camera360, grid_truth, write_zind, written
+from tours import WRITERS, written
 
 from dirl.scenes import SceneError
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.images import Equirectangular, cut_views, read_panorama
-from dirl.sources.tours.moves import tour_scene
-
-GREY = Camera360()
-SIDE = 8
 
 
 def change(file, old, new, count=1):
@@ -71,8 +65,6 @@ SPOILT = {
     "another column": ("table", "links.csv", "yaw", "jaw", "links.csv: line 1: columns: there is no 'jaw'; did you"),
     "a missing cell": ("table", "links.csv", "place_1.jpg,", "", "links.csv: line 2: 2 cells for 3 columns"),
     "no file": ("table", "links.csv", "place_3.jpg", "attic.jpg", "panorama 'attic.jpg': there is no file"),
-    "no rotation": ("zind", "zind_data.json", '"rotation"', '"turn"', "pano_0: rotation: expected a number"),
-    "one coordinate": ("zind", "zind_data.json", r'"translation": \[', '"translation": [1, ', r"expected points \["),
 }
 
 
@@ -240,56 +232,6 @@ def test_links_that_lead_nowhere_are_left_out_and_noted(tmp_path):
     change(tmp_path / "data.js", '"target": "place_1"', '"target": "attic"')
     assert read_tour(tmp_path).notes == (
         "1 links to panoramas that the tour does not have are left out, the first: 'place_0' to 'attic'",
-    )
-
-
-def test_walls_part_what_doors_join(tmp_path):
-    """Two rooms of 2 x 4 m side by side, two places each, 2 m apart: one door, in front of the first two places."""
-    truth = grid_truth(2, 2)
-    write_zind(tmp_path, truth, GREY, SIDE, size=(9, 9), scale=1.0)
-    file = tmp_path / "zind_data.json"
-    data = json.loads(file.read_text())
-    panoramas = data["merger"]["floor_01"]["complete_room_01"]["partial_room_01"]
-    for index, about in enumerate(panoramas.values()):
-        x, z = truth.places[index]
-        left = 1.0 if x else -1.0  # the wall between the rooms is at x = 1; the file's x runs to the left
-
-        def local(points, x=x, z=z):
-            return [[-(px - x) / 0.7, (pz - z) / 0.7] for px, pz in points]
-
-        about["layout_raw"]["vertices"] = local([(left, -1), (left, 3), (left + 2, 3), (left + 2, -1)])
-        about["layout_raw"]["doors"] = [*local([(1, -0.4), (1, 0.4)]), [0.0, 2.0]] if index == 0 else []
-    file.write_text(json.dumps(data))
-    tour = read_tour(tmp_path, reach=2.5)
-    ids = [panorama.id for panorama in tour.panoramas]
-    found = {(ids.index(one.id), ids.index(link.target)) for one in tour.panoramas for link in one.links}
-    assert found == {(0, 1), (1, 0), (2, 3), (3, 2), (0, 2), (2, 0)}
-    assert np.allclose([panorama.position for panorama in tour.panoramas], truth.places)
-    assert {link.yaw for link in tour.panoramas[0].links} == {0.0, 90.0}
-    data["scale_meters_per_coordinate"] = {"floor_01": None}
-    file.write_text(json.dumps(data))
-    assert read_tour(tmp_path).notes[0].startswith("floor 'floor_01' has no scale")
-
-
-def test_floors_are_drawn_side_by_side(tmp_path):
-    truth = grid_truth(2, 2, middles=[10.0, 20.0, 30.0, 40.0])
-    truth = replace(truth, places=truth.places + 0.5)
-    write_zind(tmp_path, truth, GREY, SIDE, size=(3, 3))
-    file = tmp_path / "zind_data.json"
-    data = json.loads(file.read_text())
-    data["merger"]["floor_02"] = data["merger"]["floor_01"]
-    data["scale_meters_per_coordinate"]["floor_02"] = data["scale_meters_per_coordinate"]["floor_01"]
-    file.write_text(json.dumps(data))
-    tour = read_tour(tmp_path, reach=2.5)
-    assert tour.notes == ("floor 'floor_02' is drawn beside the one before, 5.0 m to the right of its place",)
-    found = np.array([panorama.position for panorama in tour.panoramas])
-    assert np.allclose(found, np.concatenate([truth.places, truth.places + np.array([5, 0])]))
-    made = tour_scene(tour)
-    off = np.tile(truth.middles, 2)[:, None] + made.yaws - made.scene.headings.reshape(8, -1)
-    assert np.allclose((off + 180) % 360 - 180, 0, atol=1e-3)
-    (note,) = [note for note in made.notes if "parts" in note]
-    assert note.startswith(
-        "1 parts without any link to or from the others, of 4 panoramas; their stated headings are used"
     )
 
 

@@ -109,16 +109,6 @@ class Renderer:
             total += np.minimum(seen * self.exposure, 4.0)  # one bright sample must not outshine the other three
         return display(total.reshape(height, width, 3) / len(SAMPLES))
 
-    def plan(self, room: RoomDescription, pixels: int) -> Array:
-        """The room from above without its ceiling, north up, uint8; ``pixels`` is the length of its longer side."""
-        scale = pixels / max(room.size[:2])
-        width, height = (max(1, round(length * scale)) for length in room.size[:2])
-        x, y = np.meshgrid((np.arange(width) + 0.5) / scale, room.size[1] - (np.arange(height) + 0.5) / scale)
-        origins = np.stack([x, y, np.full_like(x, room.size[2] - 0.01)], -1).reshape(-1, 3)
-        down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
-        seen = self.radiance(origins, down, 1 / scale / room.size[2], reflect=False)
-        return display(seen.reshape(height, width, 3) * self.exposure)
-
     def radiance(self, origins: Array, way: Array, spread: float, *, reflect: bool) -> Array:
         """Return the radiance along rays, linear, float32 ``[n, 3]``; black where a ray meets nothing.
 

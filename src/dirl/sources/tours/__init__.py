@@ -1,4 +1,4 @@
-"""Scenes from 360-degree tours: Marzipano, krpano, Pannellum, a folder of panoramas, the Zillow Indoor Dataset."""
+"""Scenes from 360-degree tours: Marzipano, krpano, Pannellum, a folder of panoramas."""
 
 from dirl.sources.tours.read import FORMATS, read_tour
 from dirl.sources.tours.tour import Link, Panorama, Tour

@@ -19,15 +19,14 @@ from dirl.scenes.io.checked import LONGEST, inside
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
 from dirl.sources.tours.tour import (
+    Described,
     FlatError,
     Link,
     Panorama,
-    Tour,
     entries,
     entry,
     number,
     read_json,
-    read_panoramas,
     tour_text,
 )
 
@@ -37,8 +36,8 @@ ASSIGNMENT = re.compile(
 )
 
 
-def read_marzipano(file: Path) -> Tour:
-    """Return the tour that a ``data.js`` describes."""
+def read_marzipano(file: Path) -> Described:
+    """Read the tour that a ``data.js`` describes."""
     text = tour_text(file)
     assigned = ASSIGNMENT.match(text)
     if assigned is None:
@@ -46,8 +45,8 @@ def read_marzipano(file: Path) -> Tour:
     data = read_json(text[assigned.end() :], file)
     scenes = entries(data, "scenes", str(file))
     named = [(entry(scene, "id", str, f"{file}: scene {index}"), scene) for index, scene in enumerate(scenes)]
-    panoramas, unusable = read_panoramas((name, partial(_of_marzipano, name, scene, file)) for name, scene in named)
-    return Tour(str(data.get("name") or file.resolve().parent.name), panoramas, (), str(file), unusable)
+    found = [(name, partial(_of_marzipano, name, scene, file)) for name, scene in named]
+    return str(data.get("name") or file.resolve().parent.name), found, []
 
 
 def _of_marzipano(name: str, scene: Mapping[str, Any], file: Path) -> Panorama:
@@ -95,17 +94,15 @@ MOST_PARSED = 2**28
 """Characters that are tried in all."""
 
 
-def read_pannellum(file: Path) -> Tour:
-    """Return the tour that a configuration describes."""
+def read_pannellum(file: Path) -> Described:
+    """Read the tour that a configuration describes."""
     text = _without_functions(tour_text(file))
     data = read_json(text, file) if text.lstrip().startswith("{") else _within(text, file)
     common = data.get("default")
     common = common if isinstance(common, Mapping) else {}
     scenes = entry(data, "scenes", dict, str(file))
-    panoramas, unusable = read_panoramas(
-        (name, partial(_of_pannellum, name, scene, common, file)) for name, scene in scenes.items()
-    )
-    return Tour(str(common.get("title") or file.resolve().parent.name), panoramas, (), str(file), unusable)
+    found = [(name, partial(_of_pannellum, name, scene, common, file)) for name, scene in scenes.items()]
+    return str(common.get("title") or file.resolve().parent.name), found, []
 
 
 def _without_functions(text: str) -> str:

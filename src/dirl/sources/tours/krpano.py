@@ -7,18 +7,17 @@ Names of scenes are not case-sensitive: MakeVTour itself writes ``name="scene_Ha
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from dirl.scenes.io.checked import LONGEST, inside
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import MOST_LEVELS, Cube, CubeLevel, Equirectangular, six_images, tiled
-from dirl.sources.tours.tour import FlatError, Link, Panorama, Tour, number, read_panoramas, tour_text
+from dirl.sources.tours.tour import Described, FlatError, Link, Panorama, number, tour_text
 
 
-def read_krpano(file: Path) -> Tour:
-    """Return the tour that a ``tour.xml`` describes."""
+def read_krpano(file: Path) -> Described:
+    """Read the tour that a ``tour.xml`` describes."""
     text = tour_text(file)
     if "<!DOCTYPE" in text:  # it can declare entities; refused before anything is expanded
         raise SceneError(f"{file}: has a document type (DOCTYPE), which no tour needs")
@@ -40,12 +39,11 @@ def read_krpano(file: Path) -> Tour:
         if name.lower() in names:
             raise SceneError(f"{file}: two scenes have the name '{name}', in which case does not count")
         names[name.lower()] = name
-    panoramas, unusable = read_panoramas(
-        (scene.get("name", ""), partial(_panorama, scene, file, names)) for scene in scenes
-    )
-    if not any(panorama.heading for panorama in panoramas):  # MakeVTour writes 0.0 where nothing is known
-        panoramas = tuple(replace(panorama, heading=None) for panorama in panoramas)
-    return Tour(file.resolve().parent.name, panoramas, (note,) if unlinked else (), str(file), unusable)
+    if not any(scene.get("heading", "").strip("0.") for scene in scenes):
+        for scene in scenes:  # MakeVTour writes 0.0 where nothing is known
+            scene.set("heading", "")
+    found = [(scene.get("name", ""), partial(_panorama, scene, file, names)) for scene in scenes]
+    return file.resolve().parent.name, found, [note] if unlinked else []
 
 
 def _panorama(scene: ET.Element, file: Path, names: Mapping[str, str]) -> Panorama:

@@ -78,10 +78,7 @@ def tour_scene(
     turn = 360 / headings
     by_links = aligned = align(tour)
     if not any(panorama.links for panorama in tour.panoramas):
-        raise SceneError(
-            f"{tour.origin}: no panorama has a link to another one, so no move is possible; panoramas of ZInD may need "
-            "more reach"
-        )
+        raise SceneError(f"{tour.origin}: no panorama has a link to another one, so no move is possible")
     seen = _compared(tour, by_links) if compare_images else {}
     if seen:
         aligned = align(tour, seen)

@@ -1,6 +1,7 @@
 """Which kind of tour a folder or file holds, and the plainest kind: images with a table of links."""
 
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 
 from dirl.scenes.io.checked import inside
@@ -9,8 +10,7 @@ from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Equirectangular
 from dirl.sources.tours.javascript import SCENES, read_marzipano, read_pannellum
 from dirl.sources.tours.krpano import read_krpano
-from dirl.sources.tours.tour import MOST_TEXT, Link, Panorama, Tour, check_tour, number, tour_text
-from dirl.sources.tours.zind import REACH, read_zind
+from dirl.sources.tours.tour import MOST_TEXT, Described, Link, Panorama, Tour, make_tour, number, tour_text
 
 LINKS, PLACES = "links.csv", "panoramas.csv"
 
@@ -21,8 +21,8 @@ PAGES = (".js", ".html", ".htm")
 """Endings of files that may hold a configuration of Pannellum."""
 
 
-def read_table(file: Path) -> Tour:
-    """Return the tour of a folder of equirectangular images with ``links.csv``, and maybe ``panoramas.csv``.
+def read_table(file: Path) -> Described:
+    """Read the tour of a folder of equirectangular images with ``links.csv``, and maybe ``panoramas.csv``.
 
     | table | column | contents |
     |---|---|---|
@@ -46,33 +46,31 @@ def read_table(file: Path) -> Tour:
             told = {key: number(text, f"{where}: {key}") for key, text in row.items() if key != "image" and text}
             x, z, heading = told.get("x"), told.get("z"), told.get("heading")
             places[row["image"]] = (None if x is None or z is None else (x, z), heading)
-    panoramas = []
-    for name, of_image in sorted(links.items()):
+
+    def panorama(name: str) -> Panorama:
         position, heading = places.get(name, (None, None))
-        image = Equirectangular(inside(folder, name, str(file)))
-        panoramas.append(Panorama(name, image, tuple(of_image), position, heading))
+        return Panorama(name, Equirectangular(inside(folder, name, str(file))), tuple(links[name]), position, heading)
+
     lonely = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.name not in links)
     notes = [f"{len(lonely)} images have no link and are left out, the first: {lonely[0]}"] if lonely else []
-    return Tour(folder.resolve().name, tuple(panoramas), tuple(notes), str(file))
+    return folder.resolve().name, [(name, partial(panorama, name)) for name in sorted(links)], notes
 
 
 FORMATS = {
     "marzipano": (read_marzipano, ("data.js", "app-files/data.js")),
     "krpano": (read_krpano, ("tour.xml",)),
-    "zind": (read_zind, ("zind_data.json",)),
     "table": (read_table, (LINKS,)),
     "pannellum": (read_pannellum, ("*.json",)),
 }
 """What reads each kind of tour, and where its description is in its folder; the first that is there is read."""
 
 
-def read_tour(path: str | Path, *, reach: float = REACH, skip: Collection[str] = ()) -> Tour:
+def read_tour(path: str | Path, *, skip: Collection[str] = ()) -> Tour:
     """Return the tour in a folder, or that a file describes.
 
     Args:
         path: the folder, or the file itself: ``data.js``, ``tour.xml``, a Pannellum configuration (JSON, or JavaScript
-            or a page that holds it), ``links.csv`` or ``zind_data.json``.
-        reach: metres between linked panoramas of the Zillow dataset, whose files have no links.
+            or a page that holds it), or ``links.csv``.
         skip: ids of panoramas that are left out, as those whose files are missing.
 
     Raises:
@@ -86,7 +84,7 @@ def read_tour(path: str | Path, *, reach: float = REACH, skip: Collection[str] =
         wanted = ", ".join(name for _, names in FORMATS.values() for name in names)
         raise SceneError(f"{path}: is no tour; expected one of {wanted}")
     kind, file = found
-    return check_tour(read_zind(file, reach) if kind == "zind" else FORMATS[kind][0](file), skip)
+    return make_tour(FORMATS[kind][0](file), str(file), skip)
 
 
 def _by_name(file: Path) -> tuple[str, Path] | None:

@@ -5,8 +5,8 @@ The functions that look into its files raise `SceneError` where these are not as
 
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,14 +75,12 @@ class Tour:
         panoramas: in the order of the file.
         notes: what was left out and why, a line each.
         origin: the file, named in errors.
-        unusable: why others of its panoramas cannot be read, by id.
     """
 
     name: str
     panoramas: tuple[Panorama, ...]
     notes: tuple[str, ...]
     origin: str
-    unusable: Mapping[str, SceneError] = field(default_factory=dict)
 
     def yaws(self) -> dict[tuple[int, int], float]:
         """Return the yaw of each link, degrees, by the places of its two panoramas in the tour."""
@@ -95,53 +93,57 @@ class FlatError(SceneError):
     """A picture of a tour that shows a part of what is around it: nothing is wrong with it, but it is no panorama."""
 
 
-def read_panoramas(
-    scenes: Iterable[tuple[str, Callable[[], Panorama]]],
-) -> tuple[tuple[Panorama, ...], dict[str, SceneError]]:
-    """Return the panoramas that can be read, and why others cannot, by id; they may be skipped."""
-    panoramas, unusable = [], {}
-    for name, read in scenes:
-        try:
-            panoramas.append(read())
-        except SceneError as error:
-            unusable[name] = error
-    return tuple(panoramas), unusable
+Described = tuple[str, Sequence[tuple[str, Callable[[], Panorama]]], list[str]]
+"""What a file says of a tour: its name; the id of each panorama and what reads it, which may fail; and notes."""
 
 
-def check_tour(tour: Tour, skip: Collection[str]) -> Tour:
-    """Return a tour without some panoramas, if its files exist and its ids differ.
+def make_tour(described: Described, origin: str, skip: Collection[str]) -> Tour:
+    """Return a tour without some panoramas; `SceneError` names those that cannot be read, or whose files are missing.
 
     Flat pictures, and links that lead nowhere, to where they start, or twice to one place are left out, and noted.
     """
-    every = [*(panorama.id for panorama in tour.panoramas), *tour.unusable]
-    found = [panorama for panorama in tour.panoramas if panorama.id not in skip]
+    name, scenes, notes = described
+    every = [one for one, _ in scenes]
     for unknown in sorted(set(skip) - set(every)):
-        check_choice(unknown, every, f"{tour.origin}: skip", "panorama")
-    problems = {name: str(error) for name, error in tour.unusable.items() if name not in skip}
-    flat = [problems.pop(name) for name in [*problems] if isinstance(tour.unusable[name], FlatError)]
+        check_choice(unknown, every, f"{origin}: skip", "panorama")
+    wanted = [(one, read) for one, read in scenes if one not in skip]
+    if len(wanted) > MOST_PANORAMAS:
+        raise SceneError(f"{origin}: {len(wanted)} panoramas; at most {MOST_PANORAMAS} are read")
+    ids = {one for one, _ in wanted}
+    if len(ids) < len(wanted):
+        twice = next(one for one in every if every.count(one) > 1)
+        raise SceneError(f"{origin}: two panoramas have the id '{twice}'")
+    found: list[Panorama] = []
+    flat: list[str] = []
+    problems: dict[str, str] = {}
+    files = 0
+    for one, read in wanted:
+        try:
+            panorama = read()
+        except FlatError:
+            flat.append(one)
+            continue
+        except SceneError as error:
+            problems[one] = str(error)
+            continue
+        files += panorama.image.count
+        if files > MOST_FILES:
+            raise SceneError(f"{origin}: its images are more than {MOST_FILES} files, which are not read")
+        found.append(panorama)
     if not found and not problems:
-        raise SceneError(f"{tour.origin}: names no panoramas" + (" but those to skip, or flat ones" if every else ""))
-    if len(found) > MOST_PANORAMAS:
-        raise SceneError(f"{tour.origin}: {len(found)} panoramas; at most {MOST_PANORAMAS} are read")
-    ids: set[str] = set()
-    for panorama in found:
-        if panorama.id in ids:
-            raise SceneError(f"{tour.origin}: two panoramas have the id '{panorama.id}'")
-        ids.add(panorama.id)
-    if (files := sum(panorama.image.count for panorama in found)) > MOST_FILES:
-        raise SceneError(f"{tour.origin}: its images are {files} files; at most {MOST_FILES} are read")
-    problems |= {panorama.id: why for panorama in found if (why := _why_unreadable(panorama, tour.origin))}
+        raise SceneError(f"{origin}: names no panoramas" + (" but those to skip, or flat ones" if every else ""))
+    problems |= {panorama.id: why for panorama in found if (why := _why_unreadable(panorama, origin))}
     if problems:
-        named = len({panorama.id for panorama in found} | problems.keys())
-        more = f" ({len(problems)} of {named} panoramas cannot be read)" if len(problems) > 1 else ""
-        few = len(problems) <= MOST_SKIPPED and len(problems) < named
+        more = f" ({len(problems)} of {len(ids) - len(flat)} panoramas cannot be read)" if len(problems) > 1 else ""
+        few = len(problems) <= MOST_SKIPPED and len(problems) < len(ids) - len(flat)
         skipping = f"; without these panoramas: 'skip=[{','.join(problems)}]'" if few else ""
         raise SceneError(f"{next(iter(problems.values()))}{more}{skipping}")
+    ids -= set(flat)
     dropped: dict[str, list[str]] = {}
     kept = tuple(replace(panorama, links=tuple(_kept(panorama, ids, dropped))) for panorama in found)
     lines = (f"{len(all_)} links {why} are left out, the first: {all_[0]}" for why, all_ in dropped.items())
     of_flat = [f"{len(flat)} flat pictures are left out, the first: {flat[0]}"] if flat else []
-    return replace(tour, panoramas=kept, notes=(*tour.notes, *of_flat, *lines))
+    return Tour(name, kept, (*notes, *of_flat, *lines), origin)
 
 
 def _why_unreadable(panorama: Panorama, origin: str) -> str:
