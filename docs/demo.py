@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import tarfile
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -392,14 +393,17 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     from dirl.runs.paths import packaged_agent
     from dirl.scenes import load_scenes
     from dirl.scenes.graph import turns_per_circle
-    from dirl.scenes.io.write import replace_features
+    from dirl.scenes.io.write import write_dump
+    from dirl.scenes.views import encoded_view
     from dirl.training.build import load_trained
 
     encoder = load_encoder(ENCODER, patches=True)
     scene = load_scenes(str(file))[0]
     take_photos(name, scene, folder)
     encoded, dump = encode_scene(scene, encoder), folder / f"{name}.encoded.h5"
-    replace_features(file, dump, encoded.features, encoder.attributes, encoded.patches, encoder.patch_attributes)
+    made = replace(scene, features=encoded.features, patches=encoded.patches, along=None, extractor=encoder.extractor)
+    views = (encoded_view(scene.views, state) for state in range(len(scene)))
+    write_dump(dump, made, views, feature_attributes=encoder.attributes, patch_attributes=encoder.patch_attributes)
     origin = str(packaged_agent(AGENT))
     groups = {"recogniser": "ncc", "episodic_memory": "planning"}
     asked = {"scene": str(dump), "goals": goals, "evaluation.max_steps": MAX_STEPS}

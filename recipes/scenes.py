@@ -404,7 +404,7 @@ from dirl.cli.output import check_writable, new_file
 from dirl.config.choices import group_options, load_simulator
 from dirl.config.components import make
 from dirl.config.folders import command as command_of
-from dirl.perception.backbones import ViewEncoder, encode_all, encode_scene, load_encoder
+from dirl.perception.backbones import ViewEncoder, encode_all, load_encoder
 from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_scene_map
@@ -412,10 +412,8 @@ from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
 from dirl.scenes.io.checked import check_choice
 from dirl.scenes.io.icra17 import export_icra17
-from dirl.scenes.io.write import replace_features
 from dirl.scenes.live import Simulator
-from dirl.scenes.views import FileViews, decode
-from dirl.scenes.views import encode as webp
+from dirl.scenes.views import decode, encoded_view
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import draft_table, encoded_photos, read_photos
 from dirl.sources.rooms import build_room
@@ -620,14 +618,9 @@ def encode(options: EncodeOptions) -> None:
     encoder = chosen_encoder(options)
     if encoder is None:
         raise SceneError("encoder=null: encode needs one")
-    features, patches = encode_scene(scene, encoder)
-    if isinstance(scene.views, FileViews):
-        replace_features(scene.views.path, out, features, encoder.attributes, patches, encoder.patch_attributes)
-    else:
-        write_encoded(out, scene, [webp(scene.views[state]) for state in range(len(scene))], encoder)  # type: ignore[index]
-        return
-    of_each = f"{features.shape[1]} features each" + ("" if patches is None else f", patches {patches.shape[1:]}")
-    print(f"{out}: {len(scene)} states, {of_each}\nextractor: {encoder.extractor}")
+    if scene.views is None:
+        raise SceneError(f"{scene.origin}: has no views to encode; their dataset is observation or observation_webp")
+    write_encoded(out, scene, [encoded_view(scene.views, state) for state in range(len(scene))], encoder)
 
 
 def export(options: ExportOptions) -> None:
@@ -645,10 +638,7 @@ def take_over(options: ImportOptions) -> None:
     goals = scene.goals if options.goals is None else tuple(options.goals)
     scene = replace(scene, name=options.name or scene.name, source=options.source or scene.source, goals=goals)
     views = scene.views
-    stored = None
-    if isinstance(views, FileViews):
-        stored = (views.encoded(state) or webp(views[state], quality=None) for state in range(len(scene)))
-    write_dump(out, scene, stored)
+    write_dump(out, scene, None if views is None else (encoded_view(views, state) for state in range(len(scene))))
     print(f"{out}: {len(scene)} states (source: {scene.source}), {out.stat().st_size / 1e6:.1f} MB")
 
 

@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from dirl.agent.mapping.frames import load_frames_map
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.collection import INDEX, read_collection
-from dirl.scenes.io.tensors import read_tensors
+from dirl.scenes.io.bounded import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.rooms import read_description
 from dirl.sources.tours import read_tour

@@ -29,7 +29,7 @@ from counts import table
 from damage import WAYS
 from rooms import grid_scene, published_dump
 
-from dirl.scenes import SceneError, SceneWarning, read_dump, write_dump
+from dirl.scenes import SceneError, read_dump, write_dump
 from dirl.scenes.io import isolation
 from dirl.scenes.views import encode
 
@@ -74,7 +74,6 @@ def outcome(path, good, protected, *, isolated):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            warnings.simplefilter("ignore", SceneWarning)
             found = fingerprint(read_dump(path, isolated=isolated))
     except SceneError as error:
         return LINE if "\n" not in str(error) and str(error).startswith(f"{path}: ") else TRACEBACK

@@ -111,7 +111,7 @@ def reading_in_process():
     from dirl.scenes.io import read
 
     # `patch` fails if there is nothing of that name.
-    return patch.object(read, "call_apart", lambda _, calls: (read.read_contents(**call) for call in calls))
+    return patch.object(read, "read_apart", lambda paths: map(read.read_contents, paths))
 
 
 def no_pictures():

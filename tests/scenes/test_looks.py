@@ -13,7 +13,6 @@ from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import RandomPolicy
 from dirl.scenes import SceneError, make_world, write_dump
-from dirl.scenes.io.write import replace_features
 
 
 @pytest.fixture
@@ -42,15 +41,12 @@ def test_the_view_id_of_a_look_is_the_look_times_the_states_and_the_state(scenes
     assert world.pictures(1).tolist() == [look * 40 + 24 + state for look in range(3) for state in range(16)]
 
 
-def test_looks_are_kept_in_a_dump_guarded_by_its_digest_and_left_behind_by_new_features(scenes, tmp_path):
+def test_looks_are_kept_in_a_dump_guarded_by_its_digest(scenes, tmp_path):
     write_dump(tmp_path / "a.h5", scenes[0])
     read = read_here(tmp_path / "a.h5")
     assert read.looks == 3
     assert np.array_equal(read.look_features, scenes[0].look_features)
     assert np.array_equal(read.look_patches, scenes[0].look_patches)
-    features = np.random.default_rng(0).random((24, 5)).astype(np.float16)
-    replace_features(tmp_path / "a.h5", tmp_path / "b.h5", features, {"extractor": "other"})
-    assert read_here(tmp_path / "b.h5").looks == 1
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file["look_feature"][1, 3, 5] = 0.125
     with pytest.raises(SceneError, match="does not hold what was written"):

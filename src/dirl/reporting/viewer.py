@@ -170,7 +170,7 @@ def file_name(scene: str) -> str:
 def _room(scene: Scene) -> dict[str, Any]:
     """Return the data of a scene that a page needs, apart from its goals."""
     views = scene.views
-    encoded = () if views is None else (encoded_view(views, state) for state in range(len(scene)))
+    encoded = () if views is None else (encoded_view(views, state, 85) for state in range(len(scene)))
     return {
         "scene": scene.name,
         "graph": scene.graph.tolist(),

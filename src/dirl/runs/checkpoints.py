@@ -21,8 +21,7 @@ from dirl.runs.export import read_shared
 from dirl.runs.paths import RunError, find_checkpoint, training_checkpoints
 from dirl.runs.schema import State, check_entries
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes
-from dirl.scenes.io.tensors import unpack_tensors
+from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes, unpack_tensors
 
 SEAL = b"dirl sha256 "
 DIGITS = 64

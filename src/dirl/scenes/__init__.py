@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from dirl.scenes.catalogue import PUBLISHED_GOALS, load_scenes
 from dirl.scenes.graph import ACTIONS, Action, GraphError
-from dirl.scenes.io.read import SceneWarning, read_dump
+from dirl.scenes.io.read import read_dump
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import Views
@@ -19,7 +19,6 @@ __all__ = [
     "GraphError",
     "Scene",
     "SceneError",
-    "SceneWarning",
     "Views",
     "World",
     "load_scenes",

@@ -39,7 +39,7 @@ class Rooms:
 
     def load(self, names: list[str]) -> list[Scene]:
         """Return the scenes of these names or files."""
-        scenes = read_dumps(find_scenes(names, self), stacklevel=4)  # names who called `load_scenes`
+        scenes = read_dumps(find_scenes(names, self))
         return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
 
 

@@ -112,10 +112,10 @@ def check_image(view: NDArray[np.generic], what: str) -> NDArray[np.uint8]:
     return view  # type: ignore[return-value]
 
 
-def encoded_view(views: Views, state: int) -> bytes:
-    """Return the view of a state as the bytes of an image: those of its file, or WebP."""
+def encoded_view(views: Views, state: int, quality: int | None = None) -> bytes:
+    """Return the view of a state as the bytes of an image: those of its file, else WebP, see `encode`."""
     stored = views.encoded(state) if isinstance(views, FileViews) else None
-    return stored or encode(views[state])
+    return stored or encode(views[state], quality)
 
 
 def encode(view: NDArray[np.uint8], quality: int | None = 85, method: int = 6) -> bytes:

@@ -22,7 +22,6 @@ from dirl.perception.backbones.encoder import weights_hash
 from dirl.perception.backbones.patches import coarse
 from dirl.perception.backbones.registry import encode_all, encoded_as
 from dirl.scenes import make_world, read_dump, write_dump
-from dirl.scenes.io.write import replace_features
 from dirl.scenes.views import encode as webp
 
 VIEWS = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (5, 30, 40, 3), np.uint8))
@@ -206,7 +205,7 @@ def test_kept_features_are_used_only_if_they_are_of_this_encoder(tmp_path, monke
     (kept,) = (tmp_path / "dirl").iterdir()
     monkeypatch.setattr(registry, "encode_scene", lambda *_: pytest.fail("is not kept"))
     assert np.array_equal(encoded_as(scene, extractor, patches=False).features, first.features)
-    replace_features(tmp_path / "room.h5", kept, first.features + 1, {"extractor": "another"})
+    write_dump(kept, replace(first, views=None), feature_attributes={"extractor": "another"})
     with pytest.raises(pytest.fail.Exception, match="is not kept"):
         encoded_as(scene, extractor, patches=False)
 

@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from dirl.scenes import SceneError
-from dirl.scenes.io.bounded import MOST_WEIGHTS, read_arrays, read_bytes
+from dirl.scenes.io.bounded import MOST_WEIGHTS, read_arrays, read_bytes, read_tensors
 from dirl.scenes.io.checked import inside
-from dirl.scenes.io.tensors import read_tensors
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/abs/secret.png", "a/../../secret.png", "C:\\secret", "link.png"])

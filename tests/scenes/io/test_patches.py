@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from rooms import grid_scene, read_here
 
-from dirl.scenes import SceneError, read_dump, write_dump
-from dirl.scenes.io.datasets import locate_mapped
-from dirl.scenes.io.write import replace_features
+from dirl.scenes import SceneError, write_dump
+from dirl.scenes.io.hdf5 import read_contents
 
 PATCHES = np.random.default_rng(0).normal(size=(24, 8, 6)).astype(np.float16)
 
@@ -53,17 +52,7 @@ def test_patches_that_the_file_does_not_hold_are_refused(room, monkeypatch):
         cut = os.stat_result((0,) * 6 + (end - 1,) + (0,) * 3)
         monkeypatch.setattr(Path, "stat", lambda *_, **__: cut)
         with pytest.raises(SceneError, match="patches: the file ends before they do"):
-            locate_mapped(file, room, 24)
-
-
-def test_new_features_leave_patches_or_replace_them(room, tmp_path):
-    features = np.eye(24, 3, dtype=np.float32)
-    replace_features(room, tmp_path / "kept.h5", features, {"extractor": "eye"})
-    assert (read_dump(tmp_path / "kept.h5").patches == PATCHES).all()
-    replace_features(room, tmp_path / "new.h5", features, {"extractor": "eye"}, -PATCHES, {"projection": "other"})
-    assert (read_dump(tmp_path / "new.h5").patches == -PATCHES).all()
-    with h5py.File(tmp_path / "new.h5") as file:
-        assert dict(file["patches"].attrs) == {"projection": "other"}
+            read_contents(room)
 
 
 @pytest.mark.parametrize(

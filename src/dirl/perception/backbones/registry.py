@@ -39,7 +39,7 @@ from dirl.perception.backbones.resnet import (
 )
 from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.io.digest import file_digest
-from dirl.scenes.io.write import replace_features
+from dirl.scenes.io.write import write_dump
 from dirl.scenes.views import FileViews
 
 BATCH = 32
@@ -198,7 +198,8 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     try:
         if home.startswith("~"):
             raise SceneError("this user has no home directory; XDG_CACHE_HOME names a folder")
-        replace_features(scene.views.path, kept, features, encoder.attributes, parts, encoder.patch_attributes)
+        made = Scene(scene.name, scene.graph, scene.positions, scene.headings, features, patches=parts)
+        write_dump(kept, made, feature_attributes=encoder.attributes, patch_attributes=encoder.patch_attributes)
     except (SceneError, OSError) as error:
         print(f"not kept: {error}", flush=True)
     return replace(scene, features=features, patches=parts, along=along, extractor=extractor)

@@ -1,5 +1,6 @@
 """Files that somebody else may have written: none is read, unpacked or waited for without a bound."""
 
+import io
 import os
 import stat
 import zipfile
@@ -95,3 +96,31 @@ def _check_header(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
         shape, _, dtype = read_header(member)
         if member.tell() + prod(shape) * dtype.itemsize != entry.file_size:
             raise ValueError(f"{entry.filename} is not as large as its shape {shape}")
+
+
+def read_tensors(file: Path) -> Any:
+    """Return what ``torch.save`` wrote, see `unpack_tensors`; `read_bytes` says what else is raised."""
+    return unpack_tensors(read_bytes(file, MOST_WEIGHTS))
+
+
+def unpack_tensors(data: bytes) -> Any:
+    """Return what is in an archive of ``torch.save``, on the CPU; no code in it runs.
+
+    Raises:
+        ValueError: it would unpack to more than it is: torch does not compress, and a view may repeat an element.
+        Exception: of torch, whatever it is for what it cannot read.
+    """
+    import torch  # here: the process that reads dumps does without it
+
+    archive = io.BytesIO(data)
+    if zipfile.is_zipfile(archive):  # what older versions of torch wrote is none
+        parts = zipfile.ZipFile(archive).infolist()
+        if sum(part.file_size for part in parts) > len(data):
+            raise ValueError("its parts are larger than the file")
+    archive.seek(0)
+    stored = torch.load(archive, map_location="cpu", weights_only=True)
+    values = stored.values() if isinstance(stored, dict) else ()
+    most = max(FREELY_UNPACKED, len(data))
+    if any(isinstance(value, torch.Tensor) and value.nbytes > most for value in values):
+        raise ValueError("a tensor is larger than the file")
+    return stored

@@ -4,6 +4,9 @@ Everything here also runs in a separate process, see `dirl.scenes.io.isolation`,
 not name the file; the caller adds its name.
 """
 
+import math
+import mmap
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,19 +15,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.graph import ACTIONS, GraphError, check_graph, shortest_distances
-from dirl.scenes.io.datasets import (
-    check_storage,
-    locate_mapped,
-    locate_views,
-    open_dataset,
-    open_views,
-    own_dataset,
-    read_attribute,
-    short,
-)
+from dirl.scenes.graph import ACTIONS, IntArray
 from dirl.scenes.io.digest import EXTRACTOR_ATTRIBUTES, blocks, check_digest
 from dirl.scenes.scene import SceneError
+from dirl.scenes.views import MAX_PIXELS, ImageError, decode
 
 # What is larger than these is refused before any of it is read.
 MAX_STATES = 50_000
@@ -34,14 +28,27 @@ MAX_FEATURE_RATIO = 50
 """How much larger than in the file features may be; those of a network hardly compress."""
 MAX_TEXT = 2000
 """Characters of an attribute."""
+MAX_CHUNKS = 200_000
+"""Of a dataset; HDF5 looks up each of them."""
+MAX_CHUNK_BYTES = 2**28
+"""HDF5 unpacks a whole chunk to read any value in it, and a small file can hold a chunk of gigabytes."""
+MAX_FREELY_UNPACKED = 2**26
+"""Bytes; what is more may only be `MAX_RATIO` times larger than it is in the file."""
+MAX_RATIO = 500
+"""gzip packs zeros a thousand times."""
+MAX_ATTRIBUTE_BYTES = 2**20
+MAX_UNPACKED_VIEWS = 2**29
+"""Bytes of raw views that are compressed in the file, for they are held in memory."""
+CHECKSUM_BYTES = 4
+"""Of a Fletcher32 checksum. libhdf5 2.0 reads outside of its memory where a stored chunk is shorter."""
+MAX_VALUES = 2**27
+"""Of a mapped array: a quarter of a gigabyte."""
+AT_A_TIME = 256
+"""Encoded views that are read from a dataset at once."""
+COLLECTIONS = 16
+"""Of values of variable length, to which libhdf5 adds in turn (HDF5 file format, version 3, III.E)."""
 
-MAX_COMPARED = 5_000
-"""Of a scene with more states distances are neither stored nor compared; there are states x states of them."""
-COMPARED_GOALS = 1_000
-"""The stored distances to that many states, evenly spread, are compared."""
-
-UNREACHABLE_FROM = 1000
-"""Stored distances at or above this mean "unreachable" (some copies of the published files hold 1000)."""
+KINDS = {"i": "integer", "u": "unsigned integer", "f": "float", "O": "byte string"}
 
 
 def read_contents(path: str | Path, *, intact: bool = False) -> dict[str, Any]:
@@ -53,7 +60,7 @@ def read_contents(path: str | Path, *, intact: bool = False) -> dict[str, Any]:
 
     Returns:
         Arguments of `dirl.scenes.Scene`, not yet checked, texts empty where the file does not say; where large arrays
-        lie (``mapped``); arguments of `dirl.scenes.Views`, if there are views; and a ``warning``, maybe empty.
+        lie (``mapped``); and arguments of `dirl.scenes.views.FileViews`, if there are views.
     """
     try:
         with h5py.File(path) as file, np.errstate(all="ignore"):
@@ -82,26 +89,23 @@ def extractor_text(attributes: Mapping[str, str]) -> str:
 def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
     missing = [key for key in ("graph", "location", "rotation") if key not in file]
     if missing:
-        raise SceneError(f"the dataset '{missing[0]}' is missing; the file holds {short(sorted(file), str)}")
-    graph = open_dataset(file, "graph", kinds="iu", shape=(None, 4))
+        raise SceneError(f"the dataset '{missing[0]}' is missing; the file holds {_short(sorted(file), str)}")
+    graph = _open_dataset(file, "graph", kinds="iu", shape=(None, 4))
     states = len(graph)
     if states > MAX_STATES:
         raise SceneError(f"graph: {states} states are more than the {MAX_STATES} this package can hold")
-    location = open_dataset(file, "location", kinds="iuf", shape=(states, 2))
-    rotation = open_dataset(file, "rotation", kinds="iuf", shape=(states,))
+    location = _open_dataset(file, "location", kinds="iuf", shape=(states, 2))
+    rotation = _open_dataset(file, "rotation", kinds="iuf", shape=(states,))
     for dataset in (graph, location, rotation):
-        check_storage(dataset)
+        _check_storage(dataset)
     features = _open_features(file, states)
-    views = open_views(file, states)
-    mapped = locate_mapped(file, path, states)
-    distances = None
-    if "shortest_path_distance" in file:
-        distances = open_dataset(file, "shortest_path_distance", kinds="iuf", shape=(states, states))
-        if states <= MAX_COMPARED:
-            check_storage(distances)
+    views = _open_views(file, states)
+    mapped = _locate_mapped(file, path, states)
+    if "shortest_path_distance" in file:  # never used, but the digest is over it
+        _check_storage(_open_dataset(file, "shortest_path_distance", kinds="iuf", shape=(states, states)))
     verified = intact or check_digest(file)
     contents = {
-        "graph": _in_our_order(graph[:], read_attribute(file, "actions")),
+        "graph": _in_our_order(graph[:], _read_attribute(file, "actions")),
         "positions": location[:],
         "headings": rotation[:],
         "features": None if features is None else _read_features(features, path, mapped=intact),
@@ -110,23 +114,20 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
         else extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown",
         "name": _text_attribute(file, "name"),
         "source": _text_attribute(file, "source"),
-        "goals": _goals(read_attribute(file, "goals"), states),
+        "goals": _goals(_read_attribute(file, "goals"), states),
         "mapped": mapped,
-        "warning": "",
-        **({} if views is None else locate_views(views, path, decoded=verified)),
+        **({} if views is None else _locate_views(views, path, decoded=verified)),
     }
     _check_differences(contents["headings"], contents["features"])
-    if distances is not None and states <= MAX_COMPARED and not verified:
-        contents["warning"] = _compare_distances(contents["graph"], distances)
     return contents
 
 
 def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
     if "resnet_feature" not in file:
         return None
-    crops = len(own_dataset(file, "resnet_feature").shape or ()) == 3
+    crops = len(_own_dataset(file, "resnet_feature").shape or ()) == 3
     shape = (states, None, None) if crops else (states, None)
-    dataset = open_dataset(file, "resnet_feature", kinds="f", shape=shape)
+    dataset = _open_dataset(file, "resnet_feature", kinds="f", shape=shape)
     if crops and dataset.shape[1] > dataset.shape[2]:
         raise SceneError(
             f"resnet_feature: {dataset.shape[1]} crops of {dataset.shape[2]} features; expected shape (states, crops, "
@@ -137,7 +138,7 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
             f"resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "
             f"found shape {dataset.shape}"
         )
-    check_storage(dataset, max_ratio=MAX_FEATURE_RATIO)
+    _check_storage(dataset, max_ratio=MAX_FEATURE_RATIO)
     return dataset
 
 
@@ -172,7 +173,7 @@ def _goals(declared: Any, states: int) -> list[int]:
     if goals.size == 0:
         return []
     if goals.dtype.kind not in "iu" or goals.ndim > 1:
-        raise SceneError(f"attribute 'goals': expected a list of states (integers), found {short(declared)}")
+        raise SceneError(f"attribute 'goals': expected a list of states (integers), found {_short(declared)}")
     named = np.atleast_1d(goals)
     if len(named) > states:
         raise SceneError(f"attribute 'goals': names {len(named)} goals of {states} states")
@@ -189,42 +190,20 @@ def _in_our_order(graph: NDArray[Any], declared: Any) -> NDArray[Any]:
     if sorted(actions) != sorted(ACTIONS):
         raise SceneError(
             f"attribute 'actions': expected {list(ACTIONS)} in the order of graph's columns, found "
-            f"{short(actions) if len(actions) > 5 else actions}"
+            f"{_short(actions) if len(actions) > 5 else actions}"
         )
     return graph[:, [actions.index(action) for action in ACTIONS]]
 
 
-def _compare_distances(graph: NDArray[Any], dataset: h5py.Dataset) -> str:
-    """Return the problem with the stored distances; empty if there is none, or if the graph itself is invalid."""
-    links = graph.astype(np.int64)
-    try:
-        check_graph(links)
-    except GraphError:
-        return ""
-    goals = np.unique(np.linspace(0, len(links) - 1, COMPARED_GOALS).astype(np.int64))
-    distances = shortest_distances(links, goals)
-    stored = np.concatenate([dataset[rows][:, goals] for rows in blocks(dataset)])
-    unreachable = ~np.isfinite(stored) | (stored < 0) | (stored >= UNREACHABLE_FROM)
-    wrong = np.argwhere(np.where(unreachable, -1.0, stored) != distances)
-    if not len(wrong):
-        return ""
-    state, column = wrong[0]
-    return (
-        f"shortest_path_distance: {len(wrong)} entries disagree with the graph, first from state {state} to "
-        f"{goals[column]}: stored {-1 if unreachable[state, column] else stored[state, column]:g}, by search "
-        f"{distances[state, column]} (-1 = unreachable); the searched distances are used"
-    )
-
-
 def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
     """Return a text, empty if there is none."""
-    value = read_attribute(holder, name)
+    value = _read_attribute(holder, name)
     try:
         text = "" if value is None else _text(value)
     except ValueError:
-        raise SceneError(f"attribute '{name}': expected text, found {short(value)}") from None
+        raise SceneError(f"attribute '{name}': expected text, found {_short(value)}") from None
     if not text.isprintable() or len(text) > MAX_TEXT:
-        raise SceneError(f"attribute '{name}': expected one line of text, found {short(text)}")
+        raise SceneError(f"attribute '{name}': expected one line of text, found {_short(text)}")
     return text
 
 
@@ -234,3 +213,197 @@ def _text(value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{value!r} is no text")
     return str(value)
+
+
+def _open_dataset(file: h5py.File, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
+    """Return a dataset whose place, type and shape are as expected; its values are not read."""
+    dataset = _own_dataset(file, name)
+    if dataset.dtype.kind not in kinds:
+        wanted = " or ".join(KINDS[kind] for kind in kinds)
+        raise SceneError(f"{name}: expected {wanted} values, found {_short(dataset.dtype, str)}")
+    found = dataset.shape or ()
+    if len(found) != len(shape) or any(w not in (None, f) for w, f in zip(shape, found, strict=True)):
+        wanted = ", ".join("any" if size is None else str(size) for size in shape)
+        raise SceneError(f"{name}: expected shape ({wanted}), found {found}")
+    return dataset
+
+
+def _own_dataset(file: h5py.File, name: str) -> h5py.Dataset:
+    """Return a dataset of the file itself; its values are not read."""
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise SceneError(f"{name}: is a link to elsewhere; a dump must hold its own data")
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset):
+        raise SceneError(f"{name}: is a {type(dataset).__name__.lower()}; expected a dataset")
+    if dataset.is_virtual or dataset.external:
+        raise SceneError(f"{name}: its data lies in other files; a dump must hold its own data")
+    return dataset
+
+
+def _check_storage(dataset: h5py.Dataset, *, max_ratio: int = MAX_RATIO) -> None:
+    """Check that all of a dataset's values have been written, in pieces that HDF5 can unpack.
+
+    Args:
+        dataset: of any shape.
+        max_ratio: how much larger than in the file its values may be, where they are many.
+    """
+    name, packed = dataset.name.removeprefix("/"), dataset.id.get_storage_size()
+    complete = _check_chunks(dataset, name) if dataset.chunks else bool(packed) or not dataset.size
+    if not complete:
+        raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
+    if dataset.nbytes > max(MAX_FREELY_UNPACKED, max_ratio * packed):
+        raise SceneError(f"{name}: {packed} bytes would unpack to {dataset.nbytes}; no such data compresses as well")
+
+
+def _check_chunks(dataset: h5py.Dataset, name: str) -> bool:
+    """Check the chunks of a dataset, and the filters that they go through; whether all have been written."""
+    size = math.prod(dataset.chunks) * dataset.dtype.itemsize
+    if size > MAX_CHUNK_BYTES:
+        raise SceneError(
+            f"{name}: is stored in chunks of {dataset.chunks}, {size} bytes each; at most {MAX_CHUNK_BYTES}"
+        )
+    count = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
+    if count > MAX_CHUNKS:
+        raise SceneError(f"{name}: is stored in {count} chunks; at most {MAX_CHUNKS}")
+    layout = dataset.id.get_create_plist()
+    filters = [layout.get_filter(index)[0] for index in range(layout.get_nfilters())]
+    for code in filters:
+        if not h5py.h5z.filter_avail(code):
+            raise SceneError(
+                f"{name}: is compressed in a way that is not installed here (HDF5 filter {code}); store it with gzip, "
+                "or install the filter"
+            )
+    stored: list[int] = []
+    if dataset.id.get_num_chunks():
+        dataset.id.chunk_iter(lambda chunk: stored.append(chunk.size))
+    shortest = CHECKSUM_BYTES + 1 if h5py.h5z.FILTER_FLETCHER32 in filters else 1 if filters else size
+    if min(stored, default=shortest) < shortest:
+        raise SceneError(f"{name}: a chunk takes {min(stored)} bytes in the file; expected at least {shortest}")
+    return len(stored) >= count
+
+
+def _read_attribute(holder: h5py.File | h5py.Dataset, name: str) -> Any:
+    """Return the value of an attribute of a plausible size; None if there is none."""
+    if name not in holder.attrs:
+        return None
+    stored = holder.attrs.get_id(name)
+    size = math.prod(stored.shape or ()) * stored.get_type().get_size()
+    if size > MAX_ATTRIBUTE_BYTES:
+        raise SceneError(f"attribute '{name}': takes {size} bytes; at most {MAX_ATTRIBUTE_BYTES}")
+    return holder.attrs[name]
+
+
+def _short(value: Any, show: Any = repr) -> str:
+    """Return a value of a file for a message, on one line, as Python's own type where it is NumPy's."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    text = " ".join(show(value).split())
+    return text if len(text) <= 60 else f"{text[:60]}..."
+
+
+def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[int, list[int]]]:
+    """Offset and shape of patches, of features and patches of further looks, and along arrows, as `Scene` names them.
+
+    They are float16 and in one piece, so that those of many scenes can be memory-mapped.
+    """
+    stored: dict[str, tuple[str, tuple[int | None, ...]]] = {
+        "patches": ("patches", (states, None, None)),
+        "look_features": ("look_feature", (None, states, None)),
+        "look_patches": ("look_patches", (None, states, None, None)),
+        "along": ("along_feature", (states, None)),
+    }
+    found = {array: _locate(file, path, name, shape) for array, (name, shape) in stored.items() if name in file}
+    if "look_patches" in found and "look_features" not in found:
+        raise SceneError("look_patches: there is no look_feature; looks have features, and patches if the file has any")
+    return found
+
+
+def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...]) -> tuple[int, list[int]]:
+    dataset = _open_dataset(file, name, kinds="f", shape=shape)
+    if dataset.dtype != np.float16 or 0 in dataset.shape or dataset.size > MAX_VALUES:
+        raise SceneError(
+            f"{name}: expected float16 values, at most {MAX_VALUES} of them, found {dataset.dtype} {dataset.shape}"
+        )
+    _check_storage(dataset)
+    offset: int | None = dataset.id.get_offset()
+    if offset is None:
+        raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
+    if offset + dataset.nbytes > path.stat().st_size:
+        raise SceneError(f"{name}: the file ends before they do; it is damaged")
+    return offset, list(dataset.shape)
+
+
+def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
+    """Return the checked dataset of views, encoded or raw; None if there is none."""
+    if "observation_webp" in file:
+        dataset = _open_dataset(file, "observation_webp", kinds="O", shape=(states,))
+        if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
+            raise SceneError("observation_webp: expected byte strings (variable-length uint8)")
+        _check_storage(dataset)
+        return dataset
+    if "observation" not in file:
+        return None
+    dataset = _open_dataset(file, "observation", kinds="u", shape=(states, None, None, 3))
+    if dataset.dtype != np.uint8:
+        raise SceneError(f"observation: expected uint8 pixels, found {dataset.dtype}")
+    if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
+        raise SceneError(f"observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}")
+    _check_storage(dataset)
+    if dataset.chunks is not None and dataset.nbytes > MAX_UNPACKED_VIEWS:
+        raise SceneError(
+            f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "
+            "stored in one piece (h5repack -l observation:CONTI)"
+        )
+    return dataset
+
+
+def _locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> dict[str, Any]:
+    """Return the arguments of `dirl.scenes.views.Views`, with ``view_`` before their names; each view is decoded once.
+
+    ``decoded`` says that it is known that they can be.
+    """
+    name = dataset.name.removeprefix("/")
+    if dataset.dtype.kind == "O":
+        return {"view_dataset": name, "view_spans": _find_values(dataset, path, decoded=decoded)}
+    start, size = dataset.id.get_offset(), dataset.nbytes // len(dataset)
+    unpacked: NDArray[np.uint8] | None = None
+    if start is None:  # in chunks
+        start, unpacked = 0, dataset[:]
+    spans = np.stack([start + size * np.arange(len(dataset)), np.full(len(dataset), size)], 1)
+    return {"view_dataset": name, "view_spans": spans, "view_shape": dataset.shape[1:3], "view_unpacked": unpacked}
+
+
+def _find_values(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> IntArray:
+    """Return the first byte and the length in the file of each encoded view, int64 ``[N, 2]``.
+
+    libhdf5 does not tell where it finds them: each is looked for where it writes the next value of a collection, then
+    behind all, then everywhere.
+    """
+    name, spans = dataset.name.removeprefix("/"), np.zeros((len(dataset), 2), np.int64)
+    expected: deque[int] = deque([0], maxlen=COLLECTIONS)
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        for first in range(0, len(dataset), AT_A_TIME):
+            for state, values in enumerate(dataset[first : first + AT_A_TIME], first):
+                value = values.tobytes()
+                start = next((at for at in expected if content[at : at + len(value)] == value), -1)
+                if start >= 0:
+                    expected.remove(start)
+                else:
+                    start = content.find(value, max(expected))
+                if start < 0:
+                    start = content.find(value)
+                if start < 0:
+                    raise SceneError(f"{name}: state {state}: is not stored in one piece")
+                if not decoded:
+                    check_view(value, f"{name}: state {state}:")
+                spans[state] = start, len(value)
+                expected.appendleft(start + (len(value) + 7) // 8 * 8 + 16)
+    return spans
+
+
+def check_view(data: bytes, where: str) -> None:
+    """Raise `SceneError` unless an encoded view can be decoded."""
+    try:
+        decode(data)
+    except ImageError as error:
+        raise SceneError(f"{where} not a readable image ({error})") from None

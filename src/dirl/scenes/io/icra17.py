@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from dirl.scenes.io.hdf5 import MAX_COMPARED
-from dirl.scenes.io.write import whole_file
+from dirl.scenes.io.write import MOST_WITH_DISTANCES, whole_file
 from dirl.scenes.scene import Scene, SceneError, check_name
 
 CROPS = 10
@@ -32,10 +31,10 @@ def export_icra17(scene: Scene, path: str | Path) -> None:
         raise SceneError(f"{scene.origin}: has no views (observation), which the layout icra17 requires")
     if scene.features is None:
         raise SceneError(f"{scene.origin}: has no features (resnet_feature); encode its views first")
-    if len(scene) > MAX_COMPARED:
+    if len(scene) > MOST_WITH_DISTANCES:
         raise SceneError(
             f"{scene.origin}: {len(scene)} states; the layout icra17 holds the distances of all pairs, which is "
-            f"sensible up to {MAX_COMPARED}"
+            f"sensible up to {MOST_WITH_DISTANCES}"
         )
     headings = scene.headings.round().astype(np.int64)
     between = np.flatnonzero(headings != scene.headings)

@@ -8,7 +8,6 @@ without torch. This is no protection against a file that was made to take over t
 import json
 import math
 import os
-import pkgutil
 import signal
 import subprocess
 import sys
@@ -32,19 +31,15 @@ PATIENCE = 20
 PROGRAM = Path(__file__)
 
 
-def call_apart(function: str, calls: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Yield what a function of dirl returns for each of its calls, all of them made in one separate process.
-
-    Args:
-        function: such as ``dirl.scenes.io.hdf5:read_contents``; it returns arrays and what JSON can hold, by name.
-        calls: its arguments by name, which JSON can hold; ``path`` is the dump.
+def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
+    """Yield what `dirl.scenes.io.hdf5.read_contents` returns for each dump, all of them read in one separate process.
 
     Raises:
-        SceneError: of the function, or because it did not return. The message does not name the dump.
+        SceneError: of that function, or because it did not return. The message does not name the dump.
     """
-    seconds = [SECONDS + SECONDS_A_MEGABYTE * Path(call["path"]).stat().st_size / 1e6 for call in calls]
+    seconds = [SECONDS + SECONDS_A_MEGABYTE * path.stat().st_size / 1e6 for path in paths]
     with TemporaryDirectory() as folder:
-        request = {"function": function, "calls": calls, "folder": os.path.abspath(folder)}
+        request = {"paths": [str(path) for path in paths], "folder": os.path.abspath(folder)}
         status = _run({**request, "seconds": seconds, "memory": MEMORY})
         for number, limit in enumerate(seconds):
             answer = Path(folder) / f"{number}.npz"
@@ -95,12 +90,14 @@ def _ended(status: int, seconds: float) -> str:
 
 def main() -> None:
     """In the separate process: write an ``.npz`` for each call, whole or not at all."""
+    from dirl.scenes.io.hdf5 import read_contents
+
     request = json.load(sys.stdin)
     _limit("RLIMIT_AS", request["memory"])
-    for number, (call, seconds) in enumerate(zip(request["calls"], request["seconds"], strict=True)):
+    for number, (path, seconds) in enumerate(zip(request["paths"], request["seconds"], strict=True)):
         _limit("RLIMIT_CPU", seconds + sum(os.times()[:2]))
         try:
-            answer = pkgutil.resolve_name(request["function"])(**call)
+            answer = read_contents(path)
         except (SceneError, OSError, MemoryError) as error:
             answer = {"error": str(error) if isinstance(error, SceneError) else f"{type(error).__name__}: {error}"}
         arrays: dict[str, Any] = {name: value for name, value in answer.items() if isinstance(value, np.ndarray)}

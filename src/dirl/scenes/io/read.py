@@ -10,7 +10,7 @@
 | ``look_feature`` | float16 ``[K, N, D]`` | features of K further looks of each state (our files); contiguous |
 | ``look_patches`` | float16 ``[K, N, cells, channels]`` | their patches; contiguous |
 | ``along_feature`` | float16 ``[N, D]`` | features along each state's arrow (our tours); contiguous |
-| ``shortest_path_distance`` | number ``[N, N]`` | only compared: distances are always recomputed |
+| ``shortest_path_distance`` | number ``[N, N]`` | ignored: distances are always recomputed |
 | ``observation`` | uint8 ``[N, H, W, 3]`` | raw views (published files) |
 | ``observation_webp`` | N byte strings | encoded views (our files): WebP, PNG or JPEG |
 
@@ -23,7 +23,6 @@ it is refused.
 
 import hashlib
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +32,7 @@ import numpy as np
 
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.hdf5 import read_contents
-from dirl.scenes.io.isolation import call_apart
+from dirl.scenes.io.isolation import read_apart
 from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.scenes.views import FileViews
 
@@ -42,10 +41,6 @@ ROOMS = Path(__file__).parents[1] / "data"
 
 SUMS = "9a70f98597b4e964880ff6ac12210c4a228949e0dbc630e089535eba6dd04a46"
 """The SHA-256 of ``SHA256SUMS``, the list of their hashes."""
-
-
-class SceneWarning(UserWarning):
-    """A dump that can be used but has a peculiarity that the user should know."""
 
 
 @dataclass(frozen=True)
@@ -73,34 +68,24 @@ def read_dump(path: str | Path, *, name: str | None = None, source: str | None =
     Raises:
         SceneError: the file is missing, damaged or invalid. The message names the file,
             the dataset, and the first offending state.
-
-    Warns:
-        SceneWarning: the stored distances disagree with the graph.
     """
     return read_dumps([Dump(Path(path), name, source)], isolated=isolated)[0]
 
 
-def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True, stacklevel: int = 3) -> list[Scene]:
-    """Read several scenes, see `read_dump`; one process serves all that are to be isolated.
-
-    ``stacklevel`` says whose call a warning names, as of ``warnings.warn``.
-    """
+def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
+    """Read several scenes, see `read_dump`; one process serves all that are to be isolated."""
     for dump in dumps:
         if not dump.path.is_file():
             raise SceneError(f"{dump.path}: there is no such file")
     intact = [_is_intact(dump) for dump in dumps]
     unknown = [dump.path.absolute() for dump, known in zip(dumps, intact, strict=True) if not known]
-    calls = [{"path": str(path)} for path in unknown]
-    reading = "dirl.scenes.io.hdf5:read_contents"
-    apart = call_apart(reading, calls) if isolated and unknown else map(read_contents, unknown)
+    apart = read_apart(unknown) if isolated and unknown else map(read_contents, unknown)
     scenes = []
     for dump, known in zip(dumps, intact, strict=True):
         try:
             contents = read_contents(dump.path, intact=True) if known else next(apart)
         except SceneError as error:
             raise SceneError(f"{dump.path}: {error}") from None
-        if warning := contents.pop("warning"):
-            warnings.warn(f"{dump.path}: {warning}", SceneWarning, stacklevel=stacklevel)
         scenes.append(_scene(dump, contents, intact=known))
     return scenes
 
