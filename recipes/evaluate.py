@@ -103,7 +103,7 @@ class Options:
         None,
     )
     episodic_memory: str | None = option(
-        "none | counts: what was done is less likely to be done again | planning: a path to the best exit not tried | "
+        "none | planning: a path to the best exit not tried | "
         "localising: a filter over places that change, with recogniser=learned | a YAML file",
         None,
     )

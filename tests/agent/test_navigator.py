@@ -23,7 +23,7 @@ from dirl.agent.onnx import export_onnx
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory, recurrent_keys
+from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.perception.backbones import ResNet50
 from dirl.perception.recognition import NCC, Learned, Thresholds
 from dirl.perception.recognition.matching import TemplateStop
@@ -116,7 +116,7 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observatio
 @pytest.mark.parametrize(
     ("goal_view", "options", "memory"),
     [
-        ("surrounding", ["episodic_memory=counts", "episodic_memory.penalty=1"], EpisodicMemory(penalty=1.0)),
+        ("surrounding", ["episodic_memory=planning", "episodic_memory.repeated=1"], PlanningMemory(repeated=1.0)),
         ("front", ["episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3)),
     ],
 )
@@ -268,7 +268,7 @@ def test_a_photo_stops_above_its_own_threshold(run, world, monkeypatch):
 
 
 def test_that_nothing_is_recognised_for_long_is_said_once_a_walk(run, world, capsys):
-    navigator = load(run, world, episodic_memory="counts")
+    navigator = load(run, world, episodic_memory="planning")
     strange = iter(torch.randn(400, 16, generator=torch.Generator().manual_seed(0)))
     for walk in range(1, 3):
         navigator.encoder = look_up(world)
@@ -589,7 +589,7 @@ def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp
 
 
 def test_threads_that_share_a_navigator_take_turns(run, world):
-    navigator, goal = load(run, world, episodic_memory="counts"), world.goals[0]
+    navigator, goal = load(run, world, episodic_memory="planning"), world.goals[0]
     navigator.reset(images_of(world.surrounding[goal]))
     seen = images_of(world.surrounding[0])
     with ThreadPoolExecutor(4) as threads:

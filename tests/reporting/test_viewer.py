@@ -208,7 +208,7 @@ def walked(tab):
         (["imitation.fraction=1"], 4, True, {"Stopped"}),
         (["stop.threshold=0.02"], 4, False, {"Stopped", "False", "Failed:"}),
         (["stop.evaluation=goal"], 4, False, {"Stopped", "Failed:"}),
-        (["goal_view=front", "episodic_memory=counts"], 4, False, {"Stopped", "Failed:"}),
+        (["goal_view=front", "episodic_memory=planning"], 4, False, {"Stopped"}),
         (["episodic_memory=planning"], 12, False, {"Stopped", "Failed:"}),
     ],
     ids=["trained", "false stops", "stopped by the environment", "one photo and a memory", "a plan, turns of 30"],
@@ -241,7 +241,7 @@ def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page,
 
 
 def test_a_photo_and_a_memory_are_told_and_the_memory_can_be_left_out(tmp_path, open_page):
-    room = small_room(tmp_path, "goal_view=front", "episodic_memory=counts", "episodic_memory.blocked=1")
+    room = small_room(tmp_path, "goal_view=front", "episodic_memory=planning")
     tab = open_page(room)
     assert tab.locator("#goal-views figure").count() == 1
     assert "one photo" in tab.inner_text("#goal-title")

@@ -125,9 +125,7 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
 
 
 def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path):
-    with pytest.raises(
-        ConfigError, match=r"^episodic_memory: PlanningMemory asks .*choose episodic_memory=counts or none$"
-    ):
+    with pytest.raises(ConfigError, match=r"^episodic_memory: PlanningMemory asks .*use episodic_memory=none$"):
         make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=planning", "memory=gru", *SMALL)
 
 

@@ -16,11 +16,11 @@ from torch import Tensor
 from dirl.agent.mapping.places import PlaceMap
 from dirl.agent.mapping.policy import Guide
 from dirl.envs.transforms import VIEWS
-from dirl.models import EpisodicMemory, LocalisingMemory, PlanningMemory
+from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, BACK
 
-Memory = EpisodicMemory | PlanningMemory | LocalisingMemory
+Memory = PlanningMemory | LocalisingMemory
 
 NEVER = -20.0
 """Logit of a move that is not possible."""
@@ -123,7 +123,7 @@ class Remembering(Agent):
         self.memory = memory
         self.seen: Tensor | None = None
         self.past: Any = None
-        """What the memory says of all visits: a `Trace`, `Walked` or `Places`; None before the first."""
+        """What the memory says of all visits: `Walked` or `Places`; None before the first."""
         self.total: Tensor | None = None
         """Where agents see arrows, the sum of the pooled features of the places seen so far, float32 ``[B, D]``."""
         self.places: Tensor | None = None
@@ -173,22 +173,6 @@ class Remembering(Agent):
         self.action, self.seen, self.past = self.action[chosen], self.seen[chosen], self.past.select(chosen)
         if self.total is not None and self.places is not None:
             self.total, self.places = self.total[chosen], self.places[chosen]
-
-
-class Counting(Remembering):
-    """Agents with an `EpisodicMemory`, which lowers the logits of actions that were taken before."""
-
-    def logits(self, now: Observed) -> Tensor:
-        """Those of the policy, lowered for what was done where everything looked as it does now."""
-        alike = self.remember(now)[..., 0] > self.memory.threshold
-        agents, visits = alike.shape
-        if not visits:
-            self.past = self.memory.begin(agents, alike.device)
-        else:
-            place = torch.full((agents,), visits, device=alike.device)
-            self.past = self.memory.record(self.past, place - 1, self.action, place, ~alike[:, -1])
-        here = torch.cat([alike, alike.new_ones(agents, 1)], 1)
-        return self.memory.adjust(now.logits(), self.past, here.gather(1, self.past.place))
 
 
 class Planning(Remembering):
@@ -250,7 +234,7 @@ def make_agent(
         return Localising(memory, int(turns[0]), known, guide)
     if isinstance(memory, PlanningMemory):
         return Planning(memory, turns, guide)
-    return Agent(guide) if memory is None else Counting(memory, guide=guide)
+    return Agent(guide)
 
 
 def likeness(views: Tensor, goal: Tensor, mean: Tensor, along: Tensor | None = None) -> Tensor:

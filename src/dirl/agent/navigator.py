@@ -147,7 +147,7 @@ class Navigator:
                 unless this argument confirms that they mean the same.
             scene: whose layers are used. Optional if there is only one scene or the layers are shared.
             recogniser: as in ``evaluate.py``: ``ncc``, ``learned`` or a YAML file; that of the checkpoint if left out.
-            episodic_memory: likewise: ``none``, ``counts``, ``planning``, ``localising`` or a YAML file.
+            episodic_memory: likewise: ``none``, ``planning``, ``localising`` or a YAML file.
             turns: right turns of the robot in a full circle; a memory that plans needs to know.
             device: ``cpu`` or ``cuda``.
             trust: packages besides dirl whose classes the checkpoint's configuration may name.

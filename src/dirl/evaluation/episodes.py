@@ -109,7 +109,7 @@ class EvaluationProtocol:
     seed: int = 0
     """Of sampled actions."""
     memory: Memory | None = None
-    """Changes the policies' logits by what was done in the episode, see `EpisodicMemory` and `PlanningMemory`."""
+    """Changes the policies' logits by what was done in the episode, see `dirl.models.PlanningMemory`."""
     scores: VisitScores | None = None
     """By which the memory knows places; None = correlation."""
     maps: Sequence[PlaceMap] | None = None

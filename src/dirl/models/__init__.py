@@ -1,7 +1,6 @@
 """The network: encoder, optional memory, and heads."""
 
 from dirl.models.comparing import ComparingEncoder
-from dirl.models.episodic import EpisodicMemory, Trace
 from dirl.models.features import FeatureTable, ObservationTable, feature_statistics, whitening
 from dirl.models.localising import LocalisingMemory
 from dirl.models.planning import PlanningMemory, Walked
@@ -24,14 +23,12 @@ __all__ = [
     "ActorCritic",
     "ActorCriticHeads",
     "ComparingEncoder",
-    "EpisodicMemory",
     "FeatureTable",
     "KeyedModule",
     "LocalisingMemory",
     "ObservationTable",
     "PlanningMemory",
     "SiameseEncoder",
-    "Trace",
     "Walked",
     "caching",
     "count_parameters",

@@ -10,7 +10,6 @@ from torch import Tensor, nn
 
 from dirl.config.bounds import Bounds
 from dirl.envs.transforms import VIEWS
-from dirl.models.episodic import OPPOSITE
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 
@@ -19,6 +18,9 @@ SURE = 10.0
 
 LAST = 1e4
 """Added to what is only tried where nothing else is left; more than any path costs."""
+
+OPPOSITE = (3, 2, 1, 0)
+"""Of ahead, right, left and back the action that undoes it."""
 
 
 @dataclass
@@ -79,9 +81,8 @@ class PlanningMemory(nn.Module):
     three. In a panorama the views of all headings are seen at once, and each turn leads to the next. Moves count in
     both directions.
 
-    `EpisodicMemory` lowers logits where the agent stands, and knows nothing of other places. Both are used in
-    evaluation, in the viewer and in a `dirl.Navigator`, but not in training. The policy must depend on the
-    present state alone.
+    It is used in evaluation, in the viewer and in a `dirl.Navigator`, but not in training. The policy must depend on
+    the present state alone.
 
     Args:
         repeated: cost of a move whose outcome is known, in nats.

@@ -18,7 +18,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
+from dirl.models import LocalisingMemory, recurrent_keys
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import described_visits
 from dirl.scenes import ACTIONS, Scene, World
@@ -155,10 +155,8 @@ def _facts(title: str, protocol: EvaluationProtocol, led: bool, last_steps: int)
         leader += rest if last_steps else " to the goal; the greedy policy decides only where it knows no path"
     stop = "stopped by the environment, exactly at the goal" if protocol.stop is None else "template matching"
     memory = ""
-    if isinstance(protocol.memory, PlanningMemory):
+    if protocol.memory is not None:
         memory = " Episodic memory: a plan to the best exit that was not tried in this episode."
-    elif protocol.memory is not None:
-        memory = " Episodic memory: what was done in this episode where it looked as it does now is less likely."
     return f"{title}. {leader}; stopped by {stop}.{memory}"
 
 

@@ -301,7 +301,7 @@ def build_protocol(
     if isinstance(memory, PlanningMemory | LocalisingMemory) and (observation.history or config.memory[TARGET]):
         raise ConfigError(
             f"episodic_memory: {type(memory).__name__} asks the policy what it would do facing the other views; with "
-            "observation=sequential or a memory it depends on earlier steps too: choose episodic_memory=counts or none"
+            "observation=sequential or a memory it depends on earlier steps too: use episodic_memory=none"
         )
     if options.goals is not None:  # so many of each scene, sampled with the seed
         generator = torch.Generator().manual_seed(config.seed)
