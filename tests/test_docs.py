@@ -89,7 +89,7 @@ NOT_RUN = {
     "gpu.md": ["needs CUDA"] * 5,
     "gymnasium.md": ["needs MoviePy, which holds Pillow below 12"],
     "install.md": ["makes an environment of its own"],
-    "loggers.md": ["tensorboard is a server that does not end", "needs an account"],
+    "loggers.md": ["needs an account"],
     "make_scenes.md": ["needs AI2-THOR's build", "downloads a model", "takes half an hour"],
     "paper.md": ["takes an hour and a half"],
     "recordings.md": [

@@ -1,7 +1,6 @@
-"""What a run logs elsewhere, without the services: files of an offline run, and of TensorBoard."""
+"""What a run logs elsewhere, without the services: the files of an offline run."""
 
 import math
-import sys
 
 import pytest
 from commands import train_config, wait_until
@@ -9,7 +8,7 @@ from PIL import Image
 
 from dirl.config.saved import config_text
 from dirl.config.schemas import ConfigError
-from dirl.runs.loggers import check_logger, make_logger
+from dirl.runs.loggers import WandbLogger
 
 SUMMARY = {"frames": 600, "scene": "bathroom_02", "greedy": {"spl": 0.25, "atl": math.nan}}
 
@@ -29,29 +28,20 @@ def folder(tmp_path, monkeypatch):
     return run
 
 
-def log_a_run(folder, *options, frames=0):
+def log_a_run(folder, *options):
     config = train_config("scene=bathroom_02", *options)
     (folder / "config.yaml").write_text(config_text(config))
-    logger = make_logger(config, folder, frames)
+    logger = WandbLogger(config, folder)
     logger.log("imitation", 27, {"step": 27, "loss": 0.5})
     logger.log("evaluation", 0, {"frames": 0, "spl": 0.1, "atl": math.nan})  # a lower step than the one before
     logger.log("evaluation", 300, {"frames": 300, "spl": 0.2, "atl": 9.0})
     logger.finish(SUMMARY, folder)
 
 
-@pytest.mark.parametrize(
-    ("name", "install"), [("wandb", "pip install wandb"), ("tensorboard", r"pip install 'dirl\[tensorboard\]'")]
-)
-def test_a_missing_package_is_told_with_what_to_install(name, install, monkeypatch):
-    monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ConfigError, match=install):
-        check_logger(train_config(f"logger={name}"))
-
-
 def test_wandb_online_needs_a_login_and_says_so_in_one_line(folder, monkeypatch):
     monkeypatch.setenv("WANDB_MODE", "online")
     with pytest.raises(ConfigError, match="WANDB_MODE=online: nobody is logged in; run: wandb login") as caught:
-        make_logger(train_config("scene=bathroom_02", "logger=wandb"), folder)
+        WandbLogger(train_config("scene=bathroom_02", "logger=wandb"), folder)
     assert "\n" not in str(caught.value)
 
 
@@ -72,18 +62,3 @@ def test_wandb_gets_everything_and_goes_on_as_the_same_run(folder, monkeypatch, 
     monkeypatch.delenv("WANDB_RUN_ID")
     log_a_run(folder, "logger=wandb")
     assert {file.name for file in folder.glob("wandb/offline-run-*/run-*.wandb")} == {"run-ofthesweep.wandb"}
-
-
-def test_tensorboard_gets_the_same_and_forgets_what_a_killed_run_wrote(folder):
-    pytest.importorskip("tensorboard", reason="needs dirl[tensorboard]")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    log_a_run(folder, "logger=tensorboard", "seed=77")
-    log_a_run(folder, "logger=tensorboard", "seed=77", frames=100)
-    told = EventAccumulator(str(folder / "tensorboard"))
-    told.Reload()
-    assert [event.step for event in told.Scalars("evaluation/spl")] == [0, 0, 300]
-    assert [event.step for event in told.Scalars("evaluation/atl")] == [300]
-    assert told.Scalars("summary/greedy.spl")[-1].value == 0.25
-    assert "pictures/maps" in told.Tags()["images"]
-    assert b"seed: 77" in told.Tensors("config/text_summary")[0].tensor_proto.string_val[0]

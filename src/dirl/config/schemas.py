@@ -22,7 +22,7 @@ GoalView = StrEnum("GoalView", ["surrounding", "front"])
 Match = StrEnum("Match", ["views", "front"])
 Until = StrEnum("Until", ["frames", "stable"])
 Starts = StrEnum("Starts", ["every", "sampled"])
-LoggerName = StrEnum("LoggerName", ["csv", "wandb", "tensorboard"])
+LoggerName = StrEnum("LoggerName", ["csv", "wandb"])
 
 Positive = Annotated[int, Bounds(1)]
 NotNegative = Annotated[float, Bounds(0)]
@@ -182,7 +182,7 @@ class CheckpointConfig:
 class LoggerConfig:
     """Where metrics are sent besides the CSV files of the run folder."""
 
-    name: LoggerName = option("csv (the files that every run writes, nothing else) | tensorboard | wandb")
+    name: LoggerName = option("csv (the files that every run writes, nothing else) | wandb")
     project: str = option("only Weights & Biases has projects")
     group: str | None = option("of runs that belong together; null = the parent of the run's folder", None)
     tags: list[str] = option("tags besides system, preset and scenes", [])

@@ -1,7 +1,7 @@
 """The navigation task in a simulator: moves are the simulator's own, and views are rendered when they are seen.
 
-One simulator serves all agents in turn, so that new views of all of them go through the encoder together, and a pose that
-returns is neither rendered nor encoded again. (TorchRL's ``GymWrapper`` would need a simulator for each agent.)
+One simulator serves all agents in turn, so that new views of all of them go through the encoder together, and a pose
+that returns is neither rendered nor encoded again. (TorchRL's ``GymWrapper`` would need a simulator for each agent.)
 """
 
 from collections import OrderedDict

@@ -8,21 +8,24 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dirl.config.components import packages_to_trust
 from dirl.config.folders import command
 from dirl.config.saved import config_text, read_config
-from dirl.config.schemas import Existing, TrainConfig
+from dirl.config.schemas import Existing, LoggerName, TrainConfig
 from dirl.config.values import leaves, plain
 from dirl.runs.checkpoints import latest_checkpoint, save_checkpoint
 from dirl.runs.locks import FolderLock, claim, is_numbered
-from dirl.runs.loggers import Logger, make_logger
 from dirl.runs.paths import RunError, config_file, find_unfinished, is_finished, training_checkpoints
 from dirl.runs.schema import SCHEMA, TABLES, State, Summary
 from dirl.scenes import World
 from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.scene import turns_of
+
+if TYPE_CHECKING:
+    from dirl.runs.loggers import WandbLogger
 
 
 class Run:
@@ -51,7 +54,7 @@ class Run:
         self.folder = folder
         self.config = config
         self.saved = saved
-        self.logger: Logger | None = None
+        self.logger: WandbLogger | None = None
         self._lock = lock
         self._unusable = unusable
         self._began = time.perf_counter() - (saved["seconds"] if saved else 0.0)
@@ -68,7 +71,7 @@ class Run:
 
         Raises:
             RunError: the folder holds another run, or another process writes to it.
-            ConfigError: the logger's package is not installed.
+            ConfigError: the logger cannot begin.
             OSError: the folder cannot be written to.
         """
         asked = self.folder
@@ -77,7 +80,10 @@ class Run:
         elif self._lock is None:
             self._lock = FolderLock(self.folder)
         try:
-            self.logger = make_logger(self.config, self.folder, self.saved["frames"] if self.saved else 0)
+            if self.config.logger.name == LoggerName.wandb:
+                from dirl.runs.loggers import WandbLogger  # late: wandb takes a second
+
+                self.logger = WandbLogger(self.config, self.folder)
             self._facts = facts(self.config, world, view_order)
             self._tidy_up()
             if not config_file(self.folder).exists():

@@ -25,7 +25,6 @@ from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_t
 from dirl.runs.checkpoints import load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run
-from dirl.runs.loggers import check_logger
 from dirl.runs.memory import peak_memory_mb
 from dirl.runs.paths import RunError
 from dirl.scenes import World
@@ -120,7 +119,6 @@ def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[
     if config.init is not None:
         config, initial = with_architecture(config, overrides)
     check_components(config, config.trust)
-    check_logger(config)
     run = open_run(config, folder, overrides)
     prepare_device(run.config.device, run.config.precision)
     return run, initial
