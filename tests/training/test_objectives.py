@@ -186,16 +186,6 @@ def test_accuracy_is_the_share_of_expert_actions_that_are_the_most_probable(netw
     assert imitation(network)(demonstrations)["accuracy"] == 0.75
 
 
-def test_imitation_has_the_keys_of_a_torchrl_loss(network, demonstrations):
-    loss = imitation(network)
-    assert set(loss.in_keys) == {"view_ids", "goal_view_ids", "scene", "expert_action"}
-    assert set(loss(demonstrations).keys()) == set(loss.out_keys) == {"loss_imitation", "accuracy"}
-    value, _ = loss(**{key: demonstrations[key] for key in loss.in_keys})
-    loss.set_keys(expert_action="label")
-    renamed = demonstrations.rename_key_("expert_action", "label")
-    torch.testing.assert_close(value, loss(renamed)["loss_imitation"])
-
-
 def test_any_optimal_action_is_right(network, demonstrations):
     optimal = torch.rand(ROWS, 4, generator=torch.Generator().manual_seed(1)) < 0.5
     optimal[torch.arange(ROWS), demonstrations["expert_action"]] = True

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
-from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase, dispatch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.optim import Optimizer
 from torchrl.modules import set_recurrent_mode
-from torchrl.objectives import LossModule
 from torchrl.objectives.value import GAE
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
@@ -213,21 +212,7 @@ def total_loss(losses: TensorDictBase) -> Tensor:
     return sum(value for key, value in losses.items() if key.startswith("loss_"))
 
 
-@dataclass
-class ImitationKeys:
-    """What a user of `ImitationLoss` may call otherwise, see ``LossModule.set_keys``."""
-
-    expert_action: NestedKey = "expert_action"
-
-
-@dataclass
-class OptimalActionsKeys:
-    """The same of `OptimalActionsLoss`."""
-
-    optimal_actions: NestedKey = "optimal_actions"
-
-
-class ImitationLoss(LossModule):
+class ImitationLoss(nn.Module):
     """Cross-entropy between the expert's action and the actor's distribution (paper equation 12).
 
     TorchRL 0.14's own ``BCLoss`` fails for actors over discrete actions.
@@ -240,32 +225,21 @@ class ImitationLoss(LossModule):
     probable action is the expert's. In keys are the actor's and ``expert_action``, int64 ``[B]``.
     """
 
-    _AcceptedKeys = default_keys = ImitationKeys
-    tensor_keys: Any
-    out_keys = ("loss_imitation", "accuracy")
-    functional = False
+    expert_key = "expert_action"
 
     def __init__(self, actor: ProbabilisticTensorDictSequential, *, reduction: str = "mean") -> None:
         super().__init__()
-        self.actor_network = actor
-        self.reduction = reduction
+        self.actor_network, self.reduction = actor, reduction
+        self.in_keys = [self.expert_key, *actor.in_keys]
 
-    @property
-    def in_keys(self) -> list[NestedKey]:
-        """What the loss reads."""
-        return [*vars(self.tensor_keys).values(), *self.actor_network.in_keys]
-
-    def _forward_value_estimator_keys(self, **_: object) -> None:
-        """There is no value estimator."""
-
-    @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the loss of a batch of demonstrations, see the class."""
         dist = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys))
-        log_chance, right = self._compare(dist, tensordict.get(self.in_keys[0]))
-        loss = self._reduce_loss(-log_chance, tensordict)
-        accuracy = right.float() if self.reduction == "none" else right.float().mean()
-        return TensorDict({"loss_imitation": loss, "accuracy": accuracy})
+        log_chance, right = self._compare(dist, tensordict[self.expert_key])
+        if self.reduction == "none":
+            return TensorDict({"loss_imitation": -log_chance, "accuracy": right.float()})
+        loss = -log_chance.sum() if self.reduction == "sum" else -log_chance.mean()
+        return TensorDict({"loss_imitation": loss, "accuracy": right.float().mean()})
 
     def _compare(self, dist: Categorical, expert: Tensor) -> tuple[Tensor, Tensor]:
         """Of each row the log-probability of what the expert says, and whether the most probable action is right."""
@@ -282,7 +256,7 @@ class OptimalActionsLoss(ImitationLoss):
     action is optimal. In keys are the actor's and ``optimal_actions``, bool ``[B, A]``.
     """
 
-    _AcceptedKeys = default_keys = OptimalActionsKeys  # type: ignore[assignment]
+    expert_key = "optimal_actions"
 
     def _compare(self, dist: Categorical, expert: Tensor) -> tuple[Tensor, Tensor]:
         log_chance = dist.logits.log_softmax(-1).masked_fill(~expert, -torch.inf).logsumexp(-1)
