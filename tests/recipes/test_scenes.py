@@ -82,7 +82,7 @@ def test_the_program_ends_with_one_line_or_with_the_work_done(room, here):
         ("sample kind=bedroom out=room.h5", "room.h5: is there already, and is no collection"),
         ("export scene=room.h5 out=new.zip", "out=new.zip: the name must end in .h5"),
         ("miniworld env=FourRooms out=new.h5 looks=1 encoder=null", "looks=1: their views are encoded"),
-        ("vizdoom map=map01 out=new.h5 changes.heading=-1", "changes.heading=-1.0: must be at least 0"),
+        ("vizdoom map=map01 out=new.h5 changes.heading=-1", "changes.heading=-1.0: must be greater than or equal to 0"),
     ],
 )
 def test_a_mistake_is_told_before_anything_is_written(room, here, line, says):

@@ -4,10 +4,14 @@ import pytest
 import torch
 from commands import room_file
 from parts import make_parts, train_in, train_state
+from tensordict import TensorDict
 
+from dirl.config.schemas import ConfigError, Schedule
 from dirl.evaluation.protocol import metrics
 from dirl.models import recurrent_keys
 from dirl.training.objectives import (
+    Losses,
+    ScheduledLoss,
     as_first_steps,
     bootstrap,
     make_advantages,
@@ -115,6 +119,49 @@ def test_losses_without_weight_or_demonstrations_are_left_out(room, options, nam
     parts = make_parts(room, *SMALL, *(option.replace("coef=0", "coef={start:0,end:0}") for option in options))
     assert list(parts.losses.losses) == names
     assert parts.losses.on_rollouts == (names != ["imitation"])
+
+
+@pytest.mark.parametrize(
+    ("written", "told"),
+    [
+        ({"reported": 0.0}, r"losses\.own: Own writes no loss_\* entry"),
+        ({"loss_own": torch.zeros(2)}, r"losses\.own: gives loss_own \[2\]; expected one number, \[\]"),
+        ({"loss_objective": 0.0}, r"losses\.own: writes loss_objective, as another loss does"),
+    ],
+)
+def test_a_loss_of_ones_own_that_writes_something_else_is_told(room, written, told):
+    parts = make_parts(room, *SMALL)
+    loss = Own(written)
+    losses = {**parts.losses.losses, "own": ScheduledLoss(loss, {"weight": Schedule(1.0, 1.0)})}
+    with pytest.raises(ConfigError, match=f"^{told}$"):
+        Losses(parts.policy, losses, parts.demos)(rows(parts), 1.0)
+
+
+class Own(torch.nn.Module):
+    """A loss that writes what it is given."""
+
+    in_keys = ("hidden",)
+
+    def __init__(self, written):
+        super().__init__()
+        self.written = written
+
+    def forward(self, batch):
+        return TensorDict(self.written)
+
+
+class OnDemonstrations(Own):
+    """Whose argument is called so, though it reads nothing else."""
+
+    in_keys = ("expert_action",)
+
+    def forward(self, demonstrations):
+        return TensorDict(self.written)
+
+
+def test_a_loss_compares_if_it_takes_demonstrations_beside_the_rollout():
+    loss = ScheduledLoss(OnDemonstrations({}), {})
+    assert (loss.on_demonstrations, loss.compares) == (True, False)
 
 
 def test_what_the_loss_sees_of_a_memory_is_what_the_rollout_saw(room):

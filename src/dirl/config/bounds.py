@@ -17,13 +17,3 @@ class Bounds(GroupedMetadata):
         """Yield them as pydantic reads them."""
         yield from [Ge(self.least)] if self.least is not None else []
         yield from [Le(self.most)] if self.most is not None else []
-
-    def __contains__(self, value: float) -> bool:
-        """True if a number lies within them."""
-        return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
-
-    def __str__(self) -> str:
-        """Return them in words, for errors."""
-        if self.least is not None and self.most is not None:
-            return f"between {self.least} and {self.most}"
-        return f"at least {self.least}" if self.most is None else f"at most {self.most}"

@@ -1,14 +1,12 @@
 """Values of options: checked against their types and bounds, and told in words."""
 
 import difflib
-import math
-from collections.abc import Collection, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, get_args
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config.bounds import Bounds
 from dirl.config.options import option_types
 from dirl.config.schemas import ConfigError
 
@@ -33,11 +31,10 @@ def typed(config: DictConfig) -> Any:
     for one in scene if OmegaConf.is_list(scene) else [scene]:
         if one is not None and not isinstance(one, str):
             raise ConfigError(f"scene={scene}: must be a name, a path, or a list of them")
-    for name, kind in option_types(type(made), bounds=True).items():
-        check_bounds(name, OmegaConf.select(config, name), kind)
+    kinds = option_types(type(made), bounds=True)
     for name, value in leaves(OmegaConf.to_container(config, resolve=True)).items():
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigError(f"{name}={value}: must be a finite number")
+        if type(value) in (int, float):  # of other values OmegaConf has checked the types
+            check_value(name, value, kinds.get(name, int | float))
     return made
 
 
@@ -98,17 +95,3 @@ def first_error(error: "ValidationError") -> str:
     where = "".join(f"[{part}]: " if isinstance(part, int) else f"{part}: " for part in first["loc"])
     what = first["msg"].replace("Input should", "must").replace("Field required", "is missing")
     return " ".join(f"{where}{what}".split())  # keys of a file can have more than one line
-
-
-def check_bounds(name: str, value: Any, annotation: Any) -> None:
-    """Raise `ConfigError` for a number outside the bounds of an annotation; not by pydantic, for a fast start."""
-    for bounds in _bounds(annotation):
-        if type(value) in (int, float) and value not in bounds:
-            raise ConfigError(f"{name}={value}: must be {bounds}")
-
-
-def _bounds(annotation: Any) -> Iterator[Bounds]:
-    for inside in get_args(annotation):
-        if isinstance(inside, Bounds):
-            yield inside
-        yield from _bounds(inside)

@@ -8,7 +8,6 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.modules import set_recurrent_mode
 
 from dirl.config.components import TARGET, class_parameters, find_class, make
 from dirl.config.schemas import ConfigError, TrainConfig
@@ -55,17 +54,7 @@ def build_policy(
         heads = make("heads", config.heads, trust, scenes=list(scenes), in_features=encoded, num_actions=len(ACTIONS))
         parts = {"encoder": encoder, "memory": memory, "heads": heads, "features": features, "world": world}
         policy: ActorCritic = make("policy", config.policy, trust, **parts)
-        if memory is not None:
-            rollout = "memory, of three steps of a rollout"
-            _output_width(rollout, memory, lambda: _remember(memory, fused, 3), [1, 3, fused])
-        if not type(heads).__module__.startswith("dirl."):
-            with tried("heads", heads, f", on rows {[1, encoded]}"), torch.no_grad():
-                _decide(heads, encoded)
-        policy = policy.to(features.table.device)
-        if not type(policy).__module__.startswith("dirl."):  # those of dirl may need a state of the world
-            with tried("policy", policy, f", on view ids {[1, views]}"), torch.no_grad():
-                _act(policy, views, features.table.device)
-    return policy
+        return policy.to(features.table.device)
 
 
 def _encoder(config: TrainConfig, features: FeatureTable, views: int) -> nn.Module:
@@ -96,43 +85,12 @@ def _output_width(name: str, made: Any, call: Any, shape: list[int]) -> int:
     return result.shape[1]
 
 
-def _remember(memory: TensorDictModuleBase, width: int, steps: int | None = None) -> Tensor:
-    """Return what a memory makes of one row; of the rows of a rollout, ``[1, steps]``, as losses call it."""
-    states = recurrent_keys(memory)
-    if not states:
+def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
+    """Return what a memory makes of one row."""
+    if not recurrent_keys(memory):
         raise ValueError('writes no recurrent state, ("next", ...) among its out_keys')
     begins = {"is_init": torch.ones(1, 1, dtype=torch.bool), **initial_state(memory, 1, torch.device("cpu"))}
-    rows = TensorDict({"fused": torch.zeros(1, width), **begins}, batch_size=[1])
-    rows = rows if steps is None else rows.unsqueeze(1).expand(1, steps).clone()
-    expected = {key: f"{rows[key].dtype} {list(rows[key].shape)}" for key in states}
-    with set_recurrent_mode(steps is not None):
-        result = memory(rows)
-    if missing := {*memory.out_keys} - {*result.keys(include_nested=True)}:
-        raise ValueError(f"does not write {min(missing, key=str)}, which is among its out_keys")
-    for key, kind in expected.items():
-        after = result["next", key]
-        if (found := f"{after.dtype} {list(after.shape)}") != kind:
-            raise ValueError(f"writes ('next', '{key}') as {found}; make_tensordict_primer() says {kind}")
-    return result["memory"] if steps is None else result["memory"].flatten(1)
-
-
-def _decide(heads: Any, width: int) -> None:
-    """Raise an error if heads do not make logits and a value of a row."""
-    scene = torch.zeros(1, dtype=torch.int64)
-    hidden = heads.trunk(torch.zeros(1, width), scene)
-    for name, outputs in (("policy", len(ACTIONS)), ("value", 1)):
-        if (found := list(getattr(heads, name)(hidden, scene).shape)) != [1, outputs]:
-            raise ValueError(f"{name} gives {found} for one row; expected {[1, outputs]}")
-
-
-def _act(policy: nn.Module, views: int, device: torch.device) -> None:
-    """Raise an error if a policy does not make logits of an observation."""
-    nothing = torch.zeros(1, dtype=torch.int64, device=device)
-    seen = {"view_ids": nothing.expand(1, views), "goal_view_ids": nothing.expand(1, views), "scene": nothing}
-    known = {"state": nothing, "goal": nothing, "is_init": torch.ones(1, 1, dtype=torch.bool, device=device)}
-    row = TensorDict({**seen, **known, **initial_state(policy, 1, device)}, batch_size=[1], device=device)
-    if (found := list(policy(row)["logits"].shape)) != [1, len(ACTIONS)]:
-        raise ValueError(f"gives logits {found} for one row; expected {[1, len(ACTIONS)]}")
+    return memory(TensorDict({"fused": torch.zeros(1, width), **begins}, batch_size=[1]))["memory"]
 
 
 def feature_table(

@@ -1,22 +1,19 @@
 """The components of a run, built from its configuration by one function each; and trained policies with theirs."""
 
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
-from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dirl.config.components import TARGET, components, make, schedules
 from dirl.config.saved import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, Device, GoalView, Starts, Stop, TrainConfig
-from dirl.config.user_code import CODE, describe_error, tried
+from dirl.config.user_code import CODE, describe_error
 from dirl.envs import Reward, SequentialViews, SurroundingViews
 from dirl.envs.transforms import broken_promise, front_only
 from dirl.evaluation.episodes import every_start, sampled_starts
@@ -28,7 +25,6 @@ from dirl.models import (
     LocalisingMemory,
     ObservationTable,
     PlanningMemory,
-    caching,
     recurrent_keys,
     state_primer,
 )
@@ -48,7 +44,7 @@ from dirl.perception.recognition.matching import ScoreFunction, StopRule
 from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import ARCHITECTURE, initial_weights_file
-from dirl.scenes import ACTIONS, Scene, SceneError, World, load_scenes, make_world
+from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.scene import turns_of
@@ -57,15 +53,9 @@ from dirl.training.objectives import (
     ImitationLoss,
     Losses,
     ScheduledLoss,
-    bootstrap,
-    make_advantages,
     trained_parameters,
 )
 from dirl.training.pairs import Demonstrations, DrawnPairs
-from dirl.training.rollout import INTERMEDIATE
-
-ASKED = 1000
-"""States in which an expert of one's own is tried."""
 
 
 def build_world(config: TrainConfig, extractor: str | None = None) -> World:
@@ -197,33 +187,15 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
 
 
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
-    """Return the expert that labels states with actions; one of your own is asked the way from some states before.
+    """Return the expert that labels states with actions.
 
     Raises:
-        ConfigError: it fails, or does not give actions.
+        ConfigError: it does not give actions.
     """
     made: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
     if "expert_action" not in getattr(made, "out_keys", ()):
         raise ConfigError(f"expert: {type(made).__name__} is no expert: it writes no expert_action (out_keys)")
-    if type(made).__module__.startswith("dirl."):
-        return made
-    state = torch.arange(min(len(world), ASKED), device=world.device)
-    asked = TensorDict({"state": state, "goal": world.goals[:1].expand(len(state))}, batch_size=[len(state)])
-    expected = f"{torch.int64} {[len(state)]}"
-    with _without_a_trace(world.device), tried("expert", made, f", on {len(state)} states"):
-        # Another of its kind is asked, as it may draw from a generator of its own.
-        again: Any = make("expert", config.expert, config.trust, world=world, seed=config.seed)
-        action = again(asked)["expert_action"]
-        if (found := f"{action.dtype} {list(action.shape)}") != expected:
-            raise ValueError(f"gives expert_action {found}; expected {expected}")
-        if not -1 <= int(action.min()) <= int(action.max()) < len(ACTIONS):
-            raise ValueError(f"gives actions from {int(action.min())} to {int(action.max())}; expected -1 to 3")
     return made
-
-
-def _without_a_trace(device: torch.device) -> AbstractContextManager[None]:
-    """Within this context torch's generators may be drawn from; after it they are as before."""
-    return torch.random.fork_rng(devices=[device] if device.type == "cuda" else [])
 
 
 def build_imitation_loss(config: TrainConfig, policy: ActorCritic) -> Any:
@@ -350,36 +322,6 @@ def describe(config: TrainConfig, world: World) -> dict[str, Any]:
         "preset": config.preset,
         "seed": config.seed,
     }
-
-
-def try_losses(config: TrainConfig, policy: ActorCritic, losses: Losses, agents: TensorDictBase) -> None:
-    """Compute each loss once, on a made-up step of two agents; nothing but the losses is changed by it.
-
-    Args:
-        config: of the training.
-        policy: see `dirl.models.ActorCritic`.
-        losses: made for this trial: what they hold, as a replay buffer does, is not that of the training.
-        agents: where they stand before the first step, ``[B]``.
-
-    Raises:
-        ConfigError: a loss fails, or does not give what it should, see docs/howto/extend.md.
-    """
-    operator, options = policy.operator(), config.reinforcement
-    advantages = make_advantages(options.gamma, options.lmbda)
-    for name, loss in list(losses.losses.items()):
-        losses.losses = {name: loss}
-        trial = tried(f"losses.{name}", loss.module, ", on a rollout")
-        with _without_a_trace(agents.device), caching(policy), trial:
-            with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-                step = operator(agents[:2].clone()).exclude(*INTERMEDIATE)
-            # A rollout of one step, [B, 1], whose action has no effect and no reward.
-            after = agents[:2].clone().set("reward", torch.zeros_like(step["done"], dtype=torch.float32))
-            rollout = step.set("next", after.update(step.get("next", {}))).unsqueeze(1)
-            rollout.names = [*rollout.names[:-1], "time"]
-            batch = advantages(bootstrap(losses.rewarded(rollout), operator.get_value_operator()))
-            for key, value in losses(batch if losses.recurrent else batch.reshape(-1), 1.0).items():
-                if key.startswith("loss_") and value.shape:
-                    raise ValueError(f"gives {key} {list(value.shape)}; expected one number, []")
 
 
 class Trained(NamedTuple):

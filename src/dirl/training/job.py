@@ -43,7 +43,6 @@ from dirl.training.build import (
     initial_weights,
     is_live,
     learning_policy,
-    try_losses,
     with_architecture,
 )
 from dirl.training.loops import TrainState, noticing_divergence
@@ -163,9 +162,6 @@ def build_components(run: Run, initial: Mapping[str, Any] | None = None, like: C
         live = open_live(run.config, world, observation)
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
     state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None
-    if state is not None and packages_to_trust(run.config):
-        trial = build_losses(run.config, policy, world, demos)
-        try_losses(run.config, policy, trial, state.agents)
     tell_of_far_goals(world)
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")

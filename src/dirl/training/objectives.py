@@ -98,7 +98,7 @@ class Losses(nn.Module):
         demonstrated = any(loss.on_demonstrations or loss.compares for loss in self.losses.values())
         return self.compute(batch, self.draw() if demonstrated else None, self.coefficients(left))
 
-    def coefficients(self, left: float | Tensor) -> dict[str, dict[str, Any]]:
+    def coefficients(self, left: float) -> dict[str, dict[str, Any]]:
         """The coefficients of each loss, by its name and theirs, when a fraction ``left`` of the training remains."""
         return {
             name: {option: schedule(left) for option, schedule in loss.schedules.items()}
@@ -132,6 +132,8 @@ class Losses(nn.Module):
                 raise ConfigError(f"losses.{name}: {type(loss.module).__name__} writes no loss_* entry")
             for key, value in values.items():
                 reduced = reduce(name, value)
+                if key in terms and reduced.ndim:
+                    raise ConfigError(f"losses.{name}: gives {key} {list(reduced.shape)}; expected one number, []")
                 result[key] = weight * reduced if key in terms else reduced
         return result
 

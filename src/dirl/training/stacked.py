@@ -260,7 +260,8 @@ class StackedLosses:
 
     def __call__(self, batch: TensorDictBase, left: Tensor) -> TensorDict:
         """Return the weighted losses of a batch ``[R, B]``, see `Losses.forward`."""
-        return TensorDict(self.stack.each(self._of_run, batch, self.form.coefficients(left), *self.demonstrated))
+        coefficients = self.form.coefficients(left)  # type: ignore[arg-type]  # tensors, as the ends of the schedules are
+        return TensorDict(self.stack.each(self._of_run, batch, coefficients, *self.demonstrated))
 
     def _of_run(
         self, batch: TensorDictBase, coefficients: Any, rows: TensorDictBase | None = None, counts: Tensor | None = None
