@@ -78,22 +78,6 @@ class EncodedForGeneral(EncodedPatches):
 
 
 @dataclass
-class VisitChanges:
-    """How visits of a place differ."""
-
-    position: NotNegative = option("metres, along each axis; less where the agent cannot stand", 0.1)
-    heading: NotNegative = option("degrees", 5.0)
-    exposure: NotNegative = option("of the logarithm of the brightness: 0.05 is about 5 %", 0.15)
-
-
-@dataclass
-class WiderVisitChanges(VisitChanges):
-    """How visits of a place differ in VizDoom, where a metre is less."""
-
-    position: NotNegative = option("metres, along each axis; less where the agent cannot stand", 0.2)
-
-
-@dataclass
 class SimulatedOptions(EncodedPatches):
     """The options of every command that takes a scene from a simulator."""
 
@@ -101,8 +85,6 @@ class SimulatedOptions(EncodedPatches):
     step: Step = option(STEP, 1.0)
     turn: Turn = option(TURN, 90)
     places: Places | None = option(PLACES, None)
-    looks: Looks = option(LOOKS, 0)
-    changes: VisitChanges = option(CHANGES, VisitChanges)
 
 
 @dataclass
@@ -138,7 +120,6 @@ class VizdoomOptions(SimulatedOptions):
     step: Step = option(f"{STEP}; 32 units of a map are a metre", 2.0)
     height: Pixels = option(f"{OF_VIEW}; views are rendered at 240 x 320 and scaled", 120)
     width: Pixels = option(OF_VIEW, 160)
-    changes: VisitChanges = option(CHANGES, WiderVisitChanges)
 
 
 @dataclass
@@ -255,14 +236,15 @@ class BuildOptions(Encoded):
     turn: Turn = option(TURN, 90)
     fine: bool = option(FINER, True)
     quality: Annotated[int, Bounds(0, 100)] = option("of the stored WebP views", 72)
-    workers: Positive | None = option("processes that render views; null = up to one for each core", None)
 
 
 @dataclass
-class LookChanges(VisitChanges):
-    """How looks of a built room differ."""
+class LookChanges:
+    """How visits of a place differ."""
 
     position: NotNegative = option("metres, along each axis", 0.05)
+    heading: NotNegative = option("degrees", 5.0)
+    exposure: NotNegative = option("of the logarithm of the brightness: 0.05 is about 5 %", 0.15)
 
 
 @dataclass
@@ -411,7 +393,7 @@ from dirl.reporting import draw_contact_sheet, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.collection import Entry
 from dirl.scenes.io.checked import check_choice
-from dirl.scenes.io.icra17 import export_icra17
+from dirl.scenes.io.write import export_icra17
 from dirl.scenes.live import Simulator
 from dirl.scenes.views import decode, encoded_view
 from dirl.sources.miniworld import MiniWorld
@@ -420,7 +402,7 @@ from dirl.sources.rooms import build_room
 from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
 from dirl.sources.rooms.looks import Changes
 from dirl.sources.rooms.sampling import KINDS
-from dirl.sources.simulators import take_look, take_scene
+from dirl.sources.simulators import take_scene
 from dirl.sources.thor import Thor, start_controller
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.images import cut_views
@@ -464,12 +446,8 @@ def simulator(options: SimulatorOptions) -> None:
 
 def write_simulated(begin: Callable[[], Simulator], options: SimulatedOptions, source: str) -> None:
     """A dump of the scene that a simulator starts with."""
-    if options.looks and options.encoder is None:
-        raise SceneError(f"looks={options.looks}: their views are encoded and not stored: give an encoder")
     out, simulator, encoder = new_file(options.out), begin(), chosen_encoder(options)
     scene, views = take_scene(simulator, source=source, step=options.step, turn=options.turn, most=options.places)
-    for seed in tqdm(range(options.looks), desc="looks", disable=None):
-        views += take_look(simulator, scene, seed, **vars(options.changes))
     write_encoded(out, scene, views, encoder)
 
 
@@ -563,7 +541,6 @@ def build(options: BuildOptions) -> None:
         turn=options.turn,
         fine=options.fine,
         quality=options.quality,
-        workers=options.workers,
         encoder=chosen_encoder(options),
     )
     scene = load_scenes(str(out))[0]
@@ -584,8 +561,8 @@ def sample(options: SampleOptions) -> None:
     todo = missing_rooms(folder, wanted, settings.stored(settings.load_encoder()))
     print(f"{folder}: {len(wanted) - len(todo)} of {len(wanted)} rooms are there", flush=True)
     if todo:
-        print("| room | split | metres | pieces | places | states | parts | alike: one view | four views | problems |")
-        print("|---|---|---|--:|--:|--:|--:|--:|--:|---|", flush=True)
+        print("| room | split | metres | pieces | places | states | problems |")
+        print("|---|---|---|--:|--:|--:|---|", flush=True)
     left_out = []
     for made in make_rooms(folder, todo, settings, options.workers) if todo else ():
         if isinstance(made, Entry):
@@ -606,7 +583,6 @@ def sampled(entry: Entry) -> list[str]:
         "{:g} x {:g} x {:g}".format(*found["size"]),
         *(str(found[key]) for key in ("pieces", "places")),
         f"{entry.states}",
-        *(str(found.get(key, "-")) for key in ("parts", "alike_front", "alike_views")),
         "; ".join(found["problems"]) or "none",
     ]
 

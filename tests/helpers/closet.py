@@ -57,7 +57,7 @@ def start_with_closets():
     from dirl.sources.rooms import collect
     from dirl.sources.rooms.sampling.sample import look_around
 
-    def draw(kind, seed):
+    def draw(kind, seed, *, threads):
         room = replace(closet("#c8553d", f"#{seed:06d}"), name=f"{kind}_{seed}")
         return room, look_around(room)
 

@@ -139,32 +139,6 @@ def partly_written(name):
     return spoil
 
 
-def squeezed(name, shape):
-    """Zeros, packed as well as gzip can."""
-
-    def spoil(file):
-        del file[name]
-        file.create_dataset(name, data=np.zeros(shape, "f4"), compression="gzip", chunks=(shape[0], 2**14))
-
-    return spoil
-
-
-def unknown_filter(name):
-    """The values are packed by a filter that this machine has never heard of."""
-
-    def spoil(file):
-        values = file[name][:]
-        del file[name]
-        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        properties.set_chunk(values.shape)
-        properties.set_filter(32123, h5py.h5z.FLAG_OPTIONAL, ())
-        space, kind = h5py.h5s.create_simple(values.shape), h5py.h5t.py_create(values.dtype)
-        dataset = h5py.h5d.create(file.id, name.encode(), kind, space, properties)
-        dataset.write_direct_chunk((0,) * values.ndim, values.tobytes(), filter_mask=0)
-
-    return spoil
-
-
 def refused(path):
     """What the one `SceneError` says after the name of the file."""
     with pytest.raises(SceneError) as caught:
@@ -179,31 +153,6 @@ def refused(path):
 
 VIEW = encode(np.arange(12 * 16 * 3, dtype=np.uint8).reshape(12, 16, 3))
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\nshowpage\n"
-
-
-def chunk(name, stored, **options):
-    """The dataset in one chunk that takes these bytes in the file."""
-
-    def spoil(file):
-        values = file[name][:]
-        del file[name]
-        dataset = file.create_dataset(name, values.shape, values.dtype, chunks=values.shape, **options)
-        dataset.id.write_direct_chunk((0,) * values.ndim, stored)
-
-    return spoil
-
-
-def crumbs(file):
-    """Features in a quarter of a million chunks of one value."""
-    del file["resnet_feature"]
-    file.create_dataset("resnet_feature", (24, 10_000), "f4", chunks=(1, 1))
-
-
-def squeezed_doubles(file):
-    """Features of 75 megabytes in one tenth of one."""
-    del file["resnet_feature"]
-    values = np.repeat(np.arange(24.0)[:, None], 6 * 2**16, 1)
-    file.create_dataset("resnet_feature", data=values, compression="gzip", chunks=(24, 2**16))
 
 
 def views(*last):
@@ -300,23 +249,15 @@ STORAGE = {
     "features stored in another file": elsewhere("resnet_feature", "storage"),
     "features never written": hollow("resnet_feature", (24, 8)),
     "features written by half": partly_written("resnet_feature"),
-    "a compression that is not installed": unknown_filter("graph"),
 }
 
 ABSURD = {
     "a trillion states": hollow("graph", (HUGE, 4), "i4"),
     "a trillion features": hollow("resnet_feature", (24, HUGE)),
     "views a trillion pixels high": hollow("observation", (24, HUGE, 4, 3), "u1"),
-    "`graph` in one chunk of two gigabytes": lambda file: (
-        file.pop("graph"),
-        file.create_dataset("graph", (24, 4), "i8", maxshape=(None, None), chunks=(2**14, 2**14)),
-    ),
-    "features that unpack to a thousand times their size": squeezed("resnet_feature", (24, 2**20)),
 }
 
 FOUND = {
-    "a chunk of one byte with a checksum of four": chunk("graph", b"x", fletcher32=True),
-    "features in 240,000 chunks": crumbs,
     "8,000 goals": attribute("goals", np.arange(8000)),
     "a view that is no image": views(b"RIFF----WEBP"),
     "a view in PostScript": views(POSTSCRIPT),

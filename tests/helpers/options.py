@@ -74,7 +74,7 @@ def base(recipe, files, tiny=()):
         "draft": [f"folder={files / 'photos'}"],
         "photos": [f"folder={files / 'photos'}", "out=new.h5", *small],
         "tour": [f"path={files / 'tour'}", "out=new.h5", *small],
-        "build": ["description=bathroom_02", "out=new.h5", *small, "fine=false", "workers=1"],
+        "build": ["description=bathroom_02", "out=new.h5", *small, "fine=false"],
         "sample": ["kind=bathroom", "out=rooms", *small, "fine=false", "workers=1"],
         "encode": [room, "out=new.h5", "encoder=resnet50_small"],
         "export": [room, "out=new.h5"],

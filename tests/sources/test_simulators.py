@@ -14,9 +14,8 @@ from dirl.config.schemas import ConfigError
 from dirl.scenes import read_dump, write_dump
 from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import decode
 from dirl.sources.miniworld import MiniWorld
-from dirl.sources.simulators import take_look, take_scene
+from dirl.sources.simulators import take_scene
 from dirl.sources.vizdoom import VizDoom
 
 
@@ -72,61 +71,6 @@ def test_no_more_places_than_asked_for_and_the_nearest_and_what_makes_no_scene_i
         take_scene(Grid([(0, 0)]), source="x", step=1.0, turn=90)
     with pytest.raises(SceneError, match="turn=50: a turn must go into 90"):
         take_scene(Grid([(0, 0), (1, 0)]), source="x", step=1.0, turn=50)
-
-
-class Watched(Grid):
-    """It remembers where it was asked to look from, and lets nobody stand off its places by more than ``reach``."""
-
-    def __init__(self, cells, reach=9.0):
-        super().__init__(cells)
-        self.reach, self.seen = reach, []
-
-    def place(self, pose):
-        if max(abs(v - 0.5 - round(v - 0.5)) for v in pose[:2]) > self.reach:
-            raise SceneError("a wall")
-        super().place(pose)
-
-    def look(self, heading):
-        assert heading == self.pose.heading
-        self.seen.append(self.pose)
-        return np.full((16, 16, 3), 100, np.uint8)
-
-
-def look(simulator, scene, seed=0, **errors):
-    """Where the views of a look were taken, each as what it is off the planned pose, ``[N, 3]``, and their colour."""
-    simulator.seen.clear()
-    sizes = {"position": 0.1, "heading": 5.0, "exposure": 0.2} | errors
-    views = list(take_look(simulator, scene, seed, **sizes))
-    planned = np.column_stack([scene.positions, scene.headings])
-    off = np.array(simulator.seen) - planned
-    off[:, 2] = (off[:, 2] + 180) % 360 - 180
-    return off, np.array([decode(view).mean() for view in views])
-
-
-def test_views_of_a_look_share_the_error_of_their_visit():
-    simulator = Watched([(x, 0) for x in range(200)])
-    scene, _ = take_scene(simulator, source="x", step=1.0, turn=90)
-    off, colour = look(simulator, scene)
-    by_place = off.reshape(-1, 4, 3)
-    assert np.allclose(by_place, by_place[:, :1])
-    assert np.ptp(colour.reshape(-1, 4), axis=1).max() < 3
-    assert off.std(0) == pytest.approx([0.1, 0.1, 5.0], rel=0.2)
-    assert np.log(colour / 100).std() == pytest.approx(0.2, rel=0.2)
-    again, other = look(simulator, scene), look(simulator, scene, seed=1)
-    assert np.array_equal(again[0], off)
-    assert np.array_equal(again[1], colour)
-    assert not np.isclose(other[0], off).any()
-
-
-def test_a_visit_is_nearer_to_its_place_where_the_agent_cannot_stand():
-    simulator = Watched([(x, 0) for x in range(50)])
-    scene, _ = take_scene(simulator, source="x", step=1.0, turn=90)
-    asked, _ = look(simulator, scene)
-    simulator.reach = 0.05
-    off, _ = look(simulator, scene)
-    shares = off[:, 0] / asked[:, 0]
-    assert np.abs(off[:, :2]).max() <= 0.05
-    assert set(shares.round(6)) == {0.0, 0.25, 0.5, 1.0}
 
 
 def test_a_simulator_is_made_of_its_file_or_refused_in_one_line(tmp_path):

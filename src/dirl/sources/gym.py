@@ -18,7 +18,7 @@ class GymSimulator:
 
     Where the agent is, is counted from the start of an episode: a step ahead is blocked if the image stays as it was.
     It walks to every place, from the start of an episode if need be, so the environment must begin every episode alike
-    and may not end one. It cannot be put between places: no further looks are taken.
+    and may not end one.
 
     Args:
         env: its class, ``package.module.Class``, made without arguments.

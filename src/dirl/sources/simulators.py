@@ -1,16 +1,14 @@
 """Scenes from simulators: the places that an agent can walk to, found by trying every move, and their views."""
 
 from collections import deque
-from collections.abc import Iterator
 
 import numpy as np
 from tqdm import tqdm, trange
 
-from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only, turns_per_circle
+from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only
 from dirl.scenes.live import (
     Pose,
     Simulator,
-    SimulatorError,
     looked,
     simulator_errors,
     state_pose,
@@ -22,9 +20,6 @@ from dirl.scenes.views import encode
 
 QUALITY = 90
 """Of the views, as WebP."""
-
-NEARER = (1.0, 0.5, 0.25, 0.0)
-"""Of the error of a position, tried in turn where the agent cannot stand."""
 
 Cell = tuple[int, int]
 """A place, in steps from the first one."""
@@ -109,41 +104,3 @@ def _explore(
                     todo.append(end)
                 ways[cell][heading] = end
     return ways
-
-
-def take_look(
-    simulator: Simulator, scene: Scene, seed: int, *, position: float, heading: float, exposure: float
-) -> Iterator[bytes]:
-    """Yield the views of a scene's states, WebP, as visits that differ a little from the planned ones show them.
-
-    The error of a visit is sampled once for each place: all views from there share it, as those of a robot that turns
-    on the spot do. Errors are of normal distributions.
-
-    Args:
-        simulator: that the scene was taken from.
-        scene: N states, those of a place one after another; see `take_scene`.
-        seed: of the errors.
-        position: standard deviation along each axis, metres; less where the agent cannot stand.
-        heading: likewise, degrees.
-        exposure: likewise, of the logarithm of the brightness; 0.05 is about 5 %.
-
-    Raises:
-        SceneError: a failure of the simulator.
-    """
-    turns = turns_per_circle(scene.graph)
-    sampled = np.random.default_rng(seed).normal(0, 1, (len(scene) // turns, 4))
-    sampled *= [position, position, heading, exposure]
-    for state in range(len(scene)):
-        planned = state_pose(scene, state)
-        to_x, to_z, turned, brighter = sampled[state // turns].tolist()
-        towards = (planned.heading + turned) % 360
-        with simulator_errors(simulator.name):
-            for share in NEARER:  # as near to what is asked for as the agent can stand
-                try:
-                    simulator.place(Pose(planned.x + share * to_x, planned.z + share * to_z, towards))
-                    break
-                except SceneError as error:
-                    if isinstance(error, SimulatorError) or share == NEARER[-1]:
-                        raise
-            seen = looked(simulator, towards).astype(np.float64) * np.exp(brighter)
-        yield encode(seen.clip(0, 255).astype(np.uint8), QUALITY)

@@ -9,7 +9,7 @@ from rooms import grid_scene, read_here
 
 from dirl.scenes import SceneError, write_dump
 from dirl.scenes.io.digest import compute_digest
-from dirl.scenes.io.icra17 import export_icra17
+from dirl.scenes.io.write import export_icra17
 from dirl.scenes.views import encode
 
 ABOUT = {"extractor": "ResNet-50", "preprocessing": "/255", "weights": "v2"}

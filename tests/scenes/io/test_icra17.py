@@ -8,7 +8,7 @@ import pytest
 from rooms import grid_scene, read_here
 
 from dirl.scenes import SceneError, write_dump
-from dirl.scenes.io.icra17 import export_icra17
+from dirl.scenes.io.write import export_icra17
 from dirl.scenes.views import encode
 
 PARTS = ("graph", "positions", "headings", "distances", "features")

@@ -38,19 +38,13 @@ def test_no_message_shows_the_types_of_numpy():
     assert not re.search(r"np\.|array\(", PAGE.read_text().split("## The messages")[1])
 
 
-@pytest.mark.parametrize(
-    ("goals", "says"),
-    [
-        (np.arange(64_000), "names 64000 goals of 24 states"),  # comparing each with all others took minutes
-        (np.zeros(2**18), "takes 2097152 bytes; at most 1048576"),
-    ],
-)
-def test_attributes_of_many_goals_are_refused(dump, goals, says):
+def test_many_goals_are_refused(dump):
+    """Comparing each with all others took minutes."""
     with h5py.File(dump.with_name("new.h5"), "w", libver="latest") as new, h5py.File(dump) as old:
         for name in old:
             old.copy(name, new)
-        new.attrs["goals"] = goals
-    assert refused(dump.with_name("new.h5")) == f"attribute 'goals': {says}"
+        new.attrs["goals"] = np.arange(64_000)
+    assert refused(dump.with_name("new.h5")) == "attribute 'goals': names 64000 goals of 24 states"
 
 
 def test_features_that_are_too_many_in_all_are_refused(dump):

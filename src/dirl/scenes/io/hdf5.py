@@ -24,23 +24,10 @@ from dirl.scenes.views import MAX_PIXELS, ImageError, decode
 MAX_STATES = 50_000
 MAX_FEATURE_VALUES = 2**27
 """Of the first crop, the one that is read: half a gigabyte as float32."""
-MAX_FEATURE_RATIO = 50
-"""How much larger than in the file features may be; those of a network hardly compress."""
 MAX_TEXT = 2000
 """Characters of an attribute."""
-MAX_CHUNKS = 200_000
-"""Of a dataset; HDF5 looks up each of them."""
-MAX_CHUNK_BYTES = 2**28
-"""HDF5 unpacks a whole chunk to read any value in it, and a small file can hold a chunk of gigabytes."""
-MAX_FREELY_UNPACKED = 2**26
-"""Bytes; what is more may only be `MAX_RATIO` times larger than it is in the file."""
-MAX_RATIO = 500
-"""gzip packs zeros a thousand times."""
-MAX_ATTRIBUTE_BYTES = 2**20
 MAX_UNPACKED_VIEWS = 2**29
 """Bytes of raw views that are compressed in the file, for they are held in memory."""
-CHECKSUM_BYTES = 4
-"""Of a Fletcher32 checksum. libhdf5 2.0 reads outside of its memory where a stored chunk is shorter."""
 MAX_VALUES = 2**27
 """Of a mapped array: a quarter of a gigabyte."""
 AT_A_TIME = 256
@@ -78,6 +65,8 @@ def unreadable(error: Exception) -> str:
         return "takes more memory than there is for a dump; it is damaged, or other programs need the memory"
     if isinstance(error, BlockingIOError) or "unable to lock file" in reason:
         return "another program has it open and locked; close it there, or set HDF5_USE_FILE_LOCKING=FALSE"
+    if "required filter" in reason:
+        return f"is compressed in a way that is not installed here ({reason}); store it with gzip"
     return f"not a readable HDF5 file, perhaps a broken download ({reason})"
 
 
@@ -105,7 +94,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
         _check_storage(_open_dataset(file, "shortest_path_distance", kinds="iuf", shape=(states, states)))
     verified = intact or check_digest(file)
     contents = {
-        "graph": _in_our_order(graph[:], _read_attribute(file, "actions")),
+        "graph": _in_our_order(graph[:], file.attrs.get("actions")),
         "positions": location[:],
         "headings": rotation[:],
         "features": None if features is None else _read_features(features, path, mapped=intact),
@@ -114,7 +103,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
         else extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown",
         "name": _text_attribute(file, "name"),
         "source": _text_attribute(file, "source"),
-        "goals": _goals(_read_attribute(file, "goals"), states),
+        "goals": _goals(file.attrs.get("goals"), states),
         "mapped": mapped,
         **({} if views is None else _locate_views(views, path, decoded=verified)),
     }
@@ -138,7 +127,7 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
             f"resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "
             f"found shape {dataset.shape}"
         )
-    _check_storage(dataset, max_ratio=MAX_FEATURE_RATIO)
+    _check_storage(dataset)
     return dataset
 
 
@@ -197,7 +186,7 @@ def _in_our_order(graph: NDArray[Any], declared: Any) -> NDArray[Any]:
 
 def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
     """Return a text, empty if there is none."""
-    value = _read_attribute(holder, name)
+    value = holder.attrs.get(name)
     try:
         text = "" if value is None else _text(value)
     except ValueError:
@@ -240,57 +229,19 @@ def _own_dataset(file: h5py.File, name: str) -> h5py.Dataset:
     return dataset
 
 
-def _check_storage(dataset: h5py.Dataset, *, max_ratio: int = MAX_RATIO) -> None:
-    """Check that all of a dataset's values have been written, in pieces that HDF5 can unpack.
+def _check_storage(dataset: h5py.Dataset) -> None:
+    """Raise `SceneError` unless all of a dataset's values have been written.
 
-    Args:
-        dataset: of any shape.
-        max_ratio: how much larger than in the file its values may be, where they are many.
+    How they are packed is not looked at: what takes too much memory or time ends the process that reads them.
     """
-    name, packed = dataset.name.removeprefix("/"), dataset.id.get_storage_size()
-    complete = _check_chunks(dataset, name) if dataset.chunks else bool(packed) or not dataset.size
+    if dataset.chunks:
+        count = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
+        complete = dataset.id.get_num_chunks() >= count
+    else:
+        complete = dataset.id.get_storage_size() > 0 or not dataset.size
     if not complete:
+        name = dataset.name.removeprefix("/")
         raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
-    if dataset.nbytes > max(MAX_FREELY_UNPACKED, max_ratio * packed):
-        raise SceneError(f"{name}: {packed} bytes would unpack to {dataset.nbytes}; no such data compresses as well")
-
-
-def _check_chunks(dataset: h5py.Dataset, name: str) -> bool:
-    """Check the chunks of a dataset, and the filters that they go through; whether all have been written."""
-    size = math.prod(dataset.chunks) * dataset.dtype.itemsize
-    if size > MAX_CHUNK_BYTES:
-        raise SceneError(
-            f"{name}: is stored in chunks of {dataset.chunks}, {size} bytes each; at most {MAX_CHUNK_BYTES}"
-        )
-    count = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
-    if count > MAX_CHUNKS:
-        raise SceneError(f"{name}: is stored in {count} chunks; at most {MAX_CHUNKS}")
-    layout = dataset.id.get_create_plist()
-    filters = [layout.get_filter(index)[0] for index in range(layout.get_nfilters())]
-    for code in filters:
-        if not h5py.h5z.filter_avail(code):
-            raise SceneError(
-                f"{name}: is compressed in a way that is not installed here (HDF5 filter {code}); store it with gzip, "
-                "or install the filter"
-            )
-    stored: list[int] = []
-    if dataset.id.get_num_chunks():
-        dataset.id.chunk_iter(lambda chunk: stored.append(chunk.size))
-    shortest = CHECKSUM_BYTES + 1 if h5py.h5z.FILTER_FLETCHER32 in filters else 1 if filters else size
-    if min(stored, default=shortest) < shortest:
-        raise SceneError(f"{name}: a chunk takes {min(stored)} bytes in the file; expected at least {shortest}")
-    return len(stored) >= count
-
-
-def _read_attribute(holder: h5py.File | h5py.Dataset, name: str) -> Any:
-    """Return the value of an attribute of a plausible size; None if there is none."""
-    if name not in holder.attrs:
-        return None
-    stored = holder.attrs.get_id(name)
-    size = math.prod(stored.shape or ()) * stored.get_type().get_size()
-    if size > MAX_ATTRIBUTE_BYTES:
-        raise SceneError(f"attribute '{name}': takes {size} bytes; at most {MAX_ATTRIBUTE_BYTES}")
-    return holder.attrs[name]
 
 
 def _short(value: Any, show: Any = repr) -> str:

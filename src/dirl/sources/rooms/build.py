@@ -2,12 +2,11 @@
 
 import importlib.util
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +59,6 @@ def build_room(
     *,
     size: tuple[int, int] = (300, 400),
     turn: float = 90,
-    workers: int | None = None,
     encoder: "ViewEncoder | None" = None,
     quality: int = QUALITY,
     fine: bool = True,
@@ -68,15 +66,14 @@ def build_room(
 ) -> list[str]:
     """Light a room, render the view of every state, and write a scene dump.
 
-    Needs the extra ``rooms``. The same description gives the same file on one machine, whatever the number of workers;
-    on another machine the same graph, and views that differ by rounding.
+    The same description gives the same file on one machine; on another machine the same graph, and views that differ by
+    rounding.
 
     Args:
         description: a built-in room by name, a TOML file, or a description made in memory.
         out: the dump to write, completely or not at all.
         size: height and width of the views, pixels.
         turn: degrees of a turn, see `walk`.
-        workers: processes that render views; up to one for each core if left out. Each needs about 0.5 GB.
         encoder: what makes the features, from the views as they are stored; no features if left out.
         quality: of the stored WebP views, 0 to 100.
         fine: the light of the built-in rooms; otherwise a coarser one, ten times faster.
@@ -89,24 +86,22 @@ def build_room(
         SceneError: the room cannot be made, ``out`` exists, or an argument is out of range. All this is detected
             before the long work begins.
     """
-    check_arguments(size, workers)
+    check_arguments(size)
     room, out = describe_room(description), Path(out)
     if out.exists():
         raise SceneError(f"{out}: this file exists already; it is not overwritten")
     way = walk(room, turn)
     source = "rooms" if str(description) in built_in_rooms() else "synthetic"
-    views = list(take_views(Renderer.of(room, fine=fine), room.camera, poses(way), size, quality, workers, progress))
+    views = list(take_views(Renderer.of(room, fine=fine), room.camera, poses(way), size, quality, progress=progress))
     return write_room(out, room, way, views, encoder, {"turn": float(turn)}, source=source, progress=progress)
 
 
-def check_arguments(size: tuple[int, int], workers: int | None) -> None:
-    """Raise `SceneError` unless views of this height and width can be rendered by so many processes."""
+def check_arguments(size: tuple[int, int]) -> None:
+    """Raise `SceneError` unless views of this height and width can be rendered."""
     if importlib.util.find_spec("embreex") is None:  # there are no wheels of it for Linux on ARM
         raise SceneError("to build rooms, embreex is missing: pip install embreex")
     if not (min(size) >= 8 and max(size) <= 4096):
         raise SceneError(f"size={list(size)}: views are 8 to 4096 pixels high and wide")
-    if workers is not None and workers < 1:
-        raise SceneError(f"workers={workers}: at least one process is needed")
 
 
 def write_room(
@@ -130,16 +125,18 @@ def write_room(
     if encoder is not None:
         from dirl.perception.backbones import encode_all
 
-        shown = [(decode(view.encoded) for view in views), *map(iter, looks)]
-        found, *again = (encode_all(encoder, images, len(scene), str(out), progress=progress) for images in shown)
-        features = found.features.astype(np.float16)
-        scene = replace(scene, features=features, extractor=encoder.extractor, patches=found.patches)
-        if again:
-            look_features = np.stack([one.features.astype(np.float16) for one in again])
-            parts = None if found.patches is None else np.stack([np.asarray(one.patches) for one in again])
-            scene = replace(scene, look_features=look_features, look_patches=parts)
+        shown = chain((decode(view.encoded) for view in views), *looks)
+        count = (1 + len(looks)) * len(scene)
+        features, patches = encode_all(encoder, shown, count, str(out), progress=progress)
+        first, *further = np.split(features.astype(np.float16), 1 + len(looks))
+        scene = replace(scene, features=first, extractor=encoder.extractor)
+        if looks:
+            scene = replace(scene, look_features=np.stack(further))
+        if patches is not None:
+            first, *further = np.split(patches, 1 + len(looks))
+            scene = replace(scene, patches=first, look_patches=np.stack(further) if looks else None)
+            about_patches = dict(encoder.patch_attributes)
         about = dict(encoder.attributes)
-        about_patches = dict(encoder.patch_attributes) if found.patches is not None else {}
     write_dump(
         out,
         scene,
@@ -176,10 +173,6 @@ def view_problems(views: Sequence["View"], way: Walk) -> list[str]:
     return check_views(np.stack([v.thumbnail for v in views]), np.array([v.contrast for v in views]), way)
 
 
-PIXELS = 2_000_000
-"""Of views that are rendered in the time that it takes to start another process."""
-
-
 @dataclass(frozen=True)
 class View:
     """A stored view, and what the checks need of it."""
@@ -192,41 +185,22 @@ class View:
 def take_views(
     renderer: Renderer,
     camera: Camera,
-    poses: list[Pose],
+    poses: Sequence[Pose],
     size: tuple[int, int],
     quality: int = QUALITY,
-    workers: int | None = 1,
+    *,
+    threads: int | None = None,
     progress: bool = True,
 ) -> Iterator[View]:
-    """The views from all poses, in their order, rendered by several processes; ``size`` is height and width in pixels.
+    """Yield the views from all poses, in their order; ``size`` is height and width in pixels.
 
-    If ``workers`` is None there is one for each `PIXELS` of all views together, at most one for each core.
+    They are rendered by as many threads as there are cores if ``threads`` is None; NumPy lets them run at once.
     """
     take = partial(_take, renderer, camera, size, quality)
-    if workers is None:
-        workers = min(1 + size[0] * size[1] * len(poses) // PIXELS, os.cpu_count() or 1)
-    workers = min(workers, len(poses))
-    with ExitStack() as stack:
-        views: Iterator[View] = map(take, poses)
-        if workers > 1:
-            # Started anew rather than forked: the same on every system, and safe beside the threads of torch.
-            pool = stack.enter_context(ProcessPoolExecutor(workers, get_context("spawn"), _start, (take,)))
-            views = pool.map(_take_here, poses, chunksize=4)
-        yield from tqdm(views, "views", len(poses), unit=" views", disable=None if progress else True)
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        yield from tqdm(pool.map(take, poses), "views", len(poses), unit=" views", disable=None if progress else True)
 
 
 def _take(renderer: Renderer, camera: Camera, size: tuple[int, int], quality: int, pose: Pose) -> View:
     view = renderer.view(camera, pose, size)
     return View(encode(view, quality), thumbnail(view), contrast(view))
-
-
-_TAKE: list[Callable[[Pose], View]] = []
-"""In a process that takes views: `_take` with its first arguments, which are too large to be sent with every pose."""
-
-
-def _start(take: Callable[[Pose], View]) -> None:
-    _TAKE.append(take)
-
-
-def _take_here(pose: Pose) -> View:
-    return _TAKE[0](pose)

@@ -1,15 +1,20 @@
-"""Several random rooms joined by doorways: what stands in them, where an agent can go, how they look."""
+"""Random rooms in a row, joined by doorways, and a tour of them: panoramas some metres apart, and links."""
 
+import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+from PIL import Image
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order
 
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Material, RoomDescription
 from dirl.sources.rooms.layout import Opening, assemble, materials_of
 from dirl.sources.rooms.mesh import Array, Mesh, Part
-from dirl.sources.rooms.navigation import clearance, footprint, footprints
+from dirl.sources.rooms.navigation import TOUCH, clearance, footprint, footprints
 from dirl.sources.rooms.sampling import KINDS, sample_room
 from dirl.sources.rooms.view import Renderer
 
@@ -25,145 +30,78 @@ APPROACH = 0.75
 OVERHEAD = ("rug", "ceiling_lamp")
 """Kinds of furniture that may stay in front of a doorway."""
 
+OUTSIDE = 2.0
+"""Metres of what lies around a building and stops an agent."""
 
-@dataclass(frozen=True)
-class Door:
-    """A doorway between two rooms, which are given by their numbers.
+ROOM_FOR_TRIPOD = 0.3
+"""Metres around a panorama that are free."""
 
-    Args:
-        first: the western or southern room.
-        second: the eastern or northern room.
-        axis: 0 if the second room lies east of the first, 1 if it lies north of it.
-        at: where the middle of the doorway is along the wall, metres.
-    """
-
-    first: int
-    second: int
-    axis: int
-    at: float
+FINE = 0.25
+"""Metres between the points of which panoramas are chosen."""
 
 
 @dataclass(frozen=True)
 class Building:
-    """Rooms in one row, or in two rows on both sides of a wall, with doorways between them.
-
-    The rooms of a row lie from west to east, with a doorway from each to the next. Those of the first row have their
-    south walls in line. A second row lies south of it, with its north walls in line.
+    """Rooms in a row from west to east, their south walls in line, with a doorway from each to the next.
 
     Args:
         name: what the scene is called.
-        rooms: two or more, first row first; what stood in the way of doorways is not in them any more.
-        doors: where the middle of each doorway within a row is, y in metres.
-        south: how many of the rooms, the last ones, are the second row; 0 if there is none.
-        across: where the middle of each doorway between the rows is, x in metres.
+        rooms: two or more; what stood in the way of doorways is not in them any more.
+        doors: where the middle of each doorway is, y in metres.
     """
 
     name: str
     rooms: tuple[RoomDescription, ...]
     doors: tuple[float, ...]
-    south: int = 0
-    across: tuple[float, ...] = ()
 
     @property
-    def corners(self) -> Array:
-        """The south-west corners of the rooms, metres, float64 ``[R, 2]``."""
-        first, second = self.rooms[: len(self.rooms) - self.south], self.rooms[len(self.rooms) - self.south :]
-        line = max((room.size[1] for room in second), default=0.0)
-        lows = [line + WALL if second else 0.0] * len(first) + [line - room.size[1] for room in second]
-        starts = [
-            sum(room.size[0] + WALL for room in row[:index]) for row in (first, second) for index in range(len(row))
-        ]
-        return np.array([starts, lows]).T
+    def starts(self) -> Array:
+        """Where the west wall of each room is, x in metres, float64 ``[R]``."""
+        return np.cumsum([0.0, *(room.size[0] + WALL for room in self.rooms[:-1])])
 
     @property
     def size(self) -> tuple[float, float, float]:
         """Width, depth and height of all rooms together."""
-        width, depth = (self.corners + [room.size[:2] for room in self.rooms]).max(0)
-        return float(width), float(depth), max(room.size[2] for room in self.rooms)
-
-    @property
-    def passages(self) -> list[Door]:
-        """All doorways, those between the rows last."""
-        found = [Door(*pair, 0, y) for pair, y in zip(self._neighbours, self.doors, strict=True)]
-        for x in self.across:
-            spans = zip(self.corners[:, 0].tolist(), self.rooms, strict=True)
-            north, south = (i for i, (start, room) in enumerate(spans) if start < x < start + room.size[0])
-            found.append(Door(south, north, 1, x))
-        return found
-
-    @property
-    def _neighbours(self) -> list[tuple[int, int]]:
-        """The pairs of rooms that lie side by side in a row."""
-        last = len(self.rooms) - self.south - 1  # of the first row
-        return [(room, room + 1) for room in range(len(self.rooms) - 1) if room != last]
+        depth, height = (max(room.size[axis] for room in self.rooms) for axis in (1, 2))
+        return float(self.starts[-1] + self.rooms[-1].size[0]), depth, height
 
     @property
     def doorways(self) -> Array:
-        """The middles of `passages`, x and y, float64 ``[D, 2]``."""
-        corners, middles = self.corners, []
-        for door in self.passages:
-            through = corners[door.second, door.axis] - WALL / 2
-            middles.append((door.at, through) if door.axis else (through, door.at))
-        return np.array(middles).reshape(-1, 2)
+        """The middles of the doorways, x and y, float64 ``[R - 1, 2]``."""
+        return np.stack([self.starts[1:] - WALL / 2, self.doors], 1)
 
 
 def sample_building(kinds: Sequence[str], seed: int) -> Building:
     """Random rooms of these kinds, joined; kinds and seed determine them.
 
-    Up to four rooms lie in a row. More lie in two rows, with a doorway between the rows in the west, and another one
-    in the east.
-
     Args:
-        kinds: of the rooms from west to east, first row first, see `dirl.sources.rooms.KINDS`; two to eight.
+        kinds: of the rooms from west to east, see `dirl.sources.rooms.KINDS`; two to four.
         seed: of the first room; of the others the numbers that follow it.
 
     Raises:
         SceneError: another number of rooms, or `sample_room` cannot draw one.
     """
-    if not 2 <= len(kinds) <= 8 or not set(kinds) <= set(KINDS):
-        raise SceneError(f"kinds={list(kinds)}: expected two to eight of {', '.join(KINDS)}")
+    if not 2 <= len(kinds) <= 4 or not set(kinds) <= set(KINDS):
+        raise SceneError(f"kinds={list(kinds)}: expected two to four of {', '.join(KINDS)}")
     rooms = [sample_room(kind, seed + index, look=False) for index, kind in enumerate(kinds)]
-    south = len(rooms) // 2 if len(rooms) > 4 else 0
-    building = Building(f"building_{seed}", tuple(rooms), (), south)
-    corners, first = building.corners, len(rooms) - south
-    doors = [_join(rooms, corners, pair, 0) for pair in building._neighbours]
-    facing = [(b, a) for b in range(first, len(rooms)) for a in range(first) if _spots(rooms, corners, (b, a), 1)]
-    facing.sort(key=lambda pair: float(corners[list(pair), 0].max()))
-    across = [_join(rooms, corners, pair, 1) for pair in dict.fromkeys([*facing[:1], *facing[-1:]])]
-    return replace(building, rooms=tuple(rooms), doors=tuple(doors), across=tuple(across))
+    doors = []
+    for west in range(len(rooms) - 1):
+        # The doorway is where least furniture stands in front of it; the rooms lose that furniture.
+        high = min(room.size[1] for room in rooms[west : west + 2])
+        spots = np.arange(DOORWAY[0] / 2 + 0.2, high - DOORWAY[0] / 2 - 0.2, 0.1).round(2).tolist()
+        cleared = [(_cleared(rooms[west], rooms[west].size[0], at), _cleared(rooms[west + 1], 0, at)) for at in spots]
+        best = int(np.argmax([sum(len(room.furniture) for room in both) for both in cleared]))
+        rooms[west : west + 2] = cleared[best]
+        doors.append(spots[best])
+    return Building(f"building_{seed}", tuple(rooms), tuple(doors))
 
 
-def _spots(rooms: Sequence[RoomDescription], corners: Array, pair: tuple[int, int], axis: int) -> list[float]:
-    """Return where the middle of a doorway between two rooms may be along their wall, see `Door`."""
-    low = max(corners[index, 1 - axis] for index in pair)
-    high = min(corners[index, 1 - axis] + rooms[index].size[1 - axis] for index in pair)
-    spots = np.arange(low + (DOORWAY[0] / 2 + 0.2), high - DOORWAY[0] / 2 - 0.2, 0.1)
-    return [float(at) for at in spots.round(2)]
-
-
-def _join(rooms: list[RoomDescription], corners: Array, pair: tuple[int, int], axis: int) -> float:
-    """Where the doorway between two rooms is, before which least furniture stands; the rooms lose that furniture."""
-    first, second = pair
-    spots = _spots(rooms, corners, pair, axis)
-    cleared = [
-        (
-            _cleared(rooms[first], rooms[first].size[axis], at - corners[first, 1 - axis], axis),
-            _cleared(rooms[second], 0, at - corners[second, 1 - axis], axis),
-        )
-        for at in spots
-    ]
-    best = int(np.argmax([sum(len(room.furniture) for room in both) for both in cleared]))
-    rooms[first], rooms[second] = cleared[best]
-    return spots[best]
-
-
-def _cleared(room: RoomDescription, end: float, at: float, axis: int = 0) -> RoomDescription:
+def _cleared(room: RoomDescription, end: float, at: float) -> RoomDescription:
     """Return a room without the furniture in front of a doorway, and without what stood on it.
 
-    The doorway is in the wall at ``end`` of the room, x with axis 0 or y with axis 1, and its middle at ``at``.
+    The doorway is in the wall at x = ``end`` of the room, and its middle at y = ``at``.
     """
-    ends = ((end - APPROACH, at), (end + APPROACH, at))
-    start, stop = (np.array([point[::-1] if axis else point]) for point in ends)
+    start, stop = np.array([[end - APPROACH, at]]), np.array([[end + APPROACH, at]])
     boxes = np.array([footprint(piece, room) for piece in room.furniture]).reshape(-1, 5)
     standing = np.array([piece.kind not in OVERHEAD for piece in room.furniture], bool)
     near = np.array([clearance(start, stop, box[None])[0] < DOORWAY[0] / 2 for box in boxes], bool)
@@ -175,58 +113,39 @@ def _cleared(room: RoomDescription, end: float, at: float, axis: int = 0) -> Roo
 def walls(building: Building) -> Array:
     """Return the walls of a building and what lies outside them, as `footprints` gives them, ``[n, 5]``."""
     width, depth, _ = building.size
-    far, half = max(width, depth) + 2, DOORWAY[0] / 2
-    first = len(building.rooms) - building.south
-    line = building.corners[0, 1]  # where the first row's south walls are
-    found = [(-1.0, 0.0, 1.0, far)]
-    cuts = [-far, *(x + side * half for x in sorted(building.across) for side in (-1, 1)), far]
-    thick, outside = (WALL, far) if building.south else (2.0, 2.0)
-    for low, high in zip(cuts[::2], cuts[1::2], strict=True):
-        found.append(((low + high) / 2, line - thick / 2, (high - low) / 2, thick / 2))
-    for outwards, row in ((1, range(first)), (-1, range(first, len(building.rooms)))):
-        for index in row:
-            (x, y), room = building.corners[index], building.rooms[index]
-            outer = y + room.size[1] if outwards > 0 else y
-            found.append((x + room.size[0] / 2, outer + outwards * far / 2, room.size[0] / 2 + WALL, far / 2))
-            if index == row[-1]:
-                found.append((x + room.size[0] + outside / 2, line + outwards * far / 2, outside / 2, far / 2))
-    for door, (x, y) in zip(building.passages, building.doorways, strict=True):
-        if door.axis == 0:
-            to_line = abs(y - line) - half if building.south else far
-            low, high = (to_line, far) if door.first < first else (far, to_line)
-            found += [(x, y - (half + low / 2), WALL / 2, low / 2), (x, y + (half + high / 2), WALL / 2, high / 2)]
+    far = max(width, depth) + OUTSIDE
+    half = OUTSIDE / 2
+    found = [(-half, 0.0, half, far), (0.0, -half, far, half), (width + half, far / 2, half, far / 2)]
+    for x, room in zip(building.starts, building.rooms, strict=True):
+        found.append((x + room.size[0] / 2, room.size[1] + far / 2, room.size[0] / 2 + WALL, far / 2))
+    for x, y in building.doorways:
+        beside = (DOORWAY[0] + far) / 2
+        found += [(x, y - beside, WALL / 2, far / 2), (x, y + beside, WALL / 2, far / 2)]
     return np.pad(np.array(found), ((0, 0), (0, 1)))
 
 
 def furniture(building: Building) -> Array:
     """Return what stands in a building, as `footprints` gives them, ``[n, 5]``."""
-    rooms = zip(building.rooms, building.corners, strict=True)
-    return np.concatenate([footprints(room) + np.array([*corner, 0, 0, 0]) for room, corner in rooms])
-
-
-WALLS = (("east", "west"), ("north", "south"))
-"""In which walls of its two rooms a doorway is, by its axis."""
+    rooms = zip(building.rooms, building.starts, strict=True)
+    return np.concatenate([footprints(room) + np.array([x, 0, 0, 0, 0]) for room, x in rooms])
 
 
 def assemble_building(building: Building) -> tuple[list[Part], dict[str, Material]]:
     """Return all triangles of a building, and its materials; those of different rooms have different names."""
     parts: list[Part] = []
     materials: dict[str, Material] = {}
-    for index, (room, corner) in enumerate(zip(building.rooms, building.corners, strict=True)):
-        openings = []
-        for door in building.passages:
-            if index in (door.first, door.second):
-                at = float(door.at - corner[1 - door.axis])
-                wall = WALLS[door.axis][index == door.second]
-                openings.append(Opening(wall, at - DOORWAY[0] / 2, at + DOORWAY[0] / 2, DOORWAY[1]))
+    for index, (room, x) in enumerate(zip(building.rooms, building.starts.tolist(), strict=True)):
+        openings = [
+            Opening(wall, building.doors[door] - DOORWAY[0] / 2, building.doors[door] + DOORWAY[0] / 2, DOORWAY[1])
+            for wall, door in (("west", index - 1), ("east", index))
+            if 0 <= door < len(building.doors)
+        ]
         own = {name: f"{index}.{name}" for name in materials_of(room)}
         materials |= {own[name]: material for name, material in materials_of(room).items()}
         for part in assemble(room, openings):
-            moved = part.moved((float(corner[0]), float(corner[1]), 0), 0, 1.0)
-            parts.append(replace(moved, material=own[part.material]))
-    for door, (x, y) in zip(building.passages, building.doorways, strict=True):
-        jambs = _jambs(x, y) if door.axis == 0 else [part.moved((x, y, 0), 90, 1.0) for part in _jambs(0, 0)]
-        parts += [replace(part, material=f"0.{part.material}") for part in jambs]
+            parts.append(replace(part.moved((x, 0, 0), 0, 1.0), material=own[part.material]))
+    for x, y in building.doorways:
+        parts += [replace(part, material=f"0.{part.material}") for part in _jambs(x, y)]
     return parts, materials
 
 
@@ -241,6 +160,95 @@ def _jambs(x: float, y: float) -> list[Part]:
     return [part.moved((0, 0, 0), 0, 1.0) for part in mesh.parts]
 
 
-def building_renderer(building: Building) -> Renderer:
-    """Return a building in coarse light, seen from anywhere in it."""
-    return Renderer.lit(*assemble_building(building), building.size, 1.4, fine=False)
+@dataclass(frozen=True)
+class Panoramas:
+    """Where panoramas stand, and from which to which there are links.
+
+    Args:
+        places: metres, float64 ``[P, 2]``; those of doorways first.
+        links: pairs of them, int64 ``[L, 2]``, each way.
+    """
+
+    places: Array
+    links: Array
+
+
+def choose_panoramas(building: Building, apart: float = 2.0) -> Panoramas:
+    """Panoramas in the doorways, and in the rooms as many as can stand so far from all others.
+
+    Two are linked if no wall is between them, and no third one is nearer to both. As the arrows of real tours, links
+    lead over furniture.
+
+    Args:
+        building: where.
+        apart: metres.
+
+    Raises:
+        SceneError: not all doorways can be reached by links.
+    """
+    solid = np.concatenate([walls(building), furniture(building)])
+    steps = [np.arange(FINE, length, FINE) for length in building.size[:2]]
+    points = np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 2)
+    points = points[clearance(points, points, solid) >= ROOM_FOR_TRIPOD]
+    chosen = [*building.doorways]
+    while True:
+        distance = np.linalg.norm(points[:, None] - np.array(chosen), axis=-1).min(1)
+        if distance.max() < apart:
+            break
+        chosen.append(points[distance.argmax()])
+    places = np.array(chosen)
+    links = _links(places, walls(building))
+    graph = coo_array((np.ones(len(links)), links.T), (len(places), len(places))).tocsr()
+    reached = np.isin(np.arange(len(places)), breadth_first_order(graph, 0, return_predecessors=False))
+    if not reached[: len(building.doorways)].all():
+        raise SceneError(f"{building.name}: not all doorways can be reached by links")
+    number = np.cumsum(reached) - 1
+    return Panoramas(places[reached], number[links[reached[links].all(1)]])
+
+
+def _links(places: Array, solid: Array) -> Array:
+    between = np.linalg.norm(places[:, None] - places, axis=-1)
+    count = len(places)
+    free = clearance(np.repeat(places, count, 0), np.tile(places, (count, 1)), solid).reshape(count, count) > TOUCH
+    np.fill_diagonal(free, False)
+    seen = np.where(free, between, np.inf)
+    nearer = np.maximum(seen[:, None], seen).min(-1) < between - TOUCH
+    return np.argwhere(free & ~nearer)
+
+
+def write_building_tour(
+    building: Building, folder: Path, *, apart: float = 2.0, size: tuple[int, int] = (128, 256), seed: int = 0
+) -> Panoramas:
+    """Render the panoramas of a building into a folder that `scenes.py tour` reads.
+
+    The middle of each image looks in a random direction, as in real tours; positions are written, headings are not.
+
+    Args:
+        building: what is shown.
+        folder: made if there is none.
+        apart: see `choose_panoramas`.
+        size: height and width of the images, pixels.
+        seed: of the directions.
+
+    Raises:
+        SceneError: see `choose_panoramas`.
+    """
+    found = choose_panoramas(building, apart)
+    folder.mkdir(parents=True, exist_ok=True)
+    renderer = Renderer.lit(*assemble_building(building), building.size, 1.4, fine=False)
+    middles = np.random.default_rng(seed).uniform(0, 360, len(found.places))
+    names = [f"{index:03d}.png" for index in range(len(found.places))]
+    for name, (x, y), middle in zip(names, found.places, middles, strict=True):
+        Image.fromarray(renderer.panorama(1.4, (x, y, middle), size)).save(folder / name)
+    along = found.places[found.links[:, 1]] - found.places[found.links[:, 0]]
+    yaws = (np.degrees(np.arctan2(*along.T)) - middles[found.links[:, 0]] + 180) % 360 - 180
+    links = [(names[a], names[b], f"{yaw:.2f}") for (a, b), yaw in zip(found.links, yaws, strict=True)]
+    places = [(name, f"{x:.3f}", f"{y:.3f}", "") for name, (x, y) in zip(names, found.places, strict=True)]
+    tables: dict[str, list[tuple[str, ...]]] = {
+        "links": [("image", "to", "yaw"), *links],
+        "panoramas": [("image", "x", "z", "heading"), *places],
+    }
+    for name, rows in tables.items():
+        with (folder / f"{name}.csv").open("w", newline="") as stream:
+            csv.writer(stream).writerows(rows)
+    return found

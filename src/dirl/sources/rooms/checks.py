@@ -3,7 +3,6 @@
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from dirl.sources.rooms.description import Piece, RoomDescription, Size
@@ -123,15 +122,11 @@ def check_views(thumbnails: Array, contrasts: Array, way: Walk) -> list[str]:
     likeness = correlation(thumbnails)
     turns = len(way.headings)
     positions, headings = np.repeat(way.places, turns, 0), np.tile(way.headings, len(way.places))
-    for a, b in np.argwhere(np.triu((likeness > ALIKE) & far_apart(positions, headings), 1)):
+    turned = np.abs((headings[:, None] - headings + 180) % 360 - 180)
+    far = (turned >= 90) | (np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1)) > NEAR)
+    for a, b in np.argwhere(np.triu((likeness > ALIKE) & far, 1)):
         found.append(f"states {a} and {b} look alike (correlation {likeness[a, b]:.2f}) but are far apart")
     return found
-
-
-def far_apart(positions: Array, headings: Array) -> NDArray[np.bool_]:
-    """Which pairs of states should not look alike: over a metre or at least 90 degrees apart, bool ``[N, N]``."""
-    apart = np.abs((headings[:, None] - headings + 180) % 360 - 180)
-    return (apart >= 90) | (np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1)) > NEAR)
 
 
 def correlation(thumbnails: Array) -> Array:

@@ -7,13 +7,12 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dirl.scenes import Scene, SceneError, read_dump
 from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
 from dirl.scenes.io.digest import file_digest
 from dirl.scenes.io.processes import in_processes
+from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.build import check_arguments, poses, take_views, write_room
-from dirl.sources.rooms.checks import far_apart
-from dirl.sources.rooms.description import RoomDescription, description_text
+from dirl.sources.rooms.description import description_text
 from dirl.sources.rooms.looks import Changes, look_views
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.sampling.sample import LOOK, sample_views
@@ -131,7 +130,7 @@ def make_rooms(
     Raises:
         SceneError: the rooms cannot be made, or a process was killed, perhaps because memory ran out.
     """
-    check_arguments((settings.height, settings.width), workers)
+    check_arguments((settings.height, settings.width))
     if not 0 <= settings.looks <= LOOK_SEEDS:
         raise SceneError(f"looks={settings.looks}: must be 0 to {LOOK_SEEDS}")
     if settings.looks and settings.encoder is None:
@@ -141,9 +140,9 @@ def make_rooms(
     folder.mkdir(parents=True, exist_ok=True)
     made: Iterable[Entry | SceneError]
     if workers == 1 or len(wanted) == 1:
-        made = (make_room(folder, one, settings, workers) for one in wanted)
+        made = (make_room(folder, one, settings) for one in wanted)
     else:
-        tasks = [partial(make_room, folder, one, settings) for one in wanted]
+        tasks = [partial(make_room, folder, one, settings, threads=1) for one in wanted]
         made = in_processes(tasks, min(workers, len(wanted)), f"{folder}: a process that made a room")
     for one in made:
         if isinstance(one, Entry):
@@ -151,12 +150,12 @@ def make_rooms(
         yield one
 
 
-def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 1) -> Entry | SceneError:
+def make_room(folder: Path, one: Wanted, settings: RoomSettings, *, threads: int | None = None) -> Entry | SceneError:
     """Draw a room, take and encode its views, and write its dump and its description; see `make_rooms`."""
     kind, seed = one
     encoder = encoder_of(settings)
     try:
-        room, views = sample_views(kind, seed)
+        room, views = sample_views(kind, seed, threads=threads)
     except SceneError as error:
         return error
     way, size, looks = walk(room, settings.turn), (settings.height, settings.width), []
@@ -164,7 +163,7 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
     if settings.looks or not checked:
         renderer = Renderer.of(room, fine=settings.fine)
         if not checked:
-            views = list(take_views(renderer, room.camera, poses(way), size, workers=workers, progress=False))
+            views = list(take_views(renderer, room.camera, poses(way), size, threads=threads, progress=False))
         taken = partial(look_views, renderer, room.camera, way, size, settings.changes)
         looks = [list(taken(LOOK_SEEDS * seed + k)) for k in range(settings.looks)]
     dump = folder / f"{room.name}.h5"
@@ -172,37 +171,18 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, workers: int = 
     unfinished.write_text(description_text(room), encoding="utf-8")
     os.replace(unfinished, folder / f"{room.name}.toml")  # also over what a killed job left
     problems = write_room(dump, room, way, views, encoder, {"turn": settings.turn, "seed": seed}, looks=looks)
-    scene = read_dump(dump, isolated=False)  # just written here
     return Entry(
         name=room.name,
         kind=kind,
         seed=seed,
         split=split_of(seed),
-        states=len(scene),
-        checks=checks(room, scene, problems),
+        states=len(way.graph),
+        checks={
+            "size": list(room.size),
+            "pieces": len(room.furniture),
+            "places": room.grid.places,
+            "problems": problems,
+        },
         settings=settings.stored(encoder),
         sha256=file_digest(dump),
     )
-
-
-def checks(room: RoomDescription, scene: Scene, problems: list[str]) -> dict[str, Any]:
-    """Return what the index says of a room: its measures, connected parts, and with features how many far states match.
-
-    ``alike_front`` and ``alike_views`` count pairs of states that are `far_apart` and match above 0.9 by one view, and
-    by the four views that decide a stop.
-    """
-    from dirl.perception.recognition.diagnostics import inspect_scene
-    from dirl.perception.recognition.matching import TemplateStop
-
-    found = {match: inspect_scene(scene, TemplateStop(match=match)) for match in ("front", "views")}
-    apart = far_apart(scene.positions, scene.headings)
-    measures = {
-        "size": list(room.size),
-        "pieces": len(room.furniture),
-        "places": room.grid.places,
-        "parts": int(found["views"].parts.max() + 1),
-    }
-    if scene.features is None:
-        return measures | {"problems": problems}
-    far = {f"alike_{match}": sum(bool(apart[a, b]) for a, b, *_ in one.ambiguous) for match, one in found.items()}
-    return measures | far | {"problems": problems + found["views"].problems}

@@ -1,6 +1,6 @@
 """A room prepared for ray casting: finely divided triangles, textures at every size, and first hits."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,18 +48,13 @@ class Scenery:
         self.size[self.size == 0] = 1.0
         self.metal, self.mirror = np.array([one.metal for one in used]), np.array([one.mirror for one in used])
         self._store_textures([paint(name, one, texture_limit) for name, one in zip(names, used, strict=True)])
-        self._embree: Any = None
+        from embreex import mesh_construction, rtcore_scene  # here: some machines have none
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_embree": None}  # Embree's tree cannot be pickled; it is rebuilt
+        self._embree = rtcore_scene.EmbreeScene()
+        mesh_construction.TriangleMesh(self._embree, self.corners)
 
     def trace(self, origins: Array, directions: Array) -> Hits:
         """Return the first hit of each ray; origins and directions ``[n, 3]``."""
-        if self._embree is None:
-            from embreex import mesh_construction, rtcore_scene
-
-            self._embree = rtcore_scene.EmbreeScene()
-            mesh_construction.TriangleMesh(self._embree, self.corners)
         rays = (np.ascontiguousarray(values, np.float32) for values in (origins, directions))
         found = self._embree.run(*rays, query="INTERSECT", output=1)
         return Hits(found["primID"].astype(np.int64), found["u"], found["v"], found["tfar"])

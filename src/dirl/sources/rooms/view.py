@@ -24,7 +24,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 class Renderer:
-    """A room with its light, seen from anywhere in it. It can be sent to another process.
+    """A room with its light, seen from anywhere in it.
 
     Args:
         scenery: the triangles and textures.

@@ -68,7 +68,7 @@ def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = 
 
 
 def sample_views(
-    kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True
+    kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True, threads: int | None = None
 ) -> tuple[RoomDescription, list[View]]:
     """Return the room that `sample_room` returns, and the views of its check: of `LOOK` pixels, in coarse light.
 
@@ -81,7 +81,7 @@ def sample_views(
     for attempt in range(attempts):
         room = draw_room(kind, seed, attempt)
         problems = problems_of(room, KINDS[kind])
-        views = look_around(room) if look and not problems else []
+        views = look_around(room, threads) if look and not problems else []
         if views:
             problems = view_problems(views, walk(room))
         if not problems:
@@ -136,7 +136,7 @@ def problems_of(room: RoomDescription, kind: Kind) -> list[str]:
     return [f"there was no room for a {need}" for need in kind.needs if need not in kinds] + check_room(room)
 
 
-def look_around(room: RoomDescription) -> list[View]:
+def look_around(room: RoomDescription, threads: int | None = None) -> list[View]:
     """Return the views of all states, of `LOOK` pixels, in coarse light."""
     renderer = Renderer.of(room, fine=False)
-    return list(take_views(renderer, room.camera, poses(walk(room)), LOOK, progress=False))
+    return list(take_views(renderer, room.camera, poses(walk(room)), LOOK, threads=threads, progress=False))
