@@ -91,7 +91,6 @@ def test_many_agents_share_the_tables_of_their_scene_until_its_file_changes(room
         ({"observation": "feature"}, ValueError, "features"),
         ({"scene": "all"}, SceneError, "name one"),
         ({"goal": 999}, SceneError, "999"),
-        ({"render_mode": "human"}, ValueError, "rgb_array"),
     ],
 )
 def test_a_wrong_argument_is_named(room, given, error, said):
@@ -103,9 +102,6 @@ def test_a_wrong_argument_is_named(room, given, error, said):
 
 def test_wrong_actions_and_options_are_refused(room):
     single = gymnasium.make(NAME, **room).unwrapped
-    for early in (single.render, lambda: single.step(0)):
-        with pytest.raises(ValueError, match=r"there is no episode yet; call reset\(\) first"):
-            early()
     single.reset()
     for wrong in (-1, np.array([4]), np.array([0, 1]), 1.0, "ahead"):
         with pytest.raises(ValueError, match=r"is not one of 0\.\.3"):

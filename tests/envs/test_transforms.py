@@ -1,7 +1,6 @@
 import pytest
 import torch
 from rooms import grid_scene
-from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs import Compose, StepCounter, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
@@ -63,20 +62,6 @@ def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states
             assert step["next", "view_ids"].tolist() == history
             if step["next", "done"]:
                 history = None
-
-
-@BOTH
-def test_views_made_by_a_replay_buffer_are_those_recorded_in_the_env(world, kind):
-    steps = rollout(world, kind)
-    assert steps["next", "done"][:, :-1].any()
-    stored = steps.select("state", "goal", ("next", "done"))
-    stored["recorded"], stored["recorded_goal"] = steps["view_ids"], steps["goal_view_ids"]
-    buffer = ReplayBuffer(storage=LazyTensorStorage(AGENTS), transform=kind(world), batch_size=40)
-    buffer.extend(stored)
-    sample = buffer.sample()
-    assert sample["view_ids"].shape == (40, STEPS, 4)
-    assert torch.equal(sample["view_ids"], sample["recorded"])
-    assert torch.equal(sample["goal_view_ids"], sample["recorded_goal"])
 
 
 @BOTH

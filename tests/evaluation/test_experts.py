@@ -78,12 +78,6 @@ def test_interval_pos_shows_every_kth_place_with_all_its_headings(fraction, stat
     assert shown(fraction, "interval_pos") == states
 
 
-@pytest.mark.parametrize("fraction", [-0.1, float("nan")])
-def test_a_fraction_beyond_nothing_and_everything_is_refused(world, fraction):
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        shown_by_expert(world, fraction)
-
-
 def test_a_demonstration_holds_the_experts_action_and_the_scene(world):
     shows = shown_by_expert(world, 1)
     kinds = dict.fromkeys(DEMONSTRATED, torch.int64) | {"optimal_actions": torch.bool}

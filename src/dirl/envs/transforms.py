@@ -2,7 +2,7 @@
 
 `SurroundingViews` and `SequentialViews` turn ``state`` and ``goal`` into ``view_ids`` and ``goal_view_ids``, int64
 ``[..., 4]``: the states that the views belong to. The network looks up the features behind them. `ViewFeatures` looks
-them up in the environment instead, for networks that read features. All work on an environment and on a replay buffer.
+them up in the environment instead, for networks that read features.
 """
 
 from typing import Literal
@@ -69,10 +69,6 @@ class SurroundingViews(Transform):
         found: Tensor = tensordict[state]
         return found if self.pictures == self.states else found + self.states * tensordict[look]
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``view_ids`` and ``goal_view_ids`` of a replayed batch."""
-        return self._call(tensordict)
-
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self._call(tensordict_reset)
 
@@ -131,9 +127,6 @@ class SequentialViews(SurroundingViews):
 
     At the start of an episode the first view is repeated four times. The history is in the tensordict itself (TorchRL's
     ``CatFrames`` keeps it in the transform), so that the tensordict is the complete state of an agent.
-
-    On a replay buffer the sampled tensordict must be ``[..., T]``, consecutive steps; the first is treated as the
-    start of an episode.
     """
 
     history = True
@@ -150,18 +143,6 @@ class SequentialViews(SurroundingViews):
     def step_view_ids(self, view_ids: Tensor, picture: Tensor) -> Tensor:
         """``view_ids`` without the oldest, and the new picture, int64 ``[..., 4]``."""
         return torch.cat([view_ids[..., 1:], picture.unsqueeze(-1)], -1)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``view_ids`` and ``goal_view_ids`` of a replayed batch, see the class."""
-        picture = self._picture(tensordict, "state", "look")
-        view_ids = self.reset_view_ids(picture)
-        for time in range(1, picture.shape[-1]):
-            begins = tensordict["next", "done"][..., time - 1, :]
-            longer = self.step_view_ids(view_ids[..., time - 1, :], picture[..., time])
-            view_ids[..., time, :] = torch.where(begins, view_ids[..., time, :], longer)
-        tensordict["view_ids"] = view_ids
-        tensordict["goal_view_ids"] = self.goal_view_ids(self._picture(tensordict, "goal", "goal_look"))
-        return tensordict
 
 
 class ViewFeatures(Transform):

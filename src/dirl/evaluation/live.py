@@ -1,15 +1,13 @@
 """A navigator walked in a live world by its own code, so that what is measured is what a robot runs."""
 
-from collections.abc import Collection
 from hashlib import sha256
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from dirl.agent.loading import Encoder, image_encoder, load_parts
+from dirl.agent.loading import Encoder
 from dirl.agent.navigator import Navigator
 from dirl.evaluation.episodes import Episodes
 from dirl.scenes.graph import turns_per_circle
@@ -33,20 +31,6 @@ class Remembered:
         for key in list(self.known)[: max(0, len(self.known) - self.most)]:
             del self.known[key]
         return rows
-
-
-def remembering(name: str, scene: Scene, device: str, *, patches: bool) -> Remembered:
-    """Return the encoder of the package that made the features of a scene, by its name."""
-    facts = {"extractor": scene.extractor}
-    return Remembered(image_encoder(name, None, facts, scene.origin, device, patches=patches))
-
-
-def trained_navigator(
-    saved: dict[str, Any], encoder: Encoder, turns: int, device: str, trust: Collection[str]
-) -> Navigator:
-    """Return the navigator of a policy that is still being trained, from what its checkpoint would hold."""
-    parts = load_parts(saved, "env=live", encoder, saved["extractor"], None, {}, device, trust)
-    return Navigator(**parts, turns=turns)
 
 
 def evaluate_live(

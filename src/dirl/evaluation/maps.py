@@ -1,13 +1,12 @@
 """Maps of a world that changes: one walk through each scene, and how right what it found is."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from dirl.agent.mapping.places import ParticleMapper, PlaceMap
-from dirl.agent.mapping.walks import Mapper, explore
+from dirl.agent.mapping.walks import explore
 from dirl.evaluation.episodes import drawn_looks
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition.tables import VisitScores
@@ -45,36 +44,17 @@ def map_scene(
     """
     mapper = ParticleMapper(memory, scores.of_visits, seed=seed, turns=int(world.turns[index]))
     around = world.panoramas() if panorama else world.surrounding
-    passed = walk_through(world, index, mapper, lambda visit: visit, steps_per_state, seed, looks, around)
-    return mapper.map(), passed
-
-
-def walk_through(
-    world: World,
-    index: int,
-    mapper: Mapper,
-    look: Callable[[Tensor], Tensor],
-    steps_per_state: float,
-    seed: int = 0,
-    looks: range | None = None,
-    around: Tensor | None = None,
-) -> list[int]:
-    """Return the states that are passed on a walk through a scene by a mapper; see `map_scene`.
-
-    ``look`` gives what the mapper takes for the view ids of a visit, int64 ``[V]``: those of the states that are seen
-    ``around`` each, int64 ``[N, V]``; `World.surrounding` if left out.
-    """
-    around = world.surrounding if around is None else around
     scene, offset = world.scenes[index], world.offsets[index]
     generator = torch.Generator(world.device).manual_seed(seed)
 
     def seen(state: int) -> Tensor:
         here = torch.tensor([offset + state], device=world.device)
         ahead = drawn_looks(here, len(world), world, generator, looks=looks)
-        return look(around[offset + state] + (ahead - ahead % len(world)))
+        return around[offset + state] + (ahead - ahead % len(world))
 
     start = int(torch.randint(len(scene), (1,), generator=generator, device=world.device))
-    return explore(scene, mapper, start, round(steps_per_state * len(scene)), seen)
+    passed = explore(scene, mapper, start, round(steps_per_state * len(scene)), seen)
+    return mapper.map(), passed
 
 
 def map_quality(known: PlaceMap, passed: list[int], world: World, index: int) -> Quality:

@@ -6,12 +6,14 @@ from typing import NamedTuple
 
 from torch import nn
 
+from dirl.agent.loading import image_encoder, load_parts
+from dirl.agent.navigator import Navigator
 from dirl.config.choices import load_simulator
 from dirl.config.components import packages_to_trust
 from dirl.config.schemas import ConfigError, GoalView, Stop, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, sampled_starts
-from dirl.evaluation.live import Remembered, evaluate_live, remembering, trained_navigator
+from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.models import plain_weights
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import packaged_encoder
@@ -63,7 +65,8 @@ def _opened(file: str, trust: tuple[str, ...] | None, scene: Scene, device: str,
     name = packaged_encoder(scene.extractor)
     if name is None:
         raise ConfigError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
-    return Live(simulator, remembering(name, scene, device, patches=patches))
+    facts = {"extractor": scene.extractor}
+    return Live(simulator, Remembered(image_encoder(name, None, facts, scene.origin, device, patches=patches)))
 
 
 def check_simulator(simulator: Simulator, scene: Scene, file: str) -> None:
@@ -90,8 +93,10 @@ def live_protocol(
     def walk(policy: nn.Module, told: bool = False) -> Episodes:
         saved = {**beside, "network": plain_weights(policy)}
         simulated = Simulated(live.simulator, step=shortest_move(scene), turns=turns)
+        # What its checkpoint would hold makes the navigator of a policy that is still being trained.
+        parts = load_parts(saved, "env=live", live.encode, saved["extractor"], None, {}, device, trust)
         return evaluate_live(
-            trained_navigator(saved, live.encode, turns, device, trust),
+            Navigator(**parts, turns=turns),
             Noisy(simulated, **errors, seed=config.seed),
             scene,
             (world.goals[goal].cpu(), start.cpu()),
