@@ -53,8 +53,7 @@ from dirl.config.values import typed
 from dirl.experiments.other_loops import stable_baselines3, stock_torchrl
 from dirl.experiments.results import Table
 from dirl.models import caching
-from dirl.runs.folder import Run
-from dirl.runs.memory import peak_memory_mb
+from dirl.runs.folder import Run, peak_memory_mb
 from dirl.scenes.io.atomic import write_json
 from dirl.training.build import build_world
 from dirl.training.job import Components, build_components

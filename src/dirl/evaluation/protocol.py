@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from dirl.agent.decisions import answers
-from dirl.config.user_code import tried
+from dirl.config.components import tried
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, Metric, shortest_episodes
 from dirl.evaluation.episodes import EvaluationProtocol as EvaluationProtocol

@@ -9,9 +9,8 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from dirl.config.components import TARGET, class_parameters, find_class, make
+from dirl.config.components import TARGET, class_parameters, find_class, make, tried
 from dirl.config.schemas import ConfigError, TrainConfig
-from dirl.config.user_code import tried
 from dirl.envs.transforms import VIEWS
 from dirl.models import (
     ActorCritic,

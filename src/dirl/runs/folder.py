@@ -4,6 +4,7 @@ import csv
 import math
 import os
 import shutil
+import sys
 import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
@@ -273,3 +274,15 @@ def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:
         for name, value in asked.items()
         if before.get(name) != value and not name.startswith(same)
     ]
+
+
+def peak_memory_mb() -> float | None:
+    """Return the most memory this process has held, MB; None where the system does not say, as on Windows."""
+    status = Path("/proc/self/status")
+    if status.exists():  # on Linux `getrusage` would include the memory of the parent before the fork
+        return int(status.read_text().split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    try:
+        import resource
+    except ImportError:  # on Windows
+        return None
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6

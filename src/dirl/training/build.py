@@ -10,10 +10,9 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
 
-from dirl.config.components import TARGET, components, make, schedules
+from dirl.config.components import CODE, TARGET, components, describe_error, make, schedules
 from dirl.config.saved import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, Device, GoalView, Starts, Stop, TrainConfig
-from dirl.config.user_code import CODE, describe_error
 from dirl.envs import Reward, SequentialViews, SurroundingViews
 from dirl.envs.transforms import broken_promise, front_only
 from dirl.evaluation.episodes import every_start, sampled_starts

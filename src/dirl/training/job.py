@@ -24,8 +24,7 @@ from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.checkpoints import load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
-from dirl.runs.folder import Run, open_run
-from dirl.runs.memory import peak_memory_mb
+from dirl.runs.folder import Run, open_run, peak_memory_mb
 from dirl.runs.paths import RunError
 from dirl.scenes import World
 from dirl.scenes.io.bounded import read_text

@@ -17,8 +17,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dirl.config.choices import own_options
-from dirl.config.components import make
-from dirl.config.user_code import tried
+from dirl.config.components import make, tried
 from dirl.config.values import check_choice
 from dirl.perception.backbones.efficientnet import lite0_encoder
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from dirl.config.user_code import tried
+from dirl.config.components import tried
 from dirl.perception.recognition.recogniser import Recogniser, in_blocks
 from dirl.scenes import World
 
