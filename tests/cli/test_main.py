@@ -73,10 +73,6 @@ def test_the_shell_completes_commands_and_options(tmp_path, monkeypatch, line, o
     assert dirl(tmp_path, "-sc", "query=bash")[0].split() == offered.split()
 
 
-def test_shell_completion_is_installed(tmp_path):
-    assert dirl(tmp_path, "-sc", "install=bash")[0].rstrip().endswith("hydra_bash_completion dirl")
-
-
 def test_a_copy_is_not_written_over_a_file(tmp_path):
     assert dirl(tmp_path, "copy", "train", "mine.py")[0] == "copied: mine.py; run it with: python mine.py\n"
     assert "python mine.py scene=bathroom_02" in (tmp_path / "mine.py").read_text()

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import pytest
-from commands import train_config
 from options import SCHEMAS
 
 from dirl.cli.parsing import compose_training, parse, prepare
@@ -100,8 +99,3 @@ def test_every_option_says_what_it_means():
 )
 def test_a_number_is_a_constant_schedule_and_options_of_components_may_be_added(argument, prepared):
     assert prepare(["-m", "--config-dir", "x", argument]) == ["-m", "--config-dir", "x", prepared]
-
-
-def test_a_constant_schedule_reaches_the_loss():
-    constant = {"start": 0.03, "end": 0.03}
-    assert train_config("reinforcement.entropy_coef=0.03").losses["a2c"]["entropy_coeff"] == constant

@@ -10,14 +10,12 @@ import sys
 from unittest.mock import patch
 
 import pytest
-from commands import run_recipe
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from options import RECIPES as PROGRAMS
 from options import SCHEMAS, command_line, draw_arguments, program
 
-from dirl.cli.start import run, start
-from dirl.config.schemas import ConfigError
+from dirl.cli.start import start
 
 RECIPES = sorted(set(SCHEMAS) - {"benchmark"})
 
@@ -95,37 +93,3 @@ def test_what_hydra_would_refuse_in_many_lines_is_one(tmp_path, monkeypatch, arg
     said = started("train", *arguments)
     assert said.startswith(told)
     assert len(said.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("argument", "told"),
-    [
-        ("hydra/launcher=nope", "error: In 'hydra/config': Could not find 'hydra/launcher/nope'"),
-        ("resume=nowhere", "error: nowhere: is not the folder of a run; it has no config.yaml\n"),
-    ],
-)
-def test_a_training_tells_what_hydra_or_a_run_finds_in_one_line(tmp_path, argument, told):
-    status, printed, errors = run_recipe(tmp_path, "train", argument)
-    assert (status, printed, errors[: len(told)], errors.count("\n")) == (1, "", told, 1)
-    assert list(tmp_path.iterdir()) == []
-
-
-def fails_with(error):
-    def main():
-        raise error
-
-    return main
-
-
-def test_the_end_of_a_recipe_is_one_line(capsys, monkeypatch):
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
-    with pytest.raises(SystemExit, match=r"^error: one two$"):
-        run(fails_with(ConfigError("one\ntwo")))
-    with pytest.raises(SystemExit) as raised:
-        run(fails_with(OSError(28, "No space left on device", "x.h5")))
-    assert raised.value.code == 74
-    assert (
-        capsys.readouterr().err == "error: x.h5: No space left on device; make room on the disk; nothing was trained\n"
-    )
-    with pytest.raises(KeyError):
-        run(fails_with(KeyError("a bug")))

@@ -4,14 +4,12 @@ import sys
 from typing import Annotated, Literal
 
 import pytest
-import torch
 from commands import train_config
 from torch import nn
 
 from dirl.config.bounds import Bounds
 from dirl.config.components import (
     check_components,
-    class_parameters,
     components,
     find_class,
     make,
@@ -21,7 +19,6 @@ from dirl.config.components import (
 from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import ConfigError, Schedule
 from dirl.envs import NavigationEnv
-from dirl.models import SiameseEncoder
 
 
 class Mine(nn.Module):
@@ -65,11 +62,6 @@ def refusal(call, *arguments, **options):
 def test_a_class_is_made_of_its_options_and_of_what_it_is_offered(target):
     options = {"_target_": target, "depth": 8, "kind": "max", "plain": "anything"}
     assert make("encoder", options, num_features=7, world=object()).options == (7, 8, "max", "anything")
-
-
-def test_options_handed_on_are_those_of_the_base():
-    assert list(class_parameters(Deeper)) == ["num_features", "depth", "kind", "plain", "layers"]
-    assert set(class_parameters(SiameseEncoder)) == {"num_features", "num_views", "width"}
 
 
 def test_only_what_a_training_can_do_without_may_be_null():
@@ -131,13 +123,6 @@ def test_a_configuration_from_a_file_names_trusted_classes_only(monkeypatch, tar
     assert "this" not in sys.modules  # what is not trusted is not even imported
 
 
-def test_trust_allows_a_package():
-    assert find_class("encoder", "house.Mine", ("house",)) is Mine
-    assert find_class("encoder", "dirl.models.SiameseEncoder", ()) is SiameseEncoder
-    assert find_class("memory", "torchrl.modules.GRUModule", ()).__name__ == "GRUModule"
-    assert find_class("optimiser", "torch.optim.Adam", ()) is torch.optim.Adam
-
-
 def test_a_class_that_a_trusted_package_only_imports_is_refused():
     told = refusal(find_class, "encoder", "dirl.models.policy.nn.Linear", ())
     assert told.startswith("encoder._target_=dirl.models.policy.nn.Linear: ")
@@ -157,11 +142,6 @@ def test_every_component_of_a_configuration_is_found():
     config = train_config()
     config.losses["a2c"]["gama"] = 1
     assert refusal(check_components, config).startswith("there is no option 'losses.a2c.gama'")
-
-
-@pytest.mark.parametrize("choice", [["memory=gru"], ["heads=shared"], ["observation=sequential"], ["preset=paper"]])
-def test_every_choice_of_dirls_own_fits_its_constructor(choice):
-    check_components(train_config(*choice), ())
 
 
 def test_schedules_are_weights_and_what_has_a_start_and_an_end():

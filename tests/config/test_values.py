@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from dirl.config.bounds import Bounds
-from dirl.config.schemas import ConfigError, Device
-from dirl.config.values import check_choice, check_value, misfit
+from dirl.config.schemas import Device
+from dirl.config.values import misfit
 
 Count = Annotated[int, Bounds(0, 9)]
 
@@ -35,12 +35,3 @@ Count = Annotated[int, Bounds(0, 9)]
 )
 def test_a_value_fits_its_type_or_what_it_must_be_is_told(value, kind, told):
     assert misfit(value, kind) == told
-
-
-def test_a_wrong_value_and_a_wrong_choice_are_one_line():
-    with pytest.raises(ConfigError, match=r"^x=10: must be less than or equal to 9$"):
-        check_value("x", 10, Count | None)
-    with pytest.raises(ConfigError, match=r"^there is no colour 'rad'; did you mean red\?$"):
-        check_choice("colour 'rad'", "rad", ["red", "green"])
-    with pytest.raises(ConfigError, match=r"^there is no colour 'x'; choose from red, green$"):
-        check_choice("colour 'x'", "x", ["red", "green"])

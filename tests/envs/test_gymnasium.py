@@ -36,18 +36,6 @@ def test_the_built_in_room_renders_view_goal_and_map():
     assert (env.render()[:, 800:] != picture[:, 800:]).any()  # the agent turned on the map
 
 
-def test_an_observation_is_what_surrounds_the_agent_and_the_goal(room, scene):
-    env = gymnasium.make(NAME, **room, observation="both")
-    seen, info = env.reset(options={"state": 13})
-    assert info["state"] == 13
-    assert info["distance"] == scene.distances[13, 0]
-    np.testing.assert_array_equal(seen["features"], scene.features[scene.surrounding[13]])
-    np.testing.assert_array_equal(seen["goal_features"], scene.features[scene.surrounding[0]])
-    # Every pixel of a view of the dump is its state's number.
-    np.testing.assert_array_equal(seen["views"][:, 0, 0, 0], scene.surrounding[13])
-    np.testing.assert_array_equal(seen["goal_views"][:, 0, 0, 0], scene.surrounding[0])
-
-
 def test_steps_follow_the_graph_and_earn_the_reward(room, scene):
     env = gymnasium.make(NAME, **room, reward=Reward(goal=5.0, step=-0.5, collision=-2.0))
     for state in np.flatnonzero(scene.distances[:, 0] > 0):

@@ -47,21 +47,6 @@ def test_starts_reach_their_goal_and_are_not_it(world):
     assert starts == {0: set(range(24)) - {0}, 13: set(range(24)) - {13}, 25: {24, 26, 27}}
 
 
-@pytest.mark.parametrize(
-    ("state", "action", "next_state"),
-    [
-        pytest.param(4, AHEAD, 16, id="ahead"),
-        pytest.param(16, BACK, 4, id="back"),
-    ],
-)
-def test_a_step_follows_the_graph_and_earns_the_step_reward(world, state, action, next_state):
-    after = move(NavigationEnv(world), [state], [0], [action])
-    assert after["state"].tolist() == [next_state]
-    assert after["goal"].tolist() == [0]
-    assert after["reward"].tolist() == [[pytest.approx(-0.01)]]
-    assert not after["done"].any()
-
-
 @pytest.mark.parametrize(("state", "action"), [(4, BACK), (28, AHEAD)])
 def test_a_blocked_move_stays_and_earns_the_collision_reward(world, state, action):
     goal = 13 if state < 24 else 25
@@ -101,19 +86,6 @@ def test_same_seeds_same_trajectory(world):
     env.set_seed(5)
     assert (walk(env, seed=1) == first).all()
     assert not torch.equal(walk(NavigationEnv(world, 6, seed=6), seed=1)["state"], first["state"])
-
-
-def test_the_step_limit_truncates_and_does_not_terminate(world):
-    env = TransformedEnv(NavigationEnv(world, 2), StepCounter(3))
-    agents = stand(env, [16, 1], [0, 0])
-    flags = []
-    for _ in range(3):
-        step = env.step(agents.set("action", torch.tensor([RIGHT, RIGHT])))
-        flags.append([step["next", key].squeeze(-1).tolist() for key in ("truncated", "terminated", "done")])
-        agents = env.step_mdp(step)
-    # The second agent turns from 1 over 2 and 3 to its goal, at the very step of the limit.
-    assert flags[:2] == [[[False, False]] * 3] * 2
-    assert flags[2] == [[True, True], [False, True], [True, True]]
 
 
 def test_who_slips_stays_where_it_is(world):

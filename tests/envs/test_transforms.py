@@ -32,11 +32,6 @@ def test_surrounding_views_are_ahead_right_back_left_of_the_heading(world, state
     assert SurroundingViews(world).reset_view_ids(torch.tensor(state)).tolist() == views
 
 
-def test_surrounding_views_are_quarter_turns_apart_where_turns_are_smaller():
-    world = make_world([grid_scene(2, 1, headings=12)])
-    assert SurroundingViews(world).reset_view_ids(torch.tensor([2, 22])).tolist() == [[2, 5, 8, 11], [22, 13, 16, 19]]
-
-
 def test_sequential_views_begin_with_the_first_four_times_and_end_with_the_newest(world):
     observation = SequentialViews(world)
     views = observation.reset_view_ids(torch.tensor([7, 16]))

@@ -5,15 +5,13 @@ import pytest
 import torch
 from networks import make_policy
 from policies import BACK, COUNTED, RIGHT, Asked, always, expert, from_states, only_goals, outcome, pair, run_episodes
-from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
-from dirl.agent.decisions import answers
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation import episodes as episodes_module
 from dirl.evaluation.episodes import every_start, sampled_starts, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
-from dirl.evaluation.protocol import EvaluationProtocol, action_values, metrics
+from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import PlanningMemory, initial_state, recurrent_keys
 
 KINDS = (SurroundingViews, SequentialViews)
@@ -149,21 +147,6 @@ def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, 
     for key in ("success", "false_stop", "missed_stop"):
         assert len(set(found[key])) == 2, f"no variety of {key}: the comparison says nothing"
     assert (~episodes.success & ~episodes.false_stop & ~episodes.missed_stop).any()
-
-
-def test_answers_are_those_of_the_policy_asked_for_each_pair(world):
-    network, observation = make_policy(world.features, world.names, width=16, seed=2), SurroundingViews(world)
-    logits, values = answers(network, world, observation)
-    goal_index, state = world.pairs()
-    goals = world.goals[goal_index]
-    asked = {"view_ids": world.surrounding[state], "goal_view_ids": world.surrounding[goals]}
-    direct = network(TensorDict({**asked, "scene": world.scene_of[goals]}, [len(state)]))
-    torch.testing.assert_close(logits, direct["logits"].detach())
-    torch.testing.assert_close(values, direct["state_value"].squeeze(-1).detach())
-    for index in range(4):
-        probabilities, of_goal = action_values(network, world, observation, index)
-        torch.testing.assert_close(probabilities, world.block(logits, index).softmax(-1))
-        torch.testing.assert_close(of_goal, world.block(values, index))
 
 
 def test_a_memory_ends_the_circles_of_a_greedy_policy(world):

@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from dirl.envs import SequentialViews, SurroundingViews
+from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import (
     DEMONSTRATED,
     RandomPolicy,
@@ -99,13 +99,6 @@ def test_a_demonstration_holds_the_experts_action_and_the_scene(world):
 def test_states_are_counted_scene_by_scene(world, fraction, rule, states):
     reaching_another = set(states) - {37}
     assert set(shown_by_expert(world, fraction, rule)["state"].tolist()) == reaching_another
-
-
-@pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
-def test_a_demonstration_is_observed_as_the_start_of_an_episode(world, kind):
-    shows = demonstrations(world, ShortestPathExpert(world), kind(world), 1)
-    assert torch.equal(shows["view_ids"], kind(world).reset_view_ids(shows["state"]))
-    assert torch.equal(shows["goal_view_ids"], kind(world).reset_view_ids(shows["goal"]))
 
 
 def test_without_a_way_or_at_the_goal_the_expert_has_no_advice_and_its_policy_no_preference(world):

@@ -4,11 +4,11 @@ from itertools import pairwise
 import pytest
 import torch
 from networks import make_policy
-from policies import RIGHT, Asked, always, only_goals, outcome, pair, run_episodes
+from policies import RIGHT, Asked, always, outcome, run_episodes
 
 from dirl.envs import SequentialViews, SurroundingViews
-from dirl.evaluation.episodes import every_start, shortest_episodes
-from dirl.evaluation.protocol import EvaluationProtocol, mean_shortest, report
+from dirl.evaluation.episodes import every_start
+from dirl.evaluation.protocol import EvaluationProtocol, report
 
 KINDS = (SurroundingViews, SequentialViews)
 BOTH = pytest.mark.parametrize("kind", KINDS)
@@ -44,22 +44,3 @@ def test_a_report_covers_each_scene_and_each_goal_by_its_number_in_the_scene(wor
     assert summary["scenes"]["corner"]["goals"]["6"]["sr"] == pytest.approx(3 / 11)
     assert summary["scenes"]["split"]["sr"] == 1
     json.dumps(summary)
-
-
-def test_a_reports_parts_add_up(world):
-    stop = only_goals(world) & (world.pairs()[0] != 2)
-    stop[pair(world, 0, 2)] = True
-    options = {"observation": SurroundingViews(world), "stop": stop, "max_steps": 10}
-    summary = report(run_episodes(always(RIGHT), world, every_start(world), **options), world)
-    scenes = list(summary["scenes"].values())
-    for whole, parts in [(summary, scenes)] + [(scene, list(scene["goals"].values())) for scene in scenes]:
-        assert whole["episodes"] == sum(part["episodes"] for part in parts)
-        for measure in ("atl", "spl", "false_stop_rate", "missed_stop_rate"):
-            total = sum(part[measure] * part["episodes"] for part in parts)
-            assert whole[measure] == pytest.approx(total / whole["episodes"])
-
-
-def test_the_mean_shortest_way_is_that_of_all_starts_of_a_goal(world):
-    episodes = shortest_episodes(world, every_start(world))
-    means = [episodes.select(episodes.goal_index == index).steps.double().mean().item() for index in range(4)]
-    assert mean_shortest(world) == pytest.approx(means)

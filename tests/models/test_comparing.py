@@ -18,15 +18,6 @@ def views(count, seed=0):
     return torch.randn(count, 4, POOLED + 6, generator=torch.Generator().manual_seed(seed))
 
 
-def test_it_is_its_parts_row_by_row(encoder):
-    seen, goal = views(6), views(6, seed=1)
-    fused = encoder(seen, goal)
-    assert fused.shape == (6, 12)
-    assert (fused >= 0).all()
-    torch.testing.assert_close(fused, encoder.fuse(encoder.embed(seen), encoder.embed_goal(goal)))
-    torch.testing.assert_close(fused[2:3], encoder(seen[2:3], goal[2:3]))
-
-
 def test_the_goal_enters_by_comparison_only(encoder):
     """With the projections at zero every cosine is zero, and goals make no difference; what is seen still does."""
     with torch.no_grad():

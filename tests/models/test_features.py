@@ -91,14 +91,6 @@ def test_a_layer_does_the_same_to_coordinates_as_to_features(surrounding):
     torch.testing.assert_close(table.narrow(table.widen(narrow)), narrow)
 
 
-def test_a_view_that_is_not_shown_is_zero_in_coordinates_too():
-    hidden = torch.where(torch.arange(4) == 3, 3, FEW)
-    table, weight = rotated(hidden), torch.randn(5, 4 * FEATURES)
-    torch.testing.assert_close(
-        table(hidden).flatten(1) @ table.narrow(weight).T, table.table[hidden].flatten(1) @ weight.T
-    )
-
-
 def test_a_training_goes_on_in_the_axes_that_it_began_in():
     table, other = rotated(FEW), rotated(FEW)
     other.coordinates.neg_()  # as another machine might find them

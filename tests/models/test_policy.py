@@ -1,7 +1,5 @@
 """The policy of figure 2: encoder, layers of each scene, operators, and an optional memory."""
 
-import copy
-
 import pytest
 import torch
 from networks import (
@@ -125,17 +123,6 @@ def test_a_memory_makes_of_whole_episodes_what_it_makes_step_by_step(remembering
         torch.testing.assert_close(whole[key], stepped[key])
 
 
-def test_what_was_seen_before_matters_to_a_memory_until_a_new_episode_begins(remembering):
-    begins = torch.tensor([[True, False, False, True]])
-    batch, before = walked(remembering, 4, begins)
-    changed = batch.clone()
-    changed["view_ids"][:, 0] = (changed["view_ids"][:, 0] + 1) % 30
-    with set_recurrent_mode(True):
-        after = remembering(changed)
-    same = torch.isclose(after["logits"], before["logits"]).all(-1).squeeze(0)
-    assert same.tolist() == [False, False, False, True]
-
-
 def siamese():
     torch.manual_seed(0)
     return SiameseEncoder(FEATURES, WIDTH)
@@ -154,19 +141,6 @@ def test_four_views_are_embedded_together_and_both_embeddings_fused():
     torch.testing.assert_close(made(observation, goal_observation), torch.stack(rows))
 
 
-def test_observation_and_goal_are_embedded_by_the_same_weights():
-    made, (observation, goal_observation) = siamese(), observations(9)
-    swapped = copy.deepcopy(made)
-    with torch.no_grad():
-        swapped.fusion.weight.copy_(made.goal_fusion.weight)
-        swapped.goal_fusion.weight.copy_(made.fusion.weight)
-    torch.testing.assert_close(swapped(goal_observation, observation), made(observation, goal_observation))
-    assert [name for name, _ in swapped.named_parameters()] == [
-        "embedding.weight", "embedding.bias", "fusion.weight", "fusion.bias",
-        "goal_fusion.weight",
-    ]  # fmt: skip
-
-
 def small_layers(scenes):
     return SceneTrunks(scenes, lambda: nn.Linear(5, 3)), SceneLinear(scenes, 5, 3)
 
@@ -180,12 +154,6 @@ def test_each_row_goes_through_the_layer_of_its_scene(layers, scene, late, monke
     rows = torch.randn(6, 5)
     expected = torch.stack([layers.scenes[SCENES[s]](row) for row, s in zip(rows, scene, strict=True)])
     torch.testing.assert_close(layers(rows, torch.tensor(scene)), expected)
-
-
-@pytest.mark.parametrize("layers", small_layers(["shared"]))
-def test_layers_of_one_name_serve_every_scene(layers):
-    rows = torch.randn(4, 5)
-    assert torch.equal(layers(rows, torch.tensor([0, 3, 1, 2])), layers.scenes["shared"](rows))
 
 
 def test_a_scenes_weights_carry_its_name():

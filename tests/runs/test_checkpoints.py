@@ -6,7 +6,7 @@ import zipfile
 import pytest
 import torch
 
-from dirl.runs.checkpoints import latest_checkpoint, load_checkpoint, restoring, save_checkpoint
+from dirl.runs.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint
 from dirl.runs.paths import RunError
 
 STATE = {
@@ -39,12 +39,6 @@ def test_a_checkpoint_comes_back_as_it_was_and_stays_an_archive_of_torch(file):
         assert torch.equal(saved["network"]["w"], STATE["network"]["w"])
         assert saved["optimiser"]["param_groups"] == STATE["optimiser"]["param_groups"]
         assert list(saved["optimiser"]["state"]) == [0]
-
-
-def test_one_that_fails_to_be_written_leaves_the_old_one(file):
-    with pytest.raises(Exception, match=r"pickle|serializ"):
-        save_checkpoint(file, {"frames": (number for number in ())})
-    assert load_checkpoint(file)["frames"] == 7
 
 
 def test_no_flipped_bit_and_no_lost_byte_is_accepted(file):
@@ -98,9 +92,3 @@ def test_an_unfinished_runs_folder_gives_its_latest_whole_checkpoint(tmp_path, c
     assert latest_checkpoint(tmp_path)[1] == [newest]
     with pytest.raises(RunError, match="holds no checkpoint"):
         load_checkpoint(tmp_path / "nowhere")
-
-
-def test_a_state_that_does_not_fit_is_one_line(tmp_path):
-    optimiser = torch.optim.Adam(torch.nn.Linear(3, 2).parameters())
-    with pytest.raises(RunError, match=r": its checkpoint does not fit this run \(ValueError: "), restoring(tmp_path):
-        optimiser.load_state_dict({"state": {}, "param_groups": []})

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -91,20 +90,3 @@ def test_the_first_signal_is_noted_and_the_second_acts(number, raised):
     with pytest.raises(SystemExit) as caught, one_line_exits():
         work()
     assert (noted, caught.value.code) == ([number], raised)
-
-
-def test_handlers_are_as_before_afterwards_and_other_threads_have_none():
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    with one_line_exits(), interruptible():
-        pass
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
-    noted = []
-
-    def work():
-        with one_line_exits(), interruptible() as asked:
-            noted.append(asked)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert noted == [[]]

@@ -133,17 +133,6 @@ def test_a_run_that_could_not_begin_leaves_nothing_behind(tmp_path, monkeypatch)
     assert not (tmp_path / "2026-01-31_12-00-00-2").exists()
 
 
-def test_the_configuration_is_written_once_and_a_run_without_it_is_none(tmp_path):
-    saved_run(tmp_path, 10)
-    file = tmp_path / "config.yaml"
-    before = file.stat()
-    begin(resumed(tmp_path)).close()
-    assert (file.stat().st_ino, file.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
-    file.unlink()
-    with pytest.raises(RunError, match=r"is not the folder of a run; it has no config\.yaml"):
-        resumed(tmp_path)
-
-
 def test_a_damaged_checkpoint_is_set_aside_and_the_one_before_is_gone_on_from(tmp_path, capsys):
     first, second = saved_run(tmp_path, 10, 20)
     second.write_bytes(second.read_bytes()[:-100])

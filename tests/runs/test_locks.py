@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-from dirl.runs.locks import FolderLock, RunningError, claim
-from dirl.runs.paths import RunError
+from dirl.runs.locks import FolderLock, RunningError
 
 HOLD = "import sys, time; from pathlib import Path; from dirl.runs.locks import FolderLock; "
 HOLD += "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); time.sleep(600)"
@@ -25,15 +24,6 @@ def test_another_process_is_named_and_its_death_frees_the_folder(tmp_path):
     assert not (tmp_path / ".lock").exists()
 
 
-def test_a_lock_is_freed_once_nothing_refers_to_it(tmp_path):
-    FolderLock(tmp_path)
-    lock = FolderLock(tmp_path)
-    with pytest.raises(RunningError):
-        FolderLock(tmp_path)
-    lock.release()
-    lock.release()
-
-
 def test_without_locks_the_run_goes_on_and_says_so(tmp_path, monkeypatch, capsys):
     def no_locks(*_):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
@@ -42,14 +32,3 @@ def test_without_locks_the_run_goes_on_and_says_so(tmp_path, monkeypatch, capsys
     FolderLock(tmp_path).release()
     (told,) = capsys.readouterr().err.splitlines()
     assert told == f"{tmp_path}: cannot be locked (No locks available); do not resume this run while it runs"
-
-
-def test_a_folder_is_claimed_once(tmp_path):
-    folder, lock = claim(tmp_path / "a" / "run")
-    with pytest.raises(RunningError):
-        claim(folder)
-    (folder / "config.yaml").touch()
-    lock.release()
-    with pytest.raises(RunError, match="holds a run already"):
-        claim(folder)
-    assert not (folder / ".lock").exists()

@@ -1,13 +1,12 @@
 """From a configuration to the parts of a run; what does not fit together is one line."""
 
-import json
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from commands import TINY, done, room_file, run_recipe, train_config
+from commands import TINY, done, room_file, train_config
 from parts import make_parts
 from rooms import grid_scene
 from torch import nn
@@ -129,12 +128,6 @@ def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path):
         make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=planning", "memory=gru", *SMALL)
 
 
-def test_a_memory_that_localises_weighs_log_odds_for_its_stop(tmp_path):
-    message = r"^episodic_memory=localising weighs log odds, and NCC has none: add recogniser=learned$"
-    with pytest.raises(ConfigError, match=message):
-        make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=localising", *SMALL)
-
-
 def test_goals_that_few_states_reach_are_told(capsys):
     room = grid_scene(goals=(0, 13))
     graph = np.where(np.arange(len(room))[:, None] < 4, room.graph, np.where(room.graph < 4, -1, room.graph))
@@ -191,26 +184,6 @@ def test_a_cached_policy_sees_what_the_observation_shows_and_nothing_else(tmp_pa
         state, goal = torch.arange(24), torch.zeros(24, dtype=torch.int64)
         found.append(policy(observe(world, observation, state, observation.reset_view_ids(state), goal))["logits"])
     torch.testing.assert_close(*found, atol=1e-5, rtol=0)
-
-
-def test_a_dump_that_has_moved_or_has_another_name_is_named_anew(trained, tmp_path):
-    summary = json.loads((trained / "run" / "summary.json").read_text())
-    for name in SHAPES:
-        (trained / f"{name}.h5").rename(tmp_path / f"{name}_moved.h5")
-    try:
-        status, _, errors = run_recipe(tmp_path, "evaluate", f"checkpoint={trained / 'run'}")
-        assert status == 1
-        assert errors.count("\n") == 1
-        scenes = f"scene=[{','.join(str(tmp_path / f'{name}_moved.h5') for name in SHAPES)}]"
-        given = ("seed=3", "max_steps=50", "out=result.json")
-        done(tmp_path, "evaluate", f"checkpoint={trained / 'run'}", scenes, *given)
-        result = json.loads((tmp_path / "result.json").read_text())
-        assert {key: result["greedy"][key] for key in ("atl", "sr")} == {
-            key: summary["greedy"][key] for key in ("atl", "sr")
-        }
-    finally:
-        for name in SHAPES:
-            (tmp_path / f"{name}_moved.h5").rename(trained / f"{name}.h5")
 
 
 def test_turns_that_the_training_did_not_have_are_told_of_in_one_line(trained, tmp_path, capsys):

@@ -5,7 +5,7 @@ import torch
 from rooms import grid_scene
 
 from dirl.envs import SurroundingViews
-from dirl.evaluation.experts import ShortestPathExpert, label, shown_states
+from dirl.evaluation.experts import ShortestPathExpert, label
 from dirl.scenes import make_world
 from dirl.training.pairs import DrawnPairs, with_labels
 
@@ -52,13 +52,6 @@ def test_in_a_world_that_changes_goal_and_state_are_seen_in_two_looks():
     assert torch.equal(drawn["view_ids"], world.surrounding[drawn["state"]] + look.unsqueeze(1) * states)
     photo = drawn["goal_view_ids"][:, 1] == 3 * states
     assert photo.float().mean() == pytest.approx(0.5, abs=0.05)
-
-
-def test_only_shown_states_are_drawn_and_counted(world):
-    shown = shown_states(world, 0.25, "random", 0)
-    some = pairs(world, shown=shown)
-    assert len(some) == 6 * 2 + 4
-    assert shown[some.draw(1000)["state"]].all()
 
 
 def test_half_of_a_draw_are_states_that_the_learner_came_to(world):

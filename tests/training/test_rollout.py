@@ -29,16 +29,6 @@ def policy(world):
     return make_policy(world.features, world.names, width=8).operator()
 
 
-def test_agents_walk_on_unless_done(world, policy):
-    env = make_env(world, SequentialViews)
-    batch, agents = collect(env, policy, env.reset(), STEPS)
-    going = ~batch["next", "done"].squeeze(-1)
-    assert not going.all()
-    for key in ("state", "goal", "scene", "view_ids", "goal_view_ids", "step_count"):
-        following = torch.cat([batch[key][:, 1:], agents[key].unsqueeze(1)], 1)
-        assert torch.equal(following[going], batch["next", key][going]), key
-
-
 def test_agents_that_are_done_start_anew(world, policy):
     env = make_env(world)
     batch, agents = collect(env, policy, env.reset(), STEPS)
