@@ -8,7 +8,7 @@
     python recipes/scenes.py tour path=my_tour out=my_tour.h5
     python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
     python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
-    python recipes/scenes.py encode scene=room.h5 encoder=facebook/dinov2-small out=room_dino.h5
+    python recipes/scenes.py encode scene=room.h5 encoder=efficientnet_lite0 out=room_lite0.h5
     python recipes/scenes.py export scene=bathroom_02 layout=icra17 out=icra17/bathroom_02.h5
     python recipes/scenes.py import scene=data/bathroom_02.h5 source=thor out=bathroom_02.h5
     python recipes/scenes.py inspect scene=bathroom_02 out=pictures
@@ -284,7 +284,7 @@ class EncodeOptions(EncodedPatches):
 
     Examples:
         python recipes/scenes.py encode scene=room.h5 out=room_resnet.h5
-        python recipes/scenes.py encode scene=bathroom_02 encoder=facebook/dinov2-small out=bathroom_dino.h5
+        python recipes/scenes.py encode scene=bathroom_02 encoder=efficientnet_lite0 out=bathroom_lite0.h5
     docs/howto/make_scenes.md tells more.
     """
 
@@ -293,8 +293,7 @@ class EncodeOptions(EncodedPatches):
     out: str = option("the dump to write: the same one with new features (.h5)")
     encoder: str | None = option(
         "resnet50 (as the built-in rooms) | resnet50_small (96x128 pixels) | efficientnet_lite0 (Apache 2.0) | "
-        "weights of a ResNet-50 (.pth) | torchvision | a Hugging Face model, name or folder | a "
-        "YAML file of your own",
+        "weights of a ResNet-50 (.pth) | a YAML file of your own",
         "resnet50",
     )
     precision: EncoderPrecision = option(

@@ -1,6 +1,5 @@
 """Encoders that a navigator loads by name: compared by what they say of themselves."""
 
-import json
 import warnings
 
 import numpy as np
@@ -63,21 +62,10 @@ def test_an_encoder_with_another_text_is_refused(run):
         Navigator.load(run, load_encoder("resnet50_small"))
 
 
-@pytest.mark.parametrize("source", ["huggingface", "torchvision"])
-def test_an_encoder_of_another_package_is_loaded_by_name(source, tmp_path, monkeypatch):
-    if source == "huggingface":
-        transformers = pytest.importorskip("transformers")
-        sizes = {"num_hidden_layers": 1, "num_attention_heads": 2, "intermediate_size": 8, "patch_size": 8}
-        model = transformers.ViTModel(transformers.ViTConfig(hidden_size=24, image_size=32, **sizes))
-        name = str(tmp_path / "vit")
-        model.save_pretrained(name)
-        settings = {"image_processor_type": "ViTImageProcessor", "size": {"height": 32, "width": 32}}
-        (tmp_path / "vit" / "preprocessor_config.json").write_text(json.dumps(settings))
-    else:
-        name, backbone = source, ResNet50().eval()  # in place of weights that would be downloaded
-        monkeypatch.setattr("dirl.perception.backbones.registry._torchvision_backbone", lambda: backbone)
-    extractor = load_encoder(name)
-    run = finished_run(tmp_path / "run", extractor.extractor, extractor(torch.from_numpy(IMAGES)).shape[1])
+def test_an_encoder_from_a_file_of_weights_is_named(tmp_path):
+    name = str(tmp_path / "resnet.pth")
+    torch.save(ResNet50().state_dict(), name)
+    run = finished_run(tmp_path / "run", load_encoder(name).extractor, 2048)
     navigator = Navigator.load(run, name)
     navigator.reset(IMAGES)
     assert navigator.act(IMAGES).scores.matching == pytest.approx(1, abs=1e-5)

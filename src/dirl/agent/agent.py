@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dirl.agent.mapping.places import PlaceMap
-from dirl.agent.mapping.policy import Guide
+from dirl.agent.mapping.policy import GraphGuide
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.scenes import ACTIONS
@@ -83,7 +83,7 @@ class Agent:
     A guide leads a single agent where it knows the way.
     """
 
-    def __init__(self, guide: Guide | None = None) -> None:
+    def __init__(self, guide: GraphGuide | None = None) -> None:
         self.guide = guide
         self.action = torch.empty(0)
 
@@ -118,7 +118,7 @@ class Remembering(Agent):
     walk through the place, ``[1, T, K, ...]``, are visits as well.
     """
 
-    def __init__(self, memory: Any, guide: Guide | None = None) -> None:
+    def __init__(self, memory: Any, guide: GraphGuide | None = None) -> None:
         super().__init__(guide)
         self.memory = memory
         self.seen: Tensor | None = None
@@ -178,7 +178,7 @@ class Remembering(Agent):
 class Planning(Remembering):
     """Agents with a `PlanningMemory`; ``turns`` in a full circle, int64 ``[B]``, or ``[1]`` if all have as many."""
 
-    def __init__(self, memory: PlanningMemory, turns: Tensor, guide: Guide | None = None) -> None:
+    def __init__(self, memory: PlanningMemory, turns: Tensor, guide: GraphGuide | None = None) -> None:
         super().__init__(memory, guide)
         self.turns = turns
 
@@ -202,7 +202,7 @@ class Localising(Remembering):
     """
 
     def __init__(
-        self, memory: LocalisingMemory, turns: int, known: PlaceMap | None = None, guide: Guide | None = None
+        self, memory: LocalisingMemory, turns: int, known: PlaceMap | None = None, guide: GraphGuide | None = None
     ) -> None:
         super().__init__(memory, guide)
         self.turns, self.known = turns, known
@@ -227,7 +227,7 @@ class Localising(Remembering):
 
 
 def make_agent(
-    memory: Memory | None, turns: Tensor, known: PlaceMap | None = None, guide: Guide | None = None
+    memory: Memory | None, turns: Tensor, known: PlaceMap | None = None, guide: GraphGuide | None = None
 ) -> Agent:
     """Agents at the start of their episodes; for the arguments see the classes with each memory."""
     if isinstance(memory, LocalisingMemory):

@@ -30,7 +30,7 @@ from dirl.agent.images import (
 )
 from dirl.agent.loading import Encoder, load_parts
 from dirl.agent.mapping import ImageGraph, PlaceMap
-from dirl.agent.mapping.policy import LAST_STEPS, Guide
+from dirl.agent.mapping.policy import LAST_STEPS, GraphGuide
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.build import tell_of_turns, turns_of_training
@@ -234,7 +234,7 @@ class Navigator:
             self._check_alone(len(views))
             found = map_of(graph, self.facts["extractor"], self.recogniser)
             if isinstance(found, ImageGraph):
-                guide = Guide(found, goal.described[0], last_steps)
+                guide = GraphGuide(found, goal.described[0], last_steps)
             elif isinstance(self.memory, LocalisingMemory):
                 known = found
                 if known.turns != self.turns:

@@ -28,7 +28,7 @@ NO_WAY = 2**30
 """More steps than any path has."""
 
 
-class Guide:
+class GraphGuide:
     """The path to one goal by a topological map, step by step; errors of the map are corrected on the way.
 
     Args:

@@ -21,7 +21,6 @@ from dirl.config.components import make, tried
 from dirl.config.values import check_choice
 from dirl.perception.backbones.efficientnet import lite0_encoder
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
-from dirl.perception.backbones.huggingface import huggingface_encoder
 from dirl.perception.backbones.patches import CELLS, FINE, PATCH_SIZE, load_projection, patch_attributes
 from dirl.perception.backbones.resnet import (
     MEAN,
@@ -29,7 +28,6 @@ from dirl.perception.backbones.resnet import (
     SIZE,
     STD,
     ResNet50,
-    backbone_of,
     fused,
     is_ignored,
     load_backbone,
@@ -86,18 +84,17 @@ def load_encoder(
         name: ``resnet50``, which comes with the package and made the features of the built-in rooms;
             ``resnet50_small``, the same at 96x128 pixels, a fifth of the computation; ``efficientnet_lite0``, whose
             weights are under Apache 2.0; the path of ResNet-50 weights (see
-            `dirl.perception.backbones.load_backbone`); ``torchvision`` for torchvision's own weights (IMAGENET1K_V2);
-            a vision backbone of Hugging Face transformers, by the name of the hub or a folder that holds one; or a
-            YAML file that names a class of one's own, see `ImageEncoder`.
+            `dirl.perception.backbones.load_backbone`); or a YAML file that names a class of one's own, see
+            `ImageEncoder`.
         device: where it computes.
         precision: ``float32``, or ``bfloat16``: four times as fast on a CPU with AMX instructions, and 1 % off.
             ResNet-50 only.
-        patches: give patches too (`dirl.perception.backbones.patches`); those of ``efficientnet_lite0`` are its own,
-            those of all others the same kind, of the shipped ResNet-50.
+        patches: give patches too (`dirl.perception.backbones.patches`); encoders of the package only.
         fine_patches: six times as many (`dirl.perception.backbones.patches`), of ``efficientnet_lite0`` only.
 
     Raises:
-        EncoderError: there is no such encoder, or a package that it needs is not installed.
+        EncoderError: it cannot do that, or a package that it needs is not installed.
+        ConfigError: there is no such encoder.
         ValueError: a file that holds no ResNet-50 weights.
     """
     if torch.device(device).type == "cuda" and not torch.cuda.is_available():
@@ -107,22 +104,19 @@ def load_encoder(
     if fine_patches and name != LITE:
         raise EncoderError(f"fine_patches=true: encoder={name} has none; choose encoder={LITE}")
     path, dtype = Path(name), PRECISIONS[precision]
+    if name in SHIPPED:
+        return _resnet(shipped_backbone(), device, dtype, SHIPPED[name], PROVENANCE, patches=patches)
+    if name == LITE:
+        if precision != "float32":
+            raise EncoderError(f"precision={precision}: encoder={name} computes in float32 only")
+        return lite0_encoder(device, cells=FINE if fine_patches else CELLS if patches else None)
+    if patches:
+        raise EncoderError(f"patches=true: encoder={name} has none; choose encoder={LITE}")
     if path.suffix == ".yaml":
         return _own_encoder(path)
-    is_file = path.is_file() or path.suffix in (".pth", ".pt")
-    if name in SHIPPED:
-        return _resnet(shipped_backbone(), device, dtype, size=SHIPPED[name], provenance=PROVENANCE, patches=patches)
-    if is_file or name == "torchvision":
-        encoder = _resnet(load_backbone(path) if is_file else _torchvision_backbone(), device, dtype)
-    elif precision != "float32":
-        raise EncoderError(f"precision={precision}: encoder={name} computes in float32 only")
-    elif name == LITE:
-        return lite0_encoder(device, cells=FINE if fine_patches else CELLS if patches else None)
-    elif "/" not in name and not path.is_dir():
-        check_choice(f"encoder '{name}'", name, [*SHIPPED, LITE, "torchvision", "<a folder>", "<organisation/model>"])
-    else:
-        encoder = huggingface_encoder(name, device)
-    return _beside(encoder, device, dtype) if patches else encoder
+    if not path.is_file() and path.suffix not in (".pth", ".pt"):
+        check_choice(f"encoder '{name}'", name, [*SHIPPED, LITE, "<weights of a ResNet-50>.pth", "<your own>.yaml"])
+    return _resnet(load_backbone(path), device, dtype)
 
 
 def _own_encoder(file: Path) -> ViewEncoder:
@@ -248,9 +242,9 @@ def _resnet(
     backbone: ResNet50,
     device: str | torch.device,
     dtype: torch.dtype,
-    *,
     size: tuple[int, int] = SIZE,
     provenance: str = "",
+    *,
     patches: bool = False,
 ) -> ViewEncoder:
     parameters = {name: value for name, value in backbone.state_dict().items() if not is_ignored(name)}
@@ -260,23 +254,17 @@ def _resnet(
         "weights": weights_hash(parameters),
     }
     quick = fused(backbone).to(device, dtype).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    third_stage = partial(_third_stage, quick, size, device, dtype)
     attributes |= {"provenance": provenance} if provenance else {}
-    if patches and size == PATCH_SIZE:
-        return staged_encoder(third_stage, quick.pool, attributes, load_projection(device), patch_attributes())
-    encoder = staged_encoder(third_stage, quick.pool, attributes)
-    return _beside(encoder, device, dtype) if patches else encoder
-
-
-def _beside(encoder: ViewEncoder, device: str | torch.device, dtype: torch.dtype) -> ViewEncoder:
-    """An encoder that also returns patches, from a second network."""
-    second = _resnet(shipped_backbone(), device, dtype, size=PATCH_SIZE, patches=True)
-    assert second.forward_patches is not None
-    return replace(
-        encoder,
-        forward_patches=partial(_both, encoder, second.forward_patches),
-        patch_attributes=second.patch_attributes,
-    )
+    stage = partial(_third_stage, quick, size, device, dtype)
+    if not patches:
+        return staged_encoder(stage, quick.pool, attributes)
+    projection = load_projection(device)
+    if size == PATCH_SIZE:
+        return staged_encoder(stage, quick.pool, attributes, projection, patch_attributes())
+    # Patches are of smaller views, which go through the network, too.
+    small = partial(_third_stage, quick, PATCH_SIZE, device, dtype)
+    alone = staged_encoder(stage, quick.pool, attributes)
+    return ViewEncoder(alone.forward, attributes, partial(_both, alone, small, projection), patch_attributes())
 
 
 def _third_stage(
@@ -285,21 +273,8 @@ def _third_stage(
     return network.third_stage(preprocess(views, size).to(device, dtype, memory_format=torch.channels_last))
 
 
+@torch.inference_mode()
 def _both(
-    encoder: ViewEncoder, of_patches: Callable[[Tensor], tuple[Tensor, Tensor]], views: Tensor
+    encoder: ViewEncoder, stage: Callable[[Tensor], Tensor], projection: Callable[[Tensor], Tensor], views: Tensor
 ) -> tuple[Tensor, Tensor]:
-    return encoder(views), of_patches(views)[1]
-
-
-def _torchvision_backbone() -> ResNet50:
-    try:
-        from torchvision.models import ResNet50_Weights
-    except ImportError as error:
-        raise EncoderError(
-            f"encoder=torchvision: torchvision is not installed ({error}); install the one that belongs to your torch, "
-            "or name a file of weights"
-        ) from None
-    try:
-        return backbone_of(ResNet50_Weights.IMAGENET1K_V2.get_state_dict(progress=False), "torchvision")
-    except OSError as error:
-        raise EncoderError(f"encoder=torchvision: its weights cannot be downloaded ({error})") from None
+    return encoder(views), projection(stage(views))
