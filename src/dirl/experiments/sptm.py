@@ -201,9 +201,12 @@ class Player:
 
     def act(self, frame: NDArray[np.uint8]) -> int:
         """Return what to do next, one of `BUTTONS`, where a frame is seen, RGB, uint8 ``[H, W, 3]``."""
-        advice = self.guide.see(frame)
         self._notice_walls(frame)
-        action = self._moves.pop() if self._moves else self._obey(advice)
+        if self._moves:
+            self.guide.localise(frame)
+            action = self._moves.pop()
+        else:
+            action = self._obey(self.guide.see(frame))
         if {action, self._last} == {TURN_LEFT, TURN_RIGHT} and self._random.random() < 0.5:
             action = AHEAD  # else it would turn to and fro
         self._last = action
@@ -237,6 +240,7 @@ class Player:
     def _wander(self) -> int:
         """Go some steps at random."""
         self._lost = 0
+        self.guide.forget()
         side = int(self._random.choice([TURN_LEFT, TURN_RIGHT]))
         self._moves = [AHEAD] * int(self._random.integers(2, 8)) + [side] * int(self._random.integers(1, 6))
         return BACK

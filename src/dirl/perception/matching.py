@@ -88,7 +88,7 @@ SCALES = {
     "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0, (4.2, 1.1, -7.5)),
     "none": Scale(False, np.inf, 0.0, 10.0, 20.0, 1.2, 0, 5.0, (4.2, 1.1, -7.5)),
     # Columns of walls; all frames are compared, and how certain an answer is was never measured.
-    "columns": Scale(True, 1.2, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
+    "columns": Scale(True, 0.9, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
 }
 """By what finds the points, `FrameMatcher.kind`."""
 

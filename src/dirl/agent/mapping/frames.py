@@ -391,6 +391,11 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
                 if _inside(parts, one, direction * step) and _inside(parts, two, step)
             ]
             seen = [max(agreeing.get((first, second + off), 0) for off in (-1, 0, 1)) for first, second in around]
+            if scale.tells_places:  # none of these scores is much larger than others, so that their mean tells more
+                total = agreeing[one, two] + sum(agreeing.get(pair, 0) for pair in around)
+                if len(around) == 4 and total >= 5 * scale.link:
+                    return True
+                continue
             # At the ends of a recording there are fewer.
             if len(around) > 1 and sum(value >= scale.link / 2 for value in seen) >= min(3, len(around)):
                 return True

@@ -167,8 +167,7 @@ class Guide:
 
     def see(self, frame: NDArray[np.uint8]) -> Guidance:
         """Say what to do where a frame is seen, RGB, uint8 ``[H, W, 3]``."""
-        seen = self.matcher.describe([self._fitted(frame)])
-        self._localise(seen)
+        seen = self.localise(frame)
         here, sure = self.belief.frame()
         if sure < SURE or not np.isfinite(self._far[here]):
             return Guidance("lost", 0.0, here, sure)
@@ -194,8 +193,9 @@ class Guide:
         backwards = leading > 0 and all(0 <= one - two <= 1 for one, two in pairwise(path[: leading + 1]))
         return self._towards(motion, here, sure, "back" if backwards else "ahead", backwards=backwards)
 
-    def _localise(self, seen: Described) -> None:
-        """Where one is: moves spread the belief, and what is seen weighs it."""
+    def localise(self, frame: NDArray[np.uint8]) -> Described:
+        """Take in a frame while nobody asks what to do: moves spread the belief, and what is seen weighs it."""
+        seen = self.matcher.describe([self._fitted(frame)])
         self.belief.move()
         likelihood = np.exp(LIKE * self.matcher.likeness(seen, self.graph.described, self.belief.of))
         if np.isfinite(self.graph.scale.unit):
@@ -203,6 +203,12 @@ class Guide:
             agreeing = self.matcher.fit(seen, self.graph.described, some.tolist()).score
             likelihood[some] *= (1 + agreeing / self.graph.scale.unit) ** 2
         self.belief.weigh(likelihood)
+        return seen
+
+    def forget(self) -> None:
+        """Doubt where one is and how far one came, as somebody must who has to wander about."""
+        self.belief.forget(0.3)
+        self._since, self._least = 0, float("inf")
 
     def _path(self, here: int) -> list[int]:
         """The next frames of the path, those that may be in sight."""
@@ -246,7 +252,7 @@ class Guide:
             self._scores[self.graph.same_place(self.goal)] = -1
         for first, second in pairwise(path[:9]):
             self._links[first, second] += IN_VAIN
-        self.belief.forget(0.3)
+        self.forget()
         self._plan()
 
     def _plan(self) -> None:
@@ -255,7 +261,6 @@ class Guide:
         self._far, self._following = distances_to(self._links, self.goal)
         agreeing = float(self.matcher.fit(self._photo, self.graph.described, [self.goal]).score[0])
         self._arrived = max(self.graph.scale.recognised, ARRIVED * agreeing)
-        self._since, self._least = 0, float("inf")
 
     def _motion(self, seen: Described, frames: Described, frame: int) -> Motion:
         """The motion to a frame; none where too few points agree."""
