@@ -56,9 +56,9 @@ class CubeLevel:
     count: int
     path: Callable[[str, int, int], Path]
 
-    def tiles(self, face: str) -> list[list[Path]]:
-        """Return the rows of the tiles of one of `FACES`."""
-        return [[self.path(face, y, x) for x in range(self.count)] for y in range(self.count)]
+    def files(self) -> Iterator[Path]:
+        """Yield the files of all faces."""
+        yield from (self.path(face, y, x) for face in FACES for y in range(self.count) for x in range(self.count))
 
 
 def tiled(size: int, tile: int, where: str, path: Callable[[str, int, int], Path]) -> CubeLevel:
@@ -77,7 +77,7 @@ class Cube:
 
     def files(self) -> Iterator[Path]:
         """Yield the files of all sizes."""
-        yield from (file for level in self.levels for face in FACES for row in level.tiles(face) for file in row)
+        yield from (file for level in self.levels for file in level.files())
 
     @property
     def count(self) -> int:
@@ -105,35 +105,21 @@ def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]
         return [_reduced(to_rgb(open_photo(image.file)), found.width / (2 * np.pi), density)]
     enough = [level for level in image.levels if level.size is None or level.size / 2 >= density]
     level = enough[0] if enough else image.levels[-1]
-    sizes = {face: _tile_sizes(level, face) for face in FACES}  # of all, before any pixel is decoded
-    sides = sorted({sum(width for width, _ in rows[0]) for rows in sizes.values()})
-    if len(sides) > 1:
-        raise SceneError(
-            f"{level.tiles('f')[0][0]}: the faces of this cube have {len(sides)} sizes, {sides[:2]} pixels"
-        )
-    return [_reduced(_face(level.tiles(face)), sides[0] / 2, density) for face in FACES]
+    faces = [_face(level, face) for face in FACES]
+    if len({face.size for face in faces}) > 1:
+        raise SceneError(f"{level.path('f', 0, 0)}: the faces of this cube differ in size")
+    return [_reduced(face, face.width / 2, density) for face in faces]
 
 
-def _tile_sizes(level: CubeLevel, face: str) -> list[list[tuple[int, int]]]:
-    """Width and height that the tiles of a face declare, row by row; `SceneError` unless they make its square."""
-    tiles = level.tiles(face)
+def _face(level: CubeLevel, face: str) -> Image.Image:
+    """Return a face put together from its tiles; the sizes that they declare are added up before any is decoded."""
+    tiles = [[level.path(face, y, x) for x in range(level.count)] for y in range(level.count)]
     sizes = [[open_photo(file, load=False).size for file in row] for row in tiles]
     width, height = sum(tile[0] for tile in sizes[0]), sum(row[0][1] for row in sizes)
-    if width != height or (level.size is not None and width != level.size) or width * height > MAX_FACE_PIXELS:
+    even = all(sum(tile[0] for tile in row) == width and len({tile[1] for tile in row}) == 1 for row in sizes)
+    if not even or width != (level.size or height) or width != height or width * height > MAX_FACE_PIXELS:
         wanted = "a square" if level.size is None else f"{level.size}x{level.size}"
-        first = tiles[0][0]
-        raise SceneError(f"{first}: the tiles of face '{face}' make {width}x{height} pixels, not {wanted}")
-    for files, row in zip(tiles, sizes, strict=True):
-        for file, tile in zip(files, row, strict=True):
-            if tile[1] != row[0][1]:
-                raise SceneError(f"{file}: this tile is {tile[1]} pixels high, the first of its row {row[0][1]}")
-        if (found := sum(tile[0] for tile in row)) != width:
-            raise SceneError(f"{files[0]}: this row of tiles has {found} pixels, the first one {width}")
-    return sizes
-
-
-def _face(tiles: Sequence[Sequence[Path]]) -> Image.Image:
-    """Return a face put together from its tiles, whose sizes fit, see `_tile_sizes`."""
+        raise SceneError(f"{tiles[0][0]}: the tiles of face '{face}' make {width}x{height} pixels, not {wanted}")
     rows = [np.concatenate([np.asarray(to_rgb(open_photo(file))) for file in row], 1) for row in tiles]
     return Image.fromarray(np.concatenate(rows))
 

@@ -31,21 +31,20 @@ def window(
     h: float,
     *,
     outlook: str = "outdoors",
-    frame: str = "white_paint",
     z: float = 1.5,
     panes: tuple[int, int] = (2, 2),
     curtain: str = "",
 ) -> Mesh:
     """A window, its middle at height z: a bright panel behind bars gives daylight and a view at once."""
-    mesh = picture(w, d, h, image=outlook, frame=frame, z=z)
+    mesh = picture(w, d, h, image=outlook, frame="white_paint", z=z)
     z0, y = z - h / 2, d / 2 - 0.022
     for i in range(1, panes[0]):
         x = -w / 2 + i * w / panes[0]
-        mesh.box(x - 0.015, y - 0.02, z0, x + 0.015, y, z0 + h, frame, 0.003)
+        mesh.box(x - 0.015, y - 0.02, z0, x + 0.015, y, z0 + h, "white_paint", 0.003)
     for j in range(1, panes[1]):
         bar = z0 + j * h / panes[1]
-        mesh.box(-w / 2, y - 0.02, bar - 0.015, w / 2, y, bar + 0.015, frame, 0.003)
-    mesh.box(-w / 2 - 0.08, d / 2 - 0.14, z0 - 0.06, w / 2 + 0.08, d / 2, z0 - 0.03, frame, 0.006)
+        mesh.box(-w / 2, y - 0.02, bar - 0.015, w / 2, y, bar + 0.015, "white_paint", 0.003)
+    mesh.box(-w / 2 - 0.08, d / 2 - 0.14, z0 - 0.06, w / 2 + 0.08, d / 2, z0 - 0.03, "white_paint", 0.006)
     if curtain:
         rod = z + h / 2 + 0.1
         mesh.tube([(-w / 2 - 0.2, d / 2 - 0.1, rod), (w / 2 + 0.2, d / 2 - 0.1, rod)], 0.012, "brass")
@@ -62,18 +61,18 @@ def _drape(x0: float, width: float, y: float, z0: float, height: float, u: Array
     return np.stack([x0 + width * across, y - folds, z0 + height * v], -1)
 
 
-def door(w: float, d: float, h: float, *, leaf: str = "door", frame: str = "white_paint", trim: str = "brass") -> Mesh:
+def door(w: float, d: float, h: float) -> Mesh:
     """A closed door with four panels in its frame; w and h are the leaf's."""
     y = d / 2
-    mesh = Mesh().box(-w / 2 - 0.08, y - 0.035, 0, -w / 2, y, h + 0.08, frame, 0.006)
-    mesh.box(w / 2, y - 0.035, 0, w / 2 + 0.08, y, h + 0.08, frame, 0.006)
-    mesh.box(-w / 2, y - 0.035, h, w / 2, y, h + 0.08, frame, 0.006)
-    mesh.box(-w / 2, y - 0.028, 0, w / 2, y, h, leaf, 0.0)
+    mesh = Mesh().box(-w / 2 - 0.08, y - 0.035, 0, -w / 2, y, h + 0.08, "white_paint", 0.006)
+    mesh.box(w / 2, y - 0.035, 0, w / 2 + 0.08, y, h + 0.08, "white_paint", 0.006)
+    mesh.box(-w / 2, y - 0.035, h, w / 2, y, h + 0.08, "white_paint", 0.006)
+    mesh.box(-w / 2, y - 0.028, 0, w / 2, y, h, "door", 0.0)
     for z0, z1 in ((0.15, 0.85), (1.0, h - 0.15)):
         for x0, x1 in ((-w / 2 + 0.1, -0.04), (0.04, w / 2 - 0.1)):
-            mesh.box(x0, y - 0.042, z0, x1, y - 0.01, z1, leaf, 0.012)
+            mesh.box(x0, y - 0.042, z0, x1, y - 0.01, z1, "door", 0.012)
     handle = [(0.07, 0.02), (0.07, 0.07), (0.18, 0.07)]
-    return mesh.tube([(w / 2 - dx, y - dy, 0.98) for dx, dy in handle], 0.011, trim)
+    return mesh.tube([(w / 2 - dx, y - dy, 0.98) for dx, dy in handle], 0.011, "brass")
 
 
 def basket(w: float, d: float, h: float, *, body: str = "wicker", fill: str = "towel_a") -> Mesh:
@@ -84,18 +83,16 @@ def basket(w: float, d: float, h: float, *, body: str = "wicker", fill: str = "t
     return mesh.loft([(h * z, w * r, d * r, e, x, y) for z, r, e, x, y in heap], fill, sides=40, smooth=80)
 
 
-def plant(
-    w: float, d: float, h: float, *, pot: str = "accent", leaf: str = "leaf", leaves: int = 26, seed: int = 0
-) -> Mesh:
+def plant(w: float, d: float, h: float, *, pot: str = "accent", seed: int = 0) -> Mesh:
     """A plant with long arching leaves in a pot."""
     rng = np.random.default_rng(seed)
     r = min(w, d) * 0.32
     outline = [(0, 0.7), (0.22, 1), (0.24, 1.05), (0.26, 1.05), (0.26, 0.9), (0.23, 0.88)]
     mesh = Mesh().loft([(h * z, r * s, r * s) for z, s in outline], pot, sides=32)
-    for _ in range(leaves):
+    for _ in range(26):
         angle, rise = rng.uniform(0, 2 * np.pi), rng.uniform(0.55, 1.0)
         length, width = rng.uniform(0.75, 1.05) * w * 0.66, rng.uniform(0.05, 0.09) * h
-        mesh.sheet(partial(_blade, angle, rise * h * 0.745, length, width, h * 0.22), 5, 12, leaf)
+        mesh.sheet(partial(_blade, angle, rise * h * 0.745, length, width, h * 0.22), 5, 12, "leaf")
     return mesh
 
 
@@ -136,13 +133,13 @@ def bowl(
     return mesh
 
 
-def vase(w: float, d: float, h: float, *, z: float = 0.0, body: str = "accent", stems: int = 7, seed: int = 0) -> Mesh:
+def vase(w: float, d: float, h: float, *, z: float = 0.0, body: str = "accent", seed: int = 0) -> Mesh:
     """A vase of flowers on a surface at height z."""
     rng = np.random.default_rng(seed)
     neck = h * 0.45
     outline = [(0, 0.18), (0.4, 0.3), (0.85, 0.12), (1, 0.17)]
     mesh = Mesh().loft([(z + neck * up, w * r, d * r) for up, r in outline], body, sides=28)
-    for k in range(stems):
+    for k in range(7):
         angle, lean, top = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.45) * w, z + h * rng.uniform(0.75, 1.0)
         x, y = lean * np.cos(angle), lean * np.sin(angle)
         mesh.tube([(0, 0, z + neck * 0.9), (x / 2, y / 2, (z + neck + top) / 2), (x, y, top)], 0.004, "leaf", 6)
@@ -157,7 +154,7 @@ def rug(w: float, d: float, h: float, *, image: str = "rug", edge: str = "rug_ed
     return mesh.quad([(x, y, h + 0.002) for x, y in corners], image, image=True)
 
 
-def lamp(w: float, d: float, h: float, *, base: str = "brass", shade: str = "lampshade", z: float = 0.0) -> Mesh:
+def lamp(w: float, d: float, h: float, *, z: float = 0.0) -> Mesh:
     """A lamp that stands on the floor or on a surface at height z; its shade, which glows, ends at height h."""
     foot = [
         (z, w * 0.35, d * 0.35),
@@ -165,14 +162,14 @@ def lamp(w: float, d: float, h: float, *, base: str = "brass", shade: str = "lam
         (z + 0.04, 0.02, 0.02),
         (h - w * 0.7, 0.014, 0.014),
     ]
-    mesh = Mesh().loft(foot, base, sides=32)
-    return mesh.loft([(h - w * 0.75, w * 0.5, d * 0.5), (h, w * 0.36, d * 0.36)], shade, sides=40)
+    mesh = Mesh().loft(foot, "brass", sides=32)
+    return mesh.loft([(h - w * 0.75, w * 0.5, d * 0.5), (h, w * 0.36, d * 0.36)], "lampshade", sides=40)
 
 
-def ceiling_lamp(w: float, d: float, h: float, *, light: str = "lamp", trim: str = "chrome") -> Mesh:
+def ceiling_lamp(w: float, d: float, h: float) -> Mesh:
     """A lamp that hangs h metres down; here z = 0 is the ceiling."""
-    mesh = Mesh().cylinder(0, 0, -0.02, 0, w * 0.2, trim).cylinder(0, 0, -h + 0.04, 0, 0.012, trim, 12)
-    mesh.loft([(-h, w * 0.46, d * 0.46), (-h + 0.05, w * 0.5, d * 0.5)], trim, sides=40, bottom=False)
+    mesh = Mesh().cylinder(0, 0, -0.02, 0, w * 0.2, "chrome").cylinder(0, 0, -h + 0.04, 0, 0.012, "chrome", 12)
+    mesh.loft([(-h, w * 0.46, d * 0.46), (-h + 0.05, w * 0.5, d * 0.5)], "chrome", sides=40, bottom=False)
     angle = np.linspace(0, 2 * np.pi, 41)
     ring = np.stack([w * 0.46 * np.cos(angle), d * 0.46 * np.sin(angle), np.full_like(angle, -h + 0.001)], -1)
-    return mesh.add(fan(np.array([0, 0, -h + 0.001]), ring), light)
+    return mesh.add(fan(np.array([0, 0, -h + 0.001]), ring), "lamp")

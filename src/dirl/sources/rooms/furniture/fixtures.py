@@ -5,7 +5,7 @@ import numpy as np
 from dirl.sources.rooms.mesh import Array, Mesh, fan
 
 
-def bathtub(w: float, d: float, h: float, *, body: str = "ceramic", trim: str = "chrome") -> Mesh:
+def bathtub(w: float, d: float, h: float) -> Mesh:
     """A free-standing tub, its taps on the right."""
     rings: list[tuple[float, ...]] = [
         (0.02, w * 0.46, d * 0.44),
@@ -19,18 +19,18 @@ def bathtub(w: float, d: float, h: float, *, body: str = "ceramic", trim: str = 
         (0.16, w * 0.38, d * 0.32, 4),
         (0.12, w * 0.3, d * 0.24, 3),
     ]
-    mesh = Mesh().loft(rings, body, exponent=5, sides=64)
+    mesh = Mesh().loft(rings, "ceramic", exponent=5, sides=64)
     x = w * 0.40
     spout = [(0.05, 0), (0.05, 0.16), (0.02, 0.2), (-0.08, 0.2), (-0.11, 0.15)]
-    mesh.tube([(x + dx, 0, h + dz) for dx, dz in spout], 0.018, trim)
+    mesh.tube([(x + dx, 0, h + dz) for dx, dz in spout], 0.018, "chrome")
     for side in (-1, 1):
         y = side * 0.12
-        mesh.cylinder(x + 0.05, y, h, h + 0.07, 0.025, trim)
-        mesh.tube([(x + 0.05, y - 0.03, h + 0.08), (x + 0.05, y + 0.03, h + 0.08)], 0.012, trim)
+        mesh.cylinder(x + 0.05, y, h, h + 0.07, 0.025, "chrome")
+        mesh.tube([(x + 0.05, y - 0.03, h + 0.08), (x + 0.05, y + 0.03, h + 0.08)], 0.012, "chrome")
     return mesh
 
 
-def toilet(w: float, d: float, h: float, *, body: str = "ceramic", trim: str = "chrome", seat: str = "ceramic") -> Mesh:
+def toilet(w: float, d: float, h: float) -> Mesh:
     """A toilet with its cistern at the back."""
     bowl = -d * 0.12
     foot: list[tuple[float, ...]] = [
@@ -41,24 +41,15 @@ def toilet(w: float, d: float, h: float, *, body: str = "ceramic", trim: str = "
         (0.40, w * 0.48, d * 0.38),
     ]
     lid = [(0.40, 0.49, 0.385), (0.425, 0.50, 0.39), (0.45, 0.49, 0.38), (0.455, 0.3, 0.25)]
-    mesh = Mesh().loft(foot, body, at=(0, bowl), exponent=2.3)
-    mesh.loft([(z, w * x, d * y) for z, x, y in lid], seat, at=(0, bowl), exponent=2.3)
-    mesh.box(-w / 2, d / 2 - 0.2, 0.38, w / 2, d / 2, h - 0.03, body, 0.03)
-    mesh.box(-w / 2 - 0.01, d / 2 - 0.21, h - 0.03, w / 2 + 0.01, d / 2, h, body, 0.012)
-    return mesh.cylinder(0, d / 2 - 0.1, h, h + 0.015, 0.028, trim)
+    mesh = Mesh().loft(foot, "ceramic", at=(0, bowl), exponent=2.3)
+    mesh.loft([(z, w * x, d * y) for z, x, y in lid], "ceramic", at=(0, bowl), exponent=2.3)
+    mesh.box(-w / 2, d / 2 - 0.2, 0.38, w / 2, d / 2, h - 0.03, "ceramic", 0.03)
+    mesh.box(-w / 2 - 0.01, d / 2 - 0.21, h - 0.03, w / 2 + 0.01, d / 2, h, "ceramic", 0.012)
+    return mesh.cylinder(0, d / 2 - 0.1, h, h + 0.015, 0.028, "chrome")
 
 
 def vanity(
-    w: float,
-    d: float,
-    h: float,
-    *,
-    body: str = "wood",
-    top: str = "marble",
-    bowl: str = "ceramic",
-    trim: str = "chrome",
-    basins: int = 1,
-    doors: int = 4,
+    w: float, d: float, h: float, *, body: str = "wood", top: str = "marble", basins: int = 1, doors: int = 4
 ) -> Mesh:
     """A cabinet with basins on top."""
     mesh = Mesh().box(-w / 2, -d / 2 + 0.03, 0.08, w / 2, d / 2, h - 0.04, body, 0.006)
@@ -70,27 +61,25 @@ def vanity(
         mesh.box(x + 0.012, -d / 2 + 0.012, 0.11, x + step - 0.012, -d / 2 + 0.035, h - 0.06, body, 0.008)
         mesh.box(x + 0.07, -d / 2 + 0.006, 0.18, x + step - 0.07, -d / 2 + 0.03, h - 0.13, body, 0.006)
         handle = x + (step - 0.035 if i % 2 == 0 else 0.035)
-        mesh.tube([(handle, -d / 2 - 0.012, h * 0.62), (handle, -d / 2 - 0.012, h * 0.80)], 0.007, trim)
+        mesh.tube([(handle, -d / 2 - 0.012, h * 0.62), (handle, -d / 2 - 0.012, h * 0.80)], 0.007, "chrome")
     basin = [(0, 0.15, 0.12), (0.10, 0.21, 0.165), (0.12, 0.22, 0.17), (0.12, 0.205, 0.155), (0.05, 0.15, 0.12)]
     tap = [(0.09, 0), (0.09, 0.24), (0.12, 0.28), (0.2, 0.28), (0.23, 0.24)]
     for k in range(basins):
         x = (k + 0.5) / basins * w - w / 2
         rings = [(h + z, rx, ry) for z, rx, ry in (*basin, (0.03, 0.05, 0.04))]
-        mesh.loft(rings, bowl, at=(x, -0.02), exponent=2.4, sides=40, bottom=False)
-        mesh.tube([(x, d / 2 - back, h + up) for back, up in tap], 0.014, trim)
-        mesh.tube([(x + 0.03, d / 2 - 0.09, h + 0.2), (x + 0.1, d / 2 - 0.09, h + 0.24)], 0.009, trim)
+        mesh.loft(rings, "ceramic", at=(x, -0.02), exponent=2.4, sides=40, bottom=False)
+        mesh.tube([(x, d / 2 - back, h + up) for back, up in tap], 0.014, "chrome")
+        mesh.tube([(x + 0.03, d / 2 - 0.09, h + 0.2), (x + 0.1, d / 2 - 0.09, h + 0.24)], 0.009, "chrome")
     return mesh
 
 
-def shower(
-    w: float, d: float, h: float, *, tray: str = "ceramic", trim: str = "chrome", curtain: str = "shower_curtain"
-) -> Mesh:
+def shower(w: float, d: float, h: float, *, curtain: str = "shower_curtain") -> Mesh:
     """A tray in a corner with a rail at height h, a half-drawn curtain and a shower head."""
-    mesh = Mesh().box(-w / 2, -d / 2, 0, w / 2, d / 2, 0.12, tray, 0.02)
-    mesh.tube([(-w / 2, -d / 2 + 0.02, h), (w / 2 - 0.02, -d / 2 + 0.02, h), (w / 2 - 0.02, d / 2, h)], 0.013, trim)
+    mesh = Mesh().box(-w / 2, -d / 2, 0, w / 2, d / 2, 0.12, "ceramic", 0.02)
+    mesh.tube([(-w / 2, -d / 2 + 0.02, h), (w / 2 - 0.02, -d / 2 + 0.02, h), (w / 2 - 0.02, d / 2, h)], 0.013, "chrome")
     pipe = [(0.03, 1.0), (0.03, 2.1), (0.08, 2.15), (0.3, 2.12)]
-    mesh.tube([(0, d / 2 - back, z) for back, z in pipe], 0.013, trim)
-    mesh.loft([(2.06, 0.09, 0.09), (2.09, 0.09, 0.09), (2.12, 0.02, 0.02)], trim, at=(0, d / 2 - 0.3), sides=32)
+    mesh.tube([(0, d / 2 - back, z) for back, z in pipe], 0.013, "chrome")
+    mesh.loft([(2.06, 0.09, 0.09), (2.09, 0.09, 0.09), (2.12, 0.02, 0.02)], "chrome", at=(0, d / 2 - 0.3), sides=32)
 
     def folds(u: Array, v: Array) -> Array:
         x, y = -w / 2 + u * w * 0.62, -d / 2 + 0.02 + 0.03 * np.sin(u * 45)
@@ -99,9 +88,9 @@ def shower(
     return mesh.sheet(folds, 90, 8, curtain)
 
 
-def washer(w: float, d: float, h: float, *, body: str = "appliance") -> Mesh:
+def washer(w: float, d: float, h: float) -> Mesh:
     """A washing machine."""
-    mesh = Mesh().box(-w / 2, -d / 2 + 0.02, 0.01, w / 2, d / 2, h, body, 0.015)
+    mesh = Mesh().box(-w / 2, -d / 2 + 0.02, 0.01, w / 2, d / 2, h, "appliance", 0.015)
     y, z, radius = -d / 2 + 0.02, h * 0.46, min(w, h) * 0.3
     angle = np.linspace(0, 2 * np.pi, 41)
     ring = np.stack([radius * np.cos(angle), np.full_like(angle, y), z + radius * np.sin(angle)], -1)
@@ -110,14 +99,12 @@ def washer(w: float, d: float, h: float, *, body: str = "appliance") -> Mesh:
     return mesh.box(-w / 2 + 0.02, y - 0.012, h - 0.13, w / 2 - 0.02, y + 0.01, h - 0.03, "dark", 0.006)
 
 
-def towel_rail(
-    w: float, d: float, h: float, *, towel: str = "towel_a", trim: str = "chrome", drop: float = 0.75
-) -> Mesh:
+def towel_rail(w: float, d: float, h: float, *, towel: str = "towel_a", drop: float = 0.75) -> Mesh:
     """A rail at height h with a towel over it that hangs down by ``drop`` metres."""
     y = d / 2 - 0.07
-    mesh = Mesh().tube([(-w / 2, y, h), (w / 2, y, h)], 0.012, trim)
+    mesh = Mesh().tube([(-w / 2, y, h), (w / 2, y, h)], 0.012, "chrome")
     for side in (-1, 1):
-        mesh.tube([(side * w / 2, y, h), (side * w / 2, d / 2, h)], 0.012, trim)
+        mesh.tube([(side * w / 2, y, h), (side * w / 2, d / 2, h)], 0.012, "chrome")
 
     def front(u: Array, v: Array) -> Array:
         folds = 0.012 * np.sin(u * 14) * (1 - 0.7 * v) + 0.01 * (1 - v)
@@ -137,7 +124,6 @@ def counter(
     *,
     body: str = "wood",
     top: str = "marble",
-    trim: str = "chrome",
     doors: int = 3,
     drawers: bool = True,
     sink: bool = False,
@@ -153,38 +139,38 @@ def counter(
         for z0, z1 in ((0.11, h - 0.24), (h - 0.22, h - 0.05)) if drawers else ((0.11, h - 0.05),):
             mesh.box(x0, -d / 2 + 0.018, z0, x1, -d / 2 + 0.042, z1, body, 0.008)
             middle, y = (x0 + x1) / 2, -d / 2 - 0.01
-            mesh.tube([(middle - 0.07, y, z1 - 0.05), (middle + 0.07, y, z1 - 0.05)], 0.007, trim)
+            mesh.tube([(middle - 0.07, y, z1 - 0.05), (middle + 0.07, y, z1 - 0.05)], 0.007, "chrome")
     if sink:
         mesh.box(-0.32, -0.2, h - 0.001, 0.32, 0.18, h + 0.008, "steel", 0.004)
         mesh.box(-0.29, -0.17, h + 0.006, 0.29, 0.15, h + 0.0095, "dark", 0)
         tap = [(0.08, 0), (0.08, 0.26), (0.12, 0.33), (0.2, 0.33), (0.24, 0.28)]
-        mesh.tube([(0, d / 2 - back, h + up) for back, up in tap], 0.015, trim)
+        mesh.tube([(0, d / 2 - back, h + up) for back, up in tap], 0.015, "chrome")
     if hob:
-        _hob(mesh, d, h, trim)
+        _hob(mesh, d, h)
     return mesh
 
 
-def _hob(mesh: Mesh, d: float, h: float, trim: str) -> None:
+def _hob(mesh: Mesh, d: float, h: float) -> None:
     """Four plates, a pot on one of them, and the oven."""
     mesh.box(-0.3, -0.26, h, 0.3, 0.24, h + 0.01, "glass_dark", 0.004)
     for x in (-0.15, 0.15):
         for y in (-0.13, 0.12):
-            mesh.cylinder(x, y, h + 0.01, h + 0.02, 0.08, "dark").cylinder(x, y, h + 0.02, h + 0.026, 0.05, trim)
+            mesh.cylinder(x, y, h + 0.01, h + 0.02, 0.08, "dark").cylinder(x, y, h + 0.02, h + 0.026, 0.05, "chrome")
     pot = [(0.026, 0.09), (0.14, 0.1), (0.145, 0.03), (0.17, 0.03)]
     mesh.loft([(h + z, r, r) for z, r in pot], "pot", at=(0.15, 0.12), sides=32)
     z0, z1 = 0.16, h - 0.12
     mesh.box(-0.28, -d / 2, z0, 0.28, -d / 2 + 0.05, z1, "steel", 0.008)
     mesh.box(-0.22, -d / 2 - 0.006, z0 + 0.08, 0.22, -d / 2 + 0.02, z1 - 0.14, "glass_dark", 0.003)
-    mesh.tube([(-0.24, -d / 2 - 0.04, z1 - 0.07), (0.24, -d / 2 - 0.04, z1 - 0.07)], 0.011, trim)
+    mesh.tube([(-0.24, -d / 2 - 0.04, z1 - 0.07), (0.24, -d / 2 - 0.04, z1 - 0.07)], 0.011, "chrome")
 
 
-def fridge(w: float, d: float, h: float, *, body: str = "steel", trim: str = "chrome") -> Mesh:
+def fridge(w: float, d: float, h: float, *, body: str = "steel") -> Mesh:
     """A fridge over a freezer, its handles on the right."""
     mesh = Mesh().box(-w / 2, -d / 2 + 0.075, 0.03, w / 2, d / 2, h, body, 0.01)
     for z0, z1 in ((0.05, h * 0.36), (h * 0.37, h)):
         mesh.box(-w / 2, -d / 2, z0, w / 2, -d / 2 + 0.07, z1, body, 0.015)
         ends = [(w / 2 - 0.07, -d / 2 - 0.04, z0 + (z1 - z0) * share) for share in (0.25, 0.8)]
-        mesh.tube(ends, 0.012, trim)
+        mesh.tube(ends, 0.012, "chrome")
     return mesh
 
 
@@ -203,7 +189,7 @@ def wall_cupboard(
     return mesh
 
 
-def hood(w: float, d: float, h: float, *, z: float = 1.6, body: str = "steel") -> Mesh:
+def hood(w: float, d: float, h: float, *, z: float = 1.6) -> Mesh:
     """An extractor hood with its chimney, its lower edge at height z."""
     rings: list[tuple[float, ...]] = [
         (z, w / 2, d / 2, 12),
@@ -211,4 +197,4 @@ def hood(w: float, d: float, h: float, *, z: float = 1.6, body: str = "steel") -
         (z + 0.28, w * 0.2, d * 0.3, 8, 0, d * 0.18),
         (z + h, w * 0.2, d * 0.3, 8, 0, d * 0.18),
     ]
-    return Mesh().loft(rings, body)
+    return Mesh().loft(rings, "steel")

@@ -10,15 +10,7 @@ CONTENTS = ("books", "towels", "basket", "vases")
 
 
 def bed(
-    w: float,
-    d: float,
-    h: float,
-    *,
-    frame: str = "wood",
-    duvet: str = "duvet",
-    linen: str = "white_paint",
-    pillow: str = "pillow",
-    throw: str = "",
+    w: float, d: float, h: float, *, frame: str = "wood", duvet: str = "duvet", pillow: str = "pillow", throw: str = ""
 ) -> Mesh:
     """A bed with its head at the back, h high; with a throw over the foot if one is named."""
     mesh = Mesh().box(-w / 2, -d / 2, 0.12, w / 2, d / 2, 0.32, frame, 0.01)
@@ -26,7 +18,7 @@ def bed(
     for x in (-w / 2 + 0.06, w / 2 - 0.06):
         mesh.cylinder(x, -d / 2 + 0.06, 0, 0.12, 0.03, frame)
     mattress = [(0.32, 0.49, 0.47, 12), (0.46, 0.495, 0.475, 10), (0.52, 0.48, 0.46, 8)]
-    mesh.loft([(z, w * x, d * y, e) for z, x, y, e in mattress], linen, at=(0, -0.03), sides=64)
+    mesh.loft([(z, w * x, d * y, e) for z, x, y, e in mattress], "white_paint", at=(0, -0.03), sides=64)
 
     def cover(u: Array, v: Array) -> Array:
         x, y = (u - 0.5) * (w + 0.10), -d / 2 - 0.02 + v * d * 0.70
@@ -53,16 +45,7 @@ def bed(
     return mesh
 
 
-def sofa(
-    w: float,
-    d: float,
-    h: float,
-    *,
-    fabric: str = "sofa",
-    leg: str = "wood_dark",
-    seats: int = 3,
-    cushion: tuple[str, ...] = (),
-) -> Mesh:
+def sofa(w: float, d: float, h: float, *, fabric: str = "sofa", seats: int = 3, cushion: tuple[str, ...] = ()) -> Mesh:
     """A sofa, or with one seat an armchair; a cushion of each material named, left and right in turn."""
     arm = 0.18
     mesh = Mesh().box(-w / 2 + 0.02, -d / 2 + 0.05, 0.1, w / 2 - 0.02, d / 2, 0.30, fabric, 0.03)
@@ -70,7 +53,7 @@ def sofa(
         x = side * (w / 2 - arm / 2)
         mesh.box(x - arm / 2, -d / 2 + 0.02, 0.1, x + arm / 2, d / 2, 0.60, fabric, 0.06)
         for end in (-1, 1):
-            mesh.cylinder(side * (w / 2 - 0.1), end * (d / 2 - 0.1), 0, 0.1, 0.025, leg)
+            mesh.cylinder(side * (w / 2 - 0.1), end * (d / 2 - 0.1), 0, 0.1, 0.025, "wood_dark")
     mesh.box(-w / 2 + 0.05, d / 2 - 0.22, 0.1, w / 2 - 0.05, d / 2, h - 0.04, fabric, 0.07)
     width, depth = (w - 2 * arm) / seats, d - 0.22
     for i in range(seats):
@@ -90,24 +73,24 @@ def _cushion(mesh: Mesh, x: float, y: float, material: str) -> None:
     mesh.add(flat @ lean + [x, y, 0.64], material, smooth=80)
 
 
-def tv(w: float, d: float, h: float, *, z: float = 0.55, screen: str = "screen") -> Mesh:
+def tv(w: float, d: float, h: float, *, z: float = 0.55) -> Mesh:
     """A television on a foot at height z; h is the screen's height."""
     mesh = Mesh().box(-w / 2, 0.0, z + 0.06, w / 2, 0.05, z + 0.06 + h, "dark", 0.01)
     depth = min(d / 2, 0.1)
     mesh.box(-w * 0.2, -depth, z, w * 0.2, depth, z + 0.015, "dark", 0.004)
     mesh.box(-0.04, 0.01, z, 0.04, 0.04, z + 0.1, "dark", 0)
     x, z0, z1 = w / 2 - 0.02, z + 0.08, z + 0.04 + h
-    return mesh.quad([(-x, -0.012, z0), (x, -0.012, z0), (x, -0.012, z1), (-x, -0.012, z1)], screen, image=True)
+    return mesh.quad([(-x, -0.012, z0), (x, -0.012, z0), (x, -0.012, z1), (-x, -0.012, z1)], "screen", image=True)
 
 
-def fireplace(w: float, d: float, h: float, *, body: str = "brick", mantel: str = "white_paint") -> Mesh:
+def fireplace(w: float, d: float, h: float, *, body: str = "brick") -> Mesh:
     """A burning fireplace with a mantelpiece."""
     half, front, back = w * 0.28, -d / 2 + 0.08, d / 2
     mesh = Mesh().box(-w / 2, front, 0, -half, back, h - 0.08, body, 0.004)
     mesh.box(half, front, 0, w / 2, back, h - 0.08, body, 0.004)
     mesh.box(-half, front, h * 0.62, half, back, h - 0.08, body, 0)
     mesh.box(-half, back - 0.05, 0, half, back, h * 0.62, "dark", 0)
-    mesh.box(-w / 2 - 0.06, -d / 2, h - 0.08, w / 2 + 0.06, back, h, mantel, 0.012)
+    mesh.box(-w / 2 - 0.06, -d / 2, h - 0.08, w / 2 + 0.06, back, h, "white_paint", 0.012)
     mesh.box(-w / 2, -d / 2, 0, w / 2, back, 0.06, "marble", 0.008)
     x, y, z = half * 0.8, back - 0.1, h * 0.5
     mesh.quad([(-x, y, 0.08), (x, y, 0.08), (x, y, z), (-x, y, z)], "fire", image=True)
@@ -118,18 +101,10 @@ def fireplace(w: float, d: float, h: float, *, body: str = "brick", mantel: str 
 
 
 def cabinet(
-    w: float,
-    d: float,
-    h: float,
-    *,
-    body: str = "wood",
-    panel: str = "",
-    trim: str = "chrome",
-    doors: int = 2,
-    rows: int = 1,
-    legs: float = 0.06,
+    w: float, d: float, h: float, *, body: str = "wood", panel: str = "", doors: int = 2, rows: int = 1
 ) -> Mesh:
     """Doors, or with several rows drawers, side by side; doors have a panel of another material if one is named."""
+    legs = 0.06
     mesh = Mesh().box(-w / 2, -d / 2 + 0.02, legs, w / 2, d / 2, h, body, 0.006)
     for i in range(doors):
         for j in range(rows):
@@ -144,22 +119,14 @@ def cabinet(
             else:
                 x, z = (x0 + x1) / 2, z1 - 0.07
                 ends = [(x - 0.06, -d / 2 - 0.02, z), (x + 0.06, -d / 2 - 0.02, z)]
-            mesh.tube(ends, 0.007, trim)
-    if legs > 0:
-        for x, y in product((-w / 2 + 0.04, w / 2 - 0.04), (-d / 2 + 0.05, d / 2 - 0.05)):
-            mesh.cylinder(x, y, 0, legs, 0.02, trim)
+            mesh.tube(ends, 0.007, "chrome")
+    for x, y in product((-w / 2 + 0.04, w / 2 - 0.04), (-d / 2 + 0.05, d / 2 - 0.05)):
+        mesh.cylinder(x, y, 0, legs, 0.02, "chrome")
     return mesh
 
 
 def shelf(
-    w: float,
-    d: float,
-    h: float,
-    *,
-    body: str = "wood",
-    shelves: int = 4,
-    contents: tuple[str, ...] = CONTENTS,
-    towels: tuple[str, str] = ("towel_a", "towel_b"),
+    w: float, d: float, h: float, *, body: str = "wood", shelves: int = 4, contents: tuple[str, ...] = CONTENTS
 ) -> Mesh:
     """An open shelf; ``contents`` says what lies on the boards from the lowest up, in turn."""
     board = 0.022
@@ -171,11 +138,11 @@ def shelf(
         z = i * (h - board) / shelves
         mesh.box(-w / 2 + board, -d / 2, z, w / 2 - board, d / 2 - 0.01, z + board, body, 0.003)
         if i < shelves and contents:
-            _fill(mesh, contents[i % len(contents)], w / 2 - board, d / 2, z + board, room, towels)
+            _fill(mesh, contents[i % len(contents)], w / 2 - board, d / 2, z + board, room)
     return mesh
 
 
-def _fill(mesh: Mesh, what: str, x: float, y: float, z: float, room: float, towels: tuple[str, str]) -> None:
+def _fill(mesh: Mesh, what: str, x: float, y: float, z: float, room: float) -> None:
     """Put something on a board at height z that is 2 x wide and 2 y deep; ``room`` is the height above it."""
     if what == "books":
         front = [(-x, -y / 2, z), (x, -y / 2, z), (x, -y / 2, z + room), (-x, -y / 2, z + room)]
@@ -183,7 +150,7 @@ def _fill(mesh: Mesh, what: str, x: float, y: float, z: float, room: float, towe
     elif what == "towels":
         for k in range(int(min(3, room / 0.07))):
             low = z + k * 0.07
-            mesh.box(-x + 0.04, -y + 0.03, low, x - 0.04, y - 0.03, low + 0.066, towels[k % 2], 0.03)
+            mesh.box(-x + 0.04, -y + 0.03, low, x - 0.04, y - 0.03, low + 0.066, ("towel_a", "towel_b")[k % 2], 0.03)
     elif what == "basket":
         mesh.box(-x + 0.03, -y + 0.02, z, x - 0.03, y - 0.03, z + room * 0.6, "wicker", 0.02)
     elif what == "vases":

@@ -20,12 +20,10 @@ def abstract(
     return np.clip(out, 0, 1)
 
 
-def blocks(
-    c: Canvas, *, colors: tuple[str, ...] = ("#c8102e", "#f6d000", "#0b4ea2", "#f5f3ea"), lines: int = 4
-) -> Array:
+def blocks(c: Canvas, *, colors: tuple[str, ...] = ("#c8102e", "#f6d000", "#0b4ea2", "#f5f3ea")) -> Array:
     """Rectangles between black lines; the last colour is the ground."""
     choices = palette(colors)
-    xs, ys = (np.r_[0, np.sort(c.rng.uniform(0.1, 0.9, lines)), 1] for _ in range(2))
+    xs, ys = (np.r_[0, np.sort(c.rng.uniform(0.1, 0.9, 4)), 1] for _ in range(2))
     out = np.full((c.n, c.n, 3), choices[-1])
     for x0, x1 in pairwise(xs):
         for y0, y1 in pairwise(ys):
@@ -49,16 +47,13 @@ def circles(
 
 
 def bouquet(
-    c: Canvas,
-    *,
-    ground: str = "#2f3e46",
-    colors: tuple[str, ...] = ("#e76f51", "#f4a261", "#e9c46a", "#fefae0"),
-    flowers: int = 16,
+    c: Canvas, *, ground: str = "#2f3e46", colors: tuple[str, ...] = ("#e76f51", "#f4a261", "#e9c46a", "#fefae0")
 ) -> Array:
     """Flowers in a vase, loosely painted."""
     out = rgb(ground) * (0.7 + 0.6 * c.noise(4, 4, 5))[..., None]
     out[c.v > 0.82] *= 0.6
     choices = palette(colors)
+    flowers = 16
     for _ in range(2 * flowers):  # foliage behind the flowers
         cu, cv, angle = c.rng.normal(0.5, 0.2), c.rng.normal(0.42, 0.16), c.rng.random() * np.pi
         p, q = (
@@ -179,9 +174,8 @@ def skyline(
     *,
     sky: tuple[str, ...] = ("#6f9fce", "#f3e2cf"),
     colors: tuple[str, ...] = ("#8a8f98", "#a8826a", "#6b7a86"),
-    lit: float = 0.3,
 ) -> Array:
-    """Houses with windows in three rows, one behind the other; ``lit`` is the fraction of windows with light."""
+    """Houses with windows in three rows, one behind the other, a few of them with light."""
     out = _sky(c, sky)
     choices, haze = palette(colors), rgb(sky[-1])
     for row, base in enumerate((0.45, 0.58, 0.72)):
@@ -194,7 +188,7 @@ def skyline(
             columns = max(2, int(width * 40))
             across, down = (c.u - x) / width * columns, (c.v - top) * 28
             pane = house & (across % 1 > 0.3) & (across % 1 < 0.75) & (down % 1 > 0.35) & (down % 1 < 0.85)
-            alight = c.rng.random((32, columns))[down.astype(int) % 32, across.astype(int) % columns] < lit
+            alight = c.rng.random((32, columns))[down.astype(int) % 32, across.astype(int) % columns] < 0.3
             out[pane] = rgb("#39424e")
             out[pane & alight] = rgb("#ffe9a8")
             x += width + c.rng.uniform(0, 0.02)

@@ -58,12 +58,10 @@ def tile(
     brick: bool = False,
     checker: bool = False,
     var: float = 0.10,
-    gap: float = 0.02,
 ) -> Array:
     """Tiles or bricks, ``ny`` rows of ``nx``, each of a random colour (in turn with ``checker``).
 
-    ``brick`` shifts every second row by half a tile, ``var`` is how much tiles differ in tone, ``gap`` the grout's
-    width in tiles.
+    ``brick`` shifts every second row by half a tile, ``var`` is how much tiles differ in tone.
     """
     y = c.v * ny
     row = np.floor(y).astype(int)
@@ -75,17 +73,18 @@ def tile(
     glaze = 0.94 + 0.12 * c.noise(8, 8, 5)
     body = choices[choice] * (tone * glaze)[..., None]
     edge = np.minimum(np.abs(x - np.round(x)), np.abs(y - np.round(y)))
-    share = np.clip((edge - gap * 0.6) / (gap * 0.6), 0, 1)
+    gap = 0.02 * 0.6
+    share = np.clip((edge - gap) / gap, 0, 1)
     return np.clip(mix(rgb(grout), body, share), 0, 1)
 
 
 def terrazzo(
-    c: Canvas, *, ground: str = "#e8e4da", colors: tuple[str, ...] = ("#b5523b", "#3f5e5a", "#d9a441"), chips: int = 220
+    c: Canvas, *, ground: str = "#e8e4da", colors: tuple[str, ...] = ("#b5523b", "#3f5e5a", "#d9a441")
 ) -> Array:
     """Chips of stone in cement."""
     out = rgb(ground) * (0.94 + 0.12 * c.noise(16, 16, 4))[..., None]
     choices = palette(colors)
-    for _ in range(chips):
+    for _ in range(220):
         p, q = _somewhere(c)
         long, short = c.rng.uniform(0.012, 0.035), c.rng.uniform(0.008, 0.018)
         out[np.abs(p / long) ** 1.3 + np.abs(q / short) ** 1.3 < 1] = choices[c.rng.integers(len(choices))]
