@@ -153,7 +153,7 @@ class SimulatorOptions(SimulatedOptions):
 
 @dataclass
 class DraftOptions:
-    """Draft states.csv for a folder of photographs, by their names, and the times and compass in their EXIF.
+    """Draft states.csv for a folder of photographs, by their names.
 
     What the camera did not write down is assumed: places in a straight row, each with the same number of photos. The
     answer says what was assumed; correct the table, then make the scene by photos.
@@ -263,9 +263,7 @@ class SampleOptions(EncodedPatches):
         "kind and seed determine the room; from 10000 test, from 20000 validation, from 30000 training rooms", 0
     )
     count: Positive = option("rooms of each kind, with this seed and those after it", 1)
-    out: str = option(
-        "the collection: a dump (.h5) and a description (.toml) for each room, and an index; existing rooms are kept"
-    )
+    out: str = option("the collection: a dump (.h5) and a description (.toml) for each room; existing rooms are kept")
     height: Pixels = option(OF_VIEW, 300)
     width: Pixels = option(OF_VIEW, 400)
     turn: Turn = option(TURN, 90)
@@ -390,7 +388,6 @@ from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
-from dirl.scenes.collection import Entry
 from dirl.scenes.io.checked import check_choice
 from dirl.scenes.io.write import export_icra17
 from dirl.scenes.live import Simulator
@@ -398,7 +395,7 @@ from dirl.scenes.views import decode, encoded_view
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import draft_table, encoded_photos, read_photos
 from dirl.sources.rooms import build_room
-from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
+from dirl.sources.rooms.collect import MadeRoom, RoomSettings, make_rooms, missing_rooms
 from dirl.sources.rooms.looks import Changes
 from dirl.sources.rooms.sampling import KINDS
 from dirl.sources.simulators import take_scene
@@ -564,7 +561,7 @@ def sample(options: SampleOptions) -> None:
         print("|---|---|---|--:|--:|--:|---|", flush=True)
     left_out = []
     for made in make_rooms(folder, todo, settings, options.workers) if todo else ():
-        if isinstance(made, Entry):
+        if isinstance(made, MadeRoom):
             print("| " + " | ".join(sampled(made)), "|", flush=True)
         else:
             left_out.append(made)
@@ -573,17 +570,11 @@ def sample(options: SampleOptions) -> None:
     print(f"\n{len(wanted) - len(left_out)} rooms: {folder}")
 
 
-def sampled(entry: Entry) -> list[str]:
+def sampled(made: MadeRoom) -> list[str]:
     """The table's row of a random room."""
-    found = entry.checks
-    return [
-        entry.name,
-        entry.split or "-",
-        "{:g} x {:g} x {:g}".format(*found["size"]),
-        *(str(found[key]) for key in ("pieces", "places")),
-        f"{entry.states}",
-        "; ".join(found["problems"]) or "none",
-    ]
+    counts = [f"{made.pieces}", f"{made.places}", f"{made.states}"]
+    size = "{:g} x {:g} x {:g}".format(*made.size)
+    return [made.name, made.split or "-", size, *counts, "; ".join(made.problems) or "none"]
 
 
 def encode(options: EncodeOptions) -> None:

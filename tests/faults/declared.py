@@ -25,7 +25,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 from dirl.agent.mapping.frames import load_frames_map
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.scenes.collection import INDEX, read_collection
 from dirl.scenes.io.bounded import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.rooms import read_description
@@ -211,7 +210,6 @@ CASES = {
     "a large photo to go to": photo(lambda: png(16_384, 16_384, colour=6), read_photo),
     "36,000 headings": many_headings,
     "a sparse states.csv": sparse("states.csv", read_photos),
-    "a sparse collection": sparse(INDEX, read_collection),
     "a sparse checkpoint": sparse("network.pt", load_checkpoint),
     "weights that repeat a number": weights,
     "a pipe for states.csv": pipe("states.csv", read_photos),

@@ -1,14 +1,12 @@
 """The available scenes by name: built-in rooms, published dumps, any file."""
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-from tqdm import tqdm
-
-from dirl.scenes.collection import read_collection
 from dirl.scenes.io.read import ROOMS, Dump, read_dumps
 from dirl.scenes.scene import Scene, SceneError
 
@@ -21,6 +19,12 @@ PUBLISHED_GOALS: Mapping[str, tuple[int, ...]] = {
 """The four scenes of the paper with the goals of the published target-driven navigation code, five each."""
 
 COLLECTION = "collection:"
+
+ROOM = re.compile(r"([a-z_]+)_(\d+)")
+"""What the dumps of a collection are called: a kind and a seed, as ``bathroom_30000.h5``."""
+
+FIRST_SEEDS = {"test": 10_000, "validation": 20_000, "train": 30_000}
+"""The first seed of each split; it ends where the next begins."""
 
 
 class SceneSource(Protocol):
@@ -85,7 +89,7 @@ def load_scenes(
         SceneError: no such scene (the message lists the choices), an invalid file, or a source that gives no scenes.
     """
     if (folder := collection_folder(scene)) is not None:
-        return list(tqdm(read_collection(folder).select(split=split)[:rooms], desc="rooms", disable=None))
+        return read_dumps([Dump(path) for path in collection_files(folder, split)[:rooms]])
     if split is not None or rooms is not None:
         raise SceneError("split and rooms choose among the rooms of a collection: scene=collection:<folder>")
     if isinstance(source, str) and source not in ("rooms", "thor"):
@@ -128,6 +132,24 @@ def collection_folder(scene: str | Sequence[str]) -> Path | None:
     """The folder of the collection whose rooms a user asks for, see `load_scenes`; None if single scenes are named."""
     name = scene if isinstance(scene, str) else scene[0] if len(scene) == 1 else ""
     return Path(name.removeprefix(COLLECTION)) if name.startswith(COLLECTION) else None
+
+
+def split_of(seed: int) -> str | None:
+    """Return the split that the rooms of a seed belong to: test, validation or train; None below all of them."""
+    splits = [split for split, first in FIRST_SEEDS.items() if seed >= first]
+    return splits[-1] if splits else None
+
+
+def collection_files(folder: Path, split: str | None = None) -> list[Path]:
+    """Return the dumps of a collection, or of one of its splits, by seed; `SceneError` if there are none."""
+    rooms = [(int(name[2]), name[1], path) for path in folder.glob("*.h5") if (name := ROOM.fullmatch(path.stem))]
+    if not rooms:
+        raise SceneError(f"{folder}: is no collection; it holds no rooms such as bathroom_30000.h5 (scenes.py sample)")
+    chosen = [path for seed, _, path in sorted(rooms) if split in (None, split_of(seed))]
+    if not chosen:
+        splits = sorted({split_of(seed) or "none" for seed, _, _ in rooms})
+        raise SceneError(f"{folder}: has no room with split={split}; splits: {splits}")
+    return chosen
 
 
 def find_scenes(scene: str | Sequence[str], source: Rooms | None = None) -> list[Dump]:

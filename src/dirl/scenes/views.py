@@ -28,8 +28,7 @@ MAX_PHOTO_BYTES = 2**28
 MAX_WEBP_PIXELS = 2**26
 """Of a WebP image, whose decoder holds three copies."""
 
-WEBP = "WEBP"
-FORMATS = {"PNG": (PngImageFile, b"\x89PNG"), "JPEG": (JpegImageFile, b"\xff\xd8"), WEBP: (WebPImageFile, b"RIFF")}
+FORMATS = {"PNG": (PngImageFile, b"\x89PNG"), "JPEG": (JpegImageFile, b"\xff\xd8"), "WEBP": (WebPImageFile, b"RIFF")}
 """Of images: Pillow's class, and how a file begins. It knows many more, and starts other programs for some of them."""
 
 

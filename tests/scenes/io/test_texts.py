@@ -3,7 +3,6 @@ import os
 import pytest
 
 from dirl.scenes import SceneError
-from dirl.scenes.collection import INDEX, read_collection
 from dirl.scenes.io.bounded import MOST, read_text
 from dirl.scenes.io.texts import read_rows
 from dirl.sources.photos import read_photos
@@ -29,11 +28,10 @@ def test_a_sparse_file_is_refused_by_its_size(tmp_path):
         read_rows(sparse(tmp_path / "a.csv", b"a,b\n1,2\n"))
 
 
-@pytest.mark.parametrize(("reader", "name"), [(read_photos, "states.csv"), (read_collection, INDEX)])
-def test_a_sparse_file_of_a_folder_is_refused(tmp_path, reader, name):
-    sparse(tmp_path / name)
+def test_a_sparse_table_of_photographs_is_refused(tmp_path):
+    sparse(tmp_path / "states.csv")
     with pytest.raises(SceneError, match="has more than"):
-        reader(tmp_path)
+        read_photos(tmp_path)
 
 
 def test_a_sparse_description_is_refused(tmp_path):

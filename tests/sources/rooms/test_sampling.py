@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dirl.scenes import SceneError
+from dirl.scenes.catalogue import split_of
 from dirl.sources.rooms import check_room
 from dirl.sources.rooms.build import scene_of
 from dirl.sources.rooms.description import Piece, description_text, parse_description
@@ -11,7 +12,7 @@ from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.sampling import KINDS, sample_room
 from dirl.sources.rooms.sampling.draft import Draft
 from dirl.sources.rooms.sampling.sample import draw_room
-from dirl.sources.rooms.sampling.splits import EVERYTHING, HELD_OUT, TEST, TRAIN, repertoire_of, split_of
+from dirl.sources.rooms.sampling.splits import EVERYTHING, HELD_OUT, TEST, TRAIN, repertoire_of
 from dirl.sources.rooms.sampling.styles import Style
 
 

@@ -97,7 +97,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
         "graph": _in_our_order(graph[:], file.attrs.get("actions")),
         "positions": location[:],
         "headings": rotation[:],
-        "features": None if features is None else _read_features(features, path, mapped=intact),
+        "features": None if features is None else _read_features(features),
         "extractor": "none"
         if features is None
         else extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown",
@@ -108,6 +108,11 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
         **({} if views is None else _locate_views(views, path, decoded=verified)),
     }
     _check_differences(contents["headings"], contents["features"])
+    if verified and features is not None and features.dtype in (np.float16, np.float32):
+        offset = features.id.get_offset()
+        if offset is not None:  # mapped like the others: a world copies them, and then they need no memory
+            mapped["features"] = (offset, list(features.shape), features.dtype.str)
+            contents["features"] = None
     return contents
 
 
@@ -131,15 +136,8 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
     return dataset
 
 
-def _read_features(dataset: h5py.Dataset, path: Path, *, mapped: bool) -> NDArray[np.floating]:
-    """Return the features ``[N, D]`` of the first crop, a block at a time: float64 would take three times the memory.
-
-    Those of a file as we write it are memory-mapped on request: a world copies them, and then they need no memory.
-    """
-    offset = dataset.id.get_offset()
-    if mapped and offset is not None and dataset.dtype in (np.float16, np.float32):
-        stored = np.memmap(path, dataset.dtype, "r", offset, dataset.shape)
-        return stored[:, 0] if dataset.ndim == 3 else stored
+def _read_features(dataset: h5py.Dataset) -> NDArray[np.floating]:
+    """Return the features ``[N, D]`` of the first crop, a block at a time: float64 takes three times the memory."""
     kind = np.float16 if dataset.dtype.itemsize == 2 else np.float32
     values = np.empty((dataset.shape[0], dataset.shape[-1]), kind)
     for rows in blocks(dataset):
@@ -252,10 +250,11 @@ def _short(value: Any, show: Any = repr) -> str:
     return text if len(text) <= 60 else f"{text[:60]}..."
 
 
-def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[int, list[int]]]:
-    """Offset and shape of patches, of features and patches of further looks, and along arrows, as `Scene` names them.
+def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[int, list[int], str]]:
+    """Where patches, features and patches of further looks, and features along arrows lie, as `Scene` names them.
 
-    They are float16 and in one piece, so that those of many scenes can be memory-mapped.
+    Of each the first byte, the shape and the type. They are float16 and in one piece, so that those of many scenes can
+    be memory-mapped.
     """
     stored: dict[str, tuple[str, tuple[int | None, ...]]] = {
         "patches": ("patches", (states, None, None)),
@@ -269,7 +268,7 @@ def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[
     return found
 
 
-def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...]) -> tuple[int, list[int]]:
+def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...]) -> tuple[int, list[int], str]:
     dataset = _open_dataset(file, name, kinds="f", shape=shape)
     if dataset.dtype != np.float16 or 0 in dataset.shape or dataset.size > MAX_VALUES:
         raise SceneError(
@@ -281,7 +280,7 @@ def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...
         raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
     if offset + dataset.nbytes > path.stat().st_size:
         raise SceneError(f"{name}: the file ends before they do; it is damaged")
-    return offset, list(dataset.shape)
+    return offset, list(dataset.shape), dataset.dtype.str
 
 
 def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:

@@ -81,10 +81,7 @@ def _ended(status: int, seconds: float) -> str:
         return f"was not read after {seconds:.0f} s of processor time; it is damaged"
     if status == -getattr(signal, "SIGKILL", 0):
         return "the process that read it was killed: it took too long, or the machine's memory is full"
-    try:
-        how = signal.Signals(-status).name
-    except ValueError:
-        how = f"exit status {status}"
+    how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
     return f"libhdf5 failed on it ({how}); it is damaged"
 
 

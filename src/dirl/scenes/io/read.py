@@ -50,8 +50,6 @@ class Dump:
     path: Path
     name: str | None = None
     source: str | None = None
-    sha256: str | None = None
-    """Of the file, as an index that we wrote says. Where it is right, the file is as it was written."""
 
 
 def read_dump(path: str | Path, *, name: str | None = None, source: str | None = None, isolated: bool = True) -> Scene:
@@ -62,8 +60,7 @@ def read_dump(path: str | Path, *, name: str | None = None, source: str | None =
         name: of the scene; the file's attribute ``name`` or its stem if left out.
         source: its origin; the file's attribute ``source`` or "unlabelled" if left out.
         isolated: read the file in a separate process, with limits of time and memory, because libhdf5 can crash or
-            hang on a damaged one. False reads many small files faster. A built-in room with the right checksum is
-            always read in this process.
+            hang on a damaged one. A built-in room with the right checksum is always read in this process.
 
     Raises:
         SceneError: the file is missing, damaged or invalid. The message names the file,
@@ -77,7 +74,7 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
     for dump in dumps:
         if not dump.path.is_file():
             raise SceneError(f"{dump.path}: there is no such file")
-    intact = [_is_intact(dump) for dump in dumps]
+    intact = [_is_intact_room(dump.path) for dump in dumps]
     unknown = [dump.path.absolute() for dump, known in zip(dumps, intact, strict=True) if not known]
     apart = read_apart(unknown) if isolated and unknown else map(read_contents, unknown)
     scenes = []
@@ -96,9 +93,11 @@ def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
     check_name(name, str(dump.path))
     views = {key.removeprefix("view_"): contents.pop(key) for key in [*contents] if key.startswith("view_")}
     mapped: dict[str, Any] = {
-        array: np.memmap(dump.path, np.float16, "r", offset, tuple(shape))
-        for array, (offset, shape) in contents.pop("mapped").items()
+        array: np.memmap(dump.path, dtype, "r", offset, tuple(shape))
+        for array, (offset, shape, dtype) in contents.pop("mapped").items()
     }
+    if "features" in mapped and mapped["features"].ndim == 3:
+        mapped["features"] = mapped["features"][:, 0]  # the first crop
     beside = dump.path.with_suffix(".patches.npy")
     if intact and "patches" not in mapped and beside.is_file() and _is_intact_room(beside):
         mapped["patches"] = np.load(beside, mmap_mode="r", allow_pickle=False)
@@ -109,13 +108,6 @@ def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
         "origin": str(dump.path),
     }
     return Scene(views=FileViews(dump.path.resolve(), **views) if views else None, **{**contents, **mapped, **about})
-
-
-def _is_intact(dump: Dump) -> bool:
-    """True if a file is unchanged since dirl wrote it, byte for byte."""
-    if dump.sha256 is not None:
-        return file_digest(dump.path) == dump.sha256
-    return _is_intact_room(dump.path)
 
 
 def _is_intact_room(path: Path) -> bool:

@@ -1,14 +1,17 @@
 """Many random rooms in a collection, made in parallel; an interrupted command can be continued."""
 
+import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dirl.scenes.collection import INDEX, Entry, add_entry, is_whole, read_collection
-from dirl.scenes.io.digest import file_digest
+import h5py
+
+from dirl.scenes.catalogue import ROOM, split_of
+from dirl.scenes.io.atomic import write_text
 from dirl.scenes.io.processes import in_processes
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.build import check_arguments, poses, take_views, write_room
@@ -16,7 +19,6 @@ from dirl.sources.rooms.description import description_text
 from dirl.sources.rooms.looks import Changes, look_views
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.sampling.sample import LOOK, sample_views
-from dirl.sources.rooms.sampling.splits import split_of
 from dirl.sources.rooms.view import Renderer
 
 if TYPE_CHECKING:  # the models are built on the scenes
@@ -68,13 +70,12 @@ class RoomSettings:
         return load_encoder(self.encoder, self.device, precision=self.precision, **patches)
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
-        """Return the settings as the index stores them: the encoder by its description, not by its name."""
-        kept = {key: getattr(self, key) for key in ("height", "width", "turn", "fine", "precision")}
-        if self.looks:
-            kept |= {"looks": self.looks, **{f"changes.{name}": value for name, value in vars(self.changes).items()}}
-        kept |= {"extractor": "none" if encoder is None else encoder.extractor, "patches": "none"}
+        """Return the settings as each room stores them: the encoder by its description, not by its name."""
+        kept = asdict(self)
+        del kept["device"], kept["encoder"]
+        kept["extractor"] = "none" if encoder is None else encoder.extractor
         if encoder is not None and (self.patches or self.fine_patches):
-            kept |= {"patches": "; ".join(encoder.patch_attributes.values())}
+            kept["patches"] = "; ".join(encoder.patch_attributes.values())
         return kept
 
 
@@ -82,38 +83,52 @@ encoder_of = cache(RoomSettings.load_encoder)
 """What encodes the views, loaded once in each process."""
 
 
+@dataclass(frozen=True)
+class MadeRoom:
+    """A room that was made: its name and split, what is in it, and the problems that were found."""
+
+    name: str
+    split: str | None
+    size: tuple[float, float, float]
+    pieces: int
+    places: int
+    states: int
+    problems: list[str]
+
+
 def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]) -> list[Wanted]:
-    """Return the rooms that a collection lacks, or does not have completely and as the index describes them.
+    """Return the rooms that a collection lacks; a dump is there completely or not at all.
 
     The folder may not exist yet. For ``stored`` see `RoomSettings.stored`.
 
     Raises:
-        SceneError: the folder holds something else, or rooms that were made with other settings.
+        SceneError: the folder holds something else, or a room that was made with other settings or cannot be read.
     """
-    if not (folder / INDEX).is_file():
-        # A job that was killed before its first room was whole may have left a description and an unfinished dump.
-        names = {f"{kind}_{seed}" for kind, seed in wanted}
-        if folder.exists() and not (
-            folder.is_dir() and {path.name.split(".")[0] for path in folder.iterdir()} <= names
-        ):
-            raise SceneError(f"{folder}: is there already, and is no collection; it is not written to")
+    if not folder.exists():
         return list(wanted)
-    collection = read_collection(folder)
-    for entry in collection.entries:
+    if not folder.is_dir() or not all(
+        ROOM.fullmatch(path.name.split(".")[0]) for path in folder.iterdir() if not path.name.startswith(".")
+    ):
+        raise SceneError(f"{folder}: is there already, and is no collection; it is not written to")
+    for path in sorted(folder.glob("[!.]*.h5")):
+        try:
+            with h5py.File(path) as file:
+                made = json.loads(file.attrs["settings"])
+        except (OSError, KeyError, ValueError) as error:
+            raise SceneError(f"{path}: says not how it was made ({error}); delete it, or name another folder") from None
         for key, value in stored.items():
-            if entry.settings.get(key) != value:
+            if made.get(key) != value:
                 raise SceneError(
-                    f"{folder}: {entry.name} was made with {key}={entry.settings.get(key)}, not {value}; give the same "
-                    "options, or another folder"
+                    f"{folder}: {path.stem} was made with {key}={made.get(key)}, not {value}; give the same options, "
+                    "or another folder"
                 )
-    whole = {(e.kind, e.seed) for e in collection.entries if is_whole(collection.path(e), e)}
-    return [one for one in wanted if one not in whole]
+    return [(kind, seed) for kind, seed in wanted if not (folder / f"{kind}_{seed}.h5").is_file()]
 
 
 def make_rooms(
     folder: str | Path, wanted: Sequence[Wanted], settings: RoomSettings, workers: int | None = None
-) -> Iterator[Entry | SceneError]:
-    """Make random rooms: the dump of each, its description beside it, and a line in the index.
+) -> Iterator[MadeRoom | SceneError]:
+    """Make random rooms: the dump of each, and its description beside it.
 
     Each process makes one room at a time; the views of a single room are rendered by all. The rooms do not depend on
     the number of processes.
@@ -125,7 +140,7 @@ def make_rooms(
         workers: processes; all cores if left out. Each needs about 1 GB.
 
     Yields:
-        The entries of complete rooms; for a seed of which no attempt passed the checks, the error.
+        What was made; for a seed of which no attempt passed the checks, the error.
 
     Raises:
         SceneError: the rooms cannot be made, or a process was killed, perhaps because memory ran out.
@@ -138,19 +153,16 @@ def make_rooms(
     workers = workers or os.cpu_count() or 1
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    made: Iterable[Entry | SceneError]
     if workers == 1 or len(wanted) == 1:
-        made = (make_room(folder, one, settings) for one in wanted)
+        yield from (make_room(folder, one, settings) for one in wanted)
     else:
         tasks = [partial(make_room, folder, one, settings, threads=1) for one in wanted]
-        made = in_processes(tasks, min(workers, len(wanted)), f"{folder}: a process that made a room")
-    for one in made:
-        if isinstance(one, Entry):
-            add_entry(folder, one)
-        yield one
+        yield from in_processes(tasks, min(workers, len(wanted)), f"{folder}: a process that made a room")
 
 
-def make_room(folder: Path, one: Wanted, settings: RoomSettings, *, threads: int | None = None) -> Entry | SceneError:
+def make_room(
+    folder: Path, one: Wanted, settings: RoomSettings, *, threads: int | None = None
+) -> MadeRoom | SceneError:
     """Draw a room, take and encode its views, and write its dump and its description; see `make_rooms`."""
     kind, seed = one
     encoder = encoder_of(settings)
@@ -166,23 +178,8 @@ def make_room(folder: Path, one: Wanted, settings: RoomSettings, *, threads: int
             views = list(take_views(renderer, room.camera, poses(way), size, threads=threads, progress=False))
         taken = partial(look_views, renderer, room.camera, way, size, settings.changes)
         looks = [list(taken(LOOK_SEEDS * seed + k)) for k in range(settings.looks)]
-    dump = folder / f"{room.name}.h5"
-    unfinished = folder / f"{room.name}.toml.tmp"
-    unfinished.write_text(description_text(room), encoding="utf-8")
-    os.replace(unfinished, folder / f"{room.name}.toml")  # also over what a killed job left
-    problems = write_room(dump, room, way, views, encoder, {"turn": settings.turn, "seed": seed}, looks=looks)
-    return Entry(
-        name=room.name,
-        kind=kind,
-        seed=seed,
-        split=split_of(seed),
-        states=len(way.graph),
-        checks={
-            "size": list(room.size),
-            "pieces": len(room.furniture),
-            "places": room.grid.places,
-            "problems": problems,
-        },
-        settings=settings.stored(encoder),
-        sha256=file_digest(dump),
-    )
+    write_text(folder / f"{room.name}.toml", description_text(room))  # also over what a killed job left
+    attributes = {"turn": settings.turn, "seed": seed, "settings": json.dumps(settings.stored(encoder))}
+    problems = write_room(folder / f"{room.name}.h5", room, way, views, encoder, attributes, looks=looks)
+    places, states = len(way.places), len(way.graph)
+    return MadeRoom(room.name, split_of(seed), room.size, len(room.furniture), places, states, problems)

@@ -17,9 +17,6 @@ LINKS, PLACES = "links.csv", "panoramas.csv"
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp")
 """Of panoramas in a folder."""
 
-PAGES = (".js", ".html", ".htm")
-"""Endings of files that may hold a configuration of Pannellum."""
-
 
 def read_table(file: Path) -> Described:
     """Read the tour of a folder of equirectangular images with ``links.csv``, and maybe ``panoramas.csv``.
@@ -60,7 +57,7 @@ FORMATS = {
     "marzipano": (read_marzipano, ("data.js", "app-files/data.js")),
     "krpano": (read_krpano, ("tour.xml",)),
     "table": (read_table, (LINKS,)),
-    "pannellum": (read_pannellum, ("*.json",)),
+    "pannellum": (read_pannellum, ("*.json", "*.js", "*.html", "*.htm")),
 }
 """What reads each kind of tour, and where its description is in its folder; the first that is there is read."""
 
@@ -79,34 +76,23 @@ def read_tour(path: str | Path, *, skip: Collection[str] = ()) -> Tour:
     path = Path(path)
     if not path.is_dir() and not path.is_file():
         raise SceneError(f"{path}: there is no such file or folder")
-    found = _in_folder(path) if path.is_dir() else _by_name(path)
-    if found is None:
-        wanted = ", ".join(name for _, names in FORMATS.values() for name in names)
-        raise SceneError(f"{path}: is no tour; expected one of {wanted}")
-    kind, file = found
-    return make_tour(FORMATS[kind][0](file), str(file), skip)
-
-
-def _by_name(file: Path) -> tuple[str, Path] | None:
-    """Return which kind of tour a file describes."""
-    named = [kind for kind, (_, names) in FORMATS.items() if any(file.match(Path(name).name) for name in names)]
-    by_ending = {".xml": "krpano", **dict.fromkeys(PAGES, "pannellum")}
-    kind = named[0] if named else by_ending.get(file.suffix.lower())
-    return None if kind is None else (kind, file)
-
-
-def _in_folder(folder: Path) -> tuple[str, Path] | None:
-    """Return which kind of tour a folder holds, and the file that describes it."""
-    pages = tuple(f"*{ending}" for ending in PAGES)
-    for kind, names in [*((kind, names) for kind, (_, names) in FORMATS.items()), ("pannellum", pages)]:
-        found = sorted(file for name in names for file in folder.glob(name) if kind != "pannellum" or _has_scenes(file))
+    for kind, (read, names) in FORMATS.items():
+        if path.is_file():
+            found = [path] if any(path.match(Path(name).name) for name in names) else []
+        else:
+            found = sorted(file for name in names for file in path.glob(name))
+        if kind == "pannellum" and path.is_dir():  # which files of other kinds may stand beside
+            found = [file for file in found if _has_scenes(file)]
         if len(found) > 1:
             raise SceneError(
-                f"{folder}: holds {len(found)} tours of {kind}, {found[0].name} too; name the file of the one you mean"
+                f"{path}: holds {len(found)} tours of {kind}, {found[0].name} too; name the file of the one you mean"
             )
-        if found:
-            return kind, found[0]
-    return None
+        if found or (kind == "krpano" and path.suffix == ".xml"):
+            file = found[0] if found else path
+            return make_tour(read(file), str(file), skip)
+    raise SceneError(
+        f"{path}: is no tour; expected one of {', '.join(n for _, names in FORMATS.values() for n in names)}"
+    )
 
 
 def _has_scenes(file: Path) -> bool:

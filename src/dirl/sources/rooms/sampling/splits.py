@@ -14,8 +14,7 @@ and the plain materials of stock: paint, ceramic, metal, marble, brick, wicker.
 from dataclasses import dataclass
 from typing import Any
 
-FIRST_SEEDS = {"test": 10_000, "validation": 20_000, "train": 30_000}
-"""The first seed of each split; it ends where the next begins."""
+from dirl.scenes.catalogue import split_of
 
 Colors = tuple[str, str]
 Tiling = tuple[int, int, bool]
@@ -103,12 +102,6 @@ def _repertoire(*, held_out: bool) -> Repertoire:
 
 
 TRAIN, TEST = _repertoire(held_out=False), _repertoire(held_out=True)
-
-
-def split_of(seed: int) -> str | None:
-    """Return the split that the rooms of a seed belong to: test, validation or train; None below all of them."""
-    splits = [split for split, first in FIRST_SEEDS.items() if seed >= first]
-    return splits[-1] if splits else None
 
 
 def repertoire_of(seed: int) -> Repertoire:
