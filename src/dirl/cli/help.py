@@ -62,7 +62,7 @@ def explained(values: Any, told: Mapping[str, str]) -> str:
     return "".join(f"{line:<36}  # {told[name]}\n" if told.get(name) else f"{line}\n" for line, name in _lines(values))
 
 
-def _lines(values: Mapping[str, Any], name: str = "", indent: str = "") -> Iterator[tuple[str, str]]:
+def _lines(values: Mapping[str, object], name: str = "", indent: str = "") -> Iterator[tuple[str, str]]:
     """Yield each line of nested values as YAML, with its option's dotted name."""
     for key, value in values.items():
         full = f"{name}.{key}" if name else key

@@ -102,7 +102,7 @@ def parsed(text: str) -> Override:
         ) from None
 
 
-def check_option(name: str, known: Mapping[str, Any]) -> None:
+def check_option(name: str, known: Mapping[str, object]) -> None:
     """Raise `ConfigError` unless there is such an option; the last part of its name may be that of another group."""
     near = [other for other in known if other.rpartition(".")[2] == name.rpartition(".")[2]]
     if near and name not in known:
@@ -153,7 +153,7 @@ def prepare(arguments: Sequence[str]) -> list[str]:
     return prepared
 
 
-def _values(override: Override) -> list[Any]:
+def _values(override: Override) -> list[object]:
     """Return the values that an argument gives, of a range its description."""
     value = None if override.is_delete() else override.value()
     return list(value.list) if isinstance(value, ChoiceSweep) else [value]
@@ -167,7 +167,7 @@ def _constant(name: str, override: Override) -> str:
     return f"{name}=" + ",".join(f"{{start:{one},end:{one}}}" for one in plain)
 
 
-def compose_training(arguments: Sequence[str], **kwargs: Any) -> DictConfig:
+def compose_training(arguments: Sequence[str], **kwargs: bool) -> DictConfig:
     """Return what Hydra makes of a training's arguments, without flags; ``kwargs`` are those of ``hydra.compose``."""
     register()
     with one_line_errors(), initialize_config_dir(str(CONF), version_base="1.3"):

@@ -63,7 +63,7 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
     return options
 
 
-def run(main: Callable[[], Any], options: object = None) -> None:
+def run(main: Callable[[], object], options: object = None) -> None:
     """Run a recipe's function; a wrong input, an interrupt or an error of the machine ends it with one line.
 
     That of an interrupt says whether what ``options`` tell to write was written; a run tells it itself once it trains.

@@ -7,14 +7,14 @@ from typing import Any
 import yaml  # PyYAML comes with OmegaConf
 from omegaconf import OmegaConf
 
-from dirl.config.components import TARGET, make
+from dirl.config.components import TARGET, Options, make
 from dirl.config.folders import CONF
 from dirl.config.saved import MAX_CHARACTERS, plain_mapping
 from dirl.config.schemas import ConfigError
 from dirl.config.values import leaves
 
 
-def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
+def group_options(group: str, choice: str | None) -> Options | None:
     """Return the options of a choice; None if nothing is chosen.
 
     It is the name of a file in the folder ``group`` of ``conf/``, or the path of a file of one's own, with ``.yaml``.
@@ -34,7 +34,7 @@ def group_options(group: str, choice: str | None) -> dict[str, Any] | None:
     return dict(options)
 
 
-def own_options(group: str, file: Path) -> dict[str, Any]:
+def own_options(group: str, file: Path) -> Options:
     """Return a component's options in a YAML file of the user's; ``group`` is the option that names it.
 
     Raises:
@@ -53,7 +53,7 @@ def own_options(group: str, file: Path) -> dict[str, Any]:
     return options
 
 
-def goal_view_options(choice: str | None) -> dict[str, Any]:
+def goal_view_options(choice: str | None) -> Options:
     """Return the options by which goals are shown, by dotted name; none if nothing is chosen."""
     if choice == "surrounding":  # in training the defaults, which a run on photos has replaced
         return {"observation.goal_view": "surrounding", "stop.match": "views", "stop.threshold": 0.9}

@@ -19,6 +19,9 @@ from dirl.config.values import check_choice, check_value
 
 TARGET = "_target_"
 
+Options = Mapping[str, Any]
+"""Of a component by name, ``_target_`` among them."""
+
 Parameters = dict[str, tuple[Any, bool]]
 """By name: the annotation, and whether it must be given."""
 
@@ -74,7 +77,7 @@ NONE = ("memory", "episodic_memory", "losses")
 """Groups of which a policy may have none."""
 
 
-def components(config: TrainConfig) -> dict[str, dict[str, Any]]:
+def components(config: TrainConfig) -> Mapping[str, Options]:
     """Return the options of each component of a `TrainConfig` that names a class, by dotted name (``losses.a2c``).
 
     Raises:
@@ -175,7 +178,7 @@ def class_parameters(cls: type) -> Parameters:
     return found
 
 
-def check_options(name: str, parameters: Parameters, options: Mapping[str, Any]) -> None:
+def check_options(name: str, parameters: Parameters, options: Options) -> None:
     """Check a component's options, ``_target_`` among them, against the parameters of its constructor.
 
     Raises:
@@ -205,7 +208,7 @@ def is_schedule(value: object) -> bool:
     return isinstance(value, Mapping) and set(value) == {"start", "end"}
 
 
-def schedules(name: str, options: Mapping[str, Any]) -> dict[str, Schedule]:
+def schedules(name: str, options: Options) -> dict[str, Schedule]:
     """Return the options of a loss that change linearly over the training, and its ``weight``, constant or not.
 
     Raises:
@@ -223,7 +226,7 @@ def schedules(name: str, options: Mapping[str, Any]) -> dict[str, Schedule]:
     return made
 
 
-def make(name: str, options: Mapping[str, Any], trust: Collection[str] | None = None, **offered: Any) -> Any:
+def make(name: str, options: Options, trust: Collection[str] | None = None, **offered: object) -> Any:
     """Make a component.
 
     Args:

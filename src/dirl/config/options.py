@@ -9,7 +9,7 @@ MISSING = "???"
 """OmegaConf's mark, whose import would take a tenth of a second."""
 
 
-def option(meaning: str = "", default: Any = MISSING) -> Any:
+def option(meaning: str = "", default: object = MISSING) -> Any:
     """Return the field of an option.
 
     Args:

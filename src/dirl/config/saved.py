@@ -21,7 +21,7 @@ def config_text(config: TrainConfig) -> str:
 
 
 def read_config(
-    text: str, origin: str, changes: Mapping[str, Any] | None = None, trust: Collection[str] = ()
+    text: str, origin: str, changes: Mapping[str, object] | None = None, trust: Collection[str] = ()
 ) -> TrainConfig:
     """Return a configuration that a run saved. Its components' classes are found and checked, but not made.
 
@@ -78,7 +78,7 @@ def plain_mapping(text: str) -> dict[str, Any]:
     return values
 
 
-def _named_by_user(changes: Mapping[str, Any]) -> list[str]:
+def _named_by_user(changes: Mapping[str, object]) -> list[str]:
     """Return the packages of the classes that changes name."""
     named = [str(value[TARGET]) for value in changes.values() if isinstance(value, Mapping) and value.get(TARGET)]
     return [target.partition(".")[0] for target in named if target not in PUBLIC and not target.startswith("dirl.")]

@@ -36,6 +36,10 @@ Episodes = Annotated[int, Bounds(1, 10**7)]
 Frames = Annotated[int, Bounds(1, 10**12)]
 
 
+Component = Any
+"""A class by its ``_target_`` and its options, or losses by name: a mapping, of which OmegaConf knows no type."""
+
+
 class ConfigError(ValueError):
     """An invalid configuration; the message names the option and its valid values."""
 
@@ -227,18 +231,18 @@ class TrainConfig:
     )
     system: str = option("which method of the comparison; its name in tables")
     preset: str = option("fast | paper: which constants")
-    observation: Any = option()
-    encoder: Any = option()
-    memory: Any = option()
-    heads: Any = option()
-    policy: Any = option()
-    episodic_memory: Any = field(default_factory=lambda: {"_target_": None})
-    recogniser: Any = field(default_factory=lambda: {"_target_": "dirl.perception.recognition.NCC"})
-    expert: Any = option()
-    losses: Any = option()
-    optimiser: Any = option()
-    source: Any = field(default_factory=lambda: {"_target_": "dirl.scenes.catalogue.Rooms"})
-    env: Any = field(default_factory=lambda: {"_target_": "dirl.envs.NavigationEnv"})
+    observation: Component = option()
+    encoder: Component = option()
+    memory: Component = option()
+    heads: Component = option()
+    policy: Component = option()
+    episodic_memory: Component = field(default_factory=lambda: {"_target_": None})
+    recogniser: Component = field(default_factory=lambda: {"_target_": "dirl.perception.recognition.NCC"})
+    expert: Component = option()
+    losses: Component = option()
+    optimiser: Component = option()
+    source: Component = field(default_factory=lambda: {"_target_": "dirl.scenes.catalogue.Rooms"})
+    env: Component = field(default_factory=lambda: {"_target_": "dirl.envs.NavigationEnv"})
     network: NetworkConfig = option("", NetworkConfig)
     imitation: ImitationConfig = option("", ImitationConfig)
     reinforcement: ReinforcementConfig = option("", ReinforcementConfig)

@@ -46,7 +46,7 @@ def check_choice(told: str, given: str, choices: Collection[str], prefix: str = 
         raise ConfigError(f"there is no {told}; {hint}")
 
 
-def plain(config: Any) -> dict[str, Any]:
+def plain(config: object) -> dict[str, Any]:
     """Return a typed configuration as nested values, without ``out``, ``resume`` and ``trust`` of its start."""
     values: Any = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
     return {**values, "out": None, "resume": None, "trust": None}
@@ -61,7 +61,7 @@ def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def check_value(name: str, value: object, annotation: Any) -> None:
+def check_value(name: str, value: object, annotation: object) -> None:
     """Check one value against an annotation.
 
     Raises:

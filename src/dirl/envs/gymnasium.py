@@ -23,7 +23,10 @@ from dirl.envs.transforms import VIEWS
 from dirl.scenes import ACTIONS, SceneError, load_scenes, make_world
 
 Ints = NDArray[np.int64]
-Observation = dict[str, NDArray[Any]]
+Observation = dict[str, NDArray[np.float32] | NDArray[np.uint8]]
+Facts = dict[str, Any]
+"""Gymnasium's ``info``, and the ``options`` of a reset."""
+
 
 OBSERVED = {"features": ("features",), "views": ("views",), "both": ("features", "views")}
 """What an observation holds: of the agent's surroundings, and with the prefix ``goal_`` of the goal's."""
@@ -105,7 +108,7 @@ class Task:
         goal = int(rng.integers(len(self.goals)))
         return goal, int(self.starts[goal][rng.integers(self.start_count[goal])])
 
-    def chosen(self, options: dict[str, Any], goal: int, state: int) -> tuple[int, int]:
+    def chosen(self, options: Facts, goal: int, state: int) -> tuple[int, int]:
         """Return the goal's index and the start: those that ``options`` name, else those that were sampled."""
         unknown = sorted(set(options) - {"goal", "state"})
         if unknown:
@@ -178,15 +181,13 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         self._goal = self._state = -1
         self._painter = Painter(self.task.scene, self.task.view)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Facts | None = None) -> tuple[Observation, Facts]:
         """Begin an episode; ``seed`` seeds the draws of goals and starts."""
         super().reset(seed=seed)
         self._goal, self._state = self.task.chosen(options or {}, *self.task.draw(self.np_random))
         return self._seen(success=False, collision=False)
 
-    def step(self, action: np.int64) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64) -> tuple[Observation, float, bool, bool, Facts]:
         """Move; raises ValueError for an action that is not 0 to 3, alone or as the one value of an array."""
         if np.size(action) == 1:
             action = np.asarray(action).reshape(-1)[0]
@@ -198,7 +199,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
         seen, info = self._seen(success=arrived, collision=self._state == before[1])
         return seen, float(self.task.reward[before]), arrived, False, info
 
-    def _seen(self, **flags: bool) -> tuple[Observation, dict[str, Any]]:
+    def _seen(self, **flags: bool) -> tuple[Observation, Facts]:
         task, goal, state = self.task, self._goal, self._state
         distance = int(task.distances[goal, state])
         info = {"state": state, "goal": int(task.goals[goal]), "distance": distance, **flags}

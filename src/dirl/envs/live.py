@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Categorical, Unbounded
@@ -59,7 +60,7 @@ class LiveEnv(NavigationEnv):
         world: World,
         num_agents: int = 1,
         *,
-        simulator: Any,
+        simulator: Any,  # a `Simulator`, of which an option holds the file
         encode: Callable[[Tensor], Tensor],
         table: Any,
         turn_error: float = 0.0,
@@ -86,7 +87,7 @@ class LiveEnv(NavigationEnv):
         for key in ("view_ids", "goal_view_ids"):
             self.observation_spec[key] = Categorical(len(table.table), shape=seen, device=self.device)
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDictBase:
         agents = super()._reset(tensordict)
         pose = self.places[agents["state"]]
         return agents.set("pose", pose).update(self._seen(pose, agents["goal"]))
@@ -157,7 +158,7 @@ class LiveEnv(NavigationEnv):
             self.table.write(torch.tensor([self.rows[key] for key in new], device=self.device), self.encode(images))
         return torch.tensor([self.rows[key] for key in keys], device=self.device).unflatten(0, (-1, VIEWS))
 
-    def _render(self, views: list[tuple[float, float, float]]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    def _render(self, views: list[tuple[float, float, float]]) -> NDArray[np.uint8]:
         images, at = [], None
         with simulator_errors(self.simulator.name):
             for x, z, heading in views:

@@ -1,7 +1,6 @@
 """The navigation task as one batched TorchRL environment over integers."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -103,7 +102,7 @@ class NavigationEnv(EnvBase):
     def _any_look(self) -> Tensor:
         return torch.randint(self.world.looks, self.batch_size, generator=self.generator, device=self.device)
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDictBase:
         draw = self._draw()
         goal = (draw[0] * len(self.world.goals)).long()
         start = (draw[1] * self.start_count[goal]).long()

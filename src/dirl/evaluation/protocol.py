@@ -18,6 +18,9 @@ from dirl.evaluation.experts import RandomPolicy
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.scenes import World
 
+Report = dict[str, Any]
+"""Measures by name; under ``scenes``, and there under ``goals``, those of each."""
+
 WINDOW = 100
 """Training episodes of a goal that its current ATL is the mean of."""
 
@@ -28,7 +31,7 @@ NEAR = 1.5
 """It is called near the shortest path while the current ATL of every goal is at or under so many times the shortest."""
 
 
-def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, dict[str, Any]]:
+def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, Report]:
     """Return the metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
 
     Where the policy has a memory that plans, ``sweep`` is what the same memory finds without a policy: a control.
@@ -97,13 +100,13 @@ def metrics(episodes: Episodes) -> dict[str, float]:
     }
 
 
-def report(episodes: Episodes, world: World, metric: Metric | None = None) -> dict[str, Any]:
+def report(episodes: Episodes, world: World, metric: Metric | None = None) -> Report:
     """`metrics` overall; under ``scenes`` those of each scene, and under its ``goals`` those of each goal's state."""
 
-    def measured(some: Episodes) -> dict[str, Any]:
+    def measured(some: Episodes) -> Report:
         return metrics(some) if metric is None else metrics(some) | own_metrics(metric, some)
 
-    summary: dict[str, Any] = {**measured(episodes), "scenes": {}}
+    summary: Report = {**measured(episodes), "scenes": {}}
     order = torch.argsort(episodes.goal_index, stable=True)
     sizes = torch.bincount(episodes.goal_index, minlength=len(world.goals)).tolist()
     for goal, those in zip(world.goals.tolist(), order.split(sizes), strict=True):
@@ -192,7 +195,7 @@ class EpisodeMeter:
     def _means(self) -> list[float]:
         return [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> Report:
         """Return what `load_state_dict` takes; the totals only tell whether the steps were changed."""
         return {
             "steps": [list(last) for last in self.steps],
@@ -202,7 +205,7 @@ class EpisodeMeter:
             "near_at": self.near_at,
         }
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Report) -> None:
         """Restore a saved state."""
         self.steps = [deque(last, maxlen=WINDOW) for last in state["steps"]]
         self.totals = list(state["totals"])

@@ -1,7 +1,7 @@
 """The policy of a configuration: its features, encoder, memory and heads; and the weights of a checkpoint for it."""
 
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -74,7 +74,7 @@ def _encoder(config: TrainConfig, features: FeatureTable, views: int) -> nn.Modu
     return narrow
 
 
-def _output_width(name: str, made: Any, call: Any, shape: list[int]) -> int:
+def _output_width(name: str, made: object, call: Callable[[], object], shape: list[int]) -> int:
     """Return the width of what a component gives for one row."""
     with tried(name, made, f", on features {shape}"), torch.no_grad():
         result = call()
@@ -157,7 +157,7 @@ def reads_patches(config: TrainConfig) -> bool:
     return "patch_shape" in class_parameters(find_class("encoder", config.encoder[TARGET], config.trust))
 
 
-def check_extractor(saved: Mapping[str, Any], extractor: str, origin: str) -> None:
+def check_extractor(saved: Mapping[str, object], extractor: str, origin: str) -> None:
     """Compare the extractor of a scene's features, or of a navigator's encoder, with that of a checkpoint's training.
 
     Raises:

@@ -48,7 +48,7 @@ def end_at_once(advice: bytes = b"") -> None:
             signal.signal(number, partial(_end_at_once, advice))
 
 
-def _end_at_once(advice: bytes, number: int, _: Any) -> NoReturn:
+def _end_at_once(advice: bytes, number: int, _: object) -> NoReturn:
     os.write(2, (b"interrupted" if number == signal.SIGINT else b"terminated") + advice + b"\n")
     os._exit(128 + number)
 
@@ -123,7 +123,7 @@ def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> 
 def _raising(raised: list[BaseException]) -> dict[signal.Signals, Any]:
     """Return handlers that raise an exception and add it to a list; one for SIGINT of somebody else's stays."""
 
-    def raise_(number: int, _: Any) -> NoReturn:
+    def raise_(number: int, _: object) -> NoReturn:
         raised.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated())
         raise raised[-1]
 
@@ -179,7 +179,7 @@ def interruptible() -> Iterator[list[int]]:
     asked: list[int] = []
     before = {number: signal.getsignal(number) for number in SIGNALS}
 
-    def note(number: int, _: Any) -> None:
+    def note(number: int, _: object) -> None:
         asked.append(number)
         for each, handler in before.items():
             signal.signal(each, handler)

@@ -9,6 +9,9 @@ from dirl.runs.paths import RunError
 State = dict[str, Any]
 """A checkpoint by entry, see `ENTRIES`."""
 
+Facts = dict[str, Any]
+"""What is said of a run, for its summary."""
+
 Summary = Mapping[str, Any]
 """What ``summary.json`` holds: facts of the run, and measures by policy, scene and goal."""
 

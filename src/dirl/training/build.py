@@ -8,9 +8,9 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.optim import Optimizer
-from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, TransformedEnv
+from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transform, TransformedEnv
 
-from dirl.config.components import CODE, TARGET, components, describe_error, make, schedules
+from dirl.config.components import CODE, TARGET, Options, components, describe_error, make, schedules
 from dirl.config.saved import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, Device, GoalView, Starts, Stop, TrainConfig
 from dirl.envs import Reward, SequentialViews, SurroundingViews
@@ -43,6 +43,7 @@ from dirl.perception.recognition.matching import ScoreFunction, StopRule
 from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import ARCHITECTURE, initial_weights_file
+from dirl.runs.schema import Facts, State
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals
@@ -128,8 +129,8 @@ def build_env(
             "stop.training=match: in training the stop is a table of states, and in a scene with looks it depends on "
             "them; use stop.training=goal"
         )
-    options: Mapping[str, Any] = config.env
-    offered: dict[str, Any] = {}
+    options: Options = config.env
+    offered: dict[str, object] = {}
     live = is_live(config)
     if live:
         from dirl.training.live import open_live  # late: with it comes all that a navigator needs
@@ -148,7 +149,7 @@ def build_env(
         seed=config.seed if seed is None else seed,
         **offered,
     )
-    transforms: list[Any] = [StepCounter(max_steps=config.reinforcement.max_steps)]
+    transforms: list[Transform] = [StepCounter(max_steps=config.reinforcement.max_steps)]
     if not live:  # what is seen live, the environment writes
         transforms.append(observation.clone())
     if recurrent_keys(policy):
@@ -197,7 +198,7 @@ def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
     return made
 
 
-def build_imitation_loss(config: TrainConfig, policy: ActorCritic) -> Any:
+def build_imitation_loss(config: TrainConfig, policy: ActorCritic) -> nn.Module:
     """Return the loss of the imitation stage: the configured loss named ``imitation``."""
     actor = policy.operator().get_policy_head()
     if "imitation" not in config.losses:
@@ -311,7 +312,7 @@ def build_protocol(
     )
 
 
-def describe(config: TrainConfig, world: World) -> dict[str, Any]:
+def describe(config: TrainConfig, world: World) -> Facts:
     """Return the facts of a run that tables and pictures state: scenes, source, system, preset, seed."""
     names = world.names
     return {
@@ -333,7 +334,7 @@ class Trained(NamedTuple):
 
 
 def load_trained(
-    saved: Mapping[str, Any],
+    saved: State,
     origin: str,
     changes: Mapping[str, Any] | None = None,
     trust: Collection[str] = (),
@@ -434,7 +435,7 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
 
 
 def trained_policy(
-    saved: Mapping[str, Any], origin: str, config: TrainConfig, world: World, observation: SurroundingViews
+    saved: State, origin: str, config: TrainConfig, world: World, observation: SurroundingViews
 ) -> ActorCritic:
     """Return the policy of a checkpoint, see `load_trained`, in a world of its configuration or with other goals.
 
@@ -454,7 +455,7 @@ def trained_policy(
     return policy
 
 
-def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, Mapping[str, Any]]:
+def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, State]:
     """Return the configuration with the architecture of the checkpoint that ``init`` names, and that checkpoint.
 
     Raises:
@@ -467,7 +468,7 @@ def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[Tr
     return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
 
 
-def initial_weights(config: TrainConfig, world: World, saved: Mapping[str, Any]) -> Mapping[str, Tensor]:
+def initial_weights(config: TrainConfig, world: World, saved: State) -> Mapping[str, Tensor]:
     """Return the weights that a training with ``init`` begins with, by name.
 
     ``saved`` is the checkpoint that ``init`` names, or the one that the run itself resumes from.

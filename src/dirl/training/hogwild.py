@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
+from multiprocessing.sharedctypes import Synchronized
+from multiprocessing.synchronize import Event
 from typing import Any
 
 import torch
@@ -51,11 +53,11 @@ class Shared:
     weights: list[Tensor]
     statistics: list[dict[str, Tensor]]
     """The optimiser's, of each weight."""
-    claimed: Any
+    claimed: "Synchronized[int]"
     """Frames that workers have set out to walk, a ``multiprocessing.Value``, which has a lock."""
-    going: Any
+    going: Event
     """Cleared to let the workers wait, as while their policy is tested, a ``multiprocessing.Event``."""
-    stopped: Any
+    stopped: Event
     """Ask the workers to end, a ``multiprocessing.Event``."""
     initial: dict[str, Tensor] | None = None
     """What a training with ``init`` began with, by name: statistics of the features and names of heads among it."""
@@ -136,7 +138,7 @@ def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> 
         RuntimeError: a worker failed; it has printed why.
     """
     context = _context()
-    listening: dict[Any, Any] = {}  # a connection to each worker, and its process
+    listening: dict[Connection, Any] = {}  # a connection to each worker, and its process
     # Workers inherit it: Ctrl-C, which the terminal sends to all of them, is for this process to handle.
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -4,7 +4,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from dirl.runs.checkpoints import load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
 from dirl.runs.paths import RunError
+from dirl.runs.schema import Facts, State
 from dirl.scenes import World
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.live import SimulatorError
@@ -70,11 +71,11 @@ NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": Non
 DRAWN_SCENES = 8
 """Of how many scenes there are pictures at most; those of one take seconds."""
 
-Stages = Callable[[Run, Components], dict[str, Any]]
+Stages = Callable[[Run, Components], Facts]
 """Trains the policy; returns what the summary says of it."""
 
 
-def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
+def run_job(composed: DictConfig, stages: Stages) -> Facts:
     """Run one job of Hydra: alone, or of a sweep, in which an error fails the job and the others run.
 
     The stages train; what is returned is the summary.
@@ -91,9 +92,7 @@ def run_job(composed: DictConfig, stages: Stages) -> dict[str, Any]:
         raise
 
 
-def run_one(
-    composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool = False
-) -> dict[str, Any]:
+def run_one(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool = False) -> Facts:
     """Build the components before anything is written; then run the stages, and return the summary.
 
     A run that is ``alone`` ends the program with one line if something is wrong; others raise.
@@ -103,7 +102,7 @@ def run_one(
         run, initial = open_job(composed, folder, overrides)
         if run.finished:
             print(f"finished before: {run.folder}")
-            summary: dict[str, Any] = json.loads(read_text(run.folder / "summary.json"))
+            summary: Facts = json.loads(read_text(run.folder / "summary.json"))
             return summary
         components = build_components(run, initial)
         run.begin(components.protocol.world, components.protocol.observation.order)
@@ -111,7 +110,7 @@ def run_one(
         return run_stages(run, components, stages)
 
 
-def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[Run, Mapping[str, Any] | None]:
+def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[Run, State | None]:
     """Return the run of a job, new or to be continued, and the checkpoint that ``init`` names, if it was read."""
     config, initial = typed(composed), None
     if config.init is not None:
@@ -135,7 +134,7 @@ def prepare_device(device: Device, precision: Precision = Precision.float32) -> 
     torch.backends.cuda.matmul.allow_tf32 = precision == Precision.tf32
 
 
-def build_components(run: Run, initial: Mapping[str, Any] | None = None, like: Components | None = None) -> Components:
+def build_components(run: Run, initial: State | None = None, like: Components | None = None) -> Components:
     """Everything that the configuration asks for, with the weights that the run begins or goes on with.
 
     ``initial`` is the checkpoint that ``init`` names, if it has been read. With ``like``, those of another run in the
@@ -196,7 +195,7 @@ def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationPro
     return state
 
 
-def run_stages(run: Run, components: Components, stages: Stages) -> dict[str, Any]:
+def run_stages(run: Run, components: Components, stages: Stages) -> Facts:
     """Run the stages; evaluate, and write the summary. A policy that learns nothing is evaluated only.
 
     Raises:
@@ -220,14 +219,12 @@ def run_stages(run: Run, components: Components, stages: Stages) -> dict[str, An
         raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
 
 
-def facts_of(run: Run, components: Components) -> dict[str, Any]:
+def facts_of(run: Run, components: Components) -> Facts:
     """Return the facts of a run that its summary begins with."""
     return describe(run.config, components.protocol.world) | {"demonstrations": len(components.demos)}
 
 
-def conclude(
-    run: Run, policy: ActorCritic, protocol: EvaluationProtocol, facts: dict[str, Any], *, shown: bool = True
-) -> dict[str, Any]:
+def conclude(run: Run, policy: ActorCritic, protocol: EvaluationProtocol, facts: Facts, *, shown: bool = True) -> Facts:
     """Evaluate and write the summary; unless the run is one of a stack, show it as a table and in pictures."""
     measures = assess(policy, protocol)
     summary = NOT_REINFORCED | facts | {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()} | measures

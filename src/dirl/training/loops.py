@@ -31,6 +31,7 @@ from dirl.runs.checkpoints import restoring
 from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
 from dirl.runs.paths import RunError
+from dirl.runs.schema import Facts, State
 from dirl.training.build import build_env, build_expert
 from dirl.training.objectives import Losses, trained_parameters
 from dirl.training.pairs import Demonstrations, with_labels
@@ -91,7 +92,7 @@ class TrainState:
         """Do nothing; a stack gives its runs what it holds for them."""
 
     @property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Facts:
         """What the summary of a run says of its reinforcement."""
         stable = {"stable_at_frame": self.meter.stable_at, "near_shortest_at_frame": self.meter.near_at}
         return {"frames": self.frames, "frames_per_second": self.frames / self.seconds, **stable}
@@ -102,7 +103,7 @@ class TrainState:
         self.frames += update.frames
         self.meter.add(update.goal_index, update.steps, self.frames)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
         # Of the losses what is not the policy's: weights, buffers, extra state.
         of_policy = {value.data_ptr() for value in (*self.policy.parameters(), *self.policy.buffers()) if value.numel()}
@@ -126,7 +127,7 @@ class TrainState:
             "random": random,
         }
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Restore a saved state."""
         self.frames, self.seconds = state["frames"], state["training_seconds"]
         self.policy.load_state_dict(state["learning"])
@@ -139,7 +140,7 @@ class TrainState:
         restore_random_state(state["random"])
 
 
-def plain_optimiser(optimiser: Optimizer) -> dict[str, Any]:
+def plain_optimiser(optimiser: Optimizer) -> State:
     """Return the state_dict of an optimiser, with numbers for what are tensors while it is captured in a graph."""
     state = optimiser.state_dict()
     for group in state["param_groups"]:
@@ -177,7 +178,7 @@ class ImitationSteps:
     accuracy: float = 0.0
     saves: bool = True
     """False where the steps are not saved, and a run that is killed in them begins anew."""
-    bar: Any = None
+    bar: tqdm = field(default_factory=lambda: tqdm(disable=True))
     signals: list[int] = field(default_factory=list)
     """Signals that ask the loop to end."""
 
@@ -209,7 +210,7 @@ class ImitationSteps:
         if self.saves and (self.run.save_due() or self.signals):
             self.run.save(self.state_dict())
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> State:
         """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
         return {
             "frames": 0,
@@ -220,7 +221,7 @@ class ImitationSteps:
             "random": random_state(next(self.policy.parameters()).device),
         }
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: State) -> None:
         """Go on from a saved state."""
         self.step, self.loss, self.accuracy = (state["imitation"][name] for name in ("step", "loss", "accuracy"))
         self.policy.load_state_dict(state["learning"])
@@ -237,8 +238,8 @@ def imitation_steps(run: Run, policy: ActorCritic, first: int) -> Iterator[Imita
     if run.saved is not None and "imitation" in run.saved and not first:
         with restoring(run.folder):
             steps.load_state_dict(run.saved)
-    shown: dict[str, Any] = {"total": options.max_steps, "initial": steps.step - first, "unit": " steps"}
-    bar = tqdm(**shown, mininterval=bar_interval(), disable=not options.sampled)
+    total, hidden, every = options.max_steps, not options.sampled, bar_interval()
+    bar = tqdm(total=total, initial=steps.step - first, unit=" steps", mininterval=every, disable=hidden)
     with interruptible() as steps.signals, bar as steps.bar:
         yield steps
     if steps.signals:
@@ -255,7 +256,7 @@ class Updates:
     protocols: Sequence[EvaluationProtocol]
     total: int
     """Frames of the whole training of a run."""
-    bar: Any
+    bar: tqdm
     signals: list[int]
     """Signals that ask the loop to end."""
     began: float = field(default_factory=time.perf_counter)
@@ -341,9 +342,15 @@ def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProto
         runs[0].config.reinforcement.frames_per_scene * len(protocols[0].world.scenes),
         state.members[0].frames,
     )
-    shown: dict[str, Any] = {"total": total * len(runs), "initial": frames * len(runs), "unit": " frames"}
+    bar = tqdm(
+        total=total * len(runs),
+        initial=frames * len(runs),
+        unit=" frames",
+        unit_scale=True,
+        mininterval=bar_interval(),
+    )
     state.left = 1 - frames / total
-    with interruptible() as signals, tqdm(**shown, unit_scale=True, mininterval=bar_interval()) as bar:
+    with interruptible() as signals, bar:
         loop = Updates(state, runs, protocols, total, bar, signals)
         yield loop
         if signals and not loop.done:

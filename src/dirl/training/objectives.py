@@ -74,7 +74,7 @@ class Losses(nn.Module):
         batch_size: int | None = None,
     ) -> None:
         super().__init__()
-        self.trunk: Any = policy.trunk()
+        self.trunk = policy.trunk()
         self.modules_by_name = nn.ModuleDict({name: loss.module for name, loss in losses.items()})
         self.losses = dict(losses)
         self.recurrent = recurrent_keys(policy)
@@ -374,7 +374,7 @@ class TFRMSprop(Optimizer):
         eps: see above.
     """
 
-    def __init__(self, params: Iterable[Any], lr: float = 7e-4, alpha: float = 0.99, eps: float = 0.1) -> None:
+    def __init__(self, params: Iterable[nn.Parameter], lr: float = 7e-4, alpha: float = 0.99, eps: float = 0.1) -> None:
         super().__init__(params, {"lr": lr, "alpha": alpha, "eps": eps})
 
     @torch.no_grad()

@@ -19,6 +19,7 @@ from dirl.cli.parsing import compose_training, parse
 from dirl.config.folders import HOME, RECIPES
 from dirl.reporting import summary_table
 from dirl.runs.folder import Run
+from dirl.runs.schema import Facts
 from dirl.training.job import Components, run_one
 from dirl.training.together import Job, run_together
 
@@ -26,7 +27,7 @@ PICTURES = {"learning_curve": "learning_curve.png", "paths": "trajectories_*.png
 """Of a run's folder, by what they show."""
 
 
-class Measures(dict[str, Any]):
+class Measures(Facts):
     """What an evaluation measured, as ``summary.json`` has it; shown as a table, also in notebooks."""
 
     def __repr__(self) -> str:
@@ -43,7 +44,7 @@ class TrainedRun:
     folder: Path
     summary: Measures
 
-    def evaluate(self, *overrides: str, **options: Any) -> Measures:
+    def evaluate(self, *overrides: str, **options: object) -> Measures:
         """Evaluate its weights, by the options of ``recipes/evaluate.py``, as ``goals=[51]`` or ``max_steps=500``."""
         return evaluate(self.folder, *overrides, **options)
 
@@ -68,10 +69,12 @@ class TrainedRun:
 
 
 @overload
-def train(*overrides: str, seeds: None = None, **options: Any) -> TrainedRun: ...
+def train(*overrides: str, seeds: None = None, **options: object) -> TrainedRun: ...
 @overload
-def train(*overrides: str, seeds: int | Sequence[int], **options: Any) -> list[TrainedRun]: ...
-def train(*overrides: str, seeds: int | Sequence[int] | None = None, **options: Any) -> TrainedRun | list[TrainedRun]:
+def train(*overrides: str, seeds: int | Sequence[int], **options: object) -> list[TrainedRun]: ...
+def train(
+    *overrides: str, seeds: int | Sequence[int] | None = None, **options: object
+) -> TrainedRun | list[TrainedRun]:
     """Train an agent, as ``dirl train`` does, and write the folder of its run.
 
     Args:
@@ -94,7 +97,7 @@ def train(*overrides: str, seeds: int | Sequence[int] | None = None, **options: 
     composed, folder = _compose(arguments)
     runs: list[Run] = []
 
-    def stages(run: Run, components: Components) -> dict[str, Any]:
+    def stages(run: Run, components: Components) -> Facts:
         runs.append(run)  # whose folder gets a number if another run has taken the same second
         return recipe("train").train(run, components)
 
@@ -107,7 +110,7 @@ def train(*overrides: str, seeds: int | Sequence[int] | None = None, **options: 
     return TrainedRun(runs[0].folder if runs else folder, Measures(summary))
 
 
-def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mapping[str, Any]) -> list[TrainedRun]:
+def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mapping[str, object]) -> list[TrainedRun]:
     """Train a run for each seed, as many of them as one program as can be, in folders of one folder."""
     jobs: list[Job] = []
     for seed in seeds:
@@ -135,7 +138,7 @@ def _compose(arguments: Sequence[str]) -> tuple[DictConfig, Path]:
     return composed, folder
 
 
-def evaluate(checkpoint: str | Path, *overrides: str, **options: Any) -> Measures:
+def evaluate(checkpoint: str | Path, *overrides: str, **options: object) -> Measures:
     """Evaluate a run, a checkpoint or an agent of the package, as ``dirl evaluate`` does.
 
     Args:
@@ -163,7 +166,7 @@ def recipe(name: str) -> ModuleType:
     return module
 
 
-def as_arguments(options: Mapping[str, Any], above: str = "") -> list[str]:
+def as_arguments(options: Mapping[str, object], above: str = "") -> list[str]:
     """Return options as on the command line: ``{"imitation": {"rounds": 2}}`` is ``imitation.rounds=2``."""
     found = []
     for name, value in options.items():
@@ -174,7 +177,7 @@ def as_arguments(options: Mapping[str, Any], above: str = "") -> list[str]:
     return found
 
 
-def _written(value: Any) -> str:
+def _written(value: object) -> str:
     """Return a value in Hydra's grammar."""
     if isinstance(value, Mapping):
         return "{" + ",".join(f"{key}:{_written(each)}" for key, each in value.items()) + "}"

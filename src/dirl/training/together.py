@@ -19,6 +19,7 @@ from dirl.config.values import leaves, plain, typed
 from dirl.evaluation.episodes import EvaluationProtocol
 from dirl.runs.folder import Run
 from dirl.runs.paths import RunError
+from dirl.runs.schema import Facts
 from dirl.scenes.io.bounded import read_text
 from dirl.training.job import Components, Stages, build_components, conclude, facts_of, open_job, run_stages
 from dirl.training.loops import DIVERGED, updates
@@ -89,9 +90,7 @@ def goes_together(run: Run, components: Components) -> bool:
     return reason is None
 
 
-def run_together(
-    jobs: Sequence[Job], train: Stages, imitation: Stages, learn: Learn
-) -> list[dict[str, Any] | Exception]:
+def run_together(jobs: Sequence[Job], train: Stages, imitation: Stages, learn: Learn) -> list[Facts | Exception]:
     """Run the jobs of a sweep, as many of them as one program as can be.
 
     Args:
@@ -141,7 +140,7 @@ def run_together(
 
 def run_stack(
     members: Mapping[int, tuple[Run, Components]], imitation: Stages, learn: Learn
-) -> Iterator[tuple[int, dict[str, Any] | Exception]]:
+) -> Iterator[tuple[int, Facts | Exception]]:
     """Train runs that stand at the same frame, their reinforcement as one; yields the summary of each, or its error."""
     print(f"{len(members)} runs as one: {', '.join(str(run.folder) for run, _ in members.values())}", flush=True)
     ready = {}
