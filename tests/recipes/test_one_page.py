@@ -10,7 +10,7 @@ from parts import make_parts, train_in, train_state
 
 from dirl.evaluation.protocol import metrics
 from dirl.models import plain_weights
-from dirl.scenes.catalogue import find_scenes
+from dirl.scenes.catalogue import ROOMS
 from dirl.training.objectives import bootstrap, make_advantages
 from dirl.training.rollout import collect
 
@@ -22,7 +22,7 @@ def parts():
 
 @pytest.fixture(scope="module")
 def room():
-    return one_page.Room(find_scenes("bathroom_02")[0].path)
+    return one_page.Room(ROOMS / "bathroom_02.h5")
 
 
 def test_it_imports_nothing_of_the_package():
@@ -88,7 +88,7 @@ def test_it_learns_what_the_package_learns(tmp_path):
     package = make_parts(*options, f"reinforcement.frames_per_scene={frames}")
     train_in(tmp_path / "run", package)
     expected = metrics(package.protocol.run(package.policy))
-    found = one_page.train(find_scenes("bathroom_02")[0].path, 0, frames)
+    found = one_page.train(ROOMS / "bathroom_02.h5", 0, frames)
     assert expected["sr"] > 0.7
     assert found["sr"] == pytest.approx(expected["sr"], abs=0.2)
     assert found["spl"] == pytest.approx(expected["spl"], abs=0.2)

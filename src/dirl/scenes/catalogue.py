@@ -37,14 +37,42 @@ class SceneSource(Protocol):
 class Rooms:
     """The built-in rooms; a `SceneSource`, whose names may also be files."""
 
+    label = "rooms"
+    """The source of its scenes."""
+
     def folder(self) -> Path:
         """Holds the dumps."""
         return ROOMS
 
     def load(self, names: list[str]) -> list[Scene]:
         """Return the scenes of these names or files."""
-        scenes = read_dumps(find_scenes(names, self))
+        scenes = read_dumps(self.find(names))
         return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
+
+    def find(self, names: Sequence[str]) -> list[Dump]:
+        """Return the dumps of scenes, not read yet."""
+        if not names:
+            raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
+        if "all" in names:
+            if len(names) > 1:
+                raise SceneError(f"'all' already stands for {list(PUBLISHED_GOALS)}; name it alone")
+            names = list(PUBLISHED_GOALS)
+        found = []
+        for name in names:
+            if _is_file(name):
+                found.append(Dump(Path(name), source=None if self.label == "rooms" else self.label))
+                continue
+            path = self.folder() / f"{name}.h5"
+            if not path.is_file():
+                choices = [*sorted(path.stem for path in self.folder().glob("*.h5")), "all"]
+                near = difflib.get_close_matches(name, choices, n=1)
+                hint = f" (did you mean '{near[0]}'?)" if near else ""
+                raise SceneError(
+                    f"there is no scene '{name}'{hint}; choose from {choices}, a list of them such as "
+                    f"[{','.join(choices[:2])}], or the path of a dump file (.h5)"
+                )
+            found.append(Dump(path, name=name, source=self.label))
+        return found
 
 
 class Thor(Rooms):
@@ -53,6 +81,8 @@ class Thor(Rooms):
     Args:
         root: the folder they are in, one ``<name>.h5`` a scene.
     """
+
+    label = "thor"
 
     def __init__(self, root: str | None = None) -> None:
         self.root = root
@@ -150,33 +180,3 @@ def collection_files(folder: Path, split: str | None = None) -> list[Path]:
         splits = sorted({split_of(seed) or "none" for seed, _, _ in rooms})
         raise SceneError(f"{folder}: has no room with split={split}; splits: {splits}")
     return chosen
-
-
-def find_scenes(scene: str | Sequence[str], source: Rooms | None = None) -> list[Dump]:
-    """Return the dumps of the scenes a user asks for, not read yet; of the built-in rooms if no source is given."""
-    folder = (source or Rooms()).folder()
-    names = [scene] if isinstance(scene, str) else list(scene)
-    if not names:
-        raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
-    if "all" in names:
-        if len(names) > 1:
-            raise SceneError(f"'all' already stands for {list(PUBLISHED_GOALS)}; name it alone")
-        names = list(PUBLISHED_GOALS)
-    dumps = []
-    for name in names:
-        if _is_file(name):
-            if not Path(name).is_file():
-                raise SceneError(f"{name}: there is no such file")
-            dumps.append(Dump(Path(name), source="thor" if isinstance(source, Thor) else None))
-            continue
-        path = folder / f"{name}.h5"
-        if not path.is_file():
-            choices = [*sorted(path.stem for path in folder.glob("*.h5")), "all"]
-            near = difflib.get_close_matches(name, choices, n=1)
-            hint = f" (did you mean '{near[0]}'?)" if near else ""
-            raise SceneError(
-                f"there is no scene '{name}'{hint}; choose from {choices}, a list of them such as "
-                f"[{','.join(choices[:2])}], or the path of a dump file (.h5)"
-            )
-        dumps.append(Dump(path, name=name, source="thor" if isinstance(source, Thor) else "rooms"))
-    return dumps

@@ -27,7 +27,7 @@ def test_panoramas_turned_at_random_are_aligned_again(share, seed):
     assert found.loops.max() < 1e-6
     assert len(found.loops) == 49 - 29  # links less a spanning tree
     assert (found.part == 0).all()
-    assert (found.rejected, found.unchecked, found.one_way) == ([], [], [])
+    assert (found.rejected, found.one_way) == ([], [])
 
 
 def test_links_that_are_a_little_off_are_averaged():
@@ -65,14 +65,8 @@ def test_parts_without_links_both_ways_are_told_apart():
         assert errors(found, truth, found.part == part).max() < 1e-6
 
 
-def test_what_is_on_no_loop_is_unchecked():
-    truth = grid_truth(4, 1)
-    found = align(tour_of(truth))
-    assert (len(found.loops), found.unchecked) == (0, [0, 1, 2, 3])
-    truth = grid_truth(3, 2)
-    alone = [pair for pair in (link[:2] for link in truth.links) if set(pair) == {4, 2}]
-    found = align(tour_of(truth, dropped=alone))
-    assert (len(found.loops), found.unchecked) == (1, [4, 5])
-
+def test_without_loops_nothing_is_checked():
+    assert len(align(tour_of(grid_truth(4, 1))).loops) == 0
+    assert len(align(tour_of(grid_truth(3, 2))).loops) == 2
     alone = align(tour_of(replace(grid_truth(2, 1), links=[])))
-    assert (alone.part.tolist(), alone.unchecked) == ([0, 1], [0, 1])
+    assert (alone.part.tolist(), len(alone.loops)) == ([0, 1], 0)

@@ -142,12 +142,12 @@ def test_what_cannot_be_aligned_is_named():
     between = [pair for pair in ends if {pair[0] // 2, pair[1] // 2} == {3, 4}]
     made = tour_scene(tour_of(truth, dropped=between[1:]), headings=8)
     names = "'place_8', 'place_9', 'place_10', 'place_11'"
-    why = "joined with others only by links one way or by links that contradict"
-    assert told(made, f"1 parts {why}, of 4 panoramas; their headings cannot be aligned with the others': {names}")
+    why = "are not joined with the others by links both ways"
+    assert told(made, f"1 parts {why}; their headings cannot be aligned with the others': {names}")
     assert told(made, "1 links lead one way only, the first: 'place_6' to 'place_8'")
     island = tour_scene(tour_of(truth, dropped=between), headings=8)
     assert not told(island, "one way only")
-    assert told(island, "1 parts without any link to or from the others, of 4 panoramas; their headings cannot be")
+    assert told(island, f"1 parts {why}; their headings cannot be")
     places = island.scene.positions[::8]
     assert len(np.unique(places.round(6), axis=0)) == 12  # parts do not lie upon each other
 
@@ -161,23 +161,10 @@ def test_islands_whose_headings_are_stated_are_aligned_by_them():
     looks = (truth.middles[:, None] + made.yaws) % 360
     assert np.allclose(np.abs((looks - looks[:1] + 180) % 360 - 180), 0)
     names = "'place_0', 'place_1', 'place_2', 'place_3', 'place_10', 'place_11'"
-    why = "without any link to or from the others"
-    assert told(made, f"2 parts {why}, of 4 and 2 panoramas; their stated headings are used: {names}")
+    assert told(
+        made, f"2 parts are not joined with the others by links both ways; their stated headings are used: {names}"
+    )
     assert not told(made, "cannot be aligned")
-
-
-def test_stated_headings_that_contradict_the_links_are_told():
-    truth = grid_truth(3, 3, middles=20.0 * np.arange(9))
-    stated = truth.middles.astype(float)
-    stated[0] += 70
-    stated[4] -= 3
-    tour = tour_of(truth)
-    stating = tuple(replace(one, heading=float(at)) for one, at in zip(tour.panoramas, stated, strict=True))
-    made = tour_scene(replace(tour, panoramas=stating), headings=8)
-    assert np.allclose((truth.middles + made.yaws[:, 0]) % 45 % 45, 0)  # the first one does not turn the others
-    (note,) = told(made, "stated headings")
-    words = "2 of 9 stated headings differ from those of the links, which are used, by up to 70 degrees, the worst: "
-    assert note == f"{words}'place_0'"
 
 
 def test_tours_and_headings_that_make_no_scene_are_refused():
@@ -197,6 +184,3 @@ def test_how_well_loops_close_is_told():
     assert told(made, "4 loops of links close with a median error of 0.0 degrees, at most 90.0")
     assert told(made, "1 links both ways contradict the others")
     assert told(tour_scene(tour_of(grid_truth(3, 1)), headings=8), "no links form a loop: nothing checks the headings")
-    hall = replace(truth, links=[link for link in truth.links if {link[0], link[1]} not in ({7, 8}, {4, 7})])
-    made = tour_scene(tour_of(hall), headings=8)
-    assert told(made, "3 panoramas are on no loop, nothing checks their headings: 'place_6', 'place_7', 'place_8'")

@@ -52,7 +52,6 @@ class Alignment:
         loops: how far off each independent loop of links both ways closes, degrees, float64 ``[L]``; rejected links
             included. What panoramas show takes the place of their links.
         rejected: panoramas of the links that were left out, and how many degrees off they are, worst first.
-        unchecked: panoramas on no loop: their headings are as good as one pair of yaws.
         one_way: links without one back, as pairs of panoramas.
     """
 
@@ -60,7 +59,6 @@ class Alignment:
     part: Integers
     loops: Array
     rejected: list[tuple[int, int, float]]
-    unchecked: list[int]
     one_way: list[tuple[int, int]]
 
 
@@ -91,13 +89,11 @@ def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Ali
     headings = _relaxed(ends[kept], turns[kept], headings, trust[kept], part)
     told = ~by_link | np.array([pair not in shown for pair in [*both, *shown]], bool)
     worst = sorted(np.flatnonzero(~kept & by_link).tolist(), key=lambda one: -off[one])
-    on_loop = _loops(ends, turns, kept, count)[1]
     return Alignment(
         headings % 360,
         part,
-        _loops(ends[told], turns[told], kept[told], count)[0],
+        _loops(ends[told], turns[told], kept[told], count),
         [(*both[one], float(off[one])) for one in worst],
-        [index for index in range(count) if index not in on_loop],
         [pair for pair in yaw if pair[::-1] not in yaw],
     )
 
@@ -200,13 +196,9 @@ def _forest(
     return headings, order[part], used
 
 
-def _loops(ends: Integers, turns: Array, kept: NDArray[np.bool_], count: int) -> tuple[Array, set[int]]:
-    """How far off loops close, degrees, float64 ``[L]``, one for each equation not in a forest; panoramas on any."""
+def _loops(ends: Integers, turns: Array, kept: NDArray[np.bool_], count: int) -> Array:
+    """Return how far off loops close, degrees, float64 ``[L]``, one for each equation that is not in a forest."""
     headings, part, used = _forest(ends[kept], turns[kept], count)
-    in_forest = np.zeros(len(ends), bool)
-    in_forest[kept] = used
-    closing = ~in_forest & (part[ends[:, 0]] == part[ends[:, 1]])
-    graph = nx.MultiGraph(ends[in_forest | closing].tolist())
-    bridges = {frozenset(bridge) for bridge in nx.bridges(graph)}
-    on_loop = {end for pair in graph.edges() if frozenset(pair) not in bridges for end in pair}
-    return np.abs(_off(ends, turns, headings))[closing], on_loop
+    closing = part[ends[:, 0]] == part[ends[:, 1]]
+    closing[np.flatnonzero(kept)[used]] = False
+    return np.abs(_off(ends, turns, headings))[closing]

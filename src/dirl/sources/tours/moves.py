@@ -16,9 +16,6 @@ from dirl.sources.tours.tour import Tour
 
 Array = NDArray[np.float64]
 
-AGREE = 1.0
-"""Degrees that stated headings may differ from those of the links without a note."""
-
 CLOSED = 5.0
 """Degrees of error up to which the median loop closes; else all linked panoramas are compared."""
 
@@ -102,7 +99,7 @@ def tour_scene(
         origin=tour.origin,
     )
     about = _about_headings(tour, by_links, aligned, seen)
-    notes = [*tour.notes, *about, *about_links(tour, graph, off), *_contrary(tour, middles)]
+    notes = [*tour.notes, *about, *about_links(tour, graph, off)]
     if layout:
         known = sum(panorama.position is not None for panorama in tour.panoramas)
         so = f"known of {known} of {len(places)} panoramas only, so they are not used" if known else "not known"
@@ -149,18 +146,6 @@ def _stated(tour: Tour) -> tuple[IntArray, Array]:
     """Return the panoramas that state headings, int64 ``[H]``, and the headings, degrees, float64 ``[H]``."""
     found = [(index, one.heading) for index, one in enumerate(tour.panoramas) if one.heading is not None]
     return np.array([index for index, _ in found], np.int64), np.array([heading for _, heading in found], np.float64)
-
-
-def _contrary(tour: Tour, middles: Array) -> Iterator[str]:
-    """Yield a note where stated headings are not those that are used, which the links give."""
-    known, stated = _stated(tour)
-    off = np.abs(wrap(stated - middles[known]))
-    if (off > AGREE).any():
-        worst = tour.panoramas[known[off.argmax()]].id
-        yield (
-            f"{(off > AGREE).sum()} of {len(known)} stated headings differ from those of the links, which are used, by "
-            f"up to {off.max():.0f} degrees, the worst: '{worst}'"
-        )
 
 
 def _zero(along: Array, turn: float) -> float:
@@ -222,33 +207,15 @@ def _about_headings(
             f"{len(aligned.rejected)} links both ways contradict the others and were not used to align headings, the "
             f"worst: '{ids[i]}' and '{ids[j]}', {off:.0f} degrees off"
         )
-    yield from _about_parts(tour, aligned.part)
-    lonely = [ids[index] for index in aligned.unchecked if aligned.part[index] == 0]
-    if lonely and len(aligned.loops):
-        names = ", ".join(f"'{one}'" for one in lonely[:5]) + (" and others" if len(lonely) > 5 else "")
-        yield f"{len(lonely)} panoramas are on no loop, nothing checks their headings: {names}"
+    known = set(aligned.part[_stated(tour)[0]].tolist())
+    others = range(1, int(aligned.part.max()) + 1)
+    for use, chosen in (
+        ("their stated headings are used", [one for one in others if {0, one} <= known]),
+        ("their headings cannot be aligned with the others'", [one for one in others if not {0, one} <= known]),
+    ):
+        if chosen:
+            names = ", ".join(f"'{ids[index]}'" for index in np.flatnonzero(np.isin(aligned.part, chosen)))
+            yield f"{len(chosen)} parts are not joined with the others by links both ways; {use}: {names}"
     if aligned.one_way:
         i, j = aligned.one_way[0]
         yield f"{len(aligned.one_way)} links lead one way only, the first: '{ids[i]}' to '{ids[j]}'"
-
-
-def _about_parts(tour: Tour, part: NDArray[np.int64]) -> Iterator[str]:
-    """The notes on parts that are not joined with the largest by links both ways; all their panoramas are named."""
-    ends, _ = link_ends(tour)
-    parts = part[ends]
-    touched = set(parts[parts[:, 0] != parts[:, 1]].flatten().tolist())
-    stated = set(part[_stated(tour)[0]].tolist())
-    alike: dict[tuple[str, str], list[int]] = {}
-    for one in range(1, int(part.max()) + 1):
-        why = (
-            "joined with others only by links one way or by links that contradict"
-            if one in touched
-            else "without any link to or from the others"
-        )
-        aligned = {0, one} <= stated
-        use = "their stated headings are used" if aligned else "their headings cannot be aligned with the others'"
-        alike.setdefault((why, use), []).append(one)
-    for (why, use), chosen in sorted(alike.items(), reverse=True):
-        names = ", ".join(f"'{tour.panoramas[index].id}'" for index in np.flatnonzero(np.isin(part, chosen)))
-        sizes = " and ".join(str((part == index).sum()) for index in chosen)
-        yield f"{len(chosen)} parts {why}, of {sizes} panoramas; {use}: {names}"
