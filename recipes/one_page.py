@@ -78,26 +78,23 @@ class Policy(nn.Module):
         return self.actor(hidden), self.critic(hidden).squeeze(1)
 
 
-def demonstrate(room: Room) -> Shown:
-    """3.3: the expert shows the first action of a shortest path, in a few states, for every goal."""
+def imitate(policy: Policy) -> Shown:
+    """3.3: an expert shows the first action of a shortest path, in a few states, for every goal; clone it."""
+    room = policy.room
     shown = torch.randperm(len(room.graph))[: round(SHOWN * len(room.graph))]
     place, goal = torch.nonzero(room.distance[shown] > 0).T
     state = shown[place]
     nearer = room.distance[room.graph[state], goal[:, None]] == room.distance[state, goal][:, None] - 1
-    return state, goal, torch.multinomial(nearer.float(), 1).squeeze(1)
-
-
-def imitate(policy: Policy, shown: Shown) -> None:
-    """3.3: clone the expert, by the cross-entropy (12) of the softmax (11) of the logits."""
-    state, goal, action = shown
+    action = torch.multinomial(nearer.float(), 1).squeeze(1)
     optimiser = torch.optim.Adam(policy.parameters(), lr=3e-4)
     for _ in range(300):
-        loss = F.cross_entropy(policy(state, goal)[0], action)
+        loss = F.cross_entropy(policy(state, goal)[0], action)  # (12), of the softmax (11) of the logits
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         if loss < 0.01:
             break
+    return state, goal, action
 
 
 @torch.no_grad()
@@ -118,47 +115,26 @@ def walk(policy: Policy, state: Tensor, goal: Tensor, age: Tensor) -> tuple[Rows
     return {key: torch.stack([step[key] for step in steps]) for key in steps[0]}, (state, goal, age)
 
 
-@torch.no_grad()
-def advantages(policy: Policy, batch: Rows) -> tuple[Tensor, Tensor]:
-    """The error (6) of the values, and their targets (5); with LAMBDA < 1 averaged over all numbers of steps."""
-    goal, shape = batch["goal"].flatten(), batch["reward"].shape
-    value, following = (policy(batch[key].flatten(), goal)[1].view(shape) for key in ("state", "after"))
-    error = batch["reward"] + GAMMA * following * ~batch["arrived"] - value  # (4), less the value
-    advantage = error.clone()
-    for step in reversed(range(STEPS - 1)):
-        advantage[step] += GAMMA * LAMBDA * advantage[step + 1] * ~batch["over"][step]
-    return advantage.flatten(), (advantage + value).flatten()
-
-
 def losses(policy: Policy, batch: Rows, shown: Shown, left: float) -> Rows:
     """What is minimised while a fraction ``left`` of the training, 1 to 0, is still to come."""
-    advantage, target = advantages(policy, batch)
-    state, goal, action = shown
-    rows = len(advantage)
-    logits, value = policy(torch.cat([batch["state"].flatten(), state]), torch.cat([batch["goal"].flatten(), goal]))
-    log_chance = logits[:rows].log_softmax(1)
+    goal, shape = batch["goal"].flatten(), batch["reward"].shape
+    with torch.no_grad():
+        value, following = (policy(batch[key].flatten(), goal)[1].view(shape) for key in ("state", "after"))
+    error = batch["reward"] + GAMMA * following * ~batch["arrived"] - value  # (4), less the value
+    advantage = error.clone()  # (6); with LAMBDA < 1 averaged over all numbers of steps
+    for step in reversed(range(STEPS - 1)):
+        advantage[step] += GAMMA * LAMBDA * advantage[step + 1] * ~batch["over"][step]
+    states, goals = torch.cat([batch["state"].flatten(), shown[0]]), torch.cat([goal, shown[1]])
+    logits, values = policy(states, goals)
+    walked, cloned = logits.split([len(goal), len(shown[0])])
+    log_chance = walked.log_softmax(1)
     taken = log_chance.gather(1, batch["action"].flatten()[:, None]).squeeze(1)
     return {
-        "objective": -(taken * advantage).mean(),  # (7), its first sum
+        "objective": -(taken * advantage.flatten()).mean(),  # (7), its first sum
         "entropy": (0.01 + 0.01 * left) * (log_chance.exp() * log_chance).sum(1).mean(),  # (7), its second sum
-        "critic": F.mse_loss(value[:rows], target),  # (8)
-        "imitation": 0.3 * left * F.cross_entropy(logits[rows:], action),  # (12), less and less of it
+        "critic": F.mse_loss(values[: len(goal)], (advantage + value).flatten()),  # (8), towards (5)
+        "imitation": 0.3 * left * F.cross_entropy(cloned, shown[2]),  # (12), less and less of it
     }
-
-
-def reinforce(policy: Policy, shown: Shown, total: int) -> None:
-    """3.2: walk, and improve actor and critic, again and again."""
-    optimiser = torch.optim.Adam(policy.parameters(), lr=RATE, eps=1e-5)
-    agents: tuple[Tensor, ...] = (*policy.room.starts(AGENTS), torch.zeros(AGENTS, dtype=torch.int64))
-    for frames in range(0, total, AGENTS * STEPS):
-        left = 1 - frames / total
-        optimiser.param_groups[0]["lr"] = RATE * left
-        batch, agents = walk(policy, *agents)
-        loss = sum(losses(policy, batch, shown, left).values(), torch.zeros(()))
-        optimiser.zero_grad()
-        loss.backward()  # (9) and (10)
-        nn.utils.clip_grad_norm_(policy.parameters(), 1.0)
-        optimiser.step()
 
 
 @torch.no_grad()
@@ -179,21 +155,31 @@ def evaluate(policy: Policy) -> dict[str, float]:
     return {"sr": found.float().mean().item(), "spl": spl.mean().item(), "atl": steps.mean().item()}
 
 
-def train(file: Path, seed: int, frames: int) -> dict[str, float]:
+def train(file: Path, seed: int = 0, total: int = 200_000) -> dict[str, float]:
     """Imitation, then reinforcement (algorithm 1); returns the measures of the trained policy."""
     torch.manual_seed(seed)
     policy = Policy(Room(file))
-    shown = demonstrate(policy.room)
-    imitate(policy, shown)
-    reinforce(policy, shown, frames)
+    shown = imitate(policy)
+    optimiser = torch.optim.Adam(policy.parameters(), lr=RATE, eps=1e-5)
+    agents: tuple[Tensor, ...] = (*policy.room.starts(AGENTS), torch.zeros(AGENTS, dtype=torch.int64))
+    for frames in range(0, total, AGENTS * STEPS):  # 3.2: walk, and improve actor and critic
+        left = 1 - frames / total
+        optimiser.param_groups[0]["lr"] = RATE * left
+        batch, agents = walk(policy, *agents)
+        loss = sum(losses(policy, batch, shown, left).values(), torch.zeros(()))
+        optimiser.zero_grad()
+        loss.backward()  # (9) and (10)
+        nn.utils.clip_grad_norm_(policy.parameters(), 1.0)
+        optimiser.step()
     return evaluate(policy)
 
 
 if __name__ == "__main__":
-    package = find_spec("dirl")  # where the built-in rooms are, without an import of it
-    rooms = Path(package.origin).parent / "scenes" / "data" if package and package.origin else Path()
+    package = Path(
+        str(getattr(find_spec("dirl"), "origin", ""))
+    )  # where the built-in rooms are, without an import of it
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--room", type=Path, default=rooms / "bathroom_02.h5", help="a dump with features")
+    parser.add_argument("--room", type=Path, default=package.parent / "scenes/data/bathroom_02.h5", help="a dump")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--frames", type=int, default=200_000)
     options = parser.parse_args()
