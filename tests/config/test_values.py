@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from dirl.config.bounds import Bounds
-from dirl.config.schemas import Device
-from dirl.config.values import misfit
+from dirl.config.schemas import ConfigError, Device
+from dirl.config.values import check_value
 
 Count = Annotated[int, Bounds(0, 9)]
 
@@ -34,4 +34,9 @@ Count = Annotated[int, Bounds(0, 9)]
     ],
 )
 def test_a_value_fits_its_type_or_what_it_must_be_is_told(value, kind, told):
-    assert misfit(value, kind) == told
+    if not told:
+        check_value("x", value, kind)
+    else:
+        with pytest.raises(ConfigError) as raised:
+            check_value("x", value, kind)
+        assert str(raised.value) == f"x={value}: {told}"

@@ -59,11 +59,11 @@ def test_what_is_wrong_is_an_error_of_one_line(room):
 def test_options_are_written_as_on_the_command_line():
     options = {"goals": {"a b": [1, 2]}, "imitation": {"rounds": 2}, "scene": "it's", "init": None, "x": [True, 0.5]}
     assert as_arguments(options) == [
-        "goals={a b:[1,2]}",
+        "goals={a b:[1, 2]}",
         "imitation.rounds=2",
-        "scene='it\\'s'",
+        'scene="it\'s"',
         "init=null",
-        "x=[true,0.5]",
+        "x=[true, 0.5]",
     ]
 
 

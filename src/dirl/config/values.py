@@ -61,30 +61,24 @@ def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def check_value(name: str, value: object, annotation: object) -> None:
-    """Check one value against an annotation.
+def check_value(name: str, value: object, annotation: Any) -> None:
+    """Check one plain value against an annotation by pydantic, which takes it as JSON: true is no number.
 
     Raises:
         ConfigError: it does not fit.
     """
-    if wrong := misfit(value, annotation):
-        raise ConfigError(f"{name}={'null' if value is None else value}: {wrong}")
-
-
-def misfit(value: object, annotation: Any) -> str:
-    """Return what is wrong with a plain value by pydantic, which takes it as JSON: true is no number; or nothing."""
-    from pydantic import PydanticUserError, TypeAdapter, ValidationError  # here: most refusals do without
+    from pydantic import PydanticUserError, TypeAdapter, ValidationError  # late: help does without
     from pydantic_core import to_json
 
     rules: Any = {"strict": True, "allow_inf_nan": False, "arbitrary_types_allowed": True}
-    plain = to_json(value, inf_nan_mode="constants", serialize_unknown=True)
     try:
-        TypeAdapter(annotation, config=rules).validate_json(plain)
+        TypeAdapter(annotation, config=rules).validate_json(
+            to_json(value, inf_nan_mode="constants", serialize_unknown=True)
+        )
     except PydanticUserError:  # the annotation has a name that is only imported for type checkers
-        return ""
+        return
     except ValidationError as error:
-        return first_error(error)
-    return ""
+        raise ConfigError(f"{name}={'null' if value is None else value}: {first_error(error)}") from None
 
 
 def first_error(error: "ValidationError") -> str:

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from dirl.config.schemas import ConfigError
-
 AGENTS = Path(__file__).parents[1] / "agents"
 """Trained agents that come with the package, each in the folder of its name."""
 
@@ -53,20 +51,6 @@ def find_checkpoint(path: str | Path) -> Path:
     if path.is_dir() and (training_checkpoints(path) or (path / WEIGHTS).is_file()):
         return path
     raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
-
-
-def initial_weights_file(init: str, overrides: Sequence[str]) -> Path:
-    """Return the checkpoint that ``init`` names.
-
-    Raises:
-        ConfigError: an option of the architecture is given beside ``init``.
-        RunError: there is no such checkpoint.
-    """
-    texts = [text.lstrip("+") for text in overrides]
-    given = [text for text in texts if text.partition("=")[0].partition(".")[0] in ARCHITECTURE]
-    if given:
-        raise ConfigError(f"init={init}: its checkpoint decides the architecture; leave out {' '.join(given)}")
-    return find_checkpoint(init)
 
 
 def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:

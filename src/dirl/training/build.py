@@ -42,7 +42,7 @@ from dirl.perception.recognition.build import build_recogniser, matching, set_me
 from dirl.perception.recognition.matching import ScoreFunction, StopRule
 from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import ARCHITECTURE, initial_weights_file
+from dirl.runs.paths import ARCHITECTURE
 from dirl.runs.schema import Facts, State
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.catalogue import collection_folder
@@ -463,7 +463,11 @@ def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[Tr
         RunError: there is no such checkpoint, or it is damaged.
     """
     assert config.init is not None
-    saved = load_checkpoint(initial_weights_file(config.init, overrides))
+    texts = [text.lstrip("+") for text in overrides]
+    given = [text for text in texts if text.partition("=")[0].partition(".")[0] in ARCHITECTURE]
+    if given:
+        raise ConfigError(f"init={config.init}: its checkpoint decides the architecture; leave out {' '.join(given)}")
+    saved = load_checkpoint(config.init)
     trained = read_config(saved["config"], config.init, trust=config.trust or [])
     return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
 

@@ -1,6 +1,7 @@
 """Training and evaluation from Python, as the recipes do them: `dirl.train`."""
 
 import importlib.util
+import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -178,17 +179,10 @@ def as_arguments(options: Mapping[str, object], above: str = "") -> list[str]:
 
 
 def _written(value: object) -> str:
-    """Return a value in Hydra's grammar."""
+    """Return a value in Hydra's grammar, which is that of JSON but for the keys of mappings."""
     if isinstance(value, Mapping):
         return "{" + ",".join(f"{key}:{_written(each)}" for key, each in value.items()) + "}"
-    if isinstance(value, list | tuple | range):
-        return f"[{','.join(map(_written, value))}]"
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    if isinstance(value, str | Path):
-        text = str(value).replace("\\", "\\\\").replace("'", "\\'")
-        return f"'{text}'"
-    return str(value)
+    return json.dumps(list(value) if isinstance(value, range) else value, ensure_ascii=False, default=str)
 
 
 @contextmanager
