@@ -135,11 +135,6 @@ class Broken(SurroundingViews):
         return super().reset_view_ids(picture)[..., :3]
 
 
-class Beyond(SurroundingViews):
-    def reset_view_ids(self, picture):
-        return super().reset_view_ids(picture) + 2
-
-
 class Unsteady(SurroundingViews):
     def reset_view_ids(self, picture):
         views = super().reset_view_ids(picture)
@@ -153,14 +148,6 @@ class Forgetful(SurroundingViews):
         return torch.cat([view_ids[..., 1:], picture.unsqueeze(-1)], -1)
 
 
-class Apart(SurroundingViews):
-    """Hides views from the network, and not from demonstrations and evaluation."""
-
-    def _call(self, tensordict):
-        tensordict = super()._call(tensordict)
-        return tensordict.set("view_ids", torch.full_like(tensordict["view_ids"], self.pictures))
-
-
 class Failing(SurroundingViews):
     def reset_view_ids(self, picture):
         return self.nothing[picture]
@@ -169,17 +156,15 @@ class Failing(SurroundingViews):
 @pytest.mark.parametrize(
     ("made", "told"),
     [
-        (Broken, r"reset_view_ids gives int64 \[24, 3\] for 24 pictures, and order names 4 views"),
-        (Beyond, "reset_view_ids gives view ids from 2 to 25, where 24 denotes no view"),
-        (Unsteady, "reset_view_ids or goal_view_ids gives other views of a picture each time it is called"),
-        (Forgetful, "step_view_ids gives other views than reset_view_ids, so set history = True"),
-        (Apart, "the transform writes other view ids than reset_view_ids, step_view_ids and goal_view_ids give"),
-        (Failing, "cannot be asked what is seen: AttributeError: .*nothing.*"),
+        (Broken, r"Broken: reset_view_ids gives \[24, 3\] for 24 pictures; order names 4 views"),
+        (Unsteady, "Unsteady: reset_view_ids gives other views of a picture each time it is called"),
+        (Forgetful, "Forgetful: step_view_ids gives other views than reset_view_ids, so set history = True"),
+        (Failing, "cannot be called as it should: AttributeError: .*nothing.*"),
     ],
 )
 def test_an_observation_that_does_not_keep_its_contract_is_refused(parts, monkeypatch, made, told):
     monkeypatch.setitem(sys.modules, "house", sys.modules[__name__])
-    with pytest.raises(ConfigError, match=rf"^observation: {made.__name__}: {told}$"):
+    with pytest.raises(ConfigError, match=rf"^observation: {told}$"):
         parts(f"observation._target_=house.{made.__name__}")
 
 

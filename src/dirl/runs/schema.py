@@ -39,7 +39,4 @@ def check_entries(state: object, file: Path) -> State:
         raise RunError(f"{file}: is no checkpoint of dirl: it lacks {', '.join(missing)}")
     if held["schema"] != SCHEMA:
         raise RunError(f"{file}: was written by another version of dirl (schema {held['schema']}, not {SCHEMA})")
-    turns = held.get("turns", [4])
-    if not isinstance(turns, list) or not all(type(number) is int and number > 0 for number in turns):
-        raise RunError(f"{file}: is no checkpoint of dirl: turns={turns!r:.50}")
     return held

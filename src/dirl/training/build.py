@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transform, TransformedEnv
 
-from dirl.config.components import CODE, TARGET, Options, components, describe_error, make, schedules
+from dirl.config.components import TARGET, Options, components, make, schedules, tried
 from dirl.config.saved import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, Device, GoalView, Starts, Stop, TrainConfig
 from dirl.envs import Reward, SequentialViews, SurroundingViews
@@ -100,10 +100,8 @@ def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
     made: SurroundingViews = make("observation", config.observation, config.trust, world=world).to(world.device)
     kind = type(made).__name__
     if type(made) not in (SurroundingViews, SequentialViews):
-        try:
+        with tried("observation", made):
             broken = broken_promise(made)
-        except CODE as error:
-            broken = f"cannot be asked what is seen: {describe_error(error, type(made))}"
         if broken:
             raise ConfigError(f"observation: {kind}: {broken}")
     return made
