@@ -3,7 +3,6 @@ from collections import deque
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
 
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import (
@@ -111,16 +110,6 @@ def test_without_a_way_or_at_the_goal_the_expert_has_no_advice_and_its_policy_no
     assert RandomPolicy()(asked)["logits"].softmax(-1).tolist() == [[0.25] * 4] * 5
 
 
-def silent_in(world, *states):
-    """The expert, but without advice in some states."""
-
-    def advise(state, goal):
-        known = ShortestPathExpert(world)(TensorDict({"state": state, "goal": goal}, [len(state)]))["expert_action"]
-        return torch.where(torch.isin(state, torch.tensor(states)), -1, known)
-
-    return TensorDictModule(advise, in_keys=["state", "goal"], out_keys=["expert_action"])
-
-
 def visited(world, goal_index, state, views=SurroundingViews):
     goal, observation = world.goals[torch.tensor(goal_index)], views(world)
     seen = {
@@ -129,20 +118,6 @@ def visited(world, goal_index, state, views=SurroundingViews):
     }
     rows = {"state": torch.tensor(state), "goal": goal, "scene": world.scene_of[goal]}
     return TensorDict({**rows, **seen}, [len(state)])
-
-
-def test_labels_are_the_experts_and_states_without_advice_are_left_out(world):
-    rows = visited(world, [0, 0, 0, 1, 3, 3], [3, 0, 4, 4, 41, 36])
-    before = rows.clone()
-    found = label(silent_in(world, 4), rows)
-    assert found["state"].tolist() == [3, 36]
-    assert found["expert_action"].tolist() == [
-        RIGHT,
-        expert_action(world, torch.tensor([3]), torch.tensor([36])).item(),
-    ]
-    assert set(found.keys()) == set(DEMONSTRATED)
-    assert set(rows.keys()) == set(before.keys())
-    assert (rows == before).all()
 
 
 def test_merged_demonstrations_keep_the_first_of_each_that_observe_the_same(world):

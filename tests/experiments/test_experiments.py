@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, wait_until
+from dirl.scenes.collection import Entry, add_entry
 from rooms import grid_scene
 
 from dirl.experiments.new_goals import new_goals
 from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import make_world, write_dump
-from dirl.scenes.collection import Entry, add_entry
 from dirl.scenes.io.digest import file_digest
 from dirl.training.build import load_trained
 
@@ -216,7 +216,7 @@ def test_some_rooms_of_a_collection_are_trained_on_and_others_tested(tmp_path):
     for number, split in enumerate(["train", "train", "test"]):
         add_room(tmp_path / "rooms", number, split, feature_width=32)
     options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32", "rooms=2"]
-    options += ["imitation.batch_size=64", "imitation.max_steps=5", "imitation.scenes_at_once=1", "seed=0"]
+    options += ["imitation.batch_size=64", "imitation.max_steps=5", "seed=0"]
     done(tmp_path, "train", "-m", "experiment=unseen_rooms", *options)
     (run,) = (file.parent for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
     elsewhere = {"scene": f"collection:{tmp_path / 'rooms'}"}  # the collection has moved; its test rooms stay out

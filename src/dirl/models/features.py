@@ -14,9 +14,6 @@ ROWS_AT_ONCE = 20_000
 SAMPLED = 30_000
 """States, evenly spread, that principal components are computed of where there are more."""
 
-FEW = 5000
-"""States of whose features an update reads most."""
-
 DEPENDENT = 1e-9
 """An axis with less than this fraction of the first one's variance holds nothing but rounding errors."""
 
@@ -52,7 +49,6 @@ class FeatureTable(nn.Module):
     ) -> None:
         super().__init__()
         width, device, self.room = features.shape[1], features.device, room
-        self._perturbed: Tensor | None = None
         self._noise: Tensor | None = None
         self.register_buffer("mean", torch.zeros(width, device=device) if mean is None else mean.to(device))
         self.register_buffer("std", torch.ones(width, device=device) if std is None else std.to(device))
@@ -121,8 +117,6 @@ class FeatureTable(nn.Module):
 
     def forward(self, states: Tensor) -> Tensor:
         """Return the features of states, int64 ``[...]`` to float32 ``[..., width]``."""
-        if self._perturbed is not None:
-            return self._perturbed[states]
         rows = self.table[states]
         if self._noise is not None:
             rows = rows + self._noise[torch.where(states < len(self), states % NOISE_ROWS, NOISE_ROWS)]
@@ -130,21 +124,13 @@ class FeatureTable(nn.Module):
 
     @contextmanager
     def noisy(self, deviation: float) -> Iterator[None]:
-        """Within this context Gaussian noise is added to known views.
-
-        It is sampled for every state when the context begins; of more than `FEW` states, which an update reads but a
-        part of, `NOISE_ROWS` share theirs.
-        """
-        if len(self) <= FEW:
-            self._perturbed = self.table + deviation * torch.randn_like(self.table)
-            self._perturbed[len(self)] = 0
-        else:
-            self._noise = deviation * torch.randn_like(self.table[:1].expand(NOISE_ROWS + 1, -1).contiguous())
-            self._noise[-1] = 0
+        """Within this context Gaussian noise, sampled when it begins, is added to known views; see `NOISE_ROWS`."""
+        self._noise = deviation * torch.randn_like(self.table[:1].expand(NOISE_ROWS + 1, -1).contiguous())
+        self._noise[-1] = 0
         try:
             yield
         finally:
-            self._perturbed = self._noise = None
+            self._noise = None
 
 
 class ObservationTable(FeatureTable):
