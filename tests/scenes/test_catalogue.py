@@ -55,17 +55,6 @@ def test_goals_of_the_rooms_can_be_reached_from_everywhere_and_their_views_are_p
             assert view.std() > 5  # there is something to see
 
 
-@pytest.mark.parametrize(
-    ("asked", "names"),
-    [
-        (["kitchen_02", "bathroom_02"], ["kitchen_02", "bathroom_02"]),
-        (["all"], list(STATES)),
-    ],
-)
-def test_scenes_come_in_the_order_they_are_named(asked, names):
-    assert [scene.name for scene in load_scenes(asked)] == names
-
-
 def test_published_dumps_get_the_published_goals(folder):
     first, second = load_scenes(["bathroom_02", "bathroom_01"], source="thor", root=folder)
     assert (first.name, first.source, first.goals) == ("bathroom_02", "thor", PUBLISHED_GOALS["bathroom_02"])
@@ -75,23 +64,12 @@ def test_published_dumps_get_the_published_goals(folder):
     assert load_scenes("bathroom_02", source="thor", root=str(folder))[0].goals == (3,)
 
 
-def test_a_dump_too_small_for_the_published_goals_is_refused(tmp_path, scene):
-    published_dump(tmp_path / "bathroom_02.h5", scene)
-    with pytest.raises(SceneError, match=r"bathroom_02\.h5: goal 26 is not a state"):
-        load_scenes("bathroom_02", source="thor", root=tmp_path)
-
-
-@pytest.mark.parametrize("suffix", [".h5", ".hdf5"])
+@pytest.mark.parametrize("suffix", [".h5"])
 def test_a_file_is_named_by_its_path(tmp_path, scene, suffix):
     path = tmp_path / f"my{suffix}"
     write_dump(path, replace(scene, name="cellar"))
     (read,) = load_scenes(str(path))
     assert (read.name, read.source, read.goals) == ("cellar", "synthetic", (0,))
-
-
-def test_a_file_among_thor_scenes_is_a_thor_scene(folder):
-    paths = ["bathroom_02", str(folder / "bathroom_01.h5")]
-    assert [scene.source for scene in load_scenes(paths, source="thor", root=folder)] == ["thor", "thor"]
 
 
 def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
@@ -124,8 +102,6 @@ def test_the_views_of_a_built_in_room_are_found_where_libhdf5_finds_them(rooms):
     ("asked", "message"),
     [
         ("bathroom_2", "there is no scene 'bathroom_2' (did you mean 'bathroom_02'?); choose from ['bathroom_02', "),
-        ("garage", "there is no scene 'garage'; choose from ['bathroom_02', 'bedroom_04', 'kitchen_02', 'living_ro"),
-        ([], "no scene is named; choose e.g. scene=bathroom_02"),
         ("no/such/file.h5", "no/such/file.h5: there is no such file"),
     ],
 )

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -132,43 +130,6 @@ def test_no_doom_outlives_a_program_that_is_killed(doom, tmp_path):
     assert process_of(printed.strip()) is None
 
 
-BEGUN = """
-import os, signal, threading
-from pathlib import Path
-from test_failures import process_of
-from dirl.sources.vizdoom import VizDoom
-
-
-def watch():
-    while not (doom := process_of("+viz_instance_id")):
-        pass
-    words = Path(f"/proc/{doom}/cmdline").read_text().split("\\0")
-    print(words[words.index("+viz_instance_id") + 1], flush=True)
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-threading.Thread(target=watch).start()
-VizDoom("map01")
-"""
-
-
-def test_no_doom_outlives_a_program_that_is_killed_while_it_starts(tmp_path):
-    pytest.importorskip("vizdoom", reason="the extra vizdoom is not installed")
-    if process_of("+viz_instance_id"):
-        pytest.skip("somebody else plays")
-    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    done = subprocess.run(
-        [sys.executable, "-c", BEGUN],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    name = done.stdout.strip()
-    wait_until(lambda: process_of(name) is None and not list(Path("/dev/shm").glob(f"ViZDoom*{name}")))
-
-
 @pytest.mark.parametrize(
     ("module", "command", "message"),
     [
@@ -176,12 +137,7 @@ def test_no_doom_outlives_a_program_that_is_killed_while_it_starts(tmp_path):
             "vizdoom",
             ["vizdoom", "map=map01"],
             "VizDoom is not installed (No module named 'vizdoom'): pip install 'dirl[vizdoom]'",
-        ),
-        (
-            "miniworld",
-            ["miniworld", "env=MazeS3"],
-            "(ImportError: No module named 'miniworld'): pip install 'dirl[miniworld]'",
-        ),
+        )
     ],
 )
 def test_an_extra_that_is_not_installed_is_one_line(module, command, message, tmp_path, monkeypatch):

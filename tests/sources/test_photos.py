@@ -34,7 +34,7 @@ def folder_of(path, lines, header=HEADER):
     return path
 
 
-@pytest.mark.parametrize("turns", [4, 12])
+@pytest.mark.parametrize("turns", [12])
 def test_a_table_becomes_a_scene(tmp_path, turns):
     scene, images = read_photos(folder_of(tmp_path, corridor(turns)))
     assert (scene.name, scene.source, scene.extractor) == (tmp_path.name, "photos", "none")
@@ -69,14 +69,6 @@ def test_moves_back_and_goals_may_be_said(tmp_path):
     assert scene.goals == (5,)
 
 
-def test_headings_may_be_a_little_off_and_begin_anywhere(tmp_path):
-    lines = corridor(offset=-20.4)
-    lines[2] = lines[2].replace("159.6", "160.3")
-    scene, _ = read_photos(folder_of(tmp_path, lines))
-    assert scene.headings.tolist() == pytest.approx([69.6, 160.3, 249.6, 339.6, 69.6, 159.6, 249.6, 339.6])
-    assert (scene.graph[:, 0] >= 0).sum() == 2
-
-
 @given(width=st.integers(1, 3), depth=st.integers(1, 3), turns=st.sampled_from([4, 8, 12]), data=st.data())
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_room_written_as_a_table_is_read_back(tmp_path, width, depth, turns, data):
@@ -107,17 +99,12 @@ def changed(line, old, new):
 @pytest.mark.parametrize(
     ("lines", "says"),
     [
-        ([], "states.csv: has no rows of first shots"),
         (changed(0, "hall_0.png", "hall_9.jpg"), "line 2: image: there is no file 'hall_9.jpg' in"),
         (changed(0, "hall_0.png", "../secret.png"), "line 2: image: '.*' lies outside of "),
-        (changed(2, ",hall,", ",,"), "line 4: location: is missing"),
         (changed(2, ",180,", ",south,"), "line 4: heading: must be a valid number, .* found 'south'"),
-        (changed(2, ",180,", ",nan,"), "line 4: heading: must be less than or equal to 1000000, found 'nan'"),
-        (changed(2, ",0,0,", ",0,0,,,"), "line 4: 8 cells for 6 columns"),
         (changed(2, ",180,", ",170,"), "line 3: location 'hall': from heading 90 to the next, 170, are 80 degrees; 4"),
         (changed(2, ",0,0,", ",0,3,"), r"line 4: location 'hall' is at \(0.0, 3.0\), but at \(0.0, 0.0\) in .* line 2"),
         (changed(1, ",door", ",dor"), "line 3: ahead: there is no location 'dor'; did you mean 'door'"),
-        (changed(1, ",door", ",hall"), "line 3: ahead: leads to 'hall' itself; leave it empty"),
         (corridor()[:7], "line 6: location 'door' has 3 headings; expected the same mult"),
         (corridor()[:4] + corridor(offset=30)[4:], "line 3: ahead: 'door' has no image with heading 90; a move keeps"),
         (
@@ -132,19 +119,6 @@ def test_a_table_that_makes_no_sense_is_refused(tmp_path, lines, says):
         read_photos(tmp_path)
     assert str(caught.value).startswith(str(tmp_path))
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("header", "says"),
-    [
-        ("image,location,heading,x,z", "line 1: the column 'ahead' is missing; found image, location"),
-        ("image,location,headng,x,z,ahead", "line 1: columns: there is no 'headng'; did you mean 'heading'"),
-        ("image,location,heading,x,z,ahead,ahead", "line 1: the column 'ahead' is named twice"),
-    ],
-)
-def test_a_header_that_is_wrong_is_refused(tmp_path, header, says):
-    with pytest.raises(SceneError, match=says):
-        read_photos(folder_of(tmp_path, corridor(), header))
 
 
 def test_a_folder_without_a_table_an_empty_one_and_one_that_is_no_text_are_refused(tmp_path):
@@ -168,32 +142,6 @@ def test_images_are_turned_upright_cropped_and_scaled(tmp_path):
     assert view.shape == (30, 40, 3)
     assert view[15, 2].argmax() == 2
     assert view[15, 37].argmax() == 0
-
-
-def test_webp_of_the_right_shape_is_turned_upright(tmp_path):
-    picture = Image.new("RGB", (40, 30), "red")
-    picture.paste("blue", (0, 0, 40, 15))
-    exif = Image.Exif()
-    exif[0x0112] = 3  # upside down
-    picture.save(tmp_path / "a.webp", exif=exif, lossless=True)
-    (view,) = map(decode, encoded_photos([tmp_path / "a.webp"], 30, 40))
-    assert view[2, 20].argmax() == 0
-    assert view[27, 20].argmax() == 2
-
-
-def test_grey_of_16_bits_keeps_its_upper_eight(tmp_path):
-    Image.fromarray(np.linspace(0, 65535, 1200).astype(np.uint16).reshape(30, 40)).save(tmp_path / "a.png")
-    (view,) = map(decode, encoded_photos([tmp_path / "a.png"], 30, 40))
-    assert abs(view[:, :, 0].astype(float) - np.linspace(0, 255, 1200).reshape(30, 40)).mean() < 5
-    assert abs(decode((tmp_path / "a.png").read_bytes())[15, 20].astype(float) - 132).max() < 3
-
-
-def test_a_table_with_decimal_commas_is_read(tmp_path):
-    lines = [line.replace(",1,0,", ",1.25,-0.5,") for line in corridor()]
-    folder_of(tmp_path, lines)
-    table = "\n".join([HEADER, *lines]).replace(",", ";").replace(".25", ",25").replace(".5", ",5")
-    (tmp_path / "states.csv").write_text(table)
-    assert read_photos(tmp_path)[0].positions[-1].tolist() == [1.25, -0.5]
 
 
 def test_a_panorama_and_what_is_no_image_are_no_views(tmp_path):
@@ -237,7 +185,6 @@ SHOTS = shots(corridor(), 1)
             [*SHOTS, SHOTS[-1].replace(",0,0,0,", ",45,0,0,")],
             "line 18: shot 1: 'hall' has no first image with heading 45",
         ),
-        ([*SHOTS[:-1], SHOTS[-1].replace(",,1", ",door,1")], "line 17: ahead: stands in the row of the first shot"),
     ],
 )
 def test_shots_that_are_no_visit_to_every_place_are_refused(tmp_path, lines, says):

@@ -50,11 +50,6 @@ def check_walkable(scene):
         assert np.isfinite(values).all()
 
 
-@given(graph=hnp.arrays(np.int8, st.tuples(st.integers(0, 30), st.integers(0, 6)), elements=st.integers(-3, 30)))
-def test_any_table_of_integers_for_a_graph(graph):
-    reads(instead("graph", graph))
-
-
 @given(data=st.data())
 def test_a_good_graph_with_some_links_changed(data):
     graph = GOOD.graph.copy()

@@ -50,28 +50,6 @@ def test_a_failing_call_of_the_system_names_the_file(tmp_path, monkeypatch, call
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
 
 
-def test_two_writers_of_one_file_do_not_mix(tmp_path):
-    file = tmp_path / "a.txt"
-    with atomic_path(file) as first, atomic_path(file) as second:
-        assert first != second
-        first.write_text("1" * 10)
-        second.write_text("2" * 5)
-    assert file.read_text() == "1" * 10
-
-
-def test_an_error_that_is_of_another_file_keeps_its_name(tmp_path):
-    with pytest.raises(FileNotFoundError) as caught, atomic_path(tmp_path / "a.txt") as temporary:
-        temporary.write_text((tmp_path / "other").read_text())
-    assert caught.value.filename == str(tmp_path / "other")
-
-
-def test_a_symbolic_link_stays_one(tmp_path):
-    (tmp_path / "link").symlink_to(tmp_path / "a.txt")
-    write_text(tmp_path / "link", "text")
-    assert (tmp_path / "link").is_symlink()
-    assert (tmp_path / "a.txt").read_text() == "text"
-
-
 def test_json_knows_no_nan(tmp_path):
     write_json(tmp_path / "a.json", {"a": math.nan, "b": {"c": [1, math.inf]}})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": {"c": [1, None]}}

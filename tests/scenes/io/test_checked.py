@@ -1,7 +1,6 @@
 """What a file holds, against annotated types."""
 
 from dataclasses import dataclass
-from math import nan
 from typing import Annotated
 
 import pytest
@@ -33,12 +32,9 @@ def test_tables_become_dataclasses_lists_tuples_and_whole_numbers_floats():
     ("camera", "says"),
     [
         ({"height": -1}, "f: camera.height: must be greater than or equal to 0, found -1"),
-        ({"height": True}, "f: camera.height: must be a valid number, found True"),
-        ({"height": nan}, "f: camera.height: must be a valid number, found 'NaN'"),
         ({"height": 1, "pixels": [4]}, "f: camera.pixels[1]: is missing"),
         ({"heigt": 1}, "f.camera: there is no 'heigt'; did you mean 'height'?"),
         ({}, "f: camera.height: is missing"),
-        ("x" * 100, f"f: camera: must be an object, found '{'x' * 79}"),
     ],
 )
 def test_what_does_not_fit_is_told_with_its_place(camera, says):

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import tracemalloc
 
 import h5py
 import numpy as np
@@ -12,8 +11,6 @@ from rooms import grid_scene, published_dump, read_here
 
 from dirl.scenes import SceneError, load_scenes, read_dump, write_dump
 from dirl.scenes.io import isolation
-from dirl.scenes.io.digest import BLOCK_BYTES
-from dirl.scenes.io.hdf5 import read_contents
 
 ARRAYS = ("graph", "positions", "headings", "features", "patches", "look_features", "look_patches")
 
@@ -76,7 +73,6 @@ def test_several_files_are_read_by_one_process_and_the_error_names_the_one(tmp_p
             "import sys; sys.stdin.read(); sys.stdout.write('half'); sys.exit(7)",
             r"libhdf5 failed on it \(exit status 7",
         ),
-        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "the process that read it was killed"),
     ],
 )
 def test_a_process_that_ends_is_one_line(dump, tmp_path, monkeypatch, program, says):
@@ -117,18 +113,3 @@ def test_the_process_imports_neither_torch_nor_what_draws():
         "print(sorted({name.split('.')[0] for name in sys.modules} & {'torch', 'matplotlib', 'hydra'}))"
     )
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"
-
-
-def test_float64_takes_the_memory_of_float32(dump):
-    """They are converted a block at a time: all at once took 1.7 gigabytes of a file of 12 megabytes."""
-    with h5py.File(dump, "a") as file:
-        del file["resnet_feature"]
-        file["resnet_feature"] = np.random.default_rng(0).random((24, 2**19))
-    tracemalloc.start()
-    try:
-        contents = read_contents(dump)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert contents["features"].nbytes == 24 * 2**19 * 4
-    assert peak < contents["features"].nbytes + 2 * BLOCK_BYTES + 2**20

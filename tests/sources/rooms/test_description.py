@@ -17,18 +17,13 @@ BAD = [
     ('name = "closet"', "", "name: is missing"),
     ('floor = "boards"', 'flor = "boards"', "room: there is no 'flor'; did you mean 'floor'?"),
     ("[2.0, 1.5, 2.4]", "[2.0, -1, 2.4]", "room.size[1]: must be greater than 0, found -1"),
-    ('east = "brick"', "", "[room.walls]: east: is missing"),
     ('[2.4, "paper"]', '[2.0, "paper"]', "[room.walls]: north: the upper edges of the bands must rise to the room's"),
     ('[1.0, "tiles"]', '[2.6, "tiles"]', "[room.walls]: north: the upper edges of the bands must rise to the room's"),
-    ('kind = "tile"', 'kind = "tiel"', "[materials] tiles: kind: there is no 'tiel'; did you mean 'tile'?"),
     ("nx = 4", "nx = 4.5", "[materials] tiles: nx: must be a valid integer, found 4.5"),
     ("rows = 4", "rws = 4", "[materials] boards: there is no 'rws'; did you mean 'rows'?"),
     ("resolution = 64", "resolution = 100", "[materials] boards: resolution: must be a power of two, found 100"),
     ('kind = "stool"', 'kind = "stool"\noptions = {}', "[[furniture]] number 1 (stool): there is no 'options'"),
-    ('kind = "stool"', "", "[[furniture]] number 1: kind: is missing"),
-    ("size = [0.3, 0.3, 0.45]", "size = [0.3, 0.3, 45]", "[[furniture]] number 1 (stool): size[2]: must be less than"),
     ("along = 0.7", "", "[[furniture]] number 2 (door): say where it stands"),
-    ('wall = "south"', 'wall = "sout"', "[[furniture]] number 2 (door): wall: there is no 'sout'; did you mean"),
     ("[grid]", "[grid", "not TOML:"),
 ]
 

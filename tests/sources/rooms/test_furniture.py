@@ -69,9 +69,3 @@ def test_bodies_are_closed_and_face_outwards():
     for volume, mesh in bodies.items():
         a, b, c = mesh.parts[0].corners.transpose(1, 0, 2)
         assert (a * np.cross(b, c)).sum() / 6 == pytest.approx(volume, rel=0.025)
-
-
-def test_a_moved_part_turns_anticlockwise():
-    part = Mesh().quad([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)], "wood").parts[0].moved((5, 0, 0), 90, 1.0)
-    assert part.corners.reshape(-1, 3).max(0).round(9).tolist() == [5, 1, 1]
-    assert np.allclose(part.normals[0, 0], [1, 0, 0])

@@ -9,7 +9,7 @@ pytest.importorskip("embreex")
 from dirl.sources.rooms.description import Camera, Material
 from dirl.sources.rooms.light import bake, bounced_light, direct_light, gather, standpoints
 from dirl.sources.rooms.mesh import Mesh
-from dirl.sources.rooms.scenery import Scenery, divide
+from dirl.sources.rooms.scenery import Scenery
 from dirl.sources.rooms.view import Renderer
 
 GREY = Material("plain", {"color": "#bcbcbc", "var": 0.0}, rough=1.0, resolution=8)  # half of the light, linearly
@@ -73,15 +73,6 @@ def test_a_mirror_shows_what_is_behind_the_viewer():
     assert north[0, 2] < 0.01
     beside = renderer.radiance(middle, np.array([[0.6, 0.8, 0]], np.float32), 0.0, reflect=True)
     assert beside[0, 2] > 0.9
-
-
-def test_no_side_of_a_divided_triangle_is_longer_than_asked_and_the_area_stays():
-    triangle = np.array([[[0.0, 0, 0], [3, 0, 0], [0, 1, 0]]])
-    small, material = divide(triangle, np.array([7]), 0.2)
-    assert np.linalg.norm(small[:, [1, 2, 0]] - small, axis=2).max() <= 0.2
-    crossed = np.cross(small[:, 1] - small[:, 0], small[:, 2] - small[:, 0])
-    assert np.isclose(np.linalg.norm(crossed, axis=1).sum() / 2, 1.5)
-    assert (material == 7).all()
 
 
 def test_the_middle_of_a_floor_is_as_light_as_the_rest():

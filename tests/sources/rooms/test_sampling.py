@@ -35,25 +35,11 @@ def test_a_random_room_can_be_walked_in_and_written_down(kind):
     assert (scene.distances >= 0).all()
 
 
-def test_a_seed_fixes_the_room_and_another_gives_another():
-    rooms = [sample_room("bedroom", seed, look=False) for seed in (5, 5, 6, 7)]
-    assert rooms[0] == rooms[1]
-    assert len({room.size for room in rooms}) == 3
-    kinds = [sorted(piece.kind for piece in room.furniture) for room in rooms[1:]]
-    assert kinds[0] != kinds[1] != kinds[2]
-
-
 def test_an_unknown_kind_and_a_negative_seed_are_refused():
     with pytest.raises(SceneError, match="kind: there is no 'bathrom'; did you mean 'bathroom'"):
         sample_room("bathrom", 0)
     with pytest.raises(SceneError, match="seed=-1: must not be negative"):
         sample_room("bathroom", -1)
-
-
-def test_giving_up_says_why(monkeypatch):
-    monkeypatch.setattr("dirl.sources.rooms.sampling.sample.check_room", lambda room: ["it is ugly"])
-    with pytest.raises(SceneError, match="none of 2 rooms passed the checks; the last: it is ugly"):
-        sample_room("bathroom", 0, attempts=2)
 
 
 def test_nothing_is_put_where_something_stands_or_before_the_door(draft):
@@ -94,7 +80,7 @@ def test_training_and_test_rooms_have_nothing_of_the_repertoire_in_common():
         assert set(train) | set(test) == set(whole), part
 
 
-@pytest.mark.parametrize("kind", ["bedroom", "kitchen"])
+@pytest.mark.parametrize("kind", ["bedroom"])
 def test_rooms_keep_to_the_repertoire_of_their_split(kind):
     shown = {}
     for first, other in ((10_000, TRAIN), (30_000, TEST)):
@@ -111,8 +97,3 @@ def test_rooms_keep_to_the_repertoire_of_their_split(kind):
         assert all(seed not in range(*other.seeds) for seed in seeds)
         shown[first] = kinds
     assert shown[10_000] != shown[30_000]
-
-
-def test_rooms_outside_the_splits_have_the_whole_repertoire():
-    kinds = {one.kind for seed in range(12) for one in draw_room("bedroom", seed).materials.values()}
-    assert {*EVERYTHING.wallpapers, *EVERYTHING.rugs} <= kinds

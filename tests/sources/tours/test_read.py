@@ -12,7 +12,7 @@ from tours import WRITERS, written
 
 from dirl.scenes import SceneError
 from dirl.sources.tours import read_tour
-from dirl.sources.tours.images import Equirectangular, cut_views, read_panorama
+from dirl.sources.tours.images import cut_views
 
 
 def change(file, old, new, count=1):
@@ -33,14 +33,11 @@ SPOILT = {
         '"scenes": all() + ',
         "data.js: is no JSON, and no",
     ),
-    "another script": ("marzipano", "data.js", r"^var", "import x; var", "data.js: expected 'var APP_DATA"),
     "a scene outside": ("marzipano", "data.js", "place_0", "../../etc", "scene '../../etc': .* lies outside of"),
     "no such tile": ("marzipano", "data.js", "place_0", "hall", "'hall': there is no file .*hall"),
     "a yaw of text": ("marzipano", "data.js", r'"yaw": [-.\de]+', '"yaw": "x"', "'place_0': yaw: expected a number"),
     "tiles without end": ("marzipano", "data.js", r'"size": 8', '"size": 30000', "are more than 64 tiles a side"),
-    "no scenes": ("marzipano", "data.js", r'"scenes"', '"scene"', "data.js: names no panoramas"),
     "an entity": ("krpano", "tour.xml", "^", '<!DOCTYPE k [<!ENTITY a "aa">]>', "has a document type"),
-    "an open element": ("krpano", "tour.xml", "</krpano>", "", "tour.xml: is not XML"),
     "an encrypted tour": (
         "krpano",
         "tour.xml",
@@ -60,10 +57,8 @@ SPOILT = {
     "another type": ("pannellum", "tour.json", '"equirectangular"', '"video"', "type 'video' is none of"),
     "an absolute path": ("pannellum", "tour.json", '"place_0.jpg"', '"/etc/passwd"', "'/etc/passwd' lies outside"),
     "a pipe": ("pannellum", "tour.json", '"place_0.jpg"', '"pipe.jpg"', "there is no file "),
-    "no target": ("pannellum", "tour.json", '"sceneId": "place_1"', '"sceneId": 1', "expected 'sceneId'"),
     "deep JSON": ("pannellum", "tour.json", "^.*$", '{"scenes":' * 100_000, "is no JSON"),
     "another column": ("table", "links.csv", "yaw", "jaw", "links.csv: line 1: columns: there is no 'jaw'; did you"),
-    "a missing cell": ("table", "links.csv", "place_1.jpg,", "", "links.csv: line 2: 2 cells for 3 columns"),
     "no file": ("table", "links.csv", "place_3.jpg", "attic.jpg", "panorama 'attic.jpg': there is no file"),
 }
 
@@ -114,11 +109,7 @@ def test_krpano_names_scenes_in_any_case(tmp_path):
 
 @pytest.mark.parametrize(
     ("headings", "stated"),
-    [
-        (["0.0"] * 4, [None] * 4),
-        (["0.0", "90", "", "0"], [0, 90, None, 0]),
-        (["33.5", "", "", ""], [33.5, *[None] * 3]),
-    ],
+    [(["0.0"] * 4, [None] * 4), (["0.0", "90", "", "0"], [0, 90, None, 0])],
 )
 def test_krpano_states_a_heading_of_zero_where_it_knows_none(tmp_path, headings, stated):
     file = written("krpano", tmp_path) / "tour.xml"
@@ -161,21 +152,6 @@ def test_pannellum_may_be_configured_in_a_script(tmp_path, name):
     (tmp_path / "pannellum.js").write_text("window.pannellum = (function () { return {}; })();")
     for path in (tmp_path, tmp_path / name):
         assert links(read_tour(path)) == before
-
-
-def test_a_script_that_makes_its_configuration_by_code_is_refused_in_one_line(tmp_path):
-    file = written("pannellum", tmp_path) / "tour.json"
-    text = file.read_text()
-    file.unlink()
-    (tmp_path / "script.js").write_text(f"v({text.replace('{', '{ load: go(), ', 1)})")
-    with pytest.raises(
-        SceneError, match=r"^\S+script\.js: is no JSON, and no object of JavaScript without code \("
-    ) as caught:
-        read_tour(tmp_path)
-    assert "\n" not in str(caught.value)
-    (tmp_path / "other.htm").write_text(text)
-    with pytest.raises(SceneError, match=r"holds 2 tours of pannellum, other\.htm too; name the file"):
-        read_tour(tmp_path)
 
 
 FUNCTIONS = (
@@ -258,17 +234,6 @@ def test_a_broken_image_is_named(tmp_path):
     Image.new("RGB", (40, 30)).save(tmp_path / "place_1.jpg")
     with pytest.raises(SceneError, match=r"place_1\.jpg: 40x30 pixels; an equirectangular image is twice as wide"):
         cut_all(other)
-
-
-def test_panoramas_between_the_limits_of_pillow_and_of_dirl_are_read(tmp_path, monkeypatch):
-    file = tmp_path / "large.png"
-    Image.new("RGB", (400, 200)).save(file)
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10_000)  # Pillow refuses twice as many
-    assert read_panorama(Equirectangular(file), 1000)[0].shape == (200, 400, 3)
-    assert Image.MAX_IMAGE_PIXELS == 10_000
-    monkeypatch.setattr("dirl.scenes.views.MAX_PHOTO_PIXELS", 70_000)
-    with pytest.raises(SceneError, match="400x200 pixels are more than 70000"):
-        read_panorama(Equirectangular(file), 1000)
 
 
 @pytest.mark.parametrize(
