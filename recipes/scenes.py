@@ -395,8 +395,8 @@ from dirl.scenes.views import decode, encoded_view
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import draft_table, encoded_photos, read_photos
 from dirl.sources.rooms import build_room
+from dirl.sources.rooms.build import Changes
 from dirl.sources.rooms.collect import MadeRoom, RoomSettings, make_rooms, missing_rooms
-from dirl.sources.rooms.looks import Changes
 from dirl.sources.rooms.sampling import KINDS
 from dirl.sources.simulators import take_scene
 from dirl.sources.thor import Thor, start_controller

@@ -227,3 +227,26 @@ def test_a_table_is_drafted_in_the_order_of_names_where_nothing_else_is_known(tm
     (tmp_path / "states.csv").unlink()
     with pytest.raises(SceneError, match="17 photos are no whole places of 8 headings each"):
         draft_table(tmp_path, headings=8)
+
+
+def test_headings_may_be_a_little_off_and_begin_anywhere(tmp_path):
+    lines = corridor(offset=-20.4)
+    lines[2] = lines[2].replace("159.6", "160.3")
+    scene, _ = read_photos(folder_of(tmp_path, lines))
+    assert scene.headings.tolist() == pytest.approx([69.6, 160.3, 249.6, 339.6, 69.6, 159.6, 249.6, 339.6])
+    assert (scene.graph[:, 0] >= 0).sum() == 2
+
+
+def test_grey_of_16_bits_keeps_its_upper_eight(tmp_path):
+    Image.fromarray(np.linspace(0, 65535, 1200).astype(np.uint16).reshape(30, 40)).save(tmp_path / "a.png")
+    (view,) = map(decode, encoded_photos([tmp_path / "a.png"], 30, 40))
+    assert abs(view[:, :, 0].astype(float) - np.linspace(0, 255, 1200).reshape(30, 40)).mean() < 5
+    assert abs(decode((tmp_path / "a.png").read_bytes())[15, 20].astype(float) - 132).max() < 3
+
+
+def test_a_table_with_decimal_commas_is_read(tmp_path):
+    lines = [line.replace(",1,0,", ",1.25,-0.5,") for line in corridor()]
+    folder_of(tmp_path, lines)
+    table = "\n".join([HEADER, *lines]).replace(",", ";").replace(".25", ",25").replace(".5", ",5")
+    (tmp_path / "states.csv").write_text(table)
+    assert read_photos(tmp_path)[0].positions[-1].tolist() == [1.25, -0.5]

@@ -7,7 +7,7 @@ from closet import closet
 pytest.importorskip("embreex")
 
 from dirl.scenes import SceneError
-from dirl.sources.rooms.looks import Changes, look_views
+from dirl.sources.rooms.build import Changes, look_views
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.view import Renderer
 

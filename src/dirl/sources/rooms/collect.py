@@ -14,9 +14,8 @@ from dirl.scenes.catalogue import ROOM, split_of
 from dirl.scenes.io.atomic import write_text
 from dirl.scenes.io.processes import in_processes
 from dirl.scenes.scene import SceneError
-from dirl.sources.rooms.build import check_arguments, poses, take_views, write_room
+from dirl.sources.rooms.build import Changes, check_arguments, look_views, poses, take_views, write_room
 from dirl.sources.rooms.description import description_text
-from dirl.sources.rooms.looks import Changes, look_views
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.sampling.sample import LOOK, sample_views
 from dirl.sources.rooms.view import Renderer
