@@ -8,7 +8,7 @@ from rooms import grid_scene
 from dirl.reporting import draw_learning_curves, draw_policy, write_gif
 from dirl.reporting.animation import MAX_FRAMES
 from dirl.reporting.curves import common_frames
-from dirl.reporting.maps import never_arrives, wedge_corners
+from dirl.reporting.maps import never_arrives
 from dirl.scenes.graph import AHEAD, RIGHT
 
 
@@ -18,16 +18,6 @@ def test_states_whose_actions_end_in_a_loop_never_arrive():
     assert np.flatnonzero(~lost).tolist() == [0, 1, 2, 3]  # the goal's place, where turning finds its heading
     lost = never_arrives(scene, 12, np.full(len(scene), AHEAD))
     assert np.flatnonzero(~lost).tolist() == [0, 12]
-
-
-@pytest.mark.parametrize("turns", [4, 12])
-def test_the_wedges_of_a_place_fill_its_cell(turns):
-    angles = 2 * np.pi * np.arange(turns) / turns
-    corners = wedge_corners(np.ones((turns, 2)), np.stack([np.sin(angles), np.cos(angles)], 1), 0.5, turns)
-    x, z = np.moveaxis(corners, 2, 0)
-    areas = np.abs((x * np.roll(z, -1, 1) - z * np.roll(x, -1, 1)).sum(1)) / 2
-    assert areas.sum() == pytest.approx(0.25)
-    assert corners[0, 2] == pytest.approx([1, 1.25])  # facing +z: the upper side
 
 
 def test_maps_of_a_policy_are_drawn(tmp_path):
