@@ -3,8 +3,8 @@
     python recipes/benchmark.py out=benchmark.json
     python recipes/benchmark.py 'worlds=[kitchen_02]' "train=['reinforcement.agents_per_scene=400']"
 
-Training is ``reinforce`` of recipes/train.py unchanged. It is compared with the loops of dirl.experiments.other_loops:
-stock TorchRL and Stable-Baselines3. All run alternately, so that other load on the machine affects all; medians are
+Training is ``reinforce`` of recipes/train.py unchanged. It is compared with stock TorchRL
+(dirl.experiments.other_loops). Both run alternately, so that other load on the machine affects both; medians are
 shown. The limit is the machine's throughput of float32 matrix products. All options: `Options` below.
 """
 
@@ -23,7 +23,6 @@ class Options:
     worlds: list[Any] = option("scenes of recipes/train.py; what is measured in each", ["bathroom_02", "all"])
     frames_per_scene: Frames = option("how long each loop trains", 20_000)
     repeats: Positive = option("the loops take turns; medians are reported", 3)
-    sb3: bool = option("also time Stable-Baselines3: pip install 'dirl[bench]'", False)
     learning: bool = option("also train to the end, once: when is it stable?", True)
     train: list[str] = option("options of train.yaml, e.g. [reinforcement.agents_per_scene=400]", [])
     out: str | None = option("write the result to this file as JSON", None)
@@ -50,7 +49,7 @@ from dirl.cli.output import new_file
 from dirl.cli.parsing import compose_training
 from dirl.config.components import check_components
 from dirl.config.values import typed
-from dirl.experiments.other_loops import stable_baselines3, stock_torchrl
+from dirl.experiments.other_loops import stock_torchrl
 from dirl.experiments.results import Table
 from dirl.models import caching
 from dirl.runs.folder import Run, peak_memory_mb
@@ -61,7 +60,7 @@ from dirl.training.loops import TrainState
 from dirl.training.rollout import collect
 
 SLOW = 20
-"""The loops of other libraries make so many times fewer updates than ours."""
+"""The loop of stock TorchRL makes so many times fewer updates than ours."""
 
 SMALL = 256
 """Rows and columns of a small matrix."""
@@ -99,8 +98,6 @@ def compare(name: str, config: TrainConfig, options: Options, limit: float) -> d
         "rollout": lambda: rollout(config, updates),
         "stock_torchrl": lambda: stock_torchrl(config, few),
     }
-    if options.sb3:
-        loops["stable_baselines3"] = lambda: stable_baselines3(config, few)
     rates: dict[str, list[float]] = {loop: [] for loop in loops}
     for _ in tqdm(range(options.repeats), desc=name, disable=not sys.stderr.isatty()):
         for loop, measure in loops.items():

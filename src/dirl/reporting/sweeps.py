@@ -7,17 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from hydra.experimental.callback import Callback
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from dirl.config.saved import plain_mapping
 from dirl.config.values import leaves
-from dirl.reporting.style import plain, write_figure
-from dirl.reporting.tables import result_table, run_title
+from dirl.reporting.tables import result_table
 from dirl.runs.schema import Summary
 from dirl.scenes.io.bounded import read_text
-from dirl.scenes.palette import BLUE
 
 FEW = 4
 """Runs of which there is no spread to tell."""
@@ -44,8 +41,7 @@ class SweepTable(Callback):
             print(f"\nGreedy policies of {folder}:\n\n{table}")
         if len(runs) >= FEW and differing(runs) == {"seed"}:
             summaries = [run.summary for run in runs]
-            draw_seeds(summaries, folder / "seeds.png")
-            print(f"\nOver the seeds (picture: {folder / 'seeds.png'}):\n\n{seed_table(summaries)}")
+            print(f"\nOver the seeds:\n\n{seed_table(summaries)}")
 
 
 class Swept(NamedTuple):
@@ -109,20 +105,6 @@ def seed_table(summaries: Sequence[Summary]) -> str:
         shown = [f"{number:,.0f}" if values.max() > 1000 else f"{number:.3f}" for number in numbers]
         lines.append(f"| {name} | {len(values)} of {len(summaries)} | {' | '.join(shown)} |")
     return "\n".join(lines)
-
-
-def draw_seeds(summaries: Sequence[Summary], file: Path) -> None:
-    """Draw which part of the runs reaches an SPL, and is stable by a frame, as a PNG."""
-    figure = Figure(figsize=(8.5, 3.5), layout="constrained")
-    figure.suptitle(f"{run_title({**summaries[0], 'seed': None})}, {len(summaries)} seeds")
-    for axes, name in zip(figure.subplots(1, 2, sharey=True), ("SPL", "stable at"), strict=True):
-        values = np.sort(_values(summaries, name))
-        axes.step(values, np.arange(1, len(values) + 1) / len(summaries), where="post", color=BLUE)
-        axes.plot(values, np.zeros_like(values), "|", color=BLUE, markersize=12)
-        axes.set(xlabel="SPL, greedy" if name == "SPL" else "stable at frame", ylim=(0, 1.02))
-        plain(axes)
-    figure.axes[0].set_ylabel("fraction of the seeds at or below")
-    write_figure(figure, file)
 
 
 def _values(summaries: Sequence[Summary], name: str) -> NDArray[np.float64]:
