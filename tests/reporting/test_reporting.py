@@ -124,6 +124,7 @@ def test_a_summary_of_several_scenes_lists_each_before_its_goals():
         ({"source": "rooms+thor"}, "(source: rooms, synthetic + thor)"),
         ({"scene": [f"room_{number}" for number in range(5)]}, "5 scenes, room_0 to room_4 ("),
         ({"scene": ["a", "b"]}, "TD-DRL, a, b ("),
+        ({"greedy": {**MEASURES, "false_stop_rate": 0.97}}, "False stops ended 97% of the greedy episodes"),
     ],
     ids=str,
 )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dirl.config.folders import command
 from dirl.runs.schema import Summary
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.texts import read_rows
@@ -59,6 +60,9 @@ NAMED_SCENES = 4
 MOST_GOALS = 40
 """Rows of the table by goal; of more goals only ``summary.json`` has the measures of each."""
 
+MANY_FALSE_STOPS = 0.5
+"""Of the greedy episodes, above which there is a hint."""
+
 
 def result_table(rows: Mapping[str, Mapping[str, float | None]], leave_out: Collection[str] = ()) -> str:
     """Return a Markdown table with a line for each row and a column for each measure.
@@ -99,8 +103,8 @@ def summary_table(summary: Summary) -> str:
             ``greedy`` also those of each scene and goal, as `dirl.evaluation.protocol.report` gives them.
 
     Returns:
-        A heading line, the table of the policies, that of held-out goals if there are any, and that of the greedy
-        policy by scene and goal if it has at most `MOST_GOALS` rows; Markdown.
+        A heading line, the table of the policies, that of held-out goals if there are any, that of the greedy policy
+        by scene and goal if it has at most `MOST_GOALS` rows, and a hint if false stops end most of them. Markdown.
     """
     parts = [_heading(summary)]
     parts.append(result_table({label: summary[key] for label, key in SECTIONS.items() if summary.get(key)}))
@@ -110,6 +114,13 @@ def summary_table(summary: Summary) -> str:
     by_goal = _by_goal((summary.get("greedy") or {}).get("scenes", {}))
     if 0 < len(by_goal) <= MOST_GOALS:
         parts += ["Greedy policy by goal:", result_table(by_goal, leave_out=["episodes"])]
+    false = (summary.get("greedy") or {}).get("false_stop_rate", 0.0)
+    if false > MANY_FALSE_STOPS:  # an encoder of one's own, whose features have a large mean in common
+        hint = (
+            f"False stops ended {false:.0%} of the greedy episodes: to matching, other places look like the goal. "
+            f"Raise the threshold ({command('scenes')} inspect scene=... says how far), or subtract the features' mean."
+        )
+        parts.append(textwrap.fill(hint, COLUMNS))
     return "\n\n".join(parts)
 
 
