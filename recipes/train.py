@@ -42,7 +42,7 @@ from dirl.training.objectives import (
 )
 from dirl.training.pairs import Demonstrations
 from dirl.training.rollout import collect
-from dirl.training.together import Job, goes_together, reinforce_together, run_together
+from dirl.training.together import Job, goes_together, reinforce_alone, run_together
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
@@ -59,8 +59,7 @@ def train(run: Run, components: Components) -> dict[str, Any]:
     if components.state is None:
         return found
     if run.config.device == "cuda" and goes_together(run, components):
-        reinforce_together([(run, components)], learn)  # a stack of one, whose update is a CUDA graph
-        return components.state.summary
+        return reinforce_alone(run, components, learn)
     return reinforce(run, components.state, components.protocol)
 
 

@@ -10,7 +10,7 @@ A loop is used within its context, whose end stops the program if a signal came 
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -261,13 +261,11 @@ class Updates:
     """Signals that ask the loop to end."""
     began: float = field(default_factory=time.perf_counter)
     """When the present update began."""
-    failed: set[int] = field(default_factory=set)
-    """Places of the runs of a stack whose policies have diverged."""
 
     @property
     def goes_on(self) -> bool:
         """True if there are updates left to do."""
-        return not self.done and not self.signals and len(self.failed) < len(self.runs)
+        return not self.done and not self.signals
 
     @property
     def left(self) -> float | Tensor:
@@ -284,50 +282,38 @@ class Updates:
         )
 
     def record(self, reports: Sequence[Update], paused: AbstractContextManager[None] | None = None) -> None:
-        """Count an update of every run; write, evaluate and save when they are due, the latter two within ``paused``.
-
-        Raises:
-            RunError: the policy of a run alone has diverged; of a stack the other runs go on.
-        """
+        """Count an update of every run; write, evaluate and save when it is due, the latter two within ``paused``."""
         seconds = time.perf_counter() - self.began
         config, members = self.runs[0].config, self.state.members
-        before = members[0].frames
-        for place, (state, report) in enumerate(zip(members, reports, strict=True)):
+        before, frames = members[0].frames, members[0].frames + reports[0].frames
+        for run, state, report in zip(self.runs, members, reports, strict=True):
             state.count(report, seconds)
-            if not all(math.isfinite(value) for key, value in report.values.items() if key.startswith("loss_")):
-                self.failed.add(place)
-        if len(self.failed) == len(self.runs) == 1:
-            raise RunError(DIVERGED)
-        going = [place for place in range(len(members)) if place not in self.failed]
-        frames = members[0].frames
-        if due(before, frames, self.total, ROWS):
-            for place in going:
-                self._write(place, reports[place], 1 - before / self.total)
+            if due(before, frames, self.total, ROWS):
+                self._write(run, state, report, 1 - before / self.total)
         evaluates = due(before, frames, self.total, config.evaluation.times)
         saves = self.done or any(run.save_due() for run in self.runs)
         if evaluates or saves:
             with paused or nullcontext():
                 if evaluates:
                     walked = self.state.walked(self.protocols)
-                    for place in going:
-                        write_evaluation(self.runs[place], members[place].policy, walked[place], frames)
+                    for run, state, protocol in zip(self.runs, members, walked, strict=True):
+                        write_evaluation(run, state.policy, protocol, frames)
                 if saves:
-                    self.save(going)
+                    self.save()
         self.state.left = 1 - frames / self.total
         # tqdm drops a bar that is more than full.
         self.bar.update(min(reports[0].frames * len(reports), self.bar.total - self.bar.n))
         self.bar.set_postfix_str(f"ATL {members[0].meter.atl:.1f}", refresh=False)
         self.began = time.perf_counter()
 
-    def save(self, places: Collection[int]) -> None:
-        """Save some of the runs, all after the same update."""
+    def save(self) -> None:
+        """Save the runs, all after the same update."""
         self.state.separate()
-        for place in places:
-            self.runs[place].save(self.state.members[place].state_dict())
+        for run, state in zip(self.runs, self.state.members, strict=True):
+            run.save(state.state_dict())
 
-    def _write(self, place: int, report: Update, left: float) -> None:
+    def _write(self, run: Run, state: TrainState, report: Update, left: float) -> None:
         """Write a row of ``reinforcement.csv``; ``left`` is the fraction of the training before the update."""
-        state, run = self.state.members[place], self.runs[place]
         frames, seconds, meter = state.frames, state.seconds, state.meter
         row = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
         row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
@@ -354,7 +340,7 @@ def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProto
         loop = Updates(state, runs, protocols, total, bar, signals)
         yield loop
         if signals and not loop.done:
-            loop.save(range(len(runs)))
+            loop.save()
             bar.close()
             again = f"go on with the same command and existing=keep hydra.sweep.dir={runs[0].folder.parent}"
             advice = runs[0].how_to_go_on() if len(runs) == 1 else f"all checkpoints are safe; {again}"

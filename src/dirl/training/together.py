@@ -160,19 +160,16 @@ def run_stack(
             yield number, error
     if not ready:
         return
-    stack, failed = reinforce_together(list(ready.values()), learn)
+    stack = reinforce_together(list(ready.values()), learn)
     protocols = stack.walked([components.protocol for _, components in ready.values()], assess=True)
-    for place, (number, (run, components)) in enumerate(ready.items()):
-        state, finite = stack.members[place], stack.finite()[place]
-        if place in failed or not finite:
-            yield number, RunError(DIVERGED)
-        else:
-            facts = facts_of(run, components) | state.summary
-            yield number, conclude(run, state.policy, protocols[place], facts, shown=False)
+    walked = zip(ready.items(), stack.members, stack.finite(), protocols, strict=True)
+    for (number, (run, components)), state, finite, protocol in walked:
+        facts = facts_of(run, components) | state.summary
+        yield number, conclude(run, state.policy, protocol, facts, shown=False) if finite else RunError(DIVERGED)
 
 
-def reinforce_together(members: Sequence[tuple[Run, Components]], learn: Learn) -> tuple[Stack, set[int]]:
-    """Reinforce runs that differ in numbers only; returns their stack, and the places of those that diverged."""
+def reinforce_together(members: Sequence[tuple[Run, Components]], learn: Learn) -> Stack:
+    """Reinforce runs that differ in numbers only; returns their stack."""
     runs, every = [run for run, _ in members], [components for _, components in members]
     first: EvaluationProtocol = every[0].protocol
     states: list[Any] = [components.state for components in every]
@@ -180,4 +177,12 @@ def reinforce_together(members: Sequence[tuple[Run, Components]], learn: Learn) 
     stack = Stack([run.config for run in runs], states, demos, first.world, first.observation)
     with updates(stack, runs, [components.protocol for components in every]) as loop:
         learn(stack.config, stack, loop)
-    return stack, loop.failed
+    return stack
+
+
+def reinforce_alone(run: Run, components: Components, learn: Learn) -> Facts:
+    """Reinforce one run as a stack, whose update is a CUDA graph; returns what the summary says of it."""
+    assert components.state is not None
+    if not all(reinforce_together([(run, components)], learn).finite()):
+        raise RunError(DIVERGED)
+    return components.state.summary
