@@ -175,7 +175,7 @@ class Guide:
         fit = self.matcher.fit(seen, self.graph.described, path)
         scores = fit.score
         of_photo = float(self.matcher.fit(seen, self._photo, [0]).score[0]) if self._far[path[-1]] == 0 else 0.0
-        best, least = max(scores.max(), of_photo), self.graph.scale.recognised
+        best, least = max(float(scores.max()), of_photo), self.graph.scale.recognised
         self._missed = self._missed + 1 if best < least else 0
         if best < least:
             return Guidance("lost" if self._missed >= MISSED else "ahead", 0.0, here, sure)

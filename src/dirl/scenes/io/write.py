@@ -31,7 +31,7 @@ def write_dump(
     views: Iterable[bytes] | None = None,
     *,
     attributes: dict[str, Any] | None = None,
-    feature_attributes: dict[str, str] | None = None,
+    feature_attributes: Mapping[str, str] | None = None,
     patch_attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write one scene, completely or not at all.

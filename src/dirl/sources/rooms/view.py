@@ -157,7 +157,7 @@ def exposure(renderer: Renderer, size: Size, height: float) -> float:
     origins = rng.uniform(0.2, 0.8, (4096, 3)) * middle + [0, 0, height]
     way = unit(rng.normal(size=(4096, 3)) * [1, 1, 0.5]).astype(np.float32)
     brightness = np.sort(renderer.radiance(origins.astype(np.float32), way, 0.01, reflect=False) @ LUMINANCE)
-    return float(f"{MIDDLE_GREY / max(brightness[410:-410].mean(), 1e-6):.3g}")
+    return float(f"{MIDDLE_GREY / max(float(brightness[410:-410].mean()), 1e-6):.3g}")
 
 
 def display(light: Array) -> Array:
