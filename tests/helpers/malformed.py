@@ -222,7 +222,6 @@ VALUES = {
     "a ring of 400 turns": of_states(RING),
     "a turn that moves the agent": cell("location", (11, 0), 9.0),
     "a location that is infinite": cell("location", (4, 1), np.inf),
-    "a location on the moon": cell("location", (4, 1), 4e8),
     "a rotation that is NaN": instead("rotation", np.where(np.arange(24) == 8, np.nan, 0)),
     "features with NaN": cell("resnet_feature", ([17, 3], 0, 2), np.nan),
     "features that overflow float32": instead("resnet_feature", np.full((24, 8), 1e300)),

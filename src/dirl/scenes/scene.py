@@ -22,10 +22,7 @@ from dirl.scenes.graph import (
 from dirl.scenes.views import FileViews, Views, check_image
 
 LARGEST = 1e6
-"""Metres of a position, degrees of a heading; what is beyond has been misread."""
-
-LARGEST_FEATURE = 1e9
-"""Squares of larger ones are no numbers in float32."""
+"""Metres of a position in a table; what is beyond has been misread."""
 
 MAX_NAME = 100
 """Bytes of UTF-8; a file's name may have 255."""
@@ -91,13 +88,6 @@ class Scene:
         arrays: dict[str, NDArray[Any]] = {"graph": graph, "positions": positions, "headings": headings}
         if self.features is not None:
             arrays["features"] = self._checked_features(np.asarray(self.features), states)
-        for name, values, unit in (("location", positions, "metres"), ("rotation", headings, "degrees")):
-            far = np.flatnonzero((np.abs(values.reshape(states, -1)) > LARGEST).any(1))
-            if len(far):
-                raise SceneError(
-                    f"{self.origin}: {name}: state {far[0]} holds {values[far[0]].tolist()}; expected at most "
-                    f"{LARGEST:,.0f} {unit}"
-                )
         if self.patches is not None:
             arrays["patches"] = self._array("patches", self.patches, np.float16, (states, None, None))
         if self.along is not None:
@@ -174,9 +164,6 @@ class Scene:
                 kind = np.float16 if features.dtype == np.float16 else np.float32
                 features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
         features = self._array("resnet_feature", features, np.floating, (states, None))
-        if features.size and max(float(features.max()), -float(features.min())) > LARGEST_FEATURE:
-            far = int(np.abs(features).max(1).argmax())
-            raise SceneError(f"{self.origin}: resnet_feature: state {far} has values above {LARGEST_FEATURE:g}")
         return features
 
     def _array(self, name: str, value: Any, kind: type, shape: tuple[int | None, ...]) -> NDArray[Any]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from rooms import read_here
 
-from dirl.scenes import ACTIONS, SceneError
+from dirl.scenes import ACTIONS
 from dirl.scenes.views import encode
 
 
@@ -93,9 +93,3 @@ def test_columns_may_be_in_any_declared_order(scene, dump, order, kind):
 def test_a_file_may_have_any_name(dump, stem):
     dump = dump.rename(dump.with_name(f"{stem}.h5"))
     assert read_here(dump).name == ("a_b" if len(stem) > 1 else "scene")
-
-
-def test_features_that_come_before_the_crops_are_refused(scene, dump):
-    put(dump, resnet_feature=np.repeat(scene.features[:, :, None], 2, 2))
-    with pytest.raises(SceneError, match=rf"{scene.features.shape[1]} crops of 2 features; expected shape"):
-        read_here(dump)

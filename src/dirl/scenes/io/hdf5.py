@@ -122,11 +122,6 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
     crops = len(_own_dataset(file, "resnet_feature").shape or ()) == 3
     shape = (states, None, None) if crops else (states, None)
     dataset = _open_dataset(file, "resnet_feature", kinds="f", shape=shape)
-    if crops and dataset.shape[1] > dataset.shape[2]:
-        raise SceneError(
-            f"resnet_feature: {dataset.shape[1]} crops of {dataset.shape[2]} features; expected shape (states, crops, "
-            "features); is it the other way round?"
-        )
     if 0 in dataset.shape or states * dataset.shape[-1] > MAX_FEATURE_VALUES:
         raise SceneError(
             f"resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "

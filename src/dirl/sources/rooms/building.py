@@ -4,6 +4,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -160,17 +161,13 @@ def _jambs(x: float, y: float) -> list[Part]:
     return [part.moved((0, 0, 0), 0, 1.0) for part in mesh.parts]
 
 
-@dataclass(frozen=True)
-class Panoramas:
-    """Where panoramas stand, and from which to which there are links.
-
-    Args:
-        places: metres, float64 ``[P, 2]``; those of doorways first.
-        links: pairs of them, int64 ``[L, 2]``, each way.
-    """
+class Panoramas(NamedTuple):
+    """Where panoramas stand, and from which to which there are links."""
 
     places: Array
+    """Metres, float64 ``[P, 2]``; those of doorways first."""
     links: Array
+    """Pairs of them, int64 ``[L, 2]``, each way."""
 
 
 def choose_panoramas(building: Building, apart: float = 2.0) -> Panoramas:
