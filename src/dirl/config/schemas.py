@@ -99,6 +99,9 @@ class ImitationConfig:
     goals: str | None = option(
         "of sampled pairs: all | every:4 | fraction:0.75, less what is held out; null = the run's", None
     )
+    scenes_at_once: Positive | None = option(
+        "number of scenes, sampled for each step, that its pairs come from; null = all", None
+    )
     front_only: Fraction = option(
         "fraction of sampled pairs whose goal is given by its front view alone (single-view goals)", 0.0
     )

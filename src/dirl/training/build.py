@@ -181,7 +181,7 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
     if not options.sampled:
         return demonstrations(world, expert, observation, options.fraction, options.rule, config.seed)
     shown = shown_states(world, options.fraction, options.rule, config.seed)
-    return DrawnPairs(world, expert, observation, shown, options.front_only)
+    return DrawnPairs(world, expert, observation, shown, options.front_only, options.scenes_at_once)
 
 
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:

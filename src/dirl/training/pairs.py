@@ -26,6 +26,8 @@ class DrawnPairs:
         expert: see `dirl.evaluation.experts.ShortestPathExpert`.
         observation: what is observed. States have no history: they are observed as the start of an episode.
         shown: which states the expert shows, bool ``[N]``.
+        scenes_at_once: of how many scenes, sampled anew, the pairs of an update are, so that few observations are
+            embedded for it where there are hundreds of scenes; all of them if None.
         front_only: the fraction of pairs whose goal is given by its front view alone, so that a policy learns both.
     """
 
@@ -36,15 +38,17 @@ class DrawnPairs:
         observation: SurroundingViews,
         shown: Tensor,
         front_only: float = 0.0,
+        scenes_at_once: int | None = None,
     ) -> None:
         self.world, self.expert, self.observation = world, expert, observation
-        self.front_only = front_only
+        self.front_only, self.scenes_at_once = front_only, scenes_at_once
         self.visited: TensorDictBase | None = None
         """Labelled states that the learner came to, ``[M]``; half of each draw is taken from them (DAgger)."""
         self.states = torch.nonzero(shown).flatten()
         self.count = torch.bincount(world.scene_of[self.states], minlength=len(world.scenes))
         self.first = self.count.cumsum(0) - self.count
         self.goals = torch.bincount(world.scene_of[world.goals], minlength=len(world.scenes))
+        self.first_goal = self.goals.cumsum(0) - self.goals
 
     def __len__(self) -> int:
         """Return how many pairs there are."""
@@ -54,7 +58,7 @@ class DrawnPairs:
         """Return up to ``size`` demonstrations; pairs for which the expert has no advice are left out."""
         world, device = self.world, self.world.device
         old = 0 if self.visited is None else size // 2
-        goal = world.goals[torch.randint(len(world.goals), (size - old,), device=device)]
+        goal = world.goals[self._goals(size - old)]
         scene = world.scene_of[goal]
         state = self.states[self.first[scene] + (torch.rand(len(goal), device=device) * self.count[scene]).long()]
         shown = drawn_looks(goal, len(world), world)
@@ -72,6 +76,14 @@ class DrawnPairs:
             views = rows["goal_view_ids"]
             rows["goal_view_ids"] = torch.where(photo, front_only(views, self.observation.pictures), views)
         return rows
+
+    def _goals(self, size: int) -> Tensor:
+        """Drawn places in the world's goals, int64 ``[size]``."""
+        if self.scenes_at_once is None or self.scenes_at_once >= len(self.goals):
+            return torch.randint(len(self.world.goals), (size,), device=self.world.device)
+        scenes = torch.multinomial(self.goals.float(), self.scenes_at_once)  # the more goals, the more often
+        scene = scenes[torch.randint(len(scenes), (size,), device=scenes.device)]
+        return self.first_goal[scene] + (torch.rand(size, device=scene.device) * self.goals[scene]).long()
 
 
 Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
