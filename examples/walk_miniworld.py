@@ -1,0 +1,114 @@
+"""Led by a recording in MiniWorld: a walker records its way, and is led to photos of places on it by `dirl.Guide`.
+
+    python examples/walk_miniworld.py episodes=4
+
+In each of five families of rooms and mazes a walker who wanders at random films its way, a frame a step. In an episode
+it is put somewhere on the way, and led to a photo of another place on it; as a control, to a random frame of the same
+recording. A goal is reached within a metre. Rooms and mazes are synthetic.
+"""
+
+import sys
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dirl.agent.mapping import MapError
+from dirl.agent.mapping.frames import FrameMap, find_links, map_recordings
+from dirl.agent.mapping.guide import Guide
+from dirl.perception.matching import Matcher
+from dirl.scenes.live import Pose
+from dirl.sources.miniworld import MiniWorld
+
+FAMILIES = ("FourRooms", "TMaze", "YMaze", "Hallway", "MazeS3")
+
+FRAMES, STEPS = 160, 100
+"""Of a recording, and of an episode."""
+
+STRIDE, TURN = 0.3, 15.0
+"""Metres and degrees from one frame to the next."""
+
+NEAR = 1.0
+"""Metres from the goal at which it is reached."""
+
+HEIGHT, WIDTH, VERTICAL = 180, 240, 60.0
+"""Pixels, and degrees from top to bottom."""
+
+ACROSS = 2 * float(np.degrees(np.arctan(WIDTH / HEIGHT * np.tan(np.radians(VERTICAL / 2)))))
+
+
+def main(episodes: str = "4", points: str | None = None, families: str = ",".join(FAMILIES)) -> None:
+    """Print a table: goals reached on the way to the photo, and on the way to a random frame."""
+    matcher = Matcher(points)
+    print("| family | frames | links | led to the photo | led to a random frame | steps, median |")
+    print("|---|--:|--:|--:|--:|--:|")
+    for family in families.split(","):
+        world, rng = MiniWorld(family, height=HEIGHT, width=WIDTH, field_of_view=VERTICAL), np.random.default_rng(0)
+        frames, poses = wander(world, rng)
+        graph = map_recordings([[(frame, float(n), None) for n, frame in enumerate(frames)]], matcher, ACROSS)
+        graph = find_links(graph, matcher)
+        reached: list[list[int | None]] = [[], []]
+        while len(reached[0]) < int(episodes):
+            start, goal, other = rng.integers(len(frames), size=3)
+            if distance(poses[start], poses[goal]) < 3 * NEAR:
+                continue
+            for found, leading in zip(reached, (goal, other), strict=True):
+                world.place(poses[start])
+                found.append(episode(world, graph, matcher, frames[leading], poses[goal]))
+        steps = [count for count in reached[0] if count is not None]
+        led, blind = (sum(count is not None for count in found) for found in reached)
+        print(
+            f"| {family} | {len(frames)} | {len(graph.links)} | {led} of {episodes} | {blind} of {episodes} | "
+            f"{np.median(steps) if steps else float('nan'):.0f} |",
+            flush=True,
+        )
+
+
+def wander(world: MiniWorld, rng: np.random.Generator) -> tuple[list[NDArray[np.uint8]], list[Pose]]:
+    """Film a walk: straight on for a while, and where a wall is, or at random, to another heading."""
+    frames, poses, left = [], [], 0.0
+    while len(frames) < FRAMES:
+        frames.append(world.look(world.pose.heading))
+        poses.append(world.pose)
+        if left == 0 and (rng.random() < 0.03 or not world.push(STRIDE)):
+            left = float(rng.choice([-1, 1]) * rng.integers(4, 11) * TURN)
+        if left != 0:
+            pose, step = world.pose, float(np.sign(left)) * TURN
+            world.place(Pose(pose.x, pose.z, (pose.heading + step) % 360))
+            left -= step
+    return frames, poses
+
+
+def episode(world: MiniWorld, graph: FrameMap, matcher: Matcher, photo: NDArray[np.uint8], goal: Pose) -> int | None:
+    """Do what the guide says; the steps until the goal was reached, None if it was not."""
+    try:
+        guide = Guide(graph, [photo], matcher)
+    except MapError:
+        return None
+    rng = np.random.default_rng(0)
+    for step in range(STEPS):
+        pose = world.pose
+        if distance(pose, goal) <= NEAR:
+            return step
+        advice = guide.see(world.look(pose.heading))
+        turn = -advice.turn  # headings grow to the right here
+        if advice.say in ("lost", "stuck"):
+            turn = 2 * TURN
+        if abs(turn) >= 1:
+            world.place(Pose(pose.x, pose.z, (pose.heading + float(np.clip(turn, -45, 45))) % 360))
+        if advice.say in ("ahead", "back", "arrived", "stuck") and not world.push(
+            -STRIDE if advice.say == "back" else STRIDE
+        ):
+            # A wall: aside, and on.
+            world.place(Pose(pose.x, pose.z, (pose.heading + float(rng.choice([-90, 90]))) % 360))
+            world.push(STRIDE)
+            world.place(Pose(world.pose.x, world.pose.z, pose.heading))
+    return None
+
+
+def distance(one: Pose, other: Pose) -> float:
+    """Metres between two poses."""
+    return float(np.hypot(one.x - other.x, one.z - other.z))
+
+
+if __name__ == "__main__":
+    main(**dict(argument.split("=", 1) for argument in sys.argv[1:]))
