@@ -1,13 +1,12 @@
-"""Each way of learning, alone, must solve a small room (red if its loss points the wrong way); what updates tell."""
+"""The losses of an update together, and what updates tell."""
 
 import pytest
 import torch
 from commands import room_file
-from parts import make_parts, train_in, train_state
+from parts import make_parts, train_state
 from tensordict import TensorDict
 
 from dirl.config.schemas import ConfigError, Schedule
-from dirl.evaluation.protocol import metrics
 from dirl.models import recurrent_keys
 from dirl.training.objectives import (
     Losses,
@@ -22,32 +21,6 @@ from dirl.training.rollout import collect, summarise
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=30", "reinforcement.max_steps=9"]
 GRU = ["memory=gru", "memory.hidden_size=8"]
-
-
-def learn(tmp_path, *options):
-    """Train in a room of 6 places (24 states), and evaluate greedily from every start, before and after."""
-    sizes = ["encoder.width=64", "heads.width=64", "evaluation.times=0", "checkpoint.every_seconds=1e9"]
-    parts = make_parts(f"scene={room_file(tmp_path)}", *sizes, *options)
-    before = metrics(parts.protocol.run(parts.policy))
-    train_in(tmp_path, parts)
-    return before, metrics(parts.protocol.run(parts.policy))
-
-
-def test_imitation_alone_learns_what_the_expert_shows(tmp_path):
-    options = ["system=il", "imitation.fraction=1", "imitation.lr=3e-3", "reinforcement.frames_per_scene=1"]
-    before, after = learn(tmp_path, *options)
-    assert before["sr"] < 0.5
-    assert after["sr"] == 1
-    assert after["spl"] == 1
-
-
-def test_reinforcement_alone_finds_every_goal(tmp_path):
-    options = ["imitation.fraction=0", "optimiser.lr=4e-3", *GRU]
-    sizes = ["reinforcement.frames_per_scene=20_000", "reinforcement.agents_per_scene=40"]
-    before, after = learn(tmp_path, *options, *sizes)
-    assert before["sr"] < 0.5
-    assert after["sr"] == 1
-    assert after["spl"] > 0.75
 
 
 @pytest.fixture
