@@ -9,10 +9,13 @@ import signal
 import numpy as np
 import pytest
 import torch
-from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, wait_until
+from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, train_config, wait_until
 from rooms import grid_scene
 
+from dirl.experiments.efficiency import mean_stable_frames, training_curve
 from dirl.experiments.new_goals import new_goals
+from dirl.experiments.performance import halfway
+from dirl.experiments.results import Result
 from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import make_world, write_dump
@@ -92,12 +95,20 @@ def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
         assert (grid / "fig6" / "fig6_dirl.gif").stat().st_size > 1000
 
 
-def test_table_1_is_half_of_the_way(grid):
-    run_recipe(grid, "report", "experiment=table1", "out=half")
-    (row, *_) = [row for row in rows_of(grid / "half" / "table1_greedy.csv") if row["system"] == "DIRL"]
-    tests = rows_of(grid / "runs/experiments/fast/dirl_random_0.05_0/evaluation.csv")
-    (half,) = [test for test in tests if test["frames"] == "150"]
-    assert float(row["ATL, ours"]) == pytest.approx(float(half["atl"]))
+def test_table_1_is_half_of_the_way(tmp_path):
+    rows = ["frames,atl,atl_success,sr,spl", "0,50,,0,0", "150,20,12,0.5,0.4", "300,7,7,1,0.9"]
+    (tmp_path / "evaluation.csv").write_text("\n".join(rows))
+    run = Result(tmp_path, train_config("system=dirl"), {"frames": 300})
+    assert halfway(run) == {"atl": 20, "atl_success": 12, "sr": 0.5, "spl": 0.4}
+
+
+def test_the_mean_over_goals_is_stable_from_the_row_after_the_last_that_is_too_long(tmp_path):
+    rows = ["frames,atl,episodes", "10,5,1", "20,30,200", "30,15,250", "40,25,300", "50,19,350", "60,20,400"]
+    (tmp_path / "reinforcement.csv").write_text("\n".join(rows))
+    summary = {"frames": 60, "greedy": {"scenes": {"room": {"goals": {"3": {}, "5": {}}}}}}
+    run = Result(tmp_path, train_config("system=dirl"), summary)
+    assert training_curve(run)[0].tolist() == [20, 30, 40, 50, 60]  # from 100 episodes a goal on
+    assert mean_stable_frames(run) == 50
 
 
 def test_a_report_of_one_seed_says_so(grid, tmp_path):

@@ -16,13 +16,9 @@ from dirl.training.build import load_trained
 CASES = [
     ("observation", "os.system"),
     ("encoder", "trap.Trap"),
-    ("memory", "pathlib.Path"),
-    ("heads", "subprocess.Popen"),
     ("policy", "dirl.runs.folder.os.system"),
     ("expert", "builtins.eval"),
     ("losses.a2c", "dirl.training.build.torch.load"),
-    ("losses.new", "trap.Trap"),
-    ("optimiser", "torch.optim.Optimizer"),
     ("env", "dirl.runs.folder.Run"),
 ]
 """A group of components each, and what must not be built for it."""
