@@ -9,15 +9,20 @@ from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 
 
+class Event(Protocol):
+    """What came of an action."""
+
+    frame: NDArray[np.uint8]
+    """RGB ``[H, W, 3]``."""
+    metadata: dict[str, Any]
+    """Of it are read ``lastActionSuccess``, ``errorMessage`` and ``agent``: ``position`` and ``rotation``, x, y, z."""
+
+
 class Controller(Protocol):
-    """The part of the interface of ``ai2thor.controller.Controller`` that is used.
+    """The part of the interface of ``ai2thor.controller.Controller`` that is used."""
 
-    An event has ``frame``, uint8 ``[H, W, 3]``, and ``metadata``, of which are read ``lastActionSuccess``,
-    ``errorMessage`` and ``agent`` (``position`` and ``rotation``, each with ``x``, ``y``, ``z``).
-    """
-
-    def step(self, action: str, **arguments: Any) -> Any:
-        """Execute an action; returns an event."""
+    def step(self, action: str, **arguments: object) -> Event:
+        """Execute an action."""
 
 
 def start_controller(
@@ -65,7 +70,8 @@ class Thor:
     def __init__(self, controller: Controller, scene: str) -> None:
         self.name, self._controller = scene, controller
         with simulator_errors(f"{scene}: AI2-THOR"):
-            self._agent = controller.step("Pass").metadata["agent"]
+            event = controller.step("Pass")
+        self._agent, self._frame = event.metadata["agent"], event.frame
 
     @property
     def pose(self) -> Pose:
@@ -83,7 +89,8 @@ class Thor:
     def look(self, heading: float) -> NDArray[np.uint8]:
         """Return the view towards a heading."""
         pose = self.pose
-        frame = np.array(self.place(pose._replace(heading=heading)).frame)
+        self.place(pose._replace(heading=heading))
+        frame = np.array(self._frame)
         self.place(pose)
         if frame.min() == frame.max():
             raise SceneError(
@@ -91,8 +98,8 @@ class Thor:
             )
         return frame
 
-    def place(self, pose: Pose) -> Any:
-        """Put the agent somewhere, `SceneError` where it cannot stand; returns AI2-THOR's event."""
+    def place(self, pose: Pose) -> None:
+        """Put the agent somewhere, `SceneError` where it cannot stand."""
         position = {**self._agent["position"], "x": pose.x, "z": pose.z}
         turned = {"x": 0.0, "y": float(pose.heading), "z": 0.0}
         problem = ""
@@ -107,5 +114,4 @@ class Thor:
                 problem = f"Teleport left the agent {off:.2f} m and {turn:.0f} degrees off"
         if problem:
             raise SceneError(f"{self.name}: the agent cannot be put at {pose.x:.2f}, {pose.z:.2f} m: {problem}")
-        self._agent = agent
-        return event
+        self._agent, self._frame = agent, event.frame

@@ -20,7 +20,7 @@ UNKNOWN = "unexpected_keyword_argument"
 """What pydantic calls a key that a dataclass does not have."""
 
 
-def checked(value: Any, kind: Any, where: str = "", *, strict: bool = True) -> Any:
+def checked(value: object, kind: Any, where: str = "", *, strict: bool = True) -> Any:
     """Return what a file holds as a type: tables become dataclasses, lists tuples, whole numbers floats.
 
     Args:
@@ -67,7 +67,7 @@ def check_choice(name: str, known: Collection[str], where: str, noun: str = "") 
         raise SceneError(f"{where}: there is no {what}; {hint}".removeprefix(": "))
 
 
-def inside(folder: Path, name: Any, where: str) -> Path:
+def inside(folder: Path, name: object, where: str) -> Path:
     """Return the path of a file that a table or a tour names; it lies in the folder, symbolic links followed.
 
     The file need not exist.

@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Protocol, TypeVar
 
 from dirl.scenes.scene import SceneError
 
@@ -60,7 +60,17 @@ def _start() -> None:
     torch.set_num_threads(1)  # each process has one core
 
 
-def end_with_this_process(owner: object, game: Any) -> None:
+class Doom(Protocol):
+    """A game of ViZDoom."""
+
+    def add_game_args(self, args: str) -> None:
+        """Add arguments to its command line."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+def end_with_this_process(owner: object, game: Doom) -> None:
     """Let a Doom end with its owner and with this process, even if that is killed: Doom waits for orders for ever.
 
     It is called before the Doom starts, which takes a second.
@@ -73,6 +83,6 @@ def end_with_this_process(owner: object, game: Any) -> None:
     weakref.finalize(owner, _close, game, watch)
 
 
-def _close(game: Any, watch: subprocess.Popen[bytes]) -> None:
+def _close(game: Doom, watch: subprocess.Popen[bytes]) -> None:
     game.close()
     watch.communicate(b"\n")

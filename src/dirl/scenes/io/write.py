@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -30,7 +29,7 @@ def write_dump(
     scene: Scene,
     views: Iterable[bytes] | None = None,
     *,
-    attributes: dict[str, Any] | None = None,
+    attributes: Mapping[str, object] | None = None,
     feature_attributes: Mapping[str, str] | None = None,
     patch_attributes: Mapping[str, str] | None = None,
 ) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
@@ -110,7 +110,7 @@ def write_room(
     way: Walk,
     views: Sequence["View"],
     encoder: "ViewEncoder | None",
-    attributes: dict[str, Any],
+    attributes: dict[str, object],
     *,
     source: str = "synthetic",
     progress: bool = False,

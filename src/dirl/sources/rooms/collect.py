@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
 
@@ -68,7 +68,7 @@ class RoomSettings:
         patches = {"patches": self.patches, "fine_patches": self.fine_patches}
         return load_encoder(self.encoder, self.device, precision=self.precision, **patches)
 
-    def stored(self, encoder: "ViewEncoder | None") -> dict[str, Any]:
+    def stored(self, encoder: "ViewEncoder | None") -> dict[str, object]:
         """Return the settings as each room stores them: the encoder by its description, not by its name."""
         kept = asdict(self)
         del kept["device"], kept["encoder"]
@@ -95,7 +95,7 @@ class MadeRoom:
     problems: list[str]
 
 
-def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, Any]) -> list[Wanted]:
+def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, object]) -> list[Wanted]:
     """Return the rooms that a collection lacks; a dump is there completely or not at all.
 
     The folder may not exist yet. For ``stored`` see `RoomSettings.stored`.

@@ -80,7 +80,7 @@ class Material:
     """
 
     kind: str = "plain"
-    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    options: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     seed: int = 0
     resolution: Annotated[int, Ge(1), Le(2048)] = 512
     size: NotNegative = 1.0
@@ -117,7 +117,7 @@ class Piece:
     yaw: float = 0.0
     lift: float = 0.0
     solid: bool | None = None
-    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    options: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class _Shell:
 
     size: Size
     floor: str
-    walls: dict[str, Any]
+    walls: dict[str, object]
     ceiling: str = "ceiling"
     skirting: str | None = None
     rail: str | None = None
@@ -193,8 +193,8 @@ class _File:
     goals: tuple[int, ...] = ()
     grid: Grid = Grid()
     camera: Camera = Camera()
-    materials: dict[str, dict[str, Any]] = field(default_factory=dict)
-    furniture: list[dict[str, Any]] = field(default_factory=list)
+    materials: dict[str, dict[str, object]] = field(default_factory=dict)
+    furniture: list[dict[str, object]] = field(default_factory=list)
 
 
 def parse_description(text: str) -> RoomDescription:
@@ -215,7 +215,9 @@ def parse_description(text: str) -> RoomDescription:
     return RoomDescription(**given)
 
 
-def _with_options(kind: Any, table: Mapping[str, Any], where: str, kinds: Mapping[str, Callable[..., Any]]) -> Any:
+def _with_options(
+    kind: Any, table: Mapping[str, object], where: str, kinds: Mapping[str, Callable[..., object]]
+) -> Any:
     """A dataclass made of a table; what it does not have itself are options of the one of ``kinds`` that it names."""
     chosen = str(table.get("kind", "plain"))
     check_choice(chosen, kinds, f"{where}: kind")
@@ -226,7 +228,7 @@ def _with_options(kind: Any, table: Mapping[str, Any], where: str, kinds: Mappin
 
 
 @cache
-def _table(kind: type, made: Callable[..., Any]) -> type:
+def _table(kind: type, made: Callable[..., object]) -> type:
     """Return a dataclass that has the options of a function, its keyword-only parameters, among its own."""
     hints = get_type_hints(made)
     options = [(name, hints[name], None) for name in inspect.getfullargspec(made).kwonlyargs]
@@ -250,14 +252,14 @@ def _walls(room: _Shell) -> dict[str, tuple[Band, ...]]:
     return walls
 
 
-def _material(table: Mapping[str, Any], where: str) -> Material:
+def _material(table: Mapping[str, object], where: str) -> Material:
     material: Material = _with_options(Material, table, where, TEXTURES)
     if material.resolution.bit_count() != 1:
         raise SceneError(f"{where}: resolution: must be a power of two, found {material.resolution}")
     return material
 
 
-def _piece(table: Mapping[str, Any], where: str) -> Piece:
+def _piece(table: Mapping[str, object], where: str) -> Piece:
     if "kind" not in table:
         raise SceneError(f"{where}: kind: is missing")
     where += f" ({table['kind']})"
@@ -298,7 +300,7 @@ def write_description(description: RoomDescription, path: str | Path) -> None:
         raise SceneError(f"{path}: this file exists already; it is not overwritten") from None
 
 
-def _changed(item: Material | Piece) -> dict[str, Any]:
+def _changed(item: Material | Piece) -> dict[str, object]:
     """Return what differs from the defaults, options among the rest."""
     defaults = {option.name: option.default for option in fields(item)}
     own = {k: v for k, v in vars(item).items() if k != "options" and (k == "kind" or v != defaults[k])}

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from dirl.scenes.io.checked import LONGEST, inside
 from dirl.scenes.scene import SceneError
@@ -49,7 +48,7 @@ def read_marzipano(file: Path) -> Described:
     return str(data.get("name") or file.resolve().parent.name), found, []
 
 
-def _of_marzipano(name: str, scene: Mapping[str, Any], file: Path) -> Panorama:
+def _of_marzipano(name: str, scene: Mapping[str, object], file: Path) -> Panorama:
     where = f"{file}: scene '{name}'"
     links = tuple(
         Link(entry(spot, "target", str, where), math.degrees(number(spot.get("yaw"), f"{where}: yaw")))
@@ -118,7 +117,7 @@ def _without_functions(text: str) -> str:
     return "".join([*kept, text[copied:]])
 
 
-def _within(text: str, file: Path) -> dict[str, Any]:
+def _within(text: str, file: Path) -> dict[str, object]:
     """Return the configuration in a page or a script: the smallest object with scenes."""
     why = SceneError(f"{file}: has no object with 'scenes', as pannellum.viewer(...) takes it")
     for begin in islice(_objects(text), MOST_PARSED // (len(text) + 1)):
@@ -143,7 +142,7 @@ def _objects(text: str) -> Iterator[int]:
                 yield begin
 
 
-def _of_pannellum(name: str, own: Any, common: Mapping[str, Any], file: Path) -> Panorama:
+def _of_pannellum(name: str, own: object, common: Mapping[str, object], file: Path) -> Panorama:
     where = f"{file}: scene '{name}'"
     if not isinstance(own, Mapping):
         raise SceneError(f"{where}: expected a JSON object")
@@ -158,7 +157,7 @@ def _of_pannellum(name: str, own: Any, common: Mapping[str, Any], file: Path) ->
     return Panorama(name, _image(scene, file, where), tuple(links), heading=heading)
 
 
-def _image(scene: Mapping[str, Any], file: Path, where: str) -> Equirectangular | Cube:
+def _image(scene: Mapping[str, object], file: Path, where: str) -> Equirectangular | Cube:
     kind, base = scene.get("type", "equirectangular"), scene.get("basePath", "")
     folder = inside(file.parent, base, where) if base else file.parent
     for key, whole in (("haov", 360), ("vaov", 180)):
@@ -176,7 +175,7 @@ def _image(scene: Mapping[str, Any], file: Path, where: str) -> Equirectangular 
     raise SceneError(f"{where}: type '{str(kind)[:50]}' is none of equirectangular, cubemap and multires")
 
 
-def _tiles(given: Mapping[str, Any], folder: Path, where: str) -> Cube:
+def _tiles(given: Mapping[str, object], folder: Path, where: str) -> Cube:
     """Levels 1 to ``maxLevel``; each is half as large as the next, rounded down as Pannellum's generate.py does."""
     if given.get("basePath"):
         folder = inside(folder, given["basePath"], where)

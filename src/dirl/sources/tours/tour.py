@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import pyjson5
 
@@ -171,7 +171,7 @@ def _kept(panorama: Panorama, ids: set[str], dropped: dict[str, list[str]]) -> I
         dropped.setdefault(why, []).append(f"'{panorama.id}' to '{link.target}'")
 
 
-def read_json(text: str, where: Path) -> dict[str, Any]:
+def read_json(text: str, where: Path) -> dict[str, object]:
     """The object that a text begins with: JSON, or a JavaScript literal with comments, bare keys and trailing commas.
 
     No code is run: a literal that calls a function or names a variable is refused. What follows the object is ignored.
@@ -195,14 +195,17 @@ def tour_text(file: Path) -> str:
         raise SceneError(str(error)) from None
 
 
-def entry(values: Any, key: str, kind: type, where: str) -> Any:
+Kind = TypeVar("Kind")
+
+
+def entry(values: object, key: str, kind: type[Kind], where: str) -> Kind:
     """Return a required value of a JSON object."""
     if not isinstance(values, Mapping) or not isinstance(values.get(key), kind):
         raise SceneError(f"{where}: expected '{key}' ({kind.__name__})")
     return values[key]
 
 
-def entries(values: Any, key: str, where: str) -> list[Mapping[str, Any]]:
+def entries(values: object, key: str, where: str) -> list[Mapping[str, object]]:
     """Return a list of JSON objects, empty if it is missing."""
     found = values.get(key, []) if isinstance(values, Mapping) else None
     if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
@@ -210,10 +213,10 @@ def entries(values: Any, key: str, where: str) -> list[Mapping[str, Any]]:
     return found
 
 
-def number(value: Any, where: str, low: float = -1e6, high: float = 1e6) -> float:
+def number(value: object, where: str, low: float = -1e6, high: float = 1e6) -> float:
     """Return a number of a tour, as a number or as its text."""
     try:
-        found = math.nan if isinstance(value, bool) else float(value)
+        found = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not low <= found <= high:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -81,7 +80,7 @@ class Draft:
         return self.size[0] if wall in ("north", "south") else self.size[1]
 
     def against_wall(
-        self, kind: str, size: Size, *, walls: tuple[str, ...] = SIDES, free: bool = False, **options: Any
+        self, kind: str, size: Size, *, walls: tuple[str, ...] = SIDES, free: bool = False, **options: object
     ) -> Piece | None:
         """Put a piece with its back to one of the walls, wherever there is room; ``free`` keeps its front clear."""
         for _ in range(TRIES):
@@ -95,7 +94,7 @@ class Draft:
                     return piece
         return None
 
-    def in_corner(self, kind: str, size: Size, *, yawed: bool = False, **options: Any) -> None:
+    def in_corner(self, kind: str, size: Size, *, yawed: bool = False, **options: object) -> None:
         """Put a piece into a corner; ``yawed`` ones face the middle of the room."""
         reach = np.hypot(size[0], size[1]) / 2 if yawed else max(size[0], size[1]) / 2
         reach = round(float(reach) + 0.06, 2)
@@ -106,7 +105,7 @@ class Draft:
             if self.put(Piece(kind, size, at=rounded(at), yaw=yaw if yawed else 0.0, options=options)):
                 return
 
-    def freely(self, kind: str, size: Size, *, yaws: tuple[float, ...], **options: Any) -> Piece | None:
+    def freely(self, kind: str, size: Size, *, yaws: tuple[float, ...], **options: object) -> Piece | None:
         """Put a piece into the middle of the room, with space to walk around it."""
         margin = max(size[0], size[1]) / 2 + (0.0 if kind in NOT_SOLID else PASSAGE)
         for _ in range(TRIES):
@@ -116,11 +115,11 @@ class Draft:
                 return piece
         return None
 
-    def above(self, below: Piece, kind: str, size: Size, **options: Any) -> None:
+    def above(self, below: Piece, kind: str, size: Size, **options: object) -> None:
         """Hang something on the wall over the middle of a piece."""
         self.put(Piece(kind, size, wall=below.wall, along=below.along, options=options))
 
-    def on_top(self, below: Piece, kind: str, size: Size, *, shift: float = 0.0, **options: Any) -> None:
+    def on_top(self, below: Piece, kind: str, size: Size, *, shift: float = 0.0, **options: object) -> None:
         """Put a small piece on another one, ``shift`` metres to the right of its middle."""
         x, y, yaw = place_of(below, self.size)
         turn = np.radians(yaw)
@@ -197,7 +196,7 @@ class Draft:
             along = start + width / 2 + 0.08 + float(self.rng.uniform(0, min(slack, 0.35)))
             height = round(float(np.clip(width * self.rng.uniform(0.6, 1.4), 0.35, 0.9)), 2)
             z, what = self.between(1.35, 1.55), self.rng.random()
-            options: dict[str, Any]
+            options: dict[str, object]
             if self.style.wet and what < 0.2 and width < 0.7:
                 kind, size, options = "towel_rail", (width, 0.12, 1.45), {"towel": self.style.cloth()}
             elif what < 0.3 and width < 0.9:
@@ -211,7 +210,7 @@ class Draft:
 
 
 @lru_cache(maxsize=1000)
-def _bounds(kind: str, size: Size, yaw: float, options: tuple[tuple[str, Any], ...]) -> Array:
+def _bounds(kind: str, size: Size, yaw: float, options: tuple[tuple[str, object], ...]) -> Array:
     """Return the upright box around a turned piece at the origin, lower and upper corner, ``[6]``."""
     parts = FURNITURE[kind](*size, **dict(options)).parts
     corners = np.concatenate([part.moved((0, 0, 0), yaw, 1.0).corners.reshape(-1, 3) for part in parts])

@@ -1,7 +1,5 @@
 """Groups of furniture: a run of counters, a table with its chairs, a seating area, and single pieces."""
 
-from typing import Any
-
 import numpy as np
 
 from dirl.sources.rooms.description import SIDES, Piece
@@ -108,8 +106,14 @@ def dining(draft: Draft) -> None:
 def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> None:
     """A run of counters along a wall from one of its ends; the full one has sink, hob and fridge."""
     rng = draft.rng
-    run = [("counter", {"sink": True}), ("counter", {}), ("counter", {"hob": True}), ("counter", {}), ("fridge", {})]
-    kinds: list[tuple[str, dict[str, Any]]] = run if full else [("counter", {}), ("counter", {})]
+    run: list[tuple[str, dict[str, object]]] = [
+        ("counter", {"sink": True}),
+        ("counter", {}),
+        ("counter", {"hob": True}),
+        ("counter", {}),
+        ("fridge", {}),
+    ]
+    kinds = run if full else [("counter", {}), ("counter", {})]
     if rng.random() < 0.5:
         kinds = kinds[::-1]
     length = draft.length(wall)
@@ -121,7 +125,7 @@ def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> N
         if at + width > length - 0.1:
             return
         if kind == "fridge":
-            options: dict[str, Any] = {"body": "steel" if rng.random() < 0.6 else draft.style.wood()}
+            options: dict[str, object] = {"body": "steel" if rng.random() < 0.6 else draft.style.wood()}
             size = (width, 0.7, draft.between(1.7, 1.95))
         else:
             options = {**units, **extra, "doors": max(1, round(width / 0.5)), "drawers": bool(rng.random() < 0.7)}

@@ -2,7 +2,6 @@
 
 import colorsys
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -58,7 +57,7 @@ class Style:
     def cloth(self, value: float | None = None) -> str:
         """Return a fabric of one colour, striped or checked."""
         color, kind = self.color(value=value), self.rng.random()
-        options: dict[str, Any] = {"color": color, "color2": self.color(saturation=0.15, value=0.85)}
+        options: dict[str, object] = {"color": color, "color2": self.color(saturation=0.15, value=0.85)}
         if kind < 0.35:
             options["stripes"] = int(self.rng.integers(4, 11))
         elif kind < 0.5:
@@ -84,7 +83,7 @@ class Style:
     def painting(self) -> str:
         """Return a picture unlike any other in the room."""
         kind = str(self.rng.choice(self.repertoire.paintings))
-        options: dict[str, Any] = (
+        options: dict[str, object] = (
             self._scenery(kind) if kind in ("landscape", "skyline", "sea") else {"colors": self._bold()}
         )
         if kind == "bouquet":
@@ -132,7 +131,7 @@ class Style:
             rows = int(self.rng.integers(5, 10))
             made = Material(kind, {"a": a, "b": b, "rows": rows}, rough=0.3, size=size, resolution=1024)
         elif kind == "terrazzo":
-            options: dict[str, Any] = {"ground": self.color(saturation=0.1, value=0.85), "colors": self.colors(4)}
+            options: dict[str, object] = {"ground": self.color(saturation=0.1, value=0.85), "colors": self.colors(4)}
             made = Material(kind, options, rough=0.25, size=1.4, resolution=1024)
         else:
             light, dark = self.color(saturation=0.12, value=0.88), self.color(saturation=0.4, value=0.5)
@@ -172,7 +171,7 @@ class Style:
         dark = self.rng.random() < 0.25
         ground = self.color(hue=hue, saturation=0.5 if dark else 0.14, value=0.42 if dark else 0.9)
         motif = self.color(hue=hue, saturation=0.35, value=0.68 if dark else 0.6)
-        options: dict[str, Any] = {"ground": ground, "motif": motif, "accent": self.color(value=0.55)}
+        options: dict[str, object] = {"ground": ground, "motif": motif, "accent": self.color(value=0.55)}
         if kind == "leaf":
             options["leaves"] = int(self.rng.integers(28, 48))
         elif kind == "damask":
@@ -201,7 +200,7 @@ class Style:
             for hue, v in zip(hues, values, strict=True)
         )
 
-    def _scenery(self, kind: str) -> dict[str, Any]:
+    def _scenery(self, kind: str) -> dict[str, object]:
         sky = self.repertoire.skies[self.rng.integers(len(self.repertoire.skies))]
         if kind == "landscape":
             ground, far = self.color(hue=self.rng.uniform(0.1, 0.4), value=0.45), self.color(value=0.7, saturation=0.2)
