@@ -104,11 +104,10 @@ def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
     run("photos folder=office out=office.h5 height=60 width=80 encoder=null")
     assert "office.h5: 16 states (source: photos)" in capsys.readouterr().out
     torch.save(ResNet50().state_dict(), here / "weights.pth")
-    run("encode scene=office.h5 encoder=weights.pth patches=true out=encoded.h5")
+    run("encode scene=office.h5 encoder=weights.pth out=encoded.h5")
     assert "extractor: ResNet-50, global average pool; RGB resized to 224x224" in capsys.readouterr().out
     scene = read_dump("encoded.h5")
     assert (scene.name, scene.goals, scene.features.shape) == ("office", (10,), (16, 2048))
-    assert scene.patches.shape == (16, 8, 96)
     assert scene.views[0].shape == (60, 80, 3)
     run("photos folder=office out=at_once.h5 height=60 width=80 encoder=weights.pth")
     assert read_dump("at_once.h5").extractor == scene.extractor
