@@ -109,7 +109,7 @@ def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
     scene = read_dump("encoded.h5")
     assert (scene.name, scene.goals, scene.features.shape) == ("office", (10,), (16, 2048))
     assert scene.views[0].shape == (60, 80, 3)
-    run("photos folder=office out=at_once.h5 height=60 width=80 encoder=weights.pth")
+    run("photos folder=office out=at_once.h5 height=60 width=80 encoder=weights.pth patches=false")
     assert read_dump("at_once.h5").extractor == scene.extractor
     np.testing.assert_allclose(read_dump("at_once.h5").features, scene.features, rtol=1e-4, atol=1e-6)
     run("inspect scene=encoded.h5 out=pictures")

@@ -11,7 +11,7 @@ from PIL import Image
 from tours import WRITERS, written
 
 from dirl.scenes import SceneError
-from dirl.sources.tours import read_tour
+from dirl.sources.tours import images, read_tour
 from dirl.sources.tours.images import cut_views
 
 
@@ -212,8 +212,8 @@ def test_links_that_lead_nowhere_are_left_out_and_noted(tmp_path):
 
 
 def cut_all(tour):
-    images = [panorama.image for panorama in tour.panoramas]
-    return list(cut_views(images, np.zeros((len(images), 1)), size=(16, 16), field_of_view=90))
+    shown = [panorama.image for panorama in tour.panoramas]
+    return list(cut_views(shown, np.zeros((len(shown), 1)), size=(16, 16), field_of_view=90))
 
 
 def test_a_broken_image_is_named(tmp_path):
@@ -261,7 +261,7 @@ def test_a_panorama_that_cannot_be_read_can_be_skipped_and_all_of_them_cannot(tm
         read_tour(tmp_path)
 
 
-def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path):
+def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path, monkeypatch):
     tour = read_tour(written("marzipano", tmp_path))
     header = struct.pack(">II5B", 12_000, 12_000, 8, 2, 0, 0, 0)  # of a PNG of 144 million pixels that are not there
     chunk = struct.pack(">I", len(header)) + b"IHDR" + header + struct.pack(">I", zlib.crc32(b"IHDR" + header))
@@ -269,3 +269,6 @@ def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path):
         tile.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk + struct.pack(">I", 9) + b"IDAT")
     with pytest.raises(SceneError, match=r"place_1.*: the tiles of face 'f' make 24000x24000 pixels, not 8x8"):
         cut_all(tour)
+    monkeypatch.setattr(images, "MAX_FACE_PIXELS", 8**2 - 1)
+    with pytest.raises(SceneError, match=r"the tiles of face 'f' make 8x8 pixels, not a square"):
+        cut_all(read_tour(written("krpano", tmp_path) / "tour.xml"))
