@@ -239,10 +239,21 @@ class Matcher:
         """How many matches agree on the geometry of two views, and on that of a camera that only turned; their mean."""
         if len(matches.seen) < LEAST:
             return 0.0
-        method, cv2 = self._cv2.USAC_MAGSAC, self._cv2
-        _, moved = cv2.findFundamentalMat(matches.seen, matches.other, method, EPIPOLAR, 0.99, 300)
-        _, turned = cv2.findHomography(matches.seen, matches.other, method, HOMOGRAPHY, maxIters=300)
+        method, points = self._cv2.USAC_MAGSAC, (matches.seen, matches.other)
+        _, moved = self._fitted("findFundamentalMat", *points, method, EPIPOLAR, 0.99, 300)
+        _, turned = self._fitted("findHomography", *points, method, HOMOGRAPHY, maxIters=300)
         return sum(0 if mask is None else int(mask.sum()) for mask in (moved, turned)) / 2
+
+    def _fitted(self, estimator: str, *points: Any, **options: Any) -> tuple[Any, Any]:
+        """Return the geometry that an estimator of OpenCV finds, and the mask of the points that agree; None without.
+
+        Where points leave it undetermined some versions (5.0) fail with an assertion.
+        """
+        try:
+            found: tuple[Any, Any] = getattr(self._cv2, estimator)(*points, **options)
+        except self._cv2.error:
+            return None, None
+        return found
 
     def motion(
         self, seen: Described, frames: Described, frame: int, size: tuple[int, int], field_of_view: float
@@ -265,9 +276,10 @@ class Matcher:
         focal = width / 2 / np.tan(np.radians(field_of_view / 2))
         camera = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         cv2, method = self._cv2, self._cv2.USAC_MAGSAC
-        homography, turned = cv2.findHomography(matches.seen, matches.other, method, EPIPOLAR, maxIters=1000)
-        essential, moved = cv2.findEssentialMat(
-            matches.seen, matches.other, camera, method=method, prob=0.999, threshold=EPIPOLAR / 2
+        points = matches.seen, matches.other
+        homography, turned = self._fitted("findHomography", *points, method, EPIPOLAR, maxIters=1000)
+        essential, moved = self._fitted(
+            "findEssentialMat", *points, camera, method=method, prob=0.999, threshold=EPIPOLAR / 2
         )
         agree = [0 if mask is None else int(mask.sum()) for mask in (turned, moved)]
         if max(agree) < 2 * LEAST:
