@@ -107,7 +107,6 @@ def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
         "mapped": mapped,
         **({} if views is None else _locate_views(views, path, decoded=verified)),
     }
-    _check_differences(contents["headings"], contents["features"])
     if verified and features is not None and features.dtype in (np.float16, np.float32):
         offset = features.id.get_offset()
         if offset is not None:  # mapped like the others: a world copies them, and then they need no memory
@@ -138,16 +137,6 @@ def _read_features(dataset: h5py.Dataset) -> NDArray[np.floating]:
     for rows in blocks(dataset):
         values[rows] = dataset[rows, 0] if dataset.ndim == 3 else dataset[rows]
     return values
-
-
-def _check_differences(headings: NDArray[Any], features: NDArray[np.floating] | None) -> None:
-    """Check that states differ in their headings and features."""
-    if len(headings) > 1 and (headings == headings[0]).all():
-        raise SceneError(f"rotation: all states have the heading {headings[0]:g}; a turn must change it")
-    if features is None or len(features) < 2 or not np.isfinite(features[0]).all():
-        return
-    if all(np.array_equal(row, features[0]) for row in features):
-        raise SceneError("resnet_feature: all states have the same features; nothing could be told apart")
 
 
 def _goals(declared: Any, states: int) -> list[int]:
