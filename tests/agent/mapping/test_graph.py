@@ -7,7 +7,6 @@ from rooms import grid_scene
 from dirl.agent.mapping import ImageGraph, MapError
 from dirl.agent.mapping.panoramas import UNKNOWN
 from dirl.agent.mapping.walks import explore, step
-from dirl.perception.recognition import NCC
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 
 ROOM = {"width": 4, "depth": 3, "blocked": [(1, 1)], "feature_width": 64}
@@ -90,24 +89,6 @@ def test_a_door_that_has_been_closed_is_noticed():
         state, steps = step(closed, state, action), steps + 1
     assert state == 5
     assert steps > open_.distances[1, 5]
-
-
-class Computed(NCC):
-    """Correlation that is computed as that of any recogniser."""
-
-    def scores(self, seen, references):
-        return super().scores(seen, references)
-
-
-def test_the_kept_vectors_of_correlation_give_what_a_recogniser_computes():
-    scene = grid_scene(**ROOM)
-    kept, computed = ImageGraph(), ImageGraph(recogniser=Computed())
-    for graph in (kept, computed):
-        explore(scene, graph, 5, 100)
-    assert kept.moves == computed.moves
-    seen = looks(scene)
-    for views in (seen, seen[:, :1], seen[3], seen[3][:1]):
-        torch.testing.assert_close(computed.scores(views), kept.scores(views), atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("turns", [4, 8])

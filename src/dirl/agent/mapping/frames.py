@@ -251,23 +251,19 @@ def load_frames_map(file: str | Path) -> FrameMap:
 
 
 class Growing:
-    """Arrays of one length that grow as frames are described, so that a long recording is held once."""
+    """Arrays of one length that grow in place as frames are described, so that a long recording is held once."""
 
-    def __init__(self, expected: int) -> None:
+    def __init__(self) -> None:
         self.arrays: list[NDArray[Any]] = []
-        self.expected = max(expected, 2)
         self.count = 0
 
     def add(self, described: Described) -> None:
         """Append one view."""
         rows = [getattr(described, field.name) for field in fields(Described)]
-        if not self.arrays:
-            self.arrays = [np.empty((self.expected, *row.shape[1:]), row.dtype) for row in rows]
-        if self.count == len(self.arrays[0]):
-            self.arrays = [
-                np.concatenate([array, np.empty_like(array[: self.count // 8 + 1])]) for array in self.arrays
-            ]
+        self.arrays = self.arrays or [np.empty((0, *row.shape[1:]), row.dtype) for row in rows]
         for array, row in zip(self.arrays, rows, strict=True):
+            if self.count == len(array):
+                array.resize((self.count + self.count // 8 + 64, *array.shape[1:]), refcheck=False)
             array[self.count] = row[0]
         self.count += 1
 
@@ -305,13 +301,13 @@ def map_recordings(
         recordings: each of frames, RGB, uint8 ``[H, W, 3]``, with their times in seconds and odometry, or None.
         matcher: describes the frames.
         field_of_view: of the camera from left to right, degrees.
-        expected: frames altogether, about; for the bar, and to hold descriptions only once.
+        expected: frames altogether, about; for the bar.
         progress: show a bar with the time that is left.
 
     Raises:
         MapError: there are fewer than two frames, or they are of different shapes.
     """
-    growing = Growing(expected)
+    growing = Growing()
     pictures: list[bytes] = []
     times: list[float] = []
     parts: list[int] = []
@@ -360,8 +356,6 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
     long.
     """
     scale, stride = graph.scale, max(1, round(EVERY / graph.spacing))
-    if not scale.shortlist:
-        return graph
     some = np.arange(0, len(graph), stride)
     times, parts = graph.times[some], graph.parts[some]
     agreeing: dict[tuple[int, int], float] = {}

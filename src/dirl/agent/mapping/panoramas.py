@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor, nn
 
-from dirl.perception.recognition.recogniser import NCC, Recogniser, normal_vectors
+from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, LEFT, RIGHT, shortest_distances
 
 UNKNOWN, VIEWS = -1, 4
@@ -45,7 +45,6 @@ class Panoramas:
         """Grows whenever the map changes."""
         self._denied: dict[tuple[int, int], int] = {}
         self._views: list[Tensor] = []
-        self._normal: dict[str, tuple[Tensor, int]] = {}
 
     def __len__(self) -> int:
         """The number of nodes."""
@@ -65,8 +64,6 @@ class Panoramas:
                 ahead of each node.
         """
         views = views.detach().float().cpu()
-        if isinstance(self.recogniser, NCC) and type(self.recogniser).scores is NCC.scores:
-            return self._correlations(views)
         if views.ndim > 2:  # one by one: the pairs of many looks with many nodes take much space
             return torch.stack([self.scores(one) for one in views])
         if views.shape[-2] == 1:
@@ -74,27 +71,6 @@ class Panoramas:
             return self.recogniser.scores(each, views[None]).flatten()
         facing = torch.stack([views.roll(k, 0) for k in range(VIEWS)])
         return self.recogniser.scores(self.views, facing).flatten()
-
-    def _correlations(self, views: Tensor) -> Tensor:
-        """The scores of `NCC`, for which the normal vectors of panoramas are kept: ten times as fast."""
-        if views.shape[-2] == 1:
-            return normal_vectors(views.squeeze(-2)) @ self._vectors("one").flatten(0, 1).T
-        now = normal_vectors(views.flatten(-2)).view_as(views)
-        each = torch.stack([now.roll(k, -2).flatten(-2) for k in range(VIEWS)], -2)
-        return (each @ self._vectors("four").flatten(1).T).transpose(-1, -2).flatten(-2)
-
-    def _vectors(self, kind: str) -> Tensor:
-        """The views of each panorama as normal vectors, each by itself (``one``) or all four together (``four``)."""
-        rows, done = self._normal.get(kind, (torch.empty(0), 0))
-        if done < len(self._views):
-            new = torch.stack(self._views[done:])
-            new = normal_vectors(new.flatten(1)).view_as(new) if kind == "four" else normal_vectors(new)
-            if len(rows) < len(self._views):  # grows by doubling: a walk adds panoramas one by one
-                space = torch.empty(2 * len(self._views), *new.shape[1:])
-                rows = torch.cat([rows.view(-1, *new.shape[1:])[:done], space])
-            rows[done : len(self._views)] = new
-            self._normal[kind] = rows, len(self._views)
-        return rows[: len(self._views)]
 
     def plan(self, goals: Sequence[int]) -> Tensor:
         """The fewest actions from each node to each goal, int32 ``[N, G]``, -1 where no path is known."""
@@ -136,7 +112,6 @@ class Panoramas:
         self._denied = {key: there for key, there in self._denied.items() if max(key[0], there) < first}
         del self.moves[first:], self.observed[first:]
         del self._views[first // VIEWS :]
-        self._normal = {kind: (rows, min(done, len(self._views))) for kind, (rows, done) in self._normal.items()}
         self.changes += 1
 
     def place(self, node: int) -> set[int]:
