@@ -235,7 +235,6 @@ class BuildOptions(Encoded):
     width: Pixels = option(OF_VIEW, 400)
     turn: Turn = option(TURN, 90)
     fine: bool = option(FINER, True)
-    quality: Annotated[int, Bounds(0, 100)] = option("of the stored WebP views", 72)
 
 
 @dataclass
@@ -536,7 +535,6 @@ def build(options: BuildOptions) -> None:
         size=(options.height, options.width),
         turn=options.turn,
         fine=options.fine,
-        quality=options.quality,
         encoder=chosen_encoder(options),
     )
     scene = load_scenes(str(out))[0]

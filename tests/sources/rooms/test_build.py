@@ -26,7 +26,7 @@ from dirl.sources.rooms.view import Renderer
 REFERENCES = Path(__file__).parents[2] / "data" / "bathroom_02"
 """Views of the bathroom, 60x80 PNG, as they were rendered when the built-in rooms were made; named by their states."""
 
-SMALL = {"size": (24, 32), "fine": False, "progress": False}
+SMALL = {"size": (24, 32), "fine": False}
 
 
 def problems(*pieces):

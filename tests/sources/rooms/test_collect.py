@@ -74,7 +74,7 @@ def test_a_seed_without_a_room_does_not_stop_the_others_and_rooms_of_a_collectio
 def test_the_views_of_the_look_are_those_that_a_build_would_take(drawn, tmp_path):
     settings = replace(PLAIN, height=LOOK[0], width=LOOK[1])
     list(make_rooms(tmp_path, WANTED[:1], settings, workers=1))
-    build_room(closet(), tmp_path / "built.h5", size=LOOK, fine=False, progress=False)
+    build_room(closet(), tmp_path / "built.h5", size=LOOK, fine=False)
     made, built = load_scenes(f"collection:{tmp_path}")[0], read_dump(tmp_path / "built.h5")
     assert all(made.views.encoded(state) == built.views.encoded(state) for state in range(20))
 

@@ -60,9 +60,7 @@ def build_room(
     size: tuple[int, int] = (300, 400),
     turn: float = 90,
     encoder: "ViewEncoder | None" = None,
-    quality: int = QUALITY,
     fine: bool = True,
-    progress: bool = True,
 ) -> list[str]:
     """Light a room, render the view of every state, and write a scene dump.
 
@@ -75,9 +73,7 @@ def build_room(
         size: height and width of the views, pixels.
         turn: degrees of a turn, see `walk`.
         encoder: what makes the features, from the views as they are stored; no features if left out.
-        quality: of the stored WebP views, 0 to 100.
         fine: the light of the built-in rooms; otherwise a coarser one, ten times faster.
-        progress: show a progress bar.
 
     Returns:
         The problems that `check_room` and `check_views` found, one line each.
@@ -92,8 +88,9 @@ def build_room(
         raise SceneError(f"{out}: this file exists already; it is not overwritten")
     way = walk(room, turn)
     source = "rooms" if str(description) in built_in_rooms() else "synthetic"
-    views = list(take_views(Renderer.of(room, fine=fine), room.camera, poses(way), size, quality, progress=progress))
-    return write_room(out, room, way, views, encoder, {"turn": float(turn)}, source=source, progress=progress)
+    seen = take_views(Renderer.of(room, fine=fine), room.camera, poses(way), size)
+    views = list(tqdm(seen, "views", len(way.graph), unit=" views", disable=None))
+    return write_room(out, room, way, views, encoder, {"turn": float(turn)}, source=source, progress=True)
 
 
 def check_arguments(size: tuple[int, int]) -> None:
@@ -187,23 +184,20 @@ def take_views(
     camera: Camera,
     poses: Sequence[Pose],
     size: tuple[int, int],
-    quality: int = QUALITY,
     *,
     threads: int | None = None,
-    progress: bool = True,
 ) -> Iterator[View]:
     """Yield the views from all poses, in their order; ``size`` is height and width in pixels.
 
     They are rendered by as many threads as there are cores if ``threads`` is None; NumPy lets them run at once.
     """
-    take = partial(_take, renderer, camera, size, quality)
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
-        yield from tqdm(pool.map(take, poses), "views", len(poses), unit=" views", disable=None if progress else True)
+        yield from pool.map(partial(_take, renderer, camera, size), poses)
 
 
-def _take(renderer: Renderer, camera: Camera, size: tuple[int, int], quality: int, pose: Pose) -> View:
+def _take(renderer: Renderer, camera: Camera, size: tuple[int, int], pose: Pose) -> View:
     view = renderer.view(camera, pose, size)
-    return View(encode(view, quality), thumbnail(view), contrast(view))
+    return View(encode(view, QUALITY), thumbnail(view), contrast(view))
 
 
 LARGEST_CHANGES = {"position": 1.0, "heading": 45.0, "exposure": 1.0}

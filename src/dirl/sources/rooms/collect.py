@@ -174,7 +174,7 @@ def make_room(
     if settings.looks or not checked:
         renderer = Renderer.of(room, fine=settings.fine)
         if not checked:
-            views = list(take_views(renderer, room.camera, poses(way), size, threads=threads, progress=False))
+            views = list(take_views(renderer, room.camera, poses(way), size, threads=threads))
         taken = partial(look_views, renderer, room.camera, way, size, settings.changes)
         looks = [list(taken(LOOK_SEEDS * seed + k)) for k in range(settings.looks)]
     write_text(folder / f"{room.name}.toml", description_text(room))  # also over what a killed job left

@@ -23,6 +23,9 @@ MOST_LEVELS, MOST_TILES = 16, 64
 FACES = "frblud"
 """Of a cube: front, right, back, left, up, down. The lower edge of ``u`` and the upper one of ``d`` touch ``f``."""
 
+QUALITY = 90
+"""Of the views, as WebP."""
+
 Pixels = NDArray[np.uint8]
 
 
@@ -208,7 +211,6 @@ def cut_views(
     size: tuple[int, int],
     field_of_view: float,
     pitch: float = 0.0,
-    quality: int = 90,
 ) -> Iterator[bytes]:
     """Yield the views of all panoramas, one after the other, as WebP.
 
@@ -218,7 +220,6 @@ def cut_views(
         size: height and width in pixels.
         field_of_view: horizontal, degrees.
         pitch: degrees up.
-        quality: of WebP, 0 to 100.
 
     Raises:
         SceneError: an image cannot be read; raised when its turn comes.
@@ -226,4 +227,4 @@ def cut_views(
     for image, of_image in zip(images, yaws, strict=True):
         pixels = read_panorama(image, density(size, field_of_view))
         for yaw in of_image.tolist():
-            yield encode(cut(pixels, yaw, pitch, size, field_of_view), quality)
+            yield encode(cut(pixels, yaw, pitch, size, field_of_view), QUALITY)

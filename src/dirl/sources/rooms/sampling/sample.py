@@ -139,4 +139,4 @@ def problems_of(room: RoomDescription, kind: Kind) -> list[str]:
 def look_around(room: RoomDescription, threads: int | None = None) -> list[View]:
     """Return the views of all states, of `LOOK` pixels, in coarse light."""
     renderer = Renderer.of(room, fine=False)
-    return list(take_views(renderer, room.camera, poses(walk(room)), LOOK, threads=threads, progress=False))
+    return list(take_views(renderer, room.camera, poses(walk(room)), LOOK, threads=threads))
