@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 from rooms import grid_scene
 
-from dirl.reporting import draw_learning_curves, draw_policy, write_gif
+from dirl.reporting import draw_policy, write_gif
 from dirl.reporting.animation import MAX_FRAMES
 from dirl.reporting.curves import common_frames
 from dirl.reporting.maps import never_arrives
@@ -42,8 +42,3 @@ def test_runs_are_compared_where_all_of_them_have_values():
     )
     assert frames.tolist() == [5, 10, 15]
     assert values.tolist() == [[0.5, 1, 1.5], [1, 1, 1]]
-
-
-def test_learning_curves_name_the_folder_that_is_no_run(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"there is no reinforcement\.csv"):
-        draw_learning_curves({"dirl": [tmp_path]}, tmp_path / "curves.png")

@@ -1,7 +1,7 @@
 """The reports of a run: tables, learning curves, pictures of paths, animations and the viewer."""
 
 from dirl.reporting.animation import write_gif
-from dirl.reporting.curves import draw_learning_curve, draw_learning_curves
+from dirl.reporting.curves import draw_learning_curve
 from dirl.reporting.inspection import draw_contact_sheet, draw_scene_map
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.pictures import draw_paths, draw_scene
@@ -12,7 +12,6 @@ from dirl.reporting.viewer import viewer_pages
 __all__ = [
     "draw_contact_sheet",
     "draw_learning_curve",
-    "draw_learning_curves",
     "draw_paths",
     "draw_policy",
     "draw_scene",

@@ -1,7 +1,7 @@
 """The learning curve of a run, drawn from the files in its folder."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,45 +43,6 @@ def draw_learning_curve(folder: Path, file: Path) -> None:
         _draw_reinforcement(upper, lower, folder, summary)
     for axes in (upper, lower):
         plain(axes)
-    figure.align_ylabels()
-    write_figure(figure, file)
-
-
-def draw_learning_curves(groups: Mapping[str, Sequence[Path]], file: Path) -> None:
-    """Draw runs in groups, e.g. the seeds of each setting: training ATL and greedy SPL over frames, as a PNG.
-
-    A line is the mean over a group's runs, in a band from the lowest run to the highest. Runs are interpolated linearly
-    at common frames, up to the end of the shortest run of the group.
-
-    Args:
-        groups: the run folders of each group by its label, at least one each.
-        file: the image to write.
-
-    Raises:
-        FileNotFoundError: a folder lacks ``reinforcement.csv`` or ``evaluation.csv``.
-    """
-    figure = Figure(figsize=(8.5, 5.5), layout="constrained")
-    panels = figure.subplots(2, sharex=True)
-    for axes, table, column in zip(panels, ("reinforcement", "evaluation"), ("atl", "spl"), strict=True):
-        for number, (label, folders) in enumerate(groups.items()):
-            runs = []
-            for folder in folders:
-                if not (folder / f"{table}.csv").is_file():
-                    raise FileNotFoundError(f"{folder}: there is no {table}.csv; name folders of trained runs")
-                rows = read_columns(folder / f"{table}.csv", "frames", column)
-                known = np.isfinite(rows[column])
-                runs.append((rows["frames"][known], rows[column][known]))
-            frames, values = common_frames(runs)
-            color = (BLUE, VERMILION, GREEN, PURPLE, SKY)[number % 5]
-            plural = "" if len(folders) == 1 else "s"
-            axes.fill_between(frames, values.min(0), values.max(0), color=color, alpha=0.2, linewidth=0)
-            axes.plot(frames, values.mean(0), color=color, linewidth=1.5, label=f"{label}, {len(folders)} run{plural}")
-        plain(axes)
-    upper, lower = panels
-    atl_axis(upper, f"training ATL (steps, log scale),\nlast {WINDOW} episodes of a goal")
-    upper.legend(loc="upper right", frameon=False, title="mean, lowest to highest run")
-    lower.set(ylabel="SPL, greedy evaluation", ylim=(-0.03, 1.03), xlabel="frames")
-    lower.xaxis.set_major_formatter(EngFormatter())
     figure.align_ylabels()
     write_figure(figure, file)
 
