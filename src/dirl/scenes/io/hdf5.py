@@ -157,7 +157,8 @@ def _goals(declared: Any, states: int) -> list[int]:
 def _in_our_order(graph: NDArray[Any], declared: Any) -> NDArray[Any]:
     if declared is None:
         return graph
-    actions = [_text(action) if isinstance(action, str | bytes) else "?" for action in np.atleast_1d(declared).tolist()]
+    named = np.atleast_1d(declared).tolist()
+    actions = [name.decode(errors="replace") if isinstance(name, bytes) else str(name) for name in named]
     if sorted(actions) != sorted(ACTIONS):
         raise SceneError(
             f"attribute 'actions': expected {list(ACTIONS)} in the order of graph's columns, found "
@@ -168,22 +169,13 @@ def _in_our_order(graph: NDArray[Any], declared: Any) -> NDArray[Any]:
 
 def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
     """Return a text, empty if there is none."""
-    value = holder.attrs.get(name)
-    try:
-        text = "" if value is None else _text(value)
-    except ValueError:
-        raise SceneError(f"attribute '{name}': expected text, found {_short(value)}") from None
+    value = holder.attrs.get(name, "")
+    text = value.decode(errors="replace") if isinstance(value, bytes) else value
+    if not isinstance(text, str) or "\ufffd" in text:
+        raise SceneError(f"attribute '{name}': expected text, found {_short(value)}")
     if not text.isprintable() or len(text) > MAX_TEXT:
         raise SceneError(f"attribute '{name}': expected one line of text, found {_short(text)}")
-    return text
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bytes):
-        return value.decode()
-    if not isinstance(value, str):
-        raise ValueError(f"{value!r} is no text")
-    return str(value)
+    return str(text)
 
 
 def _open_dataset(file: h5py.File, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:

@@ -1,5 +1,7 @@
 """Shapes as triangles: boxes, turned and lofted bodies, tubes, sheets."""
 
+import inspect
+import types
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -207,3 +209,13 @@ def _box_corners(beveled: bool) -> tuple[Array, Array]:
     # The corner of the face across an axis that lies nearest to a corner of the box.
     inset = np.array([[[other != axis for other in range(3)] for _, axis in triangle] for triangle in triangles])
     return signs, inset.astype(int)
+
+
+def functions_of(*modules: types.ModuleType) -> dict[str, Callable[..., Any]]:
+    """Return the public functions that modules define, as kinds of furniture or of textures, by their names."""
+    return {
+        name: made
+        for module in modules
+        for name, made in vars(module).items()
+        if inspect.isfunction(made) and made.__module__ == module.__name__ and not name.startswith("_")
+    }

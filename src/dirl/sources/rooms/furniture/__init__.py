@@ -8,8 +8,7 @@ pieces have their back at depth / 2, and ``z`` says how high they hang.
 from collections.abc import Callable
 
 from dirl.sources.rooms.furniture import details, fixtures, standing
-from dirl.sources.rooms.kinds import functions_of
-from dirl.sources.rooms.mesh import Mesh
+from dirl.sources.rooms.mesh import Mesh, functions_of
 
 FURNITURE: dict[str, Callable[..., Mesh]] = functions_of(fixtures, standing, details)
 """The kinds of furniture, by the names that room descriptions use."""

@@ -5,7 +5,7 @@ Each returns sRGB values in [0, 1], float64 ``[n, n, 3]``; row 0 is the top. Tho
 
 from collections.abc import Callable
 
-from dirl.sources.rooms.kinds import functions_of
+from dirl.sources.rooms.mesh import functions_of
 from dirl.sources.rooms.textures import pictures, surfaces
 from dirl.sources.rooms.textures.noise import Array
 
