@@ -5,11 +5,9 @@ import torch
 from dirl.perception.backbones.patches import (
     CELLS,
     FINE,
-    PROJECTION,
     cells_of,
     coarse,
     load_projection,
-    patch_attributes,
 )
 from dirl.perception.backbones.principal import principal_components
 
@@ -43,14 +41,3 @@ def test_a_projection_has_unit_variance_but_for_what_hardly_varies():
     torch.testing.assert_close(deviations[:3], torch.ones(3), rtol=0.02, atol=0)
     assert deviations[3] < 0.06  # 0.01 / (0.05 * 4)
     assert principal_components(turned, 2, floor=0.05)[1].shape == (4, 2)
-
-
-def test_the_shipped_projection_is_small_and_fits_the_third_stage():
-    assert PROJECTION.stat().st_size < 400_000
-    project = load_projection()
-    patches = project(torch.rand(2, 1024, 6, 8))
-    assert patches.shape == (2, 8, 96)
-    assert patches.isfinite().all()
-    half = project(torch.rand(2, 1024, 6, 8).bfloat16())
-    assert half.dtype == torch.float32
-    assert patch_attributes()["projection"].startswith("sha256:")

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dirl.perception.backbones import load_encoder
-from dirl.perception.backbones.resnet import DATA, PROVENANCE, WEIGHTS, decode_convolution
+from dirl.perception.backbones.resnet import DATA, PROVENANCE, WEIGHTS
 from dirl.scenes import PUBLISHED_GOALS, load_scenes
 from dirl.scenes.catalogue import ROOMS
 
@@ -37,17 +37,6 @@ def test_features_are_the_stored_ones_as_float16(encoder, name, states):
     error = np.abs(features - stored.astype(np.float32))
     assert (error <= 0.5 * np.spacing(stored).astype(np.float32) + 2e-5).all()
     assert (features.astype(np.float16) == stored).mean() > 0.99
-
-
-def test_blocks_of_a_convolution_are_put_together():
-    # Two output channels of two input channels, 1x1 kernels, blocks of one weight: the blocks of input 0 come first.
-    centroids = torch.tensor([[10.0], [20.0], [30.0]])
-    weight = decode_convolution(centroids, torch.tensor([0, 1, 2, 0]), n_blocks=2, k=1)
-    assert weight.tolist() == [[[[10.0]], [[30.0]]], [[[20.0]], [[10.0]]]]
-    # A block holds whole kernels of neighbouring inputs.
-    pairs = decode_convolution(torch.arange(36.0).reshape(2, 18), torch.tensor([1, 0]), n_blocks=1, k=3)
-    assert pairs.shape == (2, 2, 3, 3)
-    assert pairs[1].flatten().tolist() == list(range(18))
 
 
 def test_licence_attribution_and_hash_lie_beside_the_weights():
