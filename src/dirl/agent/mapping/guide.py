@@ -189,8 +189,6 @@ class Guide:
             return self._towards(motion, here, sure, "arrived" if arrived else "ahead", to_photo=True)
         in_sight = (scores >= enough) & (np.abs(fit.turned) < ASIDE)
         leading = int(np.flatnonzero(in_sight).max()) if in_sight.any() else int(scores.argmax())
-        if leading == 0 and len(path) > 1 and scores[1] >= least and not self.graph.scale.tells_places:
-            leading = 1  # what is seen from exactly here fits so well that nothing else does, as before a wall
         motion = self._motion(seen, self.graph.described, path[leading])
         backwards = leading > 0 and all(0 <= one - two <= 1 for one, two in pairwise(path[: leading + 1]))
         return self._towards(motion, here, sure, "back" if backwards else "ahead", backwards=backwards)
