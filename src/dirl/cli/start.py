@@ -1,5 +1,6 @@
 """The start of a recipe: one line at once, help and completion without its imports, its options as a dataclass."""
 
+import argparse
 import gc
 import os
 import sys
@@ -36,6 +37,8 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
     # Threads of OpenMP that wait for each other spin, and beside other processes they wait for most of the time
     # (docs/performance.md). Read when torch is imported, also by the processes that this one starts.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Python 3.14 tries every help text when its option is declared, and one of Hydra 1.3.8 is no string.
+    setattr(argparse._ActionsContainer, "_check_help", lambda parser, action: None)  # noqa: B010
     with one_line_exits(lambda: "nothing was written"):
         from dirl.cli import help, parsing
         from dirl.config.values import check_choice
