@@ -30,6 +30,7 @@ def test_a_photo_is_found_where_it_was_taken(graph, matcher):
     found = graph.find(matcher, matcher.describe([look(6.4, 2.3, 4)]))
     assert abs(found.frame - 5) <= 1
     assert found.answer != "not here"
+    assert np.array_equal(graph.described.looks[3], matcher.describe([look(*ALONG[3])]).looks[0])
 
 
 def test_a_photo_of_another_hall_was_not_taken_here(graph, matcher):
