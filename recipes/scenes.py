@@ -153,7 +153,7 @@ class SimulatorOptions(SimulatedOptions):
 
 @dataclass
 class DraftOptions:
-    """Draft states.csv for a folder of photographs, by their names.
+    """Draft states.csv for a folder of photographs, by their names, and the times and compass in their EXIF.
 
     What the camera did not write down is assumed: places in a straight row, each with the same number of photos. The
     answer says what was assumed; correct the table, then make the scene by photos.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import ExifTags, Image
 from rooms import grid_scene
 
 from dirl.scenes import SceneError
@@ -192,8 +192,13 @@ def test_shots_that_are_no_visit_to_every_place_are_refused(tmp_path, lines, say
         read_photos(folder_of(tmp_path, lines, f"{HEADER},shot"))
 
 
-def photo(file):
-    Image.new("RGB", (40, 30)).save(file)
+def photo(file, time=None, north=None):
+    exif = Image.Exif()
+    if time is not None:
+        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.DateTimeOriginal] = f"2026:11:26 10:00:{time:02}"
+    if north is not None:
+        exif.get_ifd(ExifTags.IFD.GPSInfo)[ExifTags.GPS.GPSImgDirection] = north
+    Image.new("RGB", (40, 30)).save(file, exif=exif)
 
 
 def drafted(folder, **options):
@@ -217,9 +222,22 @@ def test_a_table_is_drafted_by_what_names_say(tmp_path):
         draft_table(tmp_path)
 
 
+def test_a_table_is_drafted_by_time_and_compass(tmp_path):
+    norths = [12, 280, 190, 101, 95, 185, 276, 5]  # one place counter-clockwise, one clockwise
+    for second, north in enumerate(norths):
+        photo(tmp_path / f"{9 - second}.jpg", second, north)
+    said, found, _ = drafted(tmp_path)
+    assert "order: by the times in their EXIF" in said
+    assert "headings: by the compass" in said
+    assert [found[f"{9 - second}.jpg"] for second in range(8)] == [
+        *(("place_1", heading) for heading in (0, 270, 180, 90)),
+        *(("place_2", heading) for heading in (90, 180, 270, 0)),
+    ]
+
+
 def test_a_table_is_drafted_in_the_order_of_names_where_nothing_else_is_known(tmp_path):
     for number in range(1, 17):
-        photo(tmp_path / f"IMG_{number}.jpg")
+        photo(tmp_path / f"IMG_{number}.jpg", time=3 if number == 5 else None)
     said, found, _ = drafted(tmp_path, headings=8)
     assert "headings: by the order" in said
     assert found["IMG_10.jpg"] == ("place_2", 45)

@@ -28,7 +28,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.io.atomic import atomic_path
@@ -170,6 +170,14 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
         )
 
 
+def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
+    """Write ``states.csv`` of a folder, completely or not at all."""
+    with atomic_path(folder / TABLE) as file, file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [*REQUIRED, *(name for name in OPTIONAL if any(name in row for row in rows))])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
 COMPASS = {"n": 0.0, "north": 0.0, "e": 90.0, "east": 90.0, "s": 180.0, "south": 180.0, "w": 270.0, "west": 270.0}
 """What the end of a photo's name may say of its heading, besides degrees."""
 
@@ -177,12 +185,13 @@ COMPASS = {"n": 0.0, "north": 0.0, "e": 90.0, "east": 90.0, "s": 180.0, "south":
 def draft_table(folder: str | Path, headings: int = 4) -> str:
     """Write a first ``states.csv`` for the photos of a folder; return what was assumed, and what to correct.
 
-    What names say counts: ``hall_n.jpg`` or ``hall_90.jpg`` is of the place ``hall``. Where they say nothing, photos
-    are taken in the order of their names, so many in a row of one place, one turn clockwise from picture to picture.
-    Places stand one step apart in a straight row.
+    Photos are taken in the order of their EXIF times, or of their names where one has none, and so many in a row are of
+    one place. What a name says goes first: ``hall_n.jpg`` or ``hall_90.jpg`` is of the place ``hall``. Headings are
+    those of the names, else of the EXIF compass, turned to multiples of a turn, else one turn clockwise from picture to
+    picture. Places stand one step apart in a straight row.
 
     Raises:
-        SceneError: there is a table already, there are no photos, or they do not make whole places.
+        SceneError: there is a table already, there are no photos, one cannot be read, or they do not make whole places.
     """
     folder = Path(folder)
     if headings % 4:
@@ -190,39 +199,47 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
     if (folder / TABLE).exists():
         raise SceneError(f"{folder / TABLE}: is there already; delete it to have it drafted anew")
     suffixes = {".jpg", ".jpeg", ".png", ".webp"}
-    files = sorted((file for file in folder.glob("*") if file.suffix.lower() in suffixes), key=natural_order)
+    files = [file for file in folder.glob("*") if file.suffix.lower() in suffixes and file.is_file()]
     if not files:
         raise SceneError(f"{folder}: holds no photos (JPEG, PNG or WebP)")
+    said = {file: _said_by_exif(file) for file in files}
+    timed = all(time for time, _ in said.values())
+    files.sort(key=natural_order)
+    if timed:
+        files.sort(key=lambda file: said[file][0])  # those of one second by their names
     turn = 360 / headings
-    counted = [(f"place_{number // headings + 1}", turn * (number % headings)) for number in range(len(files))]
-    drafts = {
-        "their names": [_said_by_name(file) for file in files],
-        "the order of their names: one turn clockwise from photo to photo": counted,
-    }
-    for how in drafts:  # the first by which each place has one photo for each heading
-        draft = drafts[how]
-        order = [*dict.fromkeys(place for place, _ in draft)]
-        if sorted(draft) == sorted((place, turn * heading) for place in order for heading in range(headings)):
+    counted = [f"place_{number // headings + 1}" for number in range(len(files))]
+    clockwise = [turn * (number % headings) for number in range(len(files))]
+    drafts = [("the order: one turn clockwise from photo to photo", counted, clockwise)]
+    north = [angle for file in files if (angle := said[file][1]) is not None]
+    if len(north) == len(files):
+        facing = [turn * (round((angle - north[0]) / turn) % headings) for angle in north]
+        drafts.insert(0, ("the compass in their EXIF, from the first photo's direction", counted, facing))
+    named = [_said_by_name(file) for file in files]
+    drafts.insert(0, ("their names", [place for place, _ in named], [heading for _, heading in named]))
+    for draft in drafts:  # the first by which each place has one photo for each heading
+        how, places, facing = draft
+        seen = {(place, round(heading / turn, 2)) for place, heading in zip(places, facing, strict=True)}
+        each = {(place, heading) for place in places for heading in range(headings)}
+        if all(places) and len(seen) == len(places) and seen == each:
             break
     else:
         raise SceneError(
             f"{folder}: {len(files)} photos are no whole places of {headings} headings each; take what is missing, "
             "move what is too much, or give headings=..."
         )
+    order = [*dict.fromkeys(places)]
     rows: list[dict[str, object]] = []
-    for file, (place, heading) in zip(files, draft, strict=True):
+    for file, place, heading in zip(files, places, facing, strict=True):
         at = order.index(place)
         beside = at + 1 if heading == 0 else at - 1 if heading == 180 else -1
         ahead = order[beside] if 0 <= beside < len(order) else ""
         taken = {"image": file.name, "location": place, "heading": f"{heading:g}", "x": 0, "z": at}
         rows.append({**taken, "ahead": ahead, "goal": ""})
-    with atomic_path(folder / TABLE) as path, path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [*REQUIRED, "goal"])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(folder, rows)
     return (
         f"{folder / TABLE}: {len(files)} photos, {headings} at each of {len(order)} places\n"
-        f"- headings: by {how}\n"
+        f"- order: by {'the times in their EXIF' if timed else 'their names'}\n- headings: by {how}\n"
         "- assumed: the places stand in a straight row, each one step ahead of the one\n"
         "  before (heading 0); correct the column ahead where the way turns, branches or\n"
         "  is blocked, and mark goals by yes in the column goal"
@@ -233,7 +250,23 @@ def _said_by_name(file: Path) -> tuple[str, float]:
     """Place and heading in a name, as ``hall_n`` or ``hall_90``; no place if it says none."""
     place, _, end = file.stem.replace("-", "_").rpartition("_")
     heading = COMPASS.get(end.lower(), float(end) if re.fullmatch(r"\d{1,3}", end) else None)
-    return ("", -1.0) if heading is None else (place, heading)
+    return ("", 0.0) if heading is None or heading >= 360 else (place, heading)
+
+
+def _said_by_exif(file: Path) -> tuple[str, float | None]:
+    """Time, as text that sorts, and degrees clockwise from north, as far as the camera has written them."""
+    image = open_photo(file, load=False)
+    try:
+        exif = image.getexif()
+        details, place = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{file}: its EXIF is damaged ({error})") from None
+    time = str(details.get(ExifTags.Base.DateTimeOriginal, ""))
+    fraction = str(details.get(ExifTags.Base.SubsecTimeOriginal, ""))
+    angle = place.get(ExifTags.GPS.GPSImgDirection)
+    if angle is not None:
+        angle = float(angle) if 0 <= angle <= 360 else None  # where the camera wrote 0 / 0
+    return time and f"{time}.{fraction}", angle
 
 
 def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:

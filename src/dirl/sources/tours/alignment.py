@@ -7,9 +7,8 @@ solved by least squares, reweighted so that wrong ones lose weight (Geman and Mc
 The beginning are headings along a spanning tree of the equations whose short loops close best.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import networkx as nx
 import numpy as np
@@ -21,8 +20,8 @@ from dirl.sources.tours.tour import Tour
 WIDTHS = (40.0, 25.0, 15.0, 10.0)
 """Degrees at which the weight of an equation falls to a quarter, one round after the other."""
 
-LOOPS = 3
-"""Through each equation so many loops without common ones are tried."""
+LOOPS, REACHED = 3, 200
+"""Of each equation so many loops without common ones are tried, among so many panoramas around it."""
 
 REJECTED = 20.0
 """Degrees off from which on an equation is left out of the solution."""
@@ -138,7 +137,7 @@ def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
 
     All equations of a lone loop close it equally well, so that the one trusted least is left out of the tree.
     """
-    errors = _loop_errors(ends, turns) / np.sqrt(trust)
+    errors = _loop_errors(ends, turns, count) / np.sqrt(trust)
     rank = np.argsort(np.argsort(errors, kind="stable"))
     headings, part, _ = _forest(ends, turns, count, rank)
     for width in WIDTHS:
@@ -148,26 +147,51 @@ def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
     return headings
 
 
-def _loop_errors(ends: Integers, turns: Array) -> Array:
+def _neighbours(ends: Integers, count: int) -> list[list[tuple[int, int, int]]]:
+    """Of each panorama its neighbours, the equation with each, and whether it is to be added or subtracted."""
+    near: list[list[tuple[int, int, int]]] = [[] for _ in range(count)]
+    for equation, (i, j) in enumerate(ends.tolist()):
+        near[i].append((j, equation, 1))
+        near[j].append((i, equation, -1))
+    return near
+
+
+def _loop_errors(ends: Integers, turns: Array, count: int) -> Array:
     """How far off the best of a few short loops through each equation closes, degrees, float64 ``[E]``; 180 without."""
-    graph = nx.MultiGraph()
-    graph.add_edges_from((i, j, equation) for equation, (i, j) in enumerate(ends.tolist()))
+    near = _neighbours(ends, count)
     errors = np.full(len(ends), 180.0)
-    for equation, (start, end) in enumerate(ends.tolist()):
-        used = [(start, end, equation)]
-        graph.remove_edge(start, end, equation)
+    for index, (i, j) in enumerate(ends.tolist()):
+        used = {index}
         for _ in range(LOOPS):
-            try:
-                path = nx.shortest_path(graph, start, end)
-            except nx.NetworkXNoPath:
+            path = _short_path(i, j, near, used)
+            if path is None:
                 break
-            steps = [(here, there, min(graph[here][there])) for here, there in pairwise(path)]
-            around = sum(turns[step] if ends[step, 0] == here else -turns[step] for here, _, step in steps)
-            errors[equation] = min(errors[equation], abs(wrap(turns[equation] - around)))
-            used += steps  # the next loop has none of them
-            graph.remove_edges_from(steps)
-        graph.add_edges_from(used)
+            used |= {equation for equation, _ in path}
+            off = turns[index] - sum(sign * turns[equation] for equation, sign in path)
+            errors[index] = min(errors[index], abs(wrap(off)))
     return errors
+
+
+def _short_path(
+    start: int, end: int, near: list[list[tuple[int, int, int]]], used: Collection[int]
+) -> list[tuple[int, int]] | None:
+    """Equations with their signs along a shortest path without those used, among the nearest `REACHED` panoramas."""
+    came: dict[int, tuple[int, int, int]] = {start: (-1, -1, 0)}
+    queue = [start]
+    for here in queue:
+        if here == end or len(queue) > REACHED:
+            break
+        for there, equation, sign in near[here]:
+            if there not in came and equation not in used:
+                came[there] = (here, equation, sign)
+                queue.append(there)
+    if end not in came:
+        return None
+    path = []
+    while end != start:
+        end, equation, sign = came[end]
+        path.append((equation, sign))
+    return path
 
 
 def _forest(
