@@ -73,8 +73,11 @@ class Observed(Protocol):
     def goal_around(self, chosen: Tensor) -> Tensor:
         """The same of the chosen agents facing each view, bool ``[B, K]``; of others False."""
 
-    def goal_odds(self, visits: Tensor) -> Tensor:
-        """Log odds that visits, ``[B, T, K, ...]``, see the goal facing each of their views; float32 ``[B, T, K]``."""
+    def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
+        """Log odds that visits, ``[B, T, K, ...]``, see the goal facing each of their views; float32 ``[B, T, K]``.
+
+        All visits of the ``place`` so far, in the same form, tell what its views share.
+        """
 
 
 class Agent:
@@ -216,9 +219,12 @@ class Localising(Remembering):
             self.past = self.memory.begin(agents, device, self.turns, now.visit.shape[1])
         else:
             self.seen = self.known.seen.to(device)
-            self.past = self.known.begin(now.goal_odds(self.seen.expand(agents, *self.seen.shape[1:])))
-        odds = now.goal_odds(now.visit[:, None])[:, 0]
-        self.past = self.memory.arrive(self.past, self.remember(now), odds, self.costs(now))
+            earlier = self.seen.expand(agents, *self.seen.shape[1:])
+            self.past = self.known.begin(now.goal_odds(earlier, earlier))
+        alike = self.remember(now)
+        assert self.seen is not None
+        odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0]
+        self.past = self.memory.arrive(self.past, alike, odds, self.costs(now))
         return self.memory.stops(self.past)
 
     def logits(self, now: Observed) -> Tensor:

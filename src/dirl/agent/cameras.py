@@ -12,7 +12,7 @@ from dirl.agent.agent import NEVER, four_of
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state, recurrent_keys
 from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
-from dirl.perception.recognition.recogniser import Recogniser
+from dirl.perception.recognition.recogniser import ComparesPanoramas, Recogniser, panorama_odds
 from dirl.scenes import ACTIONS, Action
 
 
@@ -261,8 +261,12 @@ class Views:
             found[chosen] = matching.unflatten(0, (-1, headings)) > self.threshold
         return found
 
-    def goal_odds(self, visits: Tensor) -> Tensor:
+    def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Log odds that visits see the goal facing each view."""
+        recogniser = self.goal.recogniser
+        if visits.shape[2] > VIEWS and isinstance(recogniser, ComparesPanoramas) and not self.goal.photo:
+            wanted = recogniser.whole(self.goal.described).expand(len(visits), -1, -1)
+            return panorama_odds(recogniser.whole(visits), wanted, recogniser.whole(place))
         return self.goal.scores(each_heading(visits.flatten(0, 1))).view(*visits.shape[:3])
 
 
@@ -270,9 +274,12 @@ def compare(recogniser: Recogniser, seen: Tensor, visit: Tensor) -> Tensor:
     """How much described visits ``[B, K, F]`` look like earlier ones, ``[B, T, K, F]``, facing each of their views.
 
     An agent that turned right since a visit sees the same views rolled by minus one: rolled back they are alike. Of a
-    panorama each four views, 90 degrees apart, are compared, and the mean is taken.
+    panorama each four views, 90 degrees apart, are compared, and the mean is taken, unless the recogniser
+    `ComparesPanoramas`.
     """
     between = visit.shape[1] // VIEWS
+    if between > 1 and isinstance(recogniser, ComparesPanoramas):
+        return panorama_odds(recogniser.whole(seen), recogniser.whole(visit))
     rings = []
     for ring in range(between):
         facing = torch.stack([four_of(visit.roll(-ring, 1)).roll(quarters, 1) for quarters in range(VIEWS)], 1)

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from dirl.agent.agent import NEVER
 from dirl.envs import SurroundingViews
+from dirl.envs.transforms import VIEWS
 from dirl.models import frozen, initial_state, recurrent_keys
 from dirl.models.distinct import EmbeddingCache, Keys
 from dirl.perception.recognition.matching import StopRule
@@ -213,12 +214,8 @@ class AgentBatch:
     @property
     def goal_pooled(self) -> Tensor:
         """Those of the goals that are shown."""
-        world, observation = self.known.world, self.known.observation
-        if self.known.sweeps:
-            return world.features[self.visit[:, :0]]
-        look, goal = self.shown // len(world.goals), self.shown % len(world.goals)
-        views = observation.goal_view_ids(world.goals[goal] + look * len(world))
-        return world.features[views[:, views[0] < len(world.features)]]  # of a photo the others are unknown
+        world = self.known.world
+        return world.features[self.visit[:, :0] if self.known.sweeps else self._goal_view_ids(self.shown)]
 
     def alike(self, seen: Tensor) -> Tensor:
         """How much the visit looks like earlier ones."""
@@ -253,6 +250,16 @@ class AgentBatch:
         found[chosen] = self.known.arrived(self.shown[chosen].unsqueeze(-1), self.visit[chosen])
         return found
 
-    def goal_odds(self, visits: Tensor) -> Tensor:
+    def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Log odds that visits see the goal facing each view."""
-        return self.known.arrived(self.wanted[:, None, None], visits)
+        scores, goal = self.known.scores, self._goal_view_ids(self.wanted)
+        if scores is None or scores.whole is None or visits.shape[2] == VIEWS or goal.shape[1] < VIEWS:
+            return self.known.arrived(self.wanted[:, None, None], visits)
+        return scores.of_goal(goal, visits, place)
+
+    def _goal_view_ids(self, wanted: Tensor) -> Tensor:
+        """The known views of goals, see `Decide`, by view id, int64 ``[W, 4]``, or ``[W, 1]`` of a photo."""
+        world = self.known.world
+        look, goal = wanted // len(world.goals), world.goals[wanted % len(world.goals)]
+        views = self.known.observation.goal_view_ids(goal + look * len(world))
+        return views[:, views[0] < len(world.features)]

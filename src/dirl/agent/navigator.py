@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dirl.agent.agent import Agent, Memory, Remembering, make_agent
+from dirl.agent.agent import Agent, Localising, Memory, Remembering, make_agent
 from dirl.agent.cameras import Decision, FeaturePolicy, Goal, Scores, Views
 from dirl.agent.exploring import Explorer, map_of, map_to_walk_on
 from dirl.agent.hub import fetch_pretrained
@@ -289,9 +289,9 @@ class Navigator:
         action, logits = self.agent.act(now, generator, greedy=not sample)
         self._seen = now
         self._notice_strangeness(stop)
-        matching = (
-            now.goal_odds(now.visit[:, None])[:, 0, 0] if isinstance(self.memory, LocalisingMemory) else now.matching
-        )
+        matching = now.matching
+        if isinstance(self.agent, Localising) and self.agent.seen is not None:
+            matching = now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0, 0]
         probabilities = logits.softmax(-1)
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))

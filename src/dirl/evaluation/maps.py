@@ -40,9 +40,12 @@ def map_scene(
 
     It has at most ``steps_per_state`` steps for each state. Every visit has a look sampled for it, one of ``looks`` or
     of all; the scores are log odds that two visits are of the same place. The walker sees four views, or in a
-    ``panorama`` those of all headings.
+    ``panorama`` those of all headings, and the arrows of a tour.
     """
-    mapper = ParticleMapper(memory, scores.of_visits, seed=seed, turns=int(world.turns[index]))
+    possible, arrows = world.graph >= 0, None
+    if panorama:
+        arrows = lambda visit: possible[visit % len(world)]  # noqa: E731
+    mapper = ParticleMapper(memory, scores.of_visits, seed=seed, turns=int(world.turns[index]), arrows=arrows)
     around = world.panoramas() if panorama else world.surrounding
     scene, offset = world.scenes[index], world.offsets[index]
     generator = torch.Generator(world.device).manual_seed(seed)

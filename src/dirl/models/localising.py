@@ -40,6 +40,8 @@ class Places(Nodes):
     stays unused where the agent is at an earlier one. It sees V views: four, or in a panorama all K.
     """
 
+    taken: Tensor
+    """Whether an agent took an action at a node, so that ``after`` is no guess, bool ``[B, N, 4]``."""
     node: Tensor
     """Where each visit was, int64 ``[B, T]``."""
     goal: Tensor
@@ -89,6 +91,7 @@ class Places(Nodes):
             self,
             cost=self.cost[:, nodes],
             after=renumbered(self.after[:, nodes]),
+            taken=self.taken[:, nodes],
             node=renumbered(self.node),
             position=self.position[:, kept],
             heading=self.heading[:, kept],
@@ -165,6 +168,7 @@ class LocalisingMemory(nn.Module):
         return Places(
             cost=torch.empty((agents, 0, len(ACTIONS)), device=device),
             after=none.new_empty(agents, 0, len(ACTIONS)),
+            taken=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.bool, device=device),
             node=none,
             goal=torch.empty((agents, 0, views), device=device),
             position=none.new_empty(agents, 0, 2),
@@ -201,13 +205,22 @@ class LocalisingMemory(nn.Module):
             position, heading = self._expected(places)
             outcome = places.after[at, places.here, places.action]
             headings = places.heading[..., None] + torch.arange(places.turns, device=heading.device)
-            there = places.position == position[:, None]
-            there = there.all(-1)[..., None] & (headings % places.turns == heading[:, None, None])
+            there = headings % places.turns == heading[:, None, None]
+            if not _panorama(places):
+                there = there & (places.position == position[:, None]).all(-1)[..., None]
             there = there.flatten(1) & used
             tried = outcome >= 0
-            prior = torch.where(there & ~tried[:, None], 1 - self.blocked, prior)
-            prior[at, torch.where(tried, outcome, places.here)] = torch.where(tried, 1 - self.slip, self.blocked)
-            new[~(tried | there.any(1))] = 1 - self.blocked
+            if _panorama(places):
+                # Panoramas stand anywhere, metres apart: a passage not taken yet leads to a known place, or a new one.
+                known = 0.5 / there.sum(1, keepdim=True).clamp(min=1)
+                prior = torch.where(there & ~tried[:, None], known, prior)
+                prior[at, places.here] = torch.where(tried, prior[at, places.here], self.slip)
+                prior[at[tried], outcome[tried]] = 1 - self.slip
+                new[~tried] = 0.5
+            else:
+                prior = torch.where(there & ~tried[:, None], 1 - self.blocked, prior)
+                prior[at, torch.where(tried, outcome, places.here)] = torch.where(tried, 1 - self.slip, self.blocked)
+                new[~(tried | there.any(1))] = 1 - self.blocked
         return torch.cat([prior.log() + evidence, new.log()], 1)
 
     def add(self, places: Places, here: Tensor, goal: Tensor, costs: Callable[[Tensor], Tensor]) -> Places:
@@ -231,6 +244,7 @@ class LocalisingMemory(nn.Module):
         arrived = Places(
             cost=cost,
             after=torch.cat([places.after, after], 1),
+            taken=torch.cat([places.taken, torch.zeros_like(after, dtype=torch.bool)], 1),
             node=torch.cat([places.node, here[:, None]], 1),
             goal=torch.cat([places.goal, goal[:, None]], 1),
             position=torch.cat([places.position, position[:, None][:, :more]], 1),
@@ -240,7 +254,8 @@ class LocalisingMemory(nn.Module):
             turns=turns,
         )
         if not _carried(places):
-            connect(arrived.after, places.here, places.action, here, turns)
+            possible = arrived.cost.isfinite()
+            connect(arrived.after, places.here, places.action, here, turns, arrived.taken, possible)
         return arrived
 
     def stops(self, places: Places) -> Tensor:
@@ -301,7 +316,7 @@ class LocalisingMemory(nn.Module):
 
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
         """Log odds of visits facing each view, float32 ``[B, T, V]``, as those of nodes, ``[B, K P]``."""
-        temperature = torch.where(places.mapped, 1.0, self.temperature)[:, None, None]
+        temperature = torch.where(places.mapped | _panorama(places), 1.0, self.temperature)[:, None, None]
         total, visits = self._sums((odds / temperature).clamp(min=self.least), places)
         evidence = total * visits.clamp(min=1) ** (self.independence - 1)
         # Of a heading that was not seen nothing is known, neither for nor against it.
@@ -325,6 +340,11 @@ def _steps(turns: int) -> Tensor:
     angle = 2 * math.pi / turns * torch.arange(turns)
     way = torch.stack([angle.sin(), angle.cos()], 1)
     return (MOVE * way / way.abs().amax(1, keepdim=True)).round().long()
+
+
+def _panorama(places: Places) -> bool:
+    """True if agents see all headings of a place at once, as in a tour."""
+    return places.goal.shape[2] > VIEWS
 
 
 def _carried(places: Places) -> bool:

@@ -11,6 +11,7 @@ from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import metrics
 from dirl.perception.recognition import NCC, Learned
 from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.recogniser import panorama_odds
 from dirl.perception.recognition.tables import VisitScores, described_visits
 from dirl.scenes import make_world
 
@@ -86,3 +87,29 @@ def test_no_visit_has_the_look_of_the_goal():
     arguments["observation"] = SurroundingViews(still)
     stop = TemplateStop(1 - 1e-5)(still)
     assert metrics(run_episodes(expert(still), still, every_start(still), stop=stop, **arguments))["sr"] == 1
+
+
+@pytest.mark.parametrize("views", [8, 4])
+def test_a_panorama_is_found_again_with_its_heading_by_what_differs_within_the_place(views):
+    common = 5 * torch.randn(32, generator=torch.Generator().manual_seed(0))
+    places = common + torch.randn((1, 5, 8, 32), generator=torch.Generator().manual_seed(1))
+    wanted = places[:, 2].roll(-3, 1)[:, :: 8 // views]
+    odds = panorama_odds(places, wanted + 0.5 * torch.randn(wanted.shape, generator=torch.Generator().manual_seed(2)))
+    assert odds.flatten().argmax() == 2 * 8 + 3
+    assert ((odds > 0).sum(), odds.shape) == (1, (1, 5, 8))
+
+
+class Whole(NCC):
+    """Compares panoramas by the first features of each view."""
+
+    def whole(self, described):
+        return described[..., :16]
+
+
+def test_panoramas_are_compared_in_worlds_as_cameras_compare_them():
+    world = make_world([grid_scene(2, 2, headings=8, goals=(0,), feature_width=64)])
+    around, recogniser = world.panoramas(), Whole()
+    seen, visit = around[None, [0, 9, 17]], around[None, 12]
+    odds = VisitScores(recogniser, world).of_visits(seen, visit)
+    assert odds.flatten().argmax() == 8 + 3
+    assert torch.allclose(odds, compare(recogniser, world.features[seen], world.features[visit]), atol=1e-5)

@@ -6,6 +6,7 @@ decision spoils the map. Here each of K particles is a whole map that samples it
 particle filter, as in FastSLAM (Montemerlo et al. 2002), with a recogniser's log odds in place of a sensor model.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,8 @@ from torch import Tensor
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory
 from dirl.models.localising import UNASKED, Places
-from dirl.scenes.graph import ACTIONS
+from dirl.models.planning import again_costs, cheapest
+from dirl.scenes.graph import ACTIONS, AHEAD, BACK
 
 PARTICLES = 256
 """In validation rooms at 10 cm and 10 degrees 64 give 2.7 % wrong links, 256 give 1.6 %; at 5 cm 64 are enough."""
@@ -66,6 +68,8 @@ class ParticleMapper:
         seed: of the draws.
         known: a map to walk on with, from any place.
         turns: in a full circle, K; if there is no such map.
+        arrows: which moves are possible facing each view of a visit, as visitors of a tour see, ``[1, V, ...]`` to
+            bool ``[1, V, 4]``; None = not told.
     """
 
     def __init__(
@@ -76,12 +80,13 @@ class ParticleMapper:
         seed: int = 0,
         known: PlaceMap | None = None,
         turns: int = VIEWS,
+        arrows: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
         evidence = {name: getattr(memory, name) for name in ("slip", "least", "independence", "temperature")}
         # All actions cost the same, so that a walk goes to the nearest unknown outcome.
         self.memory = LocalisingMemory(repeated=1.0, turn=1.0, blocked=BLOCKED, **evidence)
         self.compare, self.seen = compare, None if known is None else known.seen
-        self.turns = turns
+        self.turns, self.arrows = turns, arrows
         self.places: Places | None = None
         if known is not None:
             self.turns, self.places = known.turns, known.begin(known.places.goal.expand(particles, -1, -1))
@@ -114,6 +119,8 @@ class ParticleMapper:
         likely = self.memory.likely(self.places, alike)
         here = torch.multinomial(likely.softmax(1), 1, generator=self.generator).squeeze(1)
         cost = torch.full((particles, views, len(ACTIONS)), UNASKED)
+        if self.arrows is not None:
+            cost = cost.masked_fill(~self.arrows(visit).cpu(), math.inf)  # impossible moves: neither tried nor guessed
         self.places = self.memory.add(self.places, here, torch.zeros(particles, views), lambda _: cost)
         self.weight = self.weight + likely.logsumexp(1)
         probability = self.weight.softmax(0)
@@ -123,11 +130,24 @@ class ParticleMapper:
         return int(self.places.node[self.weight.argmax(), -1])
 
     def frontier_action(self) -> int | None:
-        """The first action of a shortest path to one with an unknown outcome; None without any, or before a visit."""
+        """The first action of a shortest path to one with an unknown outcome; None without any, or before a visit.
+
+        Where arrows are seen, passages of one way exist: once nothing is unknown, guesses are put to the test.
+        """
         best = self.best
-        if best is None or not (best.after[best.used] < 0).any():
+        if best is None:
             return None
-        return int(self.memory.plan(best).argmax())
+        after, nowhere = best.after, torch.zeros_like(best.after[..., 0], dtype=torch.bool)
+        tables = [after]
+        if self.arrows is not None:
+            moves = torch.tensor([action in (AHEAD, BACK) for action in range(len(ACTIONS))])
+            tables.append(after.masked_fill(moves & ~best.taken, -1))
+        again = again_costs(best.cost, self.memory.repeated, self.memory.turn, steps=False)
+        for outcome in tables:
+            found = cheapest(torch.where(outcome < 0, best.cost, again), outcome, nowhere, best.here)
+            if found.isfinite().any():
+                return int(found.argmin())
+        return None
 
     def map(self) -> PlaceMap:
         """The most probable map."""

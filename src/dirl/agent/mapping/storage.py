@@ -138,6 +138,7 @@ def _places(tensors: dict[str, Tensor], turns: int) -> PlaceMap:
     shapes = {
         "cost": (1, nodes, len(ACTIONS)),
         "after": (1, nodes, len(ACTIONS)),
+        "taken": (1, nodes, len(ACTIONS)),
         "node": (1, visits),
         "goal": (1, visits, views),
         "position": (1, count, 2),

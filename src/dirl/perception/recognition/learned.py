@@ -146,6 +146,10 @@ class Learned(nn.Module):
         lengths = [F.normalize(part, dim=-1) for part in described]
         return torch.cat([part.flatten(-3) for part in lengths[:2]] + lengths[2:], -1)
 
+    def whole(self, described: Tensor) -> Tensor:
+        """Whitened pooled features, ``[..., 64]``; see `ComparesPanoramas`."""
+        return described[..., WIDTH - WHITENED : WIDTH]
+
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:
         """The log odds of every two; see `Recogniser.scores`."""
         rows = max(1, PAIRS_AT_ONCE // references.shape[-3])

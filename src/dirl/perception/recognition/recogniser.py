@@ -1,6 +1,6 @@
 """What recognises a place: the interface of the component group ``recogniser``, and the paper's choice."""
 
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
 import torch.nn.functional as F
@@ -63,6 +63,44 @@ class Recogniser(Protocol):
         Returns:
             float32 ``[..., A, B]``; higher is more alike.
         """
+
+
+@runtime_checkable
+class ComparesPanoramas(Protocol):
+    """A recogniser whose descriptions have a part by which whole panoramas are compared, see `panorama_odds`."""
+
+    def whole(self, described: Tensor) -> Tensor:
+        """Return that part of described views, float32 ``[..., F]`` to ``[..., W]``; it need not be centred."""
+
+
+PANORAMA_SLOPE, PANORAMA_MEAN = 35.0, 0.29
+"""Log odds by the mean cosine of two panoramas, chosen in two real tours with photographs that changed: of one place it
+is 0.49 and 0.61 in the median, of the most alike other place 0.26 and 0.28; see docs/decisions.md."""
+
+
+def panorama_odds(seen: Tensor, wanted: Tensor, place: Tensor | None = None) -> Tensor:
+    """Return the log odds that panoramas are of one place, by all views at once.
+
+    In a panorama whose headings lie 45 degrees apart, four views are alike at several of them, and a recogniser that
+    learned in rooms confuses these. All views together do not, once what the views of this place share is taken away.
+
+    Args:
+        seen: of T panoramas of K views, float32 ``[B, T, K, W]``; see `ComparesPanoramas`.
+        wanted: the panorama that is looked for, ``[B, K, W]``, or four views of it, 90 degrees apart.
+        place: panoramas of the place, whose mean is taken away; those of ``seen`` if left out.
+
+    Returns:
+        float32 ``[B, T, K]``: facing each view of each panorama, that what is ahead is ``wanted``'s first view.
+    """
+    views = seen if place is None else place
+    headings, count = seen.shape[2], wanted.shape[1]
+    mean = (views.sum((1, 2)) + wanted.sum(1)) / (views.shape[1] * headings + count)
+    seen, wanted = (F.normalize(seen - mean[:, None, None], dim=-1), F.normalize(wanted - mean[:, None], dim=-1))
+    cosines = torch.einsum("btkw,bvw->btkv", seen, wanted)
+    aside = torch.arange(count, device=seen.device) * (headings // count)
+    facing = (torch.arange(headings, device=seen.device)[:, None] + aside) % headings
+    mean_cosine = cosines.gather(2, facing.expand(*cosines.shape[:2], -1, -1)).mean(-1)
+    return PANORAMA_SLOPE * (mean_cosine - PANORAMA_MEAN)
 
 
 class NCC(nn.Module):

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from dirl.config.components import tried
-from dirl.perception.recognition.recogniser import Recogniser, in_blocks
+from dirl.perception.recognition.recogniser import ComparesPanoramas, Recogniser, in_blocks, panorama_odds
 from dirl.scenes import World
 
 
@@ -31,6 +31,10 @@ class VisitScores:
         self.row = (sizes**2).cumsum(0)[self.scene] - sizes[self.scene] * (sizes[self.scene] - self.column)
         self.table = torch.empty(int((sizes**2).sum()), device=world.device)
         self.known = torch.zeros(len(order), dtype=torch.bool, device=world.device)
+        self.whole: Tensor | None = None
+        """What panoramas are compared by, of each view id, float32 ``[M, W]``; None = four views at a time are."""
+        if isinstance(recogniser, ComparesPanoramas):
+            self.whole = torch.cat([recogniser.whole(visits[:, 0]) for visits in self.visits])[order]
 
     def __call__(self, reference: Tensor, seen: Tensor) -> Tensor:
         """The scores of visits by their first view ids in one scene, int64 ``[...]`` each, broadcast; float32."""
@@ -43,12 +47,18 @@ class VisitScores:
         """How much visits ``[B, K]`` look like earlier ones, ``[B, T, K]``, facing each of their views; all view ids.
 
         A node faces the view that was ahead or aside, by whose view id it is named. Of a panorama each four views, 90
-        degrees apart, are compared, and the mean is taken: it is surer of the heading than those that include the one
-        ahead.
+        degrees apart, are compared, and the mean is taken, unless the recogniser `ComparesPanoramas`.
         """
         rings = visit.shape[1] // self.visits[0].shape[1]
+        if rings > 1 and self.whole is not None:
+            return panorama_odds(self.whole[seen], self.whole[visit])
         scores = [self(seen.roll(-ring, 2), visit[:, None, ring, None]) for ring in range(rings)]
         return torch.stack(scores).mean(0) if rings > 1 else scores[0]
+
+    def of_goal(self, goal: Tensor, visits: Tensor, place: Tensor) -> Tensor:
+        """Log odds that panoramas see goals, by their view ids; see `panorama_odds`."""
+        assert self.whole is not None
+        return panorama_odds(self.whole[visits], self.whole[goal], self.whole[place])
 
     @torch.no_grad()
     def _compute(self, reference: Tensor) -> None:
