@@ -96,6 +96,7 @@ NOT_RUN = {
     "recordings.md": [
         "they have these packages",
         "needs recordings of your own, and takes a quarter of an hour",
+        "needs recordings of your own, and takes two minutes",
         "needs a bag",
         "takes about an hour",
     ],
