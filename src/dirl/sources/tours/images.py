@@ -108,10 +108,15 @@ def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]
         return [_reduced(to_rgb(open_photo(image.file)), found.width / (2 * np.pi), density)]
     enough = [level for level in image.levels if level.size is None or level.size / 2 >= density]
     level = enough[0] if enough else image.levels[-1]
-    faces = [_face(level, face) for face in FACES]
-    if len({face.size for face in faces}) > 1:
-        raise SceneError(f"{level.path('f', 0, 0)}: the faces of this cube differ in size")
-    return [_reduced(face, face.width / 2, density) for face in faces]
+    reduced, sizes = [], set()
+    for face in FACES:  # one at a time, because a face may have as many pixels as memory allows
+        whole = _face(level, face)
+        sizes.add(whole.size)
+        if len(sizes) > 1:
+            raise SceneError(f"{level.path('f', 0, 0)}: the faces of this cube differ in size")
+        reduced.append(_reduced(whole, whole.width / 2, density))
+        del whole
+    return reduced
 
 
 def _face(level: CubeLevel, face: str) -> Image.Image:
