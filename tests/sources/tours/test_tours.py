@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 from closet import closet
+from PIL import Image
 from tours import (
     WRITERS,
     Camera360,
@@ -14,10 +15,11 @@ from tours import (
     write_pannellum,
 )
 
+from dirl.scenes.errors import SceneError
 from dirl.scenes.views import decode
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.tours import read_tour
-from dirl.sources.tours.images import cut_views
+from dirl.sources.tours.images import cut_views, read_panorama, six_images
 from dirl.sources.tours.moves import tour_scene
 
 KINDS = {
@@ -56,3 +58,11 @@ def test_every_kind_is_read_back_as_the_room(kind, camera, tmp_path):
         assert error.mean() < 6, heading
         other = camera.view(truth.places[0], truth.middles[0] + made.yaws[0, heading] + 12, SIZE, FOV)
         assert np.abs(views[heading].astype(float) - other).mean() > 2 * error.mean(), heading
+
+
+def test_faces_of_a_cube_that_differ_in_size_are_refused(tmp_path):
+    for face in "frblud":
+        side = 16 if face == "d" else 8
+        Image.new("RGB", (side, side)).save(tmp_path / f"{face}.png")
+    with pytest.raises(SceneError, match=r"f\.png: the faces of this cube differ in size"):
+        read_panorama(six_images(lambda face: tmp_path / f"{face}.png"), 4.0)
