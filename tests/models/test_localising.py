@@ -176,3 +176,24 @@ def test_a_move_that_no_arrow_shows_is_not_tried_and_hides_no_goal():
         memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), torch.full((1, 4), -9.0), lambda _, cost=cost: cost)
     )
     assert logits[0, [AHEAD, BACK]].isinf().all()
+
+
+def passed(turns, actions, last=-5.0):
+    """The node where an agent is after actions; nothing looks like anything, but the last visit like the first."""
+    memory = LocalisingMemory()
+    places = memory.begin(1, turns=turns, views=turns)
+    for visit, action in enumerate((-1, *actions)):
+        places.action = torch.tensor([action])
+        alike = torch.full(places.goal.shape, -5.0)
+        if visit == len(actions):
+            alike[0, 0, 0] = last
+        cost = torch.full((1, turns, 4), 1.4)
+        places = memory.arrive(places, alike, torch.full((1, turns), -9.0), lambda _, cost=cost: cost)
+    return int(places.here)
+
+
+@pytest.mark.parametrize(("turns", "by_motion", "by_views"), [(4, True, False), (8, False, True)])
+def test_panoramas_stand_anywhere_so_that_their_views_tell_places_and_not_the_motion(turns, by_motion, by_views):
+    square = [*[AHEAD, *[RIGHT] * (turns // 4)] * 3, AHEAD]
+    assert (passed(turns, square) // turns == 0) == by_motion
+    assert (passed(turns, [AHEAD, AHEAD], last=3.0) == 0) == by_views

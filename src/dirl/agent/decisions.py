@@ -252,10 +252,12 @@ class AgentBatch:
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Log odds that visits see the goal facing each view."""
-        scores, goal = self.known.scores, self._goal_view_ids(self.wanted)
-        if scores is None or scores.whole is None or visits.shape[2] == VIEWS or goal.shape[1] < VIEWS:
-            return self.known.arrived(self.wanted[:, None, None], visits)
-        return scores.of_goal(goal, visits, place)
+        scores = self.known.scores
+        if visits.shape[2] > VIEWS and scores is not None and scores.whole is not None:
+            goal = self._goal_view_ids(self.wanted)
+            if goal.shape[1] == VIEWS:  # a photo is compared with four views at a time
+                return scores.of_goal(goal, visits, place)
+        return self.known.arrived(self.wanted[:, None, None], visits)
 
     def _goal_view_ids(self, wanted: Tensor) -> Tensor:
         """The known views of goals, see `Decide`, by view id, int64 ``[W, 4]``, or ``[W, 1]`` of a photo."""

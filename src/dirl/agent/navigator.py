@@ -289,9 +289,10 @@ class Navigator:
         action, logits = self.agent.act(now, generator, greedy=not sample)
         self._seen = now
         self._notice_strangeness(stop)
-        matching = now.matching
         if isinstance(self.agent, Localising) and self.agent.seen is not None:
             matching = now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0, 0]
+        else:
+            matching = now.matching
         probabilities = logits.softmax(-1)
         if batched:
             return Decision(action, stop, Scores(matching, probabilities))

@@ -208,7 +208,7 @@ def run_episodes(
         at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
         decide = None if at_random else deciding(policy, world, observation, len(start))
         around = world.panoramas() if protocol.panorama else None
-        possible = world.graph != torch.arange(len(world), device=world.device)[:, None] if protocol.arrows else None
+        possible = world.possible if protocol.arrows else None
         sweeps = isinstance(policy, RandomPolicy)
         arrived = _arrived(world, protocol.stop)
         known = WorldTables(world, observation, decide, arrived, scores, protocol.shown, around, possible, sweeps)

@@ -42,10 +42,14 @@ def map_scene(
     of all; the scores are log odds that two visits are of the same place. The walker sees four views, or in a
     ``panorama`` those of all headings, and the arrows of a tour.
     """
-    possible, arrows = world.graph >= 0, None
-    if panorama:
-        arrows = lambda visit: possible[visit % len(world)]  # noqa: E731
-    mapper = ParticleMapper(memory, scores.of_visits, seed=seed, turns=int(world.turns[index]), arrows=arrows)
+    possible = world.possible
+
+    def arrows(visit: Tensor) -> Tensor:
+        return possible[visit % len(world)]
+
+    mapper = ParticleMapper(
+        memory, scores.of_visits, seed=seed, turns=int(world.turns[index]), arrows=arrows if panorama else None
+    )
     around = world.panoramas() if panorama else world.surrounding
     scene, offset = world.scenes[index], world.offsets[index]
     generator = torch.Generator(world.device).manual_seed(seed)

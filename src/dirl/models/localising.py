@@ -206,21 +206,23 @@ class LocalisingMemory(nn.Module):
             outcome = places.after[at, places.here, places.action]
             headings = places.heading[..., None] + torch.arange(places.turns, device=heading.device)
             there = headings % places.turns == heading[:, None, None]
-            if not _panorama(places):
+            panorama = _panorama(places)
+            if not panorama:
                 there = there & (places.position == position[:, None]).all(-1)[..., None]
             there = there.flatten(1) & used
             tried = outcome >= 0
-            if _panorama(places):
-                # Panoramas stand anywhere, metres apart: a passage not taken yet leads to a known place, or a new one.
-                known = 0.5 / there.sum(1, keepdim=True).clamp(min=1)
-                prior = torch.where(there & ~tried[:, None], known, prior)
-                prior[at, places.here] = torch.where(tried, prior[at, places.here], self.slip)
-                prior[at[tried], outcome[tried]] = 1 - self.slip
+            if (
+                panorama
+            ):  # they stand anywhere: an untried passage is as likely to lead to a known place as to a new one
+                known: float | Tensor = 0.5 / there.sum(1, keepdim=True).clamp(min=1)
+                stays = self.slip
                 new[~tried] = 0.5
             else:
-                prior = torch.where(there & ~tried[:, None], 1 - self.blocked, prior)
-                prior[at, torch.where(tried, outcome, places.here)] = torch.where(tried, 1 - self.slip, self.blocked)
+                known = 1 - self.blocked
+                stays = self.blocked
                 new[~(tried | there.any(1))] = 1 - self.blocked
+            prior = torch.where(there & ~tried[:, None], known, prior)
+            prior[at, torch.where(tried, outcome, places.here)] = torch.where(tried, 1 - self.slip, stays)
         return torch.cat([prior.log() + evidence, new.log()], 1)
 
     def add(self, places: Places, here: Tensor, goal: Tensor, costs: Callable[[Tensor], Tensor]) -> Places:

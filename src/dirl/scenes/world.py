@@ -84,6 +84,11 @@ class World:
         index[self.goals] = torch.arange(len(self.goals), device=self.device)
         return index
 
+    @property
+    def possible(self) -> Tensor:
+        """Which actions are possible in each state, as the arrows of a tour show, bool ``[N, 4]``."""
+        return self.graph != torch.arange(len(self), device=self.device)[:, None]
+
     def panoramas(self) -> Tensor:
         """Return the states of all headings of each place, clockwise from each state, int64 ``[N, K]``.
 

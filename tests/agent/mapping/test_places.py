@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 import torch
@@ -23,6 +24,7 @@ from dirl.models import LocalisingMemory
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import make_world
+from dirl.scenes.graph import AHEAD, BACK
 from dirl.scenes.io.digest import sealed
 
 SIZE = {"feature_width": 64, "patches": True, "looks": 3}
@@ -77,6 +79,34 @@ def test_turns_may_be_small_and_panoramas_seen_at_once(headings, panorama):
     found = metrics(replace(protocol, maps=[known]).run(Anything()))
     assert found["sr"] == 1
     assert found["spl"] > 0.98 if panorama else 0.9
+
+
+class WholeOdds(Odds):
+    """Compares panoramas by all their views."""
+
+    def whole(self, described):
+        return described
+
+
+def test_a_walk_through_a_tour_tests_what_it_guesses_and_its_map_leads_to_goals_by_whole_panoramas():
+    scene = grid_scene(3, 2, headings=8, goals=(5, 24), noise=0.3, **SIZE)
+    graph = scene.graph.copy()
+    state = int(((graph[:, BACK] >= 0) & (graph[:, AHEAD] >= 0)).argmax())
+    other = next(c for c in range(state % 8, len(graph), 8) if c not in (state, *graph[state]))
+    graph[state, BACK] = other  # a passage of one way: back leads elsewhere
+    opposite = state // 8 * 8 + (state + 4) % 8
+    graph[opposite, AHEAD] = other // 8 * 8 + (other + 4) % 8
+    world = make_world([replace(scene, graph=graph)])
+    memory, scores = LocalisingMemory(), VisitScores(WholeOdds(), world)
+    known, passed = map_scene(world, 0, memory, scores, 6, panorama=True)
+    assert map_quality(known, passed, world, 0) == (1, 1, 0)
+    assert all(here != there for here, there in pairwise(passed))  # arrows tell which moves are blocked
+    stop = TemplateStop(0.0, "views", WholeOdds()).compared(world)
+    protocol = EvaluationProtocol(
+        world, SurroundingViews(world), every_start(world), stop, 60, memory=memory, scores=scores, panorama=True
+    )
+    protocol = replace(protocol, maps=[known])
+    assert metrics(protocol.run(Anything()))["sr"] == 1
 
 
 def test_many_particles_make_a_better_map_than_one_where_single_looks_err():

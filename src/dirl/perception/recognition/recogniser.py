@@ -73,7 +73,7 @@ class ComparesPanoramas(Protocol):
         """Return that part of described views, float32 ``[..., F]`` to ``[..., W]``; it need not be centred."""
 
 
-PANORAMA_SLOPE, PANORAMA_MEAN = 35.0, 0.29
+PANORAMA_SLOPE, PANORAMA_MEAN = 35.0, 0.36
 """Log odds by the mean cosine of two panoramas, chosen in two real tours with photographs that changed: of one place it
 is 0.49 and 0.61 in the median, of the most alike other place 0.26 and 0.28; see docs/decisions.md."""
 
