@@ -27,7 +27,7 @@ class Options:
 if __name__ == "__main__":
     options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,7 @@ from dirl.agent.mapping.frames import Found, FrameMap, load_frames_map, load_mat
 from dirl.agent.mapping.moves import Move, moves_along
 from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
+from dirl.config.values import names
 from dirl.perception.matching import FrameMatcher
 from dirl.reporting.strips import draw_strip
 from dirl.reporting.walks import write_mcap, write_page
@@ -98,13 +99,13 @@ def main(options: Options) -> None:
 
 def locate(graph: FrameMap, matcher: FrameMatcher, option: str, sources: Any) -> Found:
     """Where a photo, several or a short video were taken."""
-    names = [sources] if isinstance(sources, str) else list(sources)
-    if len(names) == 1 and Path(names[0]).suffix.lower() not in (".jpg", ".jpeg", ".png", ".webp"):
-        frames = list(Recording(Path(names[0]), graph.spacing))
+    files = names(option, sources)
+    if len(files) == 1 and Path(files[0]).suffix.lower() not in (".jpg", ".jpeg", ".png", ".webp"):
+        frames = list(islice(Recording(Path(files[0]), graph.spacing), MOST + 1))
         if len(frames) > MOST:
-            raise ConfigError(f"{option}={names[0]}: {frames[-1].time:.0f} s; {MOST * graph.spacing:.0f} s are enough")
+            raise ConfigError(f"{option}={files[0]}: is too long; {MOST * graph.spacing:.0f} s are enough")
         return graph.find(matcher, matcher.describe(frame.image for frame in frames), [frame.time for frame in frames])
-    return graph.find(matcher, matcher.describe(read_photo(name) for name in names))
+    return graph.find(matcher, matcher.describe(read_photo(file) for file in files))
 
 
 def describe_way(
@@ -125,4 +126,4 @@ def describe_way(
 
 
 if __name__ == "__main__":
-    run(lambda: main(options))
+    run(lambda: main(options), options)

@@ -44,6 +44,7 @@ from pathlib import Path
 from dirl.agent.mapping.frames import check_memory, find_links, load_matcher, map_recordings
 from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
+from dirl.config.values import names
 from dirl.reporting.walks import write_page, write_route
 from dirl.sources.video import Recording
 
@@ -59,10 +60,8 @@ def main(options: Options) -> None:
     for file, ending in ((options.page, ".html"), (options.route, ".geojson")):
         if file is not None:
             new_file(file, ending=ending)
-    sources = options.video if options.video is not None else options.bag
-    assert sources is not None  # checked above
-    paths = [Path(source) for source in ([sources] if isinstance(sources, str) else sources)]
-    recordings = [Recording(path, options.every, options.topic, options.odometry) for path in paths]
+    sources = names("video", options.bag if options.video is None else options.video)
+    recordings = [Recording(Path(source), options.every, options.topic, options.odometry) for source in sources]
     expected = sum(recording.count for recording in recordings)
     check_memory(expected, options.every)
     for recording in recordings:

@@ -16,14 +16,21 @@ import sys
 import tempfile
 import zipfile
 import zlib
+from functools import partial
 from pathlib import Path
+
+try:
+    from compression import zstd
+except ImportError:  # before Python 3.14
+    from backports import zstd
 
 import numpy as np
 import torch
+from campaign import in_a_fork
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
-
-from dirl.agent.mapping.frames import load_frames_map
+from dirl.agent.mapping.frames import FrameMap, load_frames_map
+from dirl.perception.matching import Described
+from dirl.reporting.strips import draw_strip
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.io.bounded import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos
@@ -173,6 +180,55 @@ def frames_map(folder):
     return lambda: load_frames_map(folder / "a.npz")
 
 
+def pictures_of_a_map(folder):
+    """Small files of pictures that are far larger than any in a map."""
+    pictures, count = png(2**24, 1), 16
+    looks = np.zeros((count, 8), np.float16)
+    points = np.zeros((count, 4, 2), np.float16), np.zeros((count, 4, 64), np.int8), np.zeros(count, np.int16)
+    views, links = Described(looks, *points), np.zeros((0, 2), np.int64)
+    times, parts = np.arange(count, dtype=float), np.zeros(count, np.int64)
+    FrameMap([pictures] * count, times, parts, views, links, 65.0, "sift", (8, 8)).save(folder / "a.npz")
+
+    def read():
+        graph = load_frames_map(folder / "a.npz")
+        draw_strip([(f"{frame}", graph.picture(frame)) for frame in range(count)], folder / "way.png")
+
+    return read
+
+
+def bag(data):
+    """A case of a bag in one file."""
+
+    def make(folder):
+        file = folder / f"a.{'mcap' if data is mcap else 'bag'}"
+        file.write_bytes(data(2**32))
+        return lambda: list(Recording(file))
+
+    return make
+
+
+def packed(size, packer):
+    """So many zeros, compressed."""
+    megabyte = bytes(2**20)
+    return b"".join([packer.compress(megabyte) for _ in range(size // len(megabyte))] + [packer.flush()])
+
+
+def mcap(size):
+    """A file of MCAP without an index, whose one chunk unpacks to so many zeros."""
+
+    def record(kind, data):
+        return bytes([kind]) + struct.pack("<Q", len(data)) + data
+
+    def text(word):
+        return struct.pack("<I", len(word)) + word
+
+    chunk = packed(size, zstd.ZstdCompressor())
+    about = struct.pack("<QQQI", 0, 10, size, 0) + text(b"zstd") + struct.pack("<Q", len(chunk))
+    records = record(1, text(b"ros2") + text(b"")) + record(6, about + chunk)
+    end = record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0))
+    return b"\x89MCAP0\r\n" + records + end + b"\x89MCAP0\r\n"
+
+
 def header_of_a_map(folder):
     """A header of an array that is not in the file."""
     with zipfile.ZipFile(folder / "a.npz", "w") as archive:
@@ -221,6 +277,8 @@ CASES = {
     "a WAD of 44 bytes": wad,
     "a map of 5.4 GB": frames_map,
     "a header of a map": header_of_a_map,
+    "pictures of a map": pictures_of_a_map,
+    "a chunk of 4 GB in an MCAP file": bag(mcap),
     "a description of tables": description(lambda: "a = " + "[" * 100_000),
 }
 """Each writes its file into a folder and returns what reads it."""
@@ -234,35 +292,31 @@ def memory(name):
     return int(Path("/proc/self/status").read_text().split(f"{name}:")[1].split()[0]) / 2**20
 
 
+def told(read):
+    """In a fork: how much more memory reading takes, its processes' included, and what came of it."""
+    signal.alarm(10 * SECONDS)  # of one that waits
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS + 1, SECONDS + 1))
+    Path("/proc/self/clear_refs").write_text("5")  # the most so far is forgotten
+    before = memory("VmRSS")
+    try:
+        read()
+        said = "read"
+    except ValueError as error:
+        said = "one line" if "\n" not in str(error) and len(str(error)) < 2000 else "MORE THAN ONE LINE"
+        said += f": {' '.join(str(error).split())[-120:]}"
+    except BaseException as error:
+        said = f"TRACEBACK: {type(error).__name__}: {' '.join(str(error).split())[:100]}"
+    apart = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
+    yield f"{max(memory('VmHWM') - before, apart)} {said}"
+
+
 def try_case(make, folder):
     """What came of reading a file in a fork, seconds of the processor and gigabytes."""
-    read = make(folder)
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        signal.alarm(10 * SECONDS)  # of one that waits
-        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS + 1, SECONDS + 1))
-        resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        Path("/proc/self/clear_refs").write_text("5")  # the most so far is forgotten
-        before = memory("VmRSS")
-        try:
-            read()
-            said = "read"
-        except ValueError as error:
-            said = "one line" if "\n" not in str(error) and len(str(error)) < 2000 else "MORE THAN ONE LINE"
-            said += f": {str(error)[-120:]}"
-        except BaseException as error:
-            said = f"TRACEBACK: {type(error).__name__}: {str(error)[:100]}"
-        os.write(writing, f"{memory('VmHWM') - before} {said}".encode())
-        os._exit(0)
-    os.close(writing)
-    with os.fdopen(reading) as stream:
-        used, _, said = stream.read().partition(" ")
-    _, status, usage = os.wait4(child, 0)
-    seconds, more = usage.ru_utime + usage.ru_stime, float(used or "nan")
-    if status:
-        said = f"HANG OR CRASH by signal {os.WTERMSIG(status)}"
+    lines, ended, seconds = in_a_fork(partial(told, make(folder)), 6 * 2**30)
+    more, _, said = "".join(lines).partition(" ")
+    more = float(more or "nan")
+    if ended or not lines:
+        said = f"HANG OR CRASH by signal {ended}"
     elif seconds > SECONDS or more > MEMORY:
         said = f"TOO MUCH: {said}"
     return said, seconds, more
@@ -274,7 +328,7 @@ def failed(said):
 
 
 def main(*names):
-    """Try the cases of these names, or all; 1 if one failed."""
+    """Try the cases of these names, or all; how many failed."""
     bad, quick = 0, [name for name in CASES if not any(slow in name for slow in SLOW)]
     names = quick if names == ("quick",) else names or [*CASES]
     for name in names:
@@ -283,8 +337,8 @@ def main(*names):
         bad += failed(said)
         print(f"{name} | {seconds:.1f} s | {more:.2f} GB | {said}", flush=True)
     print(f"\n{len(names)} cases, {bad} failed")
-    return bool(bad)
+    return bad
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(bool(main(*sys.argv[1:])))

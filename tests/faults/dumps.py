@@ -9,10 +9,7 @@ The same seed damages the same files. The exit status is 1 if a file was not rea
 
 import gc
 import hashlib
-import os
-import resource
 import signal
-import sys
 import tempfile
 import warnings
 from collections import Counter
@@ -22,10 +19,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
-
-from counts import table
+from campaign import in_a_fork, start, table
 from damage import WAYS
 from rooms import grid_scene, published_dump
 
@@ -82,37 +76,23 @@ def outcome(path, good, protected, *, isolated):
     return SAME if found == good else SILENT if protected else CHANGED
 
 
-def in_a_fork(actions):
-    """The outcomes that functions return in a forked process with limits, and how that ended if one has none."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        try:
-            for action in actions:
-                signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)  # its signal ends the process
-                os.write(writing, f"{action()}\n".encode())
-        finally:
-            os._exit(0)
-    os.close(writing)
-    with os.fdopen(reading) as stream:
-        said = stream.read().splitlines()
-    status = os.waitpid(child, 0)[1]
-    return said, SLOW if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF else CRASHED
-
-
 def each_in_a_fork(actions):
     """The outcome of each function. Several share a process; one that ends it is tried again in one of its own."""
-    for start in range(0, len(actions), SHARE):
-        pending = actions[start : start + SHARE]
+
+    def said(some):
+        for action in some:
+            signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)  # its signal ends the process
+            yield action()
+
+    for begin in range(0, len(actions), SHARE):
+        pending = actions[begin : begin + SHARE]
         while pending:
-            said, _ = in_a_fork(pending)
-            yield from said
-            if len(said) < len(pending):
-                alone, ended = in_a_fork([pending[len(said)]])
-                yield alone[0] if alone else ended
-            pending = pending[len(said) + 1 :]
+            found, _, _ = in_a_fork(partial(said, pending), MEMORY)
+            yield from found
+            if len(found) < len(pending):
+                alone, ended, _ = in_a_fork(partial(said, [pending[len(found)]]), MEMORY)
+                yield alone[0] if alone else SLOW if ended == signal.SIGPROF else CRASHED
+            pending = pending[len(found) + 1 :]
 
 
 def damage(path, content, way, seed):
@@ -150,16 +130,16 @@ def try_files(numbers, seed, folder):
 
 
 def main(count=1000, seed=0):
-    """Try ``count`` files; print the table; 1 if something went wrong."""
+    """Try ``count`` files; print the table; how many went wrong."""
     isolation.SECONDS, isolation.PATIENCE = CPU_SECONDS, 10_000  # the machine may be as busy as it likes
     with tempfile.TemporaryDirectory() as folder:
         done = list(try_files(range(count), seed, Path(folder)))
     print(f"{len(done)} files, seed {seed}\n")
     print(table(Counter((base, found) for _, base, _, found in done), "file", OUTCOMES))
     failed = [": ".join(map(str, result)) for result in done if result[3] in FAILURES]
-    print("\n".join(["", *(failed or ["no failures"])]))
-    return bool(failed)
+    print("\n".join(["", *failed]))
+    return len(failed)
 
 
 if __name__ == "__main__":
-    sys.exit(main(**{key: int(value) for key, value in (argument.split("=") for argument in sys.argv[1:])}))
+    start(main)

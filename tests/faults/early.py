@@ -2,49 +2,45 @@
 
     nice python tests/faults/early.py kills=8 seed=1
 
-Each tool is started as a user does and gets SIGKILL up to a second after it has said ``loading ...``. Then no process
-of it may be left, and no file in /dev/shm; after its kills it is run once to its end in the same folder. It prints a
-line for each tool; the exit status is 1 if one left anything.
+Each tool is run in a fork of a process that has everything imported, so that its second is one of work. It gets SIGKILL
+after up to a second of the processor, or ten of the clock. Then no process of it may be left, and no file in /dev/shm;
+after its kills it is run to its end in the folder of one. It prints a line for each tool. Other programs that use
+/dev/shm meanwhile would be blamed on it: ``unshare -m sh -c 'mount -t tmpfs tmpfs /dev/shm; exec python ...'``.
 """
 
 import os
 import random
 import secrets
 import signal
-import subprocess
-import sys
-import tempfile
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from campaign import start, work
+from forks import Child, processor_seconds, warm_up
+from options import SCHEMAS, command_line, program
+
 SHARED = Path("/dev/shm")
 PATIENCE = 60.0
 """Seconds in which what a tool has started must end; on a busy machine what still imports sees it late."""
 
 SHORT = ["imitation.max_steps=2", "reinforcement.frames_per_scene=200", "evaluation.times=0", "encoder.width=8"]
-TOOLS = {
-    "train": ["train.py", "scene=bathroom_02", *SHORT, "hydra.run.dir=run{n}"],
-    "a3c": ["train.py", "scene=bathroom_02", "system=a3c", *SHORT, "hydra.run.dir=a3c{n}"],
-    "evaluate": ["evaluate.py", "checkpoint=general", "scene=bathroom_02", "goals=[26]"],
-    "inspect": ["scenes.py", "inspect", "scene=bathroom_02"],
-    "build": [
-        "scenes.py",
-        "build",
-        "description=bathroom_02",
-        "out=room.h5",
-        "encoder=null",
-        "fine=false",
-        "workers=2",
-    ],
-    "sample": ["scenes.py", "sample", "kind=bathroom", "out=rooms", "workers=2"],
-    "import": ["scenes.py", "import", "scene=bathroom_02", "out=imported.h5"],
-    "encode": ["scenes.py", "encode", "scene=bathroom_02", "encoder=resnet50_small", "out=encoded.h5"],
-    "vizdoom": ["scenes.py", "vizdoom", "map=map01", "places=4", "out=doom.h5", "encoder=null"],
-    "miniworld": ["scenes.py", "miniworld", "env=FourRooms", "places=4", "out=mini.h5", "encoder=null"],
-}
-"""The command line of each; {n} is another number for each run."""
+LEFT_OUT = ("thor", "simulator", "draft", "benchmark")
+"""AI2-THOR is not installed, a simulator of one's own is what MiniWorld is; the others start and write nothing."""
+
+
+def tools(files):
+    """The program and the command line of each tool, by its name."""
+    found = {name: (program(name), command_line(name, [], files, SHORT)) for name in SCHEMAS if name not in LEFT_OUT}
+    training = [word for word in found["train"][1] if not word.startswith("hydra.run.dir")]  # by the time, as of users
+    return found | {
+        "train": ("train", training),
+        "a3c": ("train", [*training, "system=a3c"]),
+        "stacked": ("train", ["-m", *training, "hydra/launcher=stacked", "seed=0,1"]),
+        "sample, two processes": ("scenes", [*found["sample"][1][:-1], "workers=2", "count=2"]),
+        "go": ("go", [f"map={files / 'walk.npz'}", f"photo={files / 'photos' / '6.png'}", "mcap=way.mcap"]),
+    }
 
 
 def of_word(word):
@@ -57,62 +53,50 @@ def of_word(word):
     return found
 
 
-def started(words, number, word, folder):
-    """A tool that has just begun its work."""
-    recipe, *options = (part.format(n=number) for part in words)
-    process = subprocess.Popen(
-        [sys.executable, str(ROOT / "recipes" / recipe), *options],
-        cwd=folder,
-        env={**os.environ, "DIRL_EARLY": word},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
-    process.stderr.readline()  # of its imports
-    return process
-
-
 def left_behind(word, before):
-    """What there still is of a tool some seconds after it was killed."""
+    """What there still is of a tool some seconds after it was killed; its processes are ended."""
     ends = time.monotonic() + PATIENCE
     while (left := [*of_word(word), *(set(SHARED.iterdir()) - before)]) and time.monotonic() < ends:
         time.sleep(0.2)
     for one in left:
-        with suppress(OSError):
-            os.kill(one, signal.SIGKILL) if isinstance(one, int) else one.unlink()
+        with suppress(OSError, TypeError):
+            os.kill(one, signal.SIGKILL)
     return left
 
 
-def try_tool(name, kills, seed, folder):
-    """How many kills left something behind, and the status of the run to the end."""
-    rng, bad = random.Random(f"{seed}/{name}"), 0
-    for number in range(kills):
-        word, before = secrets.token_hex(8), set(SHARED.iterdir())
-        process = started(TOOLS[name], number, word, folder)
-        time.sleep(rng.uniform(0, 1))
-        process.kill()
-        process.wait()
-        process.stderr.close()
-        bad += bool(left_behind(word, before))
-    process = started(TOOLS[name], kills, "end", folder)
-    told = process.communicate()[1].decode()
-    return bad, process.returncode, told.splitlines()[-1:]
+def kill(tool, words, delay, folder):
+    """Kill a tool after so many seconds: what it left behind, and whether it had ended before."""
+    word, before, began = secrets.token_hex(8), set(SHARED.iterdir()), time.monotonic()
+    child = Child(folder, tool, *words, prepare=partial(os.environ.update, DIRL_EARLY=word))
+    while time.monotonic() < began + 10 * delay and processor_seconds(child.pid) < delay:
+        time.sleep(0.005)
+    child.kill()
+    ended = child.wait().status != -signal.SIGKILL
+    return left_behind(word, before), ended
+
+
+def try_tool(name, tool, words, kills, seed, folder):
+    """Print a line for a tool; whether it left anything, or does not work afterwards."""
+    rng, bad, unfinished = random.Random(f"{seed}/{name}"), 0, []
+    folders = [folder / f"{name}{number}" for number in range(kills + 1)]
+    for one in folders[:-1]:
+        one.mkdir()
+        left, ended = kill(tool, words, rng.uniform(0, 1), one)
+        bad += bool(left)
+        unfinished += [one] * (not ended)
+    folders[-1].mkdir()
+    after = Child([folders[-1], *unfinished][-1], tool, *words).wait()
+    told = f"then status {after.status} {after.told[-1:] if after.status else ''}"
+    print(f"{name}: {kills} kills, {kills - len(unfinished)} after its end, {bad} left something; {told}", flush=True)
+    return bool(bad or after.status)
 
 
 def main(kills=8, seed=0):
-    """Try all tools; 1 if one left anything, or does not work afterwards."""
-    failed = 0
-    for name in TOOLS:
-        with tempfile.TemporaryDirectory() as folder:
-            bad, status, told = try_tool(name, kills, seed, folder)
-        failed += bool(bad or status)
-        print(
-            f"{name}: {kills} kills, {bad} left something; afterwards status {status} {told if status else ''}",
-            flush=True,
-        )
-    print(f"\n{len(TOOLS)} tools, {failed} failed")
-    return bool(failed)
+    """Try all tools; how many failed."""
+    warm_up("train", "evaluate", "report", "scenes", "map", "go")
+    with work() as folder:
+        return sum(try_tool(name, *tool, kills, seed, folder) for name, tool in tools(folder).items())
 
 
 if __name__ == "__main__":
-    sys.exit(main(**{key: int(value) for key, value in (argument.split("=") for argument in sys.argv[1:])}))
+    start(main)

@@ -77,7 +77,7 @@ class Child:
         began, ended = time.monotonic(), 0
         while not ended:
             ended, status = os.waitpid(self.pid, os.WNOHANG)
-            if not ended and (_processor_seconds(self.pid) > timeout or time.monotonic() - began > patience * timeout):
+            if not ended and (processor_seconds(self.pid) > timeout or time.monotonic() - began > patience * timeout):
                 self.kill()
                 os.waitpid(self.pid, 0)
                 return Ended(None, *self._texts())
@@ -137,7 +137,8 @@ def leave_empty(canvas):
     canvas.get_renderer()
 
 
-def _processor_seconds(pid):
+def processor_seconds(pid):
+    """What a process has taken so far; 0 if there is none."""
     try:
         numbers = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:

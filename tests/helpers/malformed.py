@@ -222,8 +222,11 @@ VALUES = {
     "a ring of 400 turns": of_states(RING),
     "a turn that moves the agent": cell("location", (11, 0), 9.0),
     "a location that is infinite": cell("location", (4, 1), np.inf),
+    "a location on the moon": cell("location", (4, 1), 4e12),
     "a rotation that is NaN": instead("rotation", np.where(np.arange(24) == 8, np.nan, 0)),
     "features with NaN": cell("resnet_feature", ([17, 3], 0, 2), np.nan),
+    "features of 1e38": instead("resnet_feature", np.full((24, 8), 1e38)),
+    "features before the crops": instead("resnet_feature", np.zeros((24, 8, 2), np.float32)),
     "features that overflow float32": instead("resnet_feature", np.full((24, 8), 1e300)),
 }
 

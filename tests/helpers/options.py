@@ -81,7 +81,7 @@ def base(recipe, files, tiny=()):
         "import": [room, "out=new.h5"],
         "inspect": [room],
         "map": [f"video={files / 'photos'}", "out=walk.npz"],
-        "go": [f"map={files / 'room.h5'}", f"photo={files / 'room.h5'}"],
+        "go": [f"map={files / 'walk.npz'}", f"photo={files / 'photos' / '0.png'}"],
     }[recipe]
 
 

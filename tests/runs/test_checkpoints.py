@@ -57,9 +57,10 @@ def test_no_flipped_bit_and_no_lost_byte_is_accepted(file):
     [
         ({"schema": 3}, r"was written by another version of dirl \(schema 3, not 2\)"),
         ({"x": Code()}, "is no checkpoint of dirl"),
-        ({"views": ...}, "is no checkpoint of dirl: it lacks views"),
+        ({"views": ...}, "is no checkpoint of dirl: views: is missing"),
+        ({"turns": [0]}, r"is no checkpoint of dirl: turns\[0\]: must be greater than or equal to 4, found 0"),
     ],
-    ids=["another schema", "code", "an entry missing"],
+    ids=["another schema", "code", "an entry missing", "turns of no degrees"],
 )
 def test_what_dirl_did_not_write_is_one_line(file, change, told):
     save_checkpoint(file, {key: value for key, value in (STATE | change).items() if value is not ...})

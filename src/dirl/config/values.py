@@ -46,6 +46,14 @@ def check_choice(told: str, given: str, choices: Collection[str], prefix: str = 
         raise ConfigError(f"there is no {told}; {hint}")
 
 
+def names(option: str, value: object) -> list[str]:
+    """Return the names that an option gives, one or a list of them; `ConfigError` if it gives something else."""
+    given = value if isinstance(value, list) else [value]
+    if not given or not all(isinstance(one, str | int) and not isinstance(one, bool) for one in given):
+        raise ConfigError(f"{option}={value}: must be the name of a file or a folder, or a list of them")
+    return [str(one) for one in given]
+
+
 def plain(config: object) -> dict[str, Any]:
     """Return a typed configuration as nested values, without ``out``, ``resume`` and ``trust`` of its start."""
     values: Any = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)

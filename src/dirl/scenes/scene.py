@@ -24,6 +24,9 @@ from dirl.scenes.views import FileViews, Views, check_image
 LARGEST = 1e6
 """Metres of a position in a table; what is beyond has been misread."""
 
+BEYOND = 1e9
+"""Squares of larger numbers are none in float32."""
+
 MAX_NAME = 100
 """Bytes of UTF-8; a file's name may have 255."""
 
@@ -163,8 +166,7 @@ class Scene:
             with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
                 kind = np.float16 if features.dtype == np.float16 else np.float32
                 features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
-        features = self._array("resnet_feature", features, np.floating, (states, None))
-        return features
+        return self._array("resnet_feature", features, np.floating, (states, None))
 
     def _array(self, name: str, value: Any, kind: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
         array = np.asarray(value)
@@ -177,9 +179,12 @@ class Scene:
             wanted = tuple("any" if size is None else size for size in shape)
             raise SceneError(f"{self.origin}: {name}: expected shape {wanted}, found {array.shape}")
         if np.issubdtype(array.dtype, np.inexact):
-            rows = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(1))
+            flat = array.reshape(len(array), -1)
+            most = np.maximum(flat.max(1, initial=0), -flat.min(1, initial=0)).astype(np.float64)
+            rows = np.flatnonzero(~(most < BEYOND))  # NaN is not less either
             if len(rows):
-                raise SceneError(f"{self.origin}: {name}: state {rows[0]} holds a value that is not finite")
+                state = f"{self.origin}: {name}: state {rows[0]}"
+                raise SceneError(f"{state} holds a value that is not finite, or beyond {BEYOND:g}")
         return array
 
     def _checked_looks(self) -> dict[str, NDArray[Any]]:

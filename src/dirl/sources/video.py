@@ -1,11 +1,14 @@
 """First-person recordings: the frames of a video, of a folder of images, or of a bag of ROS, one after the other."""
 
+import json
+import os
 import re
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import closing
-from dataclasses import dataclass
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -13,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
+from dirl.scenes.io.bounded import FREELY_UNPACKED, MOST_RATIO
+from dirl.scenes.io.isolation import SECONDS, SECONDS_A_MEGABYTE, environment, limit, why_ended
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import MAX_PHOTO_PIXELS, ImageError, natural_order, open_image, open_photo
 
@@ -29,6 +34,9 @@ FORMATS = "mov,matroska,avi,mpeg,mpegts,asf,flv,ogg"
 """Demuxers of ffmpeg that read videos alone. Others turn texts into pictures, or open files that a list names."""
 
 BAGS = (".bag", ".mcap", ".db3")
+
+BAG_MEMORY = 2 * 2**30
+"""Bytes of address space of the process that reads a bag: a chunk of a megabyte may unpack to many gigabytes."""
 
 ENCODINGS = {
     "rgb8": ("RGB", "RGB", 3),
@@ -86,11 +94,7 @@ class Recording:
         elif not self.source.is_dir() and not self.source.is_file():  # ffmpeg would wait for a pipe
             raise SceneError(f"{self.source}: there is no such video, folder of images or bag")
         else:
-            if self.is_bag:
-                with _opened_bag(self.source) as reader:
-                    duration = float(reader.duration / 1e9)
-            else:
-                duration = _video_duration(self.source)
+            duration = next(self._read_bag())[0] if self.is_bag else _video_duration(self.source)
             self.count = int(duration / self.every) + 1
             """Frames that will be kept, about."""
 
@@ -126,27 +130,42 @@ class Recording:
         self.field_of_view = photo_field_of_view(self.files[0])
 
     def _bag_frames(self) -> Iterator[Frame]:
-        with _opened_bag(self.source) as reader:
-            images = _connections(self.source, reader, "topic", self.topic, ("Image", "CompressedImage"))
-            if not images:
-                raise SceneError(f"{self.source}: has no topic of images; it has {_topics(reader)}")
-            odometry = _connections(self.source, reader, "odometry", self.odometry, ("Odometry",))
-            place, start, last = None, None, -np.inf
+        answers = self._read_bag()
+        next(answers)
+        for time, place, shape, data in answers:
+            yield Frame(np.frombuffer(data, np.uint8).reshape(shape), time, place)
+
+    def _read_bag(self) -> Iterator[Any]:
+        """Yield what `write_bag_frames` says in a process of its own: the duration, then frames."""
+        files = [file for file in self.source.iterdir() if file.is_file()] if self.source.is_dir() else [self.source]
+        size = sum(file.stat().st_size for file in files)
+        request = {**asdict(self), "source": str(self.source.absolute()), "size": size}
+        code = "from dirl.sources.video import write_bag_frames; write_bag_frames()"
+        with tempfile.TemporaryDirectory() as folder:  # where a bag that is compressed as a whole is unpacked
+            process = subprocess.Popen(
+                [sys.executable, "-S", "-P", "-c", code],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**environment(), "TMPDIR": folder},
+            )
+            assert process.stdin is not None
+            assert process.stdout is not None
             try:
-                for connection, stamp, data in reader.messages(images + odometry):
-                    if connection in odometry:
-                        place = _pose(reader.deserialize(data, connection.msgtype))
-                        continue
-                    start = stamp if start is None else start
-                    time = (stamp - start) / 1e9
-                    if time - last >= 0.999 * self.every:
-                        last = time
-                        message = reader.deserialize(data, connection.msgtype)
-                        yield Frame(_message_image(self.source, message), time, place)
-            except SceneError:
-                raise
-            except Exception as error:  # each storage plugin raises its own
-                raise SceneError(f"{self.source}: is damaged ({type(error).__name__}: {_line(error)})") from None
+                with suppress(BrokenPipeError), process.stdin as stream:
+                    stream.write(json.dumps(request).encode())
+                while line := process.stdout.readline():
+                    answer = json.loads(line)
+                    if isinstance(answer, str):
+                        raise SceneError(f"{self.source}: {answer}")
+                    yield (*answer, process.stdout.read(np.prod(answer[2], dtype=int))) if len(answer) > 1 else answer
+                if status := process.wait():
+                    why = why_ended(status, _bag_seconds(size), "its reader")
+                    raise SceneError(f"{self.source}: {why}")
+            finally:
+                process.kill()
+                process.wait()
+                process.stdout.close()
 
 
 def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
@@ -240,29 +259,79 @@ def _read_ppm(stream: IO[bytes]) -> Image.Image | None:
     return Image.frombytes("RGB", (width, height), data) if len(data) == 3 * width * height else None
 
 
+def _bag_seconds(size: int) -> float:
+    """Of the processor, that reading a bag of so many bytes may take."""
+    return SECONDS + SECONDS_A_MEGABYTE * size / 1e6
+
+
+def write_bag_frames() -> None:
+    """In a process of its own: write to the standard output what is in the bag that the standard input tells of.
+
+    It is a line of JSON for the duration, and one for each frame, with its pixels after it; a text is an error.
+    """
+    request = json.load(sys.stdin)
+    size, source = request["size"], Path(request["source"])
+    limit("RLIMIT_AS", BAG_MEMORY)
+    limit("RLIMIT_FSIZE", max(FREELY_UNPACKED, MOST_RATIO * size))
+    limit("RLIMIT_CPU", _bag_seconds(size))
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what the readers of bags print
+    try:
+        for answer, data in _bag_answers(source, request["every"], request["topic"], request["odometry"]):
+            answers.write(json.dumps(answer).encode() + b"\n" + data)
+    except SceneError as error:
+        answers.write(json.dumps(str(error)).encode() + b"\n")
+    except Exception as error:  # each storage plugin raises its own
+        answers.write(json.dumps(f"is damaged ({type(error).__name__}: {_line(error)})").encode() + b"\n")
+    answers.flush()
+
+
+def _bag_answers(
+    source: Path, every: float, topic: str | None, odometry_topic: str | None
+) -> Iterator[tuple[list[Any], bytes]]:
+    """Yield the duration of a bag, seconds; then the time, the place and the shape of each frame, and its pixels."""
+    with _opened_bag(source) as reader:
+        yield [reader.duration / 1e9], b""
+        images = _connections(reader, "topic", topic, ("Image", "CompressedImage"))
+        if not images:
+            raise SceneError(f"has no topic of images; it has {_topics(reader)}")
+        odometry = _connections(reader, "odometry", odometry_topic, ("Odometry",))
+        place, start, last = None, None, -np.inf
+        for connection, stamp, data in reader.messages(images + odometry):
+            if connection in odometry:
+                place = _pose(reader.deserialize(data, connection.msgtype))
+                continue
+            start = stamp if start is None else start
+            time = (stamp - start) / 1e9
+            if time - last >= 0.999 * every:
+                last = time
+                image = _message_image(reader.deserialize(data, connection.msgtype))
+                yield [time, place, image.shape], image.tobytes()
+
+
 def _opened_bag(source: Path) -> Any:
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise SceneError(f"{source}: a bag needs a package that is not installed: pip install 'dirl[bags]'") from None
+        raise SceneError("a bag needs a package that is not installed: pip install 'dirl[bags]'") from None
     try:
         # A bag without definitions of its own is of ROS 2; those of images and odometry are alike in all its versions.
         reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except Exception as error:  # of the storage plugins, and struct.error of damaged files
-        raise SceneError(f"{source}: is no bag that is read ({type(error).__name__}: {_line(error)})") from None
+        raise SceneError(f"is no bag that is read ({type(error).__name__}: {_line(error)})") from None
     return closing(reader)
 
 
-def _connections(source: Path, reader: Any, option: str, topic: str | None, kinds: tuple[str, ...]) -> list[Any]:
+def _connections(reader: Any, option: str, topic: str | None, kinds: tuple[str, ...]) -> list[Any]:
     """Connections of one topic of these kinds of messages; an empty list if there is none and none was asked for."""
     found = [one for one in reader.connections if one.msgtype.rpartition("/")[2] in kinds]
     names = sorted({one.topic for one in found})
     if topic is None and len(names) > 1:
-        raise SceneError(f"{source}: choose {option}= of {', '.join(names)}")
+        raise SceneError(f"choose {option}= of {', '.join(names)}")
     if topic is not None and topic not in names:
-        raise SceneError(f"{source}: has no {option} {topic} of {' or '.join(kinds)}; it has {_topics(reader)}")
+        raise SceneError(f"has no {option} {topic} of {' or '.join(kinds)}; it has {_topics(reader)}")
     return [one for one in found if topic in (None, one.topic)]
 
 
@@ -274,24 +343,26 @@ def _pose(message: Any) -> tuple[float, float, float]:
     """Return where odometry is, metres, and its heading, degrees to the left."""
     at, turn = message.pose.pose.position, message.pose.pose.orientation
     heading = np.arctan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
-    return float(at.x), float(at.y), float(np.degrees(heading))
+    if not np.isfinite(place := (float(at.x), float(at.y), float(np.degrees(heading)))).all():
+        raise SceneError("its odometry gives places that are no numbers")
+    return place
 
 
-def _message_image(source: Path, message: Any) -> NDArray[np.uint8]:
+def _message_image(message: Any) -> NDArray[np.uint8]:
     """Return the picture of a message ``Image`` or ``CompressedImage``."""
     data = message.data.tobytes()
     if not hasattr(message, "encoding"):
         try:
-            return _small(source, open_image(data, MAX_PHOTO_PIXELS))
+            return _small("an image", open_image(data, MAX_PHOTO_PIXELS))
         except ImageError as error:
-            raise SceneError(f"{source}: an image of format '{message.format}' is not read ({error})") from None
+            raise SceneError(f"an image of format '{message.format}' is not read ({error})") from None
     if message.encoding not in ENCODINGS:
         choices = ", ".join(ENCODINGS)
-        raise SceneError(f"{source}: images of encoding {message.encoding} are not read; expected {choices}")
+        raise SceneError(f"images of encoding {message.encoding} are not read; expected {choices}")
     mode, raw, channels = ENCODINGS[message.encoding]
     if len(data) < message.step * message.height or message.step < channels * message.width:
-        raise SceneError(f"{source}: an image of {message.width}x{message.height} has only {len(data)} bytes")
-    return _small(source, Image.frombytes(mode, (message.width, message.height), data, "raw", raw, message.step, 1))
+        raise SceneError(f"an image of {message.width}x{message.height} has only {len(data)} bytes")
+    return _small("an image", Image.frombytes(mode, (message.width, message.height), data, "raw", raw, message.step, 1))
 
 
 def _line(error: Exception) -> str:

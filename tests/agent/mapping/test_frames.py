@@ -80,13 +80,21 @@ def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, m
     assert np.array_equal(again.find(matcher, photo).scores, graph.find(matcher, photo).scores)
     with np.load(file) as stored:
         arrays = dict(stored)
-    np.savez(file, **arrays | {"links": np.array([[0, 99]])})
-    with pytest.raises(MapError, match="damaged"):
-        load_frames_map(file)
-    for angle in (0.0, np.nan):
-        np.savez(file, **arrays | {"field_of_view": np.float64(angle)})
-        with pytest.raises(MapError, match="field_of_view="):
+    damages = {
+        "links": np.array([[0, 99]]),
+        "field_of_view": np.float64(np.nan),
+        "times": np.full(len(graph), np.nan),
+        "counts": np.full(len(graph), -1, np.int16),
+        "vectors": graph.described.vectors.astype(float),
+        "kind": np.array("other"),
+    }
+    for name, values in damages.items():
+        np.savez(file, **arrays | {name: values})
+        with pytest.raises(MapError, match=f"is no map that can be read .*{name if name != 'kind' else 'other'}"):
             load_frames_map(file)
+    np.savez(file, **arrays | {"vectors": graph.described.vectors[..., :9]})
+    with pytest.raises(MapError, match="are described in another way"):
+        load_frames_map(file).find(matcher, photo)
     np.savez(file, frames=np.zeros((2, 4, 4, 3), np.uint8))
     with pytest.raises(MapError, match="another version"):
         load_frames_map(file)

@@ -26,7 +26,7 @@ from dirl.perception.columns import load_column_net
 from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Scale
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.bounded import read_arrays
-from dirl.scenes.views import decode, encode
+from dirl.scenes.views import encode, open_image, to_rgb
 
 SCHEMA = 2
 
@@ -126,7 +126,7 @@ class FrameMap:
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
         """A frame, small, RGB, uint8 ``[h, w, 3]``."""
-        return decode(self.pictures[frame])
+        return np.asarray(to_rgb(open_image(self.pictures[frame], PICTURE**2)))
 
     def path(self, start: int, goal: int) -> list[int]:
         """Frames from one to another; empty if nothing leads there."""
@@ -164,6 +164,10 @@ class FrameMap:
         """
         seconds = np.arange(len(photos)) * self.spacing if times is None else np.asarray(times, float)
         offsets = np.rint((seconds - seconds[len(photos) // 2]) / self.spacing).astype(int)
+        if any(
+            getattr(photos, part).shape[1:] != getattr(self.described, part).shape[1:] for part in ("looks", "vectors")
+        ):
+            raise MapError("the frames of the map are described in another way than the photos; make it anew")
         each = [self.score(matcher, photos[number : number + 1], within) for number in range(len(photos))]
         return self.combine(each, offsets)
 
@@ -217,37 +221,61 @@ def load_frames_map(file: str | Path) -> FrameMap:
     """
     try:
         arrays = read_arrays(Path(file))
-        if int(arrays.get("schema", 1)) != SCHEMA:
+        if int(arrays.get("schema", np.int64(1))) != SCHEMA:
             raise MapError(f"{file}: is a map of another version; make it anew with dirl map")
-        count, ends = len(arrays["times"]), np.cumsum(arrays["lengths"])
-        described = Described(*(arrays[field.name] for field in fields(Described)))
-        links, lengths = arrays["links"], {len(arrays["parts"]), len(ends)}
-        lengths |= {len(getattr(described, field.name)) for field in fields(Described)}
-        inside = links.ndim == 2 and links.shape[1] == 2 and links.dtype == np.int64
-        angle = float(arrays["field_of_view"])
-        if not 1 <= angle <= 360:
-            raise MapError(f"{file}: is a damaged map (field_of_view={angle:g})")
-        if lengths != {count} or not inside or (links.size and not 0 <= links.min() <= links.max() < count):
-            raise MapError(f"{file}: is a damaged map")
-        pictures = arrays["pictures"].tobytes()
-        return FrameMap(
+        _check_arrays(arrays)
+        pictures, ends = arrays["pictures"].tobytes(), np.cumsum(arrays["lengths"])
+        graph = FrameMap(
             [pictures[end - length : end] for end, length in zip(ends, arrays["lengths"], strict=True)],
             arrays["times"],
             arrays["parts"],
-            described,
-            links,
-            angle,
+            Described(*(arrays[field.name] for field in fields(Described))),
+            arrays["links"],
+            float(arrays["field_of_view"]),
             str(arrays["kind"]),
             (int(arrays["size"][0]), int(arrays["size"][1])),
             arrays.get("places"),
             arrays.get("costs"),
         )
+        if ends[-1] != len(pictures) or graph.spacing < 1e-3:
+            raise ValueError("pictures or times")
+        _ = graph.scale
     except FileNotFoundError:
         raise MapError(f"{file}: there is no such map") from None
     except MapError:
         raise
     except Exception as error:  # whatever zip files and arrays raise when bytes are wrong
-        raise MapError(f"{file}: is no map that can be read ({type(error).__name__})") from None
+        raise MapError(f"{file}: is no map that can be read ({type(error).__name__}: {error})") from None
+    return graph
+
+
+def _check_arrays(arrays: dict[str, NDArray[Any]]) -> None:
+    """Raise `ValueError` unless the arrays of a map are what `FrameMap.save` writes: their types, shapes and ranges."""
+    count, points = len(arrays["times"]), arrays["positions"].shape[1]
+    expected: dict[str, tuple[str, tuple[int | None, ...], float, float]] = {
+        "times": ("f8", (count,), -1e9, 1e9),
+        "parts": ("i8", (count,), 0, count),
+        "links": ("i8", (None, 2), 0, count - 1),
+        "costs": ("f8", (len(arrays["links"]),), 0, 1e9),
+        "places": ("f8", (count, 3), -1e9, 1e9),
+        "lengths": ("i8", (count,), 1, 2**24),
+        "pictures": ("u1", (None,), 0, 255),
+        "looks": ("f2", (count, None), -6e4, 6e4),
+        "positions": ("f2", (count, points, 2), -6e4, 6e4),
+        "vectors": ("i1", (count, points, None), -128, 127),
+        "counts": ("i2", (count,), 0, points),
+        "size": ("i8", (2,), 1, 2**14),
+        "field_of_view": ("f8", (), 1, 360),
+    }
+    for name, (kind, shape, low, high) in expected.items():
+        if name in ("costs", "places") and name not in arrays:
+            continue
+        found = arrays[name]
+        fits = len(found.shape) == len(shape) and all(
+            want in (None, got) for want, got in zip(shape, found.shape, strict=True)
+        )
+        if not fits or found.dtype != kind or (found.size and not low <= found.min() <= found.max() <= high):
+            raise ValueError(f"{name}: {found.dtype} {list(found.shape)}")
 
 
 class Growing:

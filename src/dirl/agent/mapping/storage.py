@@ -135,24 +135,24 @@ def _places(tensors: dict[str, Tensor], turns: int) -> PlaceMap:
     nodes, views = turns * count, tensors["goal"].shape[-1]
     if turns < VIEWS or turns % VIEWS or views not in (VIEWS, turns):
         raise ValueError(f"{views} views of {turns} headings")
-    shapes = {
-        "cost": (1, nodes, len(ACTIONS)),
-        "after": (1, nodes, len(ACTIONS)),
-        "taken": (1, nodes, len(ACTIONS)),
-        "node": (1, visits),
-        "goal": (1, visits, views),
-        "position": (1, count, 2),
-        "heading": (1, count),
-        "action": (1,),
+    expected = {
+        "cost": ((1, nodes, len(ACTIONS)), torch.float32),
+        "after": ((1, nodes, len(ACTIONS)), torch.int64),
+        "taken": ((1, nodes, len(ACTIONS)), torch.bool),
+        "node": ((1, visits), torch.int64),
+        "goal": ((1, visits, views), torch.float32),
+        "position": ((1, count, 2), torch.int64),
+        "heading": ((1, count), torch.int64),
+        "action": ((1,), torch.int64),
     }
-    for name, shape in shapes.items():
-        if tensors[name].shape != shape or tensors[name].is_floating_point() != (name in ("cost", "goal")):
-            raise ValueError(f"{name} of shape {list(tensors[name].shape)}")
+    for name, (shape, kind) in expected.items():
+        if tensors[name].shape != shape or tensors[name].dtype != kind or bool(tensors[name].isnan().any()):
+            raise ValueError(f"{name}: {tensors[name].dtype} {list(tensors[name].shape)}")
     if not 0 <= int(tensors["node"].min()) <= int(tensors["node"].max()) < nodes:
         raise ValueError("a visit is of a node that is not there")
     if not -1 <= int(tensors["after"].min()) <= int(tensors["after"].max()) < nodes:
         raise ValueError("a move leads to a node that is not there")
     if seen.shape[:3] != (1, visits, views) or seen.ndim != 4 or not seen.isfinite().all():
         raise ValueError(f"visits of shape {list(seen.shape)}")
-    known = {name: tensors[name] for name in shapes}
+    known = {name: tensors[name] for name in expected}
     return PlaceMap(Places(**known, mapped=torch.zeros(1, dtype=torch.bool), turns=turns), seen)

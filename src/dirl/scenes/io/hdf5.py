@@ -121,10 +121,11 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
     crops = len(_own_dataset(file, "resnet_feature").shape or ()) == 3
     shape = (states, None, None) if crops else (states, None)
     dataset = _open_dataset(file, "resnet_feature", kinds="f", shape=shape)
-    if 0 in dataset.shape or states * dataset.shape[-1] > MAX_FEATURE_VALUES:
+    reversed_ = crops and dataset.shape[1] > dataset.shape[2]
+    if 0 in dataset.shape or states * dataset.shape[-1] > MAX_FEATURE_VALUES or reversed_:
         raise SceneError(
-            f"resnet_feature: expected at least one feature a state, and {MAX_FEATURE_VALUES} of all at most, "
-            f"found shape {dataset.shape}"
+            "resnet_feature: expected shape (states, features) or (states, crops, features), fewer crops than features "
+            f"and {MAX_FEATURE_VALUES} features of all states at most, found {dataset.shape}"
         )
     _check_storage(dataset)
     return dataset

@@ -41,10 +41,10 @@ def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
     with TemporaryDirectory() as folder:
         request = {"paths": [str(path) for path in paths], "folder": os.path.abspath(folder)}
         status = _run({**request, "seconds": seconds, "memory": MEMORY})
-        for number, limit in enumerate(seconds):
+        for number, allowed in enumerate(seconds):
             answer = Path(folder) / f"{number}.npz"
             if not answer.is_file():
-                raise SceneError(_ended(status, limit))
+                raise SceneError(why_ended(status, allowed, "libhdf5"))
             with np.load(answer, allow_pickle=False) as stored:
                 found = dict(stored)
             values = json.loads(str(found.pop("json")))
@@ -56,11 +56,6 @@ def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
 
 
 def _run(request: dict[str, Any]) -> int:
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry),
-        "OPENBLAS_NUM_THREADS": "1",  # its threads take time to start, and address space
-    }
     try:
         # -S: `sys.path` is that of this process, and what site does takes time; -P: modules here hide no others.
         return subprocess.run(
@@ -68,21 +63,28 @@ def _run(request: dict[str, Any]) -> int:
             input=json.dumps(request).encode(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            env=environment,
+            env=environment(),
             timeout=PATIENCE * sum(request["seconds"]),
         ).returncode
     except subprocess.TimeoutExpired:
         return -getattr(signal, "SIGKILL", 0)
 
 
-def _ended(status: int, seconds: float) -> str:
-    """Why the process that reads ended before it had answered."""
+def environment() -> dict[str, str]:
+    """Return the environment of a process that reads a file for this one."""
+    paths = os.pathsep.join(entry for entry in sys.path if entry)
+    # The threads of OpenBLAS take time to start, and address space.
+    return {**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"}
+
+
+def why_ended(status: int, seconds: float, reader: str) -> str:
+    """Return why the process that reads ended before it had answered."""
     if status == -getattr(signal, "SIGXCPU", 0):
         return f"was not read after {seconds:.0f} s of processor time; it is damaged"
     if status == -getattr(signal, "SIGKILL", 0):
         return "the process that read it was killed: it took too long, or the machine's memory is full"
     how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
-    return f"libhdf5 failed on it ({how}); it is damaged"
+    return f"{reader} failed on it ({how}); it is damaged"
 
 
 def main() -> None:
@@ -90,9 +92,9 @@ def main() -> None:
     from dirl.scenes.io.hdf5 import read_contents
 
     request = json.load(sys.stdin)
-    _limit("RLIMIT_AS", request["memory"])
+    limit("RLIMIT_AS", request["memory"])
     for number, (path, seconds) in enumerate(zip(request["paths"], request["seconds"], strict=True)):
-        _limit("RLIMIT_CPU", seconds + sum(os.times()[:2]))
+        limit("RLIMIT_CPU", seconds + sum(os.times()[:2]))
         try:
             answer = read_contents(path)
         except (SceneError, OSError, MemoryError) as error:
@@ -104,15 +106,15 @@ def main() -> None:
         unfinished.rename(unfinished.with_name(f"{number}.npz"))
 
 
-def _limit(what: str, value: float) -> None:
+def limit(what: str, value: float) -> None:
     """Limit this process, where the operating system can (Windows cannot, macOS only the time)."""
     with suppress(ImportError, ValueError, OSError):
         import resource
 
-        limit = getattr(resource, what)
-        hard = resource.getrlimit(limit)[1]
+        kind = getattr(resource, what)
+        hard = resource.getrlimit(kind)[1]
         soft = math.ceil(value)
-        resource.setrlimit(limit, (soft if hard < 0 else min(soft, hard), hard))
+        resource.setrlimit(kind, (soft if hard < 0 else min(soft, hard), hard))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,80 @@
+"""What the campaigns share: their command lines, forks with limits, files to work on, and tables of outcomes."""
+
+import os
+import resource
+import shutil
+import sys
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "recipes"))
+
+import numpy as np
+from commands import SHORT, room_file
+from forks import run
+from PIL import Image
+from tours import written
+
+
+def start(main):
+    """Run a campaign with the numbers of its command line, ``count=100 seed=1``; the exit status is 1 if any failed."""
+    failed = main(**{key: int(value) for key, value in (argument.split("=") for argument in sys.argv[1:])})
+    print(f"\n{failed} failed")
+    sys.exit(bool(failed))
+
+
+def table(counts, title, outcomes):
+    """How often each kind had each outcome, Markdown; ``counts`` by pairs of a kind and an outcome."""
+    lines = [f"| {title} | tried | " + " | ".join(outcomes) + " |", "|---|" + "--:|" * (len(outcomes) + 1)]
+    for kind in [*sorted({kind for kind, _ in counts}), "all"]:
+        numbers = [sum(n for (k, o), n in counts.items() if o == what and kind in (k, "all")) for what in outcomes]
+        lines.append(f"| {kind} | {sum(numbers)} | " + " | ".join(map(str, numbers)) + " |")
+    return "\n".join(lines)
+
+
+def in_a_fork(say, memory):
+    """The lines that a generator yields in a fork of so many bytes, the signal that ended it (0: none), its seconds."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        try:
+            for line in say():
+                os.write(writing, f"{line}\n".encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as stream:
+        said = stream.read().splitlines()
+    _, status, usage = os.wait4(child, 0)
+    return said, os.WTERMSIG(status), usage.ru_utime + usage.ru_stime
+
+
+@contextmanager
+def work():
+    """A folder with ``room.h5``, photographs, a tour, a map of a walk, and a finished run; it is removed at the end."""
+    folder = Path(tempfile.mkdtemp())  # a TemporaryDirectory would be removed at the end of the first fork
+    try:
+        room_file(folder)
+        written("pannellum", folder / "tour")
+        (folder / "photos").mkdir()
+        rng = np.random.default_rng(0)
+        rows = ["image,location,heading,x,z,ahead"]
+        for state in range(8):
+            Image.fromarray(rng.integers(0, 256, (24, 32, 3), np.uint8)).save(folder / "photos" / f"{state}.png")
+            ahead = "" if state % 4 or state > 3 else "4"
+            rows.append(f"{state}.png,{state // 4},{state % 4 * 90},{state // 4},0,{ahead}")
+        (folder / "photos" / "states.csv").write_text("\n".join([*rows, ""]))
+        options = {
+            "train": [f"scene={folder / 'room.h5'}", *SHORT, "hydra.run.dir=runs/fast/0"],
+            "map": ["video=photos", "out=walk.npz"],
+        }
+        for recipe, given in options.items():
+            ended = run(folder, recipe, *given)
+            assert ended.status == 0, ended.errors
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
