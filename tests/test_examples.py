@@ -1,6 +1,8 @@
 """The examples: what they decide, without the robot."""
 
 import importlib.util
+import runpy
+import sys
 from collections import deque
 from types import SimpleNamespace
 
@@ -142,3 +144,12 @@ def test_messages_of_cameras_become_pixels(ros2):
     message.encoding = "mono8"
     with pytest.raises(ValueError, match="encoding is mono8"):
         ros2.pixels(message)
+
+
+@pytest.mark.parametrize("name", ["find_withheld_frames", "measure_turns", "train_columns", "walk_miniworld"])
+def test_an_example_tells_its_options(name, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
+    assert not ended.value.code
+    assert "== Options: name=value ==" in capsys.readouterr().out

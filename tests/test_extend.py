@@ -1,4 +1,4 @@
-"""The components of docs/howto/extend.md and extend_more.md, made from the files there, do what they should."""
+"""The components of docs/howto/extend.md, extend_more.md and simulators.md do what they should."""
 
 import io
 import re
@@ -37,7 +37,8 @@ from dirl.training.build import (
 from dirl.training.objectives import ImitationLoss, ScheduledLoss, demonstration_batches
 from dirl.training.rollout import collect
 
-PAGE = "".join((ROOT / "docs" / "howto" / name).read_text() for name in ("extend.md", "extend_more.md"))
+PAGES = ("extend.md", "extend_more.md", "simulators.md")
+PAGE = "".join((ROOT / "docs" / "howto" / name).read_text() for name in PAGES)
 FILES = dict(re.findall(r"^```\{code-block\} python\n:caption: (\S+)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
 SMALL = ["encoder.width=32", "heads.width=32", "evaluation.times=0", "reinforcement.agents_per_scene=32"]
 SAC = ["network.cache=off", "objective=none", "imitation.fraction=0", "reinforcement.n_steps=1"]
