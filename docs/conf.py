@@ -144,6 +144,8 @@ class VectorFigures(SphinxTransform):
 def write_demo(app, folder, page):
     """Build the live demo beside the pages, and the page that leads to it; where that is not possible it says why."""
     try:
+        if app.tags.has("without_demo"):
+            raise RuntimeError("it was asked for without")
         pages = build_demo(folder, HERE / "_cache" / "demo")
         links = [f'<a href="demo/{file.name}">{file.stem.removeprefix("viewer_")}</a>' for file in pages]
         where = f"```{{raw}} html\n<p><b>Open it</b>: {', '.join(links)}</p>\n```"

@@ -141,12 +141,6 @@ def test_turns_are_given_by_the_caller_or_the_map(navigator):
         navigator.explore(known, turns=4)
 
 
-def test_last_steps_are_a_count(navigator, world):
-    for last_steps in (-1, 2.5):
-        with pytest.raises(NavigatorError, match=r"last_steps=.*: expected 0 or a positive integer"):
-            navigator.reset(images_of(world.surrounding[0]), last_steps=last_steps)
-
-
 def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
     goal = images_of(world.surrounding[5])
     with pytest.raises(NavigatorError, match="the map is empty"):

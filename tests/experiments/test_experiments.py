@@ -111,13 +111,6 @@ def test_the_mean_over_goals_is_stable_from_the_row_after_the_last_that_is_too_l
     assert mean_stable_frames(run) == 50
 
 
-def test_a_report_of_one_seed_says_so(grid, tmp_path):
-    (tmp_path / "fast").mkdir()
-    (tmp_path / "fast/dirl").symlink_to(grid / "runs/experiments/fast/dirl_random_0.05_1")
-    printed = done(tmp_path, "report", "experiment=fig4", f"runs={tmp_path}")
-    assert "Preset `fast`, seed 1 alone.\n" in printed
-
-
 def test_a_report_without_runs_says_how_to_make_them(tmp_path):
     status, _, errors = run_recipe(tmp_path, "report", "experiment=fig8")
     assert status == 1
@@ -145,18 +138,17 @@ def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_agai
     assert "evaluation.max_steps=50 instead of 49" in errors
 
 
-def test_jobs_side_by_side_give_what_they_give_one_after_the_other_and_a_failed_one_loses_none(tmp_path, monkeypatch):
+def test_jobs_side_by_side_give_what_they_give_alone_and_a_failed_one_loses_none(tmp_path, monkeypatch):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # sums depend on the number of threads
-    options = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
-    options += ["reinforcement.gamma=1.5,0.9", "hydra.sweep.subdir=${reinforcement.gamma}"]
-    for folder, launcher in (("alone", "basic"), ("together", "cores")):
-        status, _, errors = run_recipe(
-            tmp_path, "train", *options, f"hydra/launcher={launcher}", f"hydra.sweep.dir={folder}"
-        )
-        assert status == 1
-        assert f"failed: {folder}/1.5: reinforcement.gamma=1.5" in errors
-    assert have_the_same_weights(*(tmp_path / folder / "0.9" for folder in ("alone", "together")))
+    options = [f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
+    sweep = ["-m", "experiment=table2", *options, "reinforcement.gamma=1.5,0.9"]
+    sweep += ["hydra.sweep.subdir=${reinforcement.gamma}", "hydra/launcher=cores", "hydra.sweep.dir=together"]
+    status, _, errors = run_recipe(tmp_path, "train", *sweep)
+    assert status == 1
+    assert "failed: together/1.5: reinforcement.gamma=1.5" in errors
+    done(tmp_path, "train", "experiment=table2", *options, "reinforcement.gamma=0.9", "hydra.run.dir=alone")
+    assert have_the_same_weights(tmp_path / "alone", tmp_path / "together" / "0.9")
 
 
 def test_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter():
@@ -192,31 +184,17 @@ def test_new_goals_are_as_far_from_the_nearest_trained_one_as_is_asked():
             assert min(scene.distances[goal, trained] for trained in scene.goals) == distance
 
 
-@pytest.fixture(scope="module")
-def any_goal(tmp_path_factory):
-    """Two small runs of experiment=any_goal, of which one embeds its goal, and one of dirl_compared, in one folder."""
-    folder = tmp_path_factory.mktemp("any_goal")
-    write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
+def test_dirl_with_compared_goals_is_shown_the_way_to_other_goals_than_its_own(tmp_path):
+    """At 12 of 24 states, to every place that is not held out: 16 goals, of which the run has two."""
+    write_dump(tmp_path / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
     options = ["scene=room.h5", "network.components=8", "encoder.width=32", "heads.width=32", "hold_out=0.34"]
     options += ["imitation.batch_size=64", "imitation.max_steps=20", "evaluation.max_steps=30", "imitation.noise=0.5"]
-    done(folder, "train", "-m", "experiment=any_goal", *options, "seed=0")
     options += ["imitation.fraction=0.5", "reinforcement.frames_per_scene=400", "reinforcement.agents_per_scene=4"]
     line = ["experiment=table2", "system=dirl_compared", *options, "hydra.run.dir=runs/experiments/fast/compared"]
-    done(folder, "train", *line)
-    return folder
-
-
-def test_figure_5_shows_policies_that_know_other_goals_at_goals_that_they_were_not_shown(any_goal):
-    done(any_goal, "report", "experiment=fig5", "starts=5", "out=fig5")
-    rows = rows_of(any_goal / "fig5" / "fig5.csv")
-    assert {row["system"] for row in rows} == {"random", "DIRL, compared", "DIRL, many goals"}
-
-
-def test_dirl_with_compared_goals_is_shown_the_way_to_other_goals_than_its_own(any_goal):
-    """At 12 of 24 states, to every place that is not held out: 16 goals, of which the run has two."""
-    assert summaries(any_goal)["compared"]["demonstrations"] == 12 * 16
-    done(any_goal, "report", "experiment=fig4", "out=fig4")
-    assert [row["setting"] for row in rows_of(any_goal / "fig4" / "fig4.csv")] == ["DIRL, compared"]
+    done(tmp_path, "train", *line)
+    assert summaries(tmp_path)["compared"]["demonstrations"] == 12 * 16
+    done(tmp_path, "report", "experiment=fig5", "starts=5", "out=fig5")
+    assert {row["system"] for row in rows_of(tmp_path / "fig5" / "fig5.csv")} == {"random", "DIRL, compared"}
 
 
 def test_some_rooms_of_a_collection_are_trained_on_and_others_tested(tmp_path):

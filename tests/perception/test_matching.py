@@ -70,17 +70,3 @@ def test_what_is_not_installed_is_named_with_its_extra(monkeypatch):
     monkeypatch.setattr(matching, "lite0_encoder", missing)
     with pytest.raises(EncoderError, match=r"pip install 'dirl\[match\]'"):
         Matcher()
-
-
-def test_points_that_opencv_cannot_fit_agree_on_nothing(monkeypatch):
-    cv2, matcher = pytest.importorskip("cv2"), Matcher("sift")
-
-    def failing(*points, **options):
-        raise cv2.error("Assertion failed")
-
-    views = matcher.describe([look(6, 2.5, 0), look(6.5, 2.4, 3)])
-    matches = matcher.match(views[:1], views, 1)
-    for estimator in ("findFundamentalMat", "findHomography", "findEssentialMat"):
-        monkeypatch.setattr(cv2, estimator, failing)
-    assert matcher.agreeing(matches) == 0
-    assert matcher.turn_between(matches, (180, 320), 65.0) is None

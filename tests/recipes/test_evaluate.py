@@ -48,15 +48,6 @@ def test_options_that_do_not_go_together_are_told_before_anything_is_read(option
         evaluate.evaluate(parse(evaluate.Options, ["checkpoint=nowhere", *options]))
 
 
-def test_an_agent_beside_another_is_called_by_its_folder_or_its_name_in_the_package(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "runs" / "mine").mkdir(parents=True)
-    assert evaluate.agent_name("general") == "general"
-    assert evaluate.agent_name("runs/mine") == evaluate.agent_name("runs/mine/network.pt") == "mine"
-    assert evaluate.agent_name("runs/mine/checkpoints/320.pt") == "mine"
-    assert evaluate.agent_name("network.pt") == tmp_path.name
-
-
 @pytest.mark.parametrize(
     ("looks", "recogniser", "stop", "told"),
     [(2, "ncc", "match", True), (0, "ncc", "match", False), (2, "ncc", "goal", False), (2, "learned", "match", False)],

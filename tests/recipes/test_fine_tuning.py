@@ -40,14 +40,6 @@ def test_a_training_begins_with_the_weights_and_the_architecture_of_another(pret
     assert torch.equal(tuned["features.axes"], before["network"]["features.axes"])  # those of its features
 
 
-def test_workers_begin_with_the_weights_of_another_run_too(pretrained):
-    workers = ["reinforcement.workers=2", "reinforcement.agents_per_scene=4", "hydra.run.dir=workers"]
-    done(pretrained, "train", *OTHER, "init=run", *workers)
-    before, after = (load_checkpoint(pretrained / name)["network"] for name in ("run", "workers"))
-    assert torch.equal(after["features.axes"], before["features.axes"])
-    assert any(not torch.equal(value, after[name]) for name, value in before.items())
-
-
 def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretrained):
     (pretrained / "lent").mkdir()
     shutil.copy(pretrained / "run" / "network.pt", pretrained / "lent")

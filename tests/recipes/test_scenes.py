@@ -1,23 +1,19 @@
 """recipes/scenes.py as a user runs it."""
 
 import shlex
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from closet import closet
 from commands import run_recipe
 from PIL import Image
 from rooms import grid_scene
 from scenes import COMMANDS, OPTIONS
-from simulator import Simulator
 from tours import Camera360, grid_truth, turned, write_table
 
 from dirl.cli.parsing import parse
-from dirl.perception.backbones import ResNet50
-from dirl.scenes import SceneError, load_scenes, make_world, read_dump, write_dump
+from dirl.scenes import SceneError, read_dump, write_dump
 from dirl.scenes.views import encode
 
 
@@ -41,25 +37,6 @@ def run(line):
     command, *arguments = shlex.split(line)
     options = parse(OPTIONS[command], arguments)
     COMMANDS[type(options)](options)
-
-
-def test_photographs_with_further_shots_become_a_place_that_changes(here, capsys):
-    (here / "office").mkdir()
-    rng, lines = np.random.default_rng(0), ["image,location,heading,x,z,ahead,goal,shot"]
-    for shot in ("", "1", "2"):
-        for turn in range(4):
-            name = f"{turn}_{shot}.png"
-            Image.fromarray(rng.integers(0, 256, (30, 40, 3), np.uint8)).save(here / "office" / name)
-            lines.append(f"{name},desk,{90 * turn},0,0,,{'' if turn or shot else 'yes'},{shot}")
-    (here / "office" / "states.csv").write_text("\n".join(lines))
-    with pytest.raises(SceneError, match="of further shots only features are stored; give an encoder"):
-        run("photos folder=office out=office.h5 height=30 width=40 encoder=null")
-    run("photos folder=office out=office.h5 height=30 width=40 encoder=resnet50_small patches=true")
-    assert "office.h5: 4 states (source: photos)" in capsys.readouterr().out
-    world = make_world(load_scenes("office.h5"))
-    assert (len(world), world.looks, world.patches.shape) == (4, 3, (12, 8, 96))
-    similar = torch.nn.functional.normalize(world.features) @ torch.nn.functional.normalize(world.features).T
-    assert (similar - torch.eye(12) < 0.9999).all()  # each picture has features of its own
 
 
 def test_the_program_ends_with_one_line_or_with_the_work_done(room, here):
@@ -90,32 +67,35 @@ def test_a_mistake_is_told_before_anything_is_written(room, here, line, says):
 
 
 def test_photographs_become_a_dump_that_is_encoded_and_inspected(here, capsys):
+    """Of two visits: the second one's pictures are looks of a place that changes."""
     folder = here / "office"
     folder.mkdir()
-    lines = ["image,location,heading,x,z,ahead,goal"]
+    lines = ["image,location,heading,x,z,ahead,goal,shot"]
     rng = np.random.default_rng(0)
-    for location, x in (("hall", 0), ("door", 1)):
-        for turn in range(8):
-            name = f"{location}{turn}.jpg"
-            Image.fromarray(rng.integers(0, 256, (90, 160, 3), np.uint8)).save(folder / name)
-            ahead = {("hall", 2): "door", ("door", 6): "hall"}.get((location, turn), "")
-            lines.append(f"{name},{location},{45 * turn},{x},0,{ahead},{'yes' if name == 'door2.jpg' else ''}")
+    for shot in ("", "1"):
+        for location, x in (("hall", 0), ("door", 1)):
+            for turn in range(8):
+                name = f"{location}{turn}{shot}.jpg"
+                Image.fromarray(rng.integers(0, 256, (90, 160, 3), np.uint8)).save(folder / name)
+                ahead = {("hall", 2): "door", ("door", 6): "hall"}.get((location, turn), "") if not shot else ""
+                goal = "yes" if name == "door2.jpg" else ""
+                lines.append(f"{name},{location},{45 * turn},{x},0,{ahead},{goal},{shot}")
     (folder / "states.csv").write_text("\n".join(lines))
-    run("photos folder=office out=office.h5 height=60 width=80 encoder=null")
+    with pytest.raises(SceneError, match="of further shots only features are stored; give an encoder"):
+        run("photos folder=office out=office.h5 encoder=null")
+    run("photos folder=office out=office.h5 height=60 width=80 encoder=resnet50_small patches=true")
     assert "office.h5: 16 states (source: photos)" in capsys.readouterr().out
-    torch.save(ResNet50().state_dict(), here / "weights.pth")
-    run("encode scene=office.h5 encoder=weights.pth out=encoded.h5")
-    assert "extractor: ResNet-50, global average pool; RGB resized to 224x224" in capsys.readouterr().out
-    scene = read_dump("encoded.h5")
-    assert (scene.name, scene.goals, scene.features.shape) == ("office", (10,), (16, 2048))
-    assert scene.views[0].shape == (60, 80, 3)
-    run("photos folder=office out=at_once.h5 height=60 width=80 encoder=weights.pth patches=false")
-    assert read_dump("at_once.h5").extractor == scene.extractor
-    np.testing.assert_allclose(read_dump("at_once.h5").features, scene.features, rtol=1e-4, atol=1e-6)
-    run("inspect scene=encoded.h5 out=pictures")
-    assert "| turn          | 45 degrees |" in capsys.readouterr().out
-    names = {"map.png", "contact_sheet.jpg"}
-    assert {path.name for path in (here / "pictures").iterdir()} == names
+    scene = read_dump("office.h5")
+    assert (scene.name, scene.goals, scene.looks, scene.views[0].shape) == ("office", (10,), 2, (60, 80, 3))
+    assert scene.patches.shape == (16, 8, 96)
+    run("encode scene=office.h5 encoder=resnet50_small out=encoded.h5")
+    assert "extractor: ResNet-50, global average pool; RGB resized to 96x128" in capsys.readouterr().out
+    np.testing.assert_allclose(read_dump("encoded.h5").features, scene.features, rtol=1e-4, atol=1e-6)
+    run("inspect scene=encoded.h5 out=pictures threshold=0.2 match=front")
+    printed = capsys.readouterr().out
+    for words in ("| turn          | 45 degrees |", "ambiguous pairs (match=front above 0.2)", "problems:\n- states "):
+        assert words in printed
+    assert {path.name for path in (here / "pictures").iterdir()} == {"map.png", "contact_sheet.jpg"}
 
 
 def test_a_tour_becomes_a_dump(here, capsys):
@@ -154,21 +134,8 @@ def test_a_tour_becomes_a_dump(here, capsys):
         run("tour path=hall out=new.h5 headings=6 encoder=null")
 
 
-def test_live_thor_becomes_a_dump(here, monkeypatch, capsys):
-    simulator = Simulator([(0, 0), (1, 0)], shape=(60, 80))
-    monkeypatch.setattr(sys.modules["scenes"], "start_controller", lambda **asked: simulator)
-    run("thor scene=FloorPlan401 out=dumps/401.h5 height=60 width=80")  # with the encoder that comes along
-    printed = capsys.readouterr().out
-    assert "dumps/401.h5: 8 states (source: thor)" in printed
-    scene = read_dump("dumps/401.h5")
-    assert (scene.name, scene.source) == ("FloorPlan401", "thor")
-    assert scene.extractor == load_scenes("bathroom_02")[0].extractor
-    assert scene.views[3].shape == (60, 80, 3)
-
-
 def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch):
     pytest.importorskip("embreex")
-    torch.save(ResNet50().state_dict(), here / "weights.pth")
     asked = []
 
     def room(kind, seed, *, threads):
@@ -176,12 +143,11 @@ def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch
         return replace(closet(), name=f"{kind}_{seed}"), []
 
     monkeypatch.setattr("dirl.sources.rooms.collect.sample_views", room)
-    line = "sample kind=bedroom seed=29999 count=2 out=many height=24 width=32 fine=false workers=1 encoder=weights.pth"
+    line = "sample kind=bedroom seed=29999 count=2 out=many height=24 width=32 fine=false workers=1 encoder=null"
     run(line)
     first, *table = capsys.readouterr().out.splitlines()
     assert first == "many: 0 of 2 rooms are there"
     assert len(table) == 6
-    assert read_dump("many/bedroom_30000.h5").features.shape == (20, 2048)
     assert table[2:4] == [
         "| bedroom_29999 | validation | 2 x 1.5 x 2.4 | 3 | 5 | 20 | none |",
         "| bedroom_30000 | train | 2 x 1.5 x 2.4 | 3 | 5 | 20 | none |",
@@ -207,11 +173,3 @@ def test_a_dump_goes_out_and_comes_back_as_it_was(room, capsys):
     assert (after.name, after.goals) == ("hall", (3, 4))
     for state in range(24):
         assert (after.views[state] == between.views[state]).all()
-
-
-def test_inspect_prints_what_it_finds(room, capsys):
-    run("inspect scene=room.h5 threshold=0.2 match=front")
-    printed = capsys.readouterr().out
-    for words in ("| states        | 24 |", "ambiguous pairs (match=front above 0.2)"):
-        assert words in printed
-    assert "problems:\n- states " in printed

@@ -75,17 +75,6 @@ def test_train_with_other_systems_and_presets(tmp_path, options, monkeypatch):
         assert list(only_run(tmp_path).glob("wandb/offline-run-*"))
 
 
-def test_multirun_trains_every_combination(tmp_path):
-    options = [*TINY, "reinforcement.frames_per_scene=60", "imitation.fraction=0,0.5"]
-    printed = done(tmp_path, "train", "-m", f"scene={room_file(tmp_path)}", *options)
-    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in printed.splitlines()[-2:]]
-    assert [row[0] for row in table] == ["0: fraction=0.0", "1: fraction=0.5"]
-    found = [read_summary(file.parent)["greedy"] for file in sorted(tmp_path.glob("multirun/*/*/summary.json"))]
-    assert [row[3] for row in table] == [f"{measures['spl']:.3f}" for measures in found]
-    summaries = [json.loads(file.read_text()) for file in sorted(tmp_path.glob("multirun/*/*/summary.json"))]
-    assert [summary["demonstrations"] > 0 for summary in summaries] == [False, True]
-
-
 def test_a_run_until_stable_ends_at_the_first_evaluation_that_finds_every_goal_stable(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "imitation.fraction=1", "reinforcement.until=stable"]
     options += ["reinforcement.frames_per_scene=20_000", "evaluation.times=20", "hydra.run.dir=run"]

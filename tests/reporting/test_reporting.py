@@ -16,7 +16,7 @@ from rooms import CELL, grid_scene, renumbered
 
 from dirl.reporting import draw_learning_curve, draw_trajectories, result_table, run_title, summary_table
 from dirl.reporting.style import write_figure
-from dirl.reporting.trajectories import chosen_steps, path_actions
+from dirl.reporting.trajectories import path_actions
 from dirl.scenes import read_dump
 from dirl.scenes.geometry import heading_directions, step_length
 
@@ -205,14 +205,6 @@ def test_a_curve_shows_training_and_evaluation_and_where_the_policy_is_stable(ru
     assert upper.get_xlim() == lower.get_xlim()
 
 
-def test_a_curve_without_any_finished_episode_shows_the_first_evaluation(run):
-    upper, lower = run(NEVER, evaluation=EVALUATION[:1], reinforcement=[(2000, "", ""), (4000, "", "")]).axes
-    assert not any(label.startswith(("training", "stable at")) for label in lines(upper))
-    assert lines(upper)["greedy evaluat"] == [[0], [197.5]]
-    assert upper.lines[0].get_marker() == "o"  # a line through one point would not show
-    assert lower.get_xlim()[1] >= 4000
-
-
 def test_a_curve_of_imitation_alone_shows_its_loss_and_accuracy(run):
     upper, lower = run({"frames": 0, **NEVER}, imitation=IMITATION, evaluation=EVALUATION[:1]).axes
     assert (upper.get_ylabel(), lower.get_ylabel()) == ("loss", "accuracy")
@@ -246,15 +238,6 @@ def test_headings_point_where_moving_ahead_leads_however_the_file_counts_them():
     assert step_length(replace(room, positions=room.positions * 3)) == pytest.approx(3 * CELL)
 
 
-def test_headings_are_those_of_ai2thor_where_no_move_tells():
-    corridor = grid_scene(3, 1)
-    lone = grid_scene(3, 1, blocked=[(0, 0), (2, 0)])
-    # One row of places, and every heading called 0: the moves to one end cancel those to the other.
-    nameless = replace(corridor, headings=np.zeros(len(corridor)))
-    for scene in (corridor, lone, nameless):
-        np.testing.assert_allclose(heading_directions(scene), compass(scene), atol=1e-6)
-
-
 # Paths
 
 
@@ -265,11 +248,6 @@ def test_path_actions_are_read_off_the_graph(scene):
     for path, message in (([], "at least its start"), ([0, 2], "from state 0 to state 2"), ([24], "is not a state")):
         with pytest.raises(ValueError, match=message):
             path_actions(scene, path)
-
-
-@pytest.mark.parametrize(("steps", "chosen"), [(0, [0]), (7, [*range(8)]), (200, [0, 29, 57, 86, 114, 143, 171, 200])])
-def test_views_are_of_evenly_spread_steps_with_the_first_and_last(steps, chosen):
-    assert chosen_steps(steps) == chosen
 
 
 WAYS = ([0, 1, 5, 9, 10, 11, 7], [16, 17, 18, 6, 18, 6])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from commands import done, train_config
+from commands import train_config
 from rooms import grid_scene
 from train import imitate
 
@@ -17,7 +17,6 @@ from dirl.agent.decisions import observe
 from dirl.config.schemas import TrainConfig
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import plain_weights
 from dirl.perception.recognition.build import matching
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting import viewer_pages
@@ -150,26 +149,6 @@ def test_what_a_page_cannot_show_is_refused(tmp_path):
         pages_of(room_of(train_config("scene=bathroom_02", "encoder.width=16")), beside={"other": (0, other)})
 
 
-def test_evaluate_writes_the_viewer_into_the_runs_folder_and_says_when_it_replaces_one(tmp_path):
-    room = small_room(tmp_path)
-    (tmp_path / "run").mkdir()
-    run = Run(tmp_path / "run", room.config)
-    run.begin(room.world, room.protocol.observation.order)
-    run.finish({"frames": 0, "network": plain_weights(room.policy)}, {})
-    run.close()
-    command = ["checkpoint=run/network.pt", "viewer=true", "max_steps=9"]
-    printed = done(tmp_path, "evaluate", *command)
-    assert "viewer: run/viewer_grid.html" in printed
-    assert "in place of" not in printed
-    data = data_of((tmp_path / "run" / "viewer_grid.html").read_text())
-    assert data["max_steps"] == 9
-    assert "DIRL, grid (source: synthetic), seed 1" in data["facts"]
-    assert (data["goal_view"], data["match"], data["threshold"]) == ("surrounding", "views", 0.9)
-    assert "in place of the one before" in done(tmp_path, "evaluate", *command, "goal_view=front")
-    data = data_of((tmp_path / "run" / "viewer_grid.html").read_text())
-    assert (data["goal_view"], data["match"], data["threshold"]) == ("front", "front", 0.95)
-
-
 @pytest.fixture
 def open_page(watched_tab, tmp_path):
     """Open a room's page from its file."""
@@ -203,19 +182,16 @@ def walked(tab):
 
 
 @pytest.mark.parametrize(
-    ("options", "headings", "trained", "ends"),
+    ("options", "headings", "ends"),
     [
-        (["imitation.fraction=1"], 4, True, {"Stopped"}),
-        (["stop.threshold=0.02"], 4, False, {"Stopped", "False", "Failed:"}),
-        (["goal_view=front", "episodic_memory=planning"], 4, False, {"Stopped"}),
-        (["episodic_memory=planning"], 12, False, {"Stopped", "Failed:"}),
+        (["stop.threshold=0.02"], 4, {"Stopped", "False", "Failed:"}),
+        (["goal_view=front", "episodic_memory=planning"], 4, {"Stopped"}),
+        (["episodic_memory=planning"], 12, {"Stopped", "Failed:"}),
     ],
-    ids=["trained", "false stops", "one photo and a memory", "a plan, turns of 30"],
+    ids=["false stops", "one photo and a memory", "a plan, turns of 30"],
 )
-def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page, options, headings, trained, ends):
+def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page, options, headings, ends):
     room = small_room(tmp_path, *options, headings=headings)
-    if trained:
-        clone(room, tmp_path)
     goal_index, start = every_start(room.world)
     episodes, paths = room.protocol.trajectories(room.policy, (goal_index, start))
     tab = open_page(room)
@@ -267,53 +243,6 @@ def test_two_agents_walk_side_by_side(tmp_path, open_page):
     tab.select_option("#beside", "shortest path")
     tab.press("body", "e")
     assert tab.inner_text("#outcome-beside").startswith("shortest path: Stopped at the goal")
-
-
-def test_goals_and_starts_are_chosen_by_pictures_on_the_map_and_by_keys(tmp_path, open_page):
-    room = small_room(tmp_path)
-    tab = open_page(room)
-    assert tab.locator("#goals img").count() == 2
-    tab.click("#goals button:nth-child(2)")
-    assert "state 13" in tab.inner_text("#goal-title")
-    assert tab.locator("#goals [aria-pressed=true] img").get_attribute("alt") == "goal: state 13"
-    tab.check("[name=click][value=goal]")
-    tab.click("#map .cell[data-state='0']")
-    assert "state 0" in tab.inner_text("#goal-title")
-    tab.click("#map .cell[data-state='20']")
-    assert "no goal at this place" in tab.inner_text("#note")
-    tab.check("[name=click][value=start]")
-    for state in (20, 21, 22, 23, 20):  # the same place again: it turns
-        tab.click("#map .cell[data-state='20']")
-        assert shown(tab) == (0, state)
-        assert tab.inner_text("#note") == ""
-    tab.focus("#map svg")
-    tab.press("#map svg", "ArrowRight")  # walks nowhere
-    assert shown(tab) == (0, 20)
-    cursor, where = int(tab.get_attribute("#map .cursor", "data-state")), room.world.scenes[0].positions
-    assert where[cursor][0] > where[0][0]
-    for state in (cursor, cursor + 1):
-        tab.press("#map svg", "Enter")
-        assert shown(tab) == (0, state)
-    tab.press("#map svg", "g")
-    assert "no goal" in tab.inner_text("#note")
-
-
-def test_a_start_without_an_episode_is_told(tmp_path, open_page):
-    tab = open_page(small_room(tmp_path))
-    for start, said in {
-        "99": "Start '99': there is no such state; the states are 0 to 43",
-        "2.5": "Start '2.5': there is no such state",
-        "0": "No episode begins at 0: it is the goal",
-    }.items():
-        choose(tab, 0, 20)
-        tab.fill("#start", start)
-        tab.press("#start", "Enter")
-        assert said in tab.inner_text("#note")
-        assert shown(tab) == (0, 0 if start == "0" else 20)
-        assert tab.is_enabled("#play") == (start != "0")
-    for key in "n d":
-        tab.press("body", key)
-    assert tab.inner_text("#note") == ""
 
 
 def test_a_link_leads_to_what_was_shown(tmp_path, open_page):

@@ -1,14 +1,11 @@
 """The built-in rooms, and how a user names scenes."""
 
-import re
-from dataclasses import replace
-
 import h5py
 import numpy as np
 import pytest
 from rooms import grid_scene, published_dump
 
-from dirl.scenes import PUBLISHED_GOALS, SceneError, catalogue, load_scenes, make_world, write_dump
+from dirl.scenes import PUBLISHED_GOALS, SceneError, catalogue, load_scenes, make_world
 from dirl.scenes.catalogue import ROOMS
 from dirl.scenes.io import read
 
@@ -64,14 +61,6 @@ def test_published_dumps_get_the_published_goals(folder):
     assert load_scenes("bathroom_02", source="thor", root=str(folder))[0].goals == (3,)
 
 
-@pytest.mark.parametrize("suffix", [".h5"])
-def test_a_file_is_named_by_its_path(tmp_path, scene, suffix):
-    path = tmp_path / f"my{suffix}"
-    write_dump(path, replace(scene, name="cellar"))
-    (read,) = load_scenes(str(path))
-    assert (read.name, read.source, read.goals) == ("cellar", "synthetic", (0,))
-
-
 def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
     for file in ("SHA256SUMS", "bathroom_02.h5", "bathroom_02.patches.npy"):
         (tmp_path / file).write_bytes((ROOMS / file).read_bytes())
@@ -91,23 +80,11 @@ def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
             load_scenes("bathroom_02")
 
 
-def test_the_views_of_a_built_in_room_are_found_where_libhdf5_finds_them(rooms):
-    for room in rooms:
-        with h5py.File(room.views.path) as file:
-            stored = file["observation_webp"][:]
-        assert all(room.views.encoded(state) == stored[state].tobytes() for state in range(len(room)))
-
-
-@pytest.mark.parametrize(
-    ("asked", "message"),
-    [
-        ("bathroom_2", "there is no scene 'bathroom_2' (did you mean 'bathroom_02'?); choose from ['bathroom_02', "),
-        ("no/such/file.h5", "no/such/file.h5: there is no such file"),
-    ],
-)
-def test_an_unknown_scene_lists_the_choices(asked, message):
-    with pytest.raises(SceneError, match=f"^{re.escape(message)}"):
-        load_scenes(asked)
+def test_an_unknown_scene_lists_the_choices():
+    with pytest.raises(SceneError, match=r"^there is no scene 'bathroom_2' \(did you mean 'bathroom_02'\?\); choose"):
+        load_scenes("bathroom_2")
+    with pytest.raises(SceneError, match=r"^no/such/file\.h5: there is no such file"):
+        load_scenes("no/such/file.h5")
 
 
 def test_a_source_has_choices_and_a_folder_of_its_own(folder):

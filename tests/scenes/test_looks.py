@@ -53,19 +53,6 @@ def test_looks_are_kept_in_a_dump_guarded_by_its_digest(scenes, tmp_path):
         read_here(tmp_path / "a.h5")
 
 
-@pytest.mark.parametrize(
-    ("name", "shape", "told"),
-    [("look_feature", (2, 24, 15), "look_features: expected shape")],
-)
-def test_looks_that_do_not_fit_are_refused(scenes, tmp_path, name, shape, told):
-    write_dump(tmp_path / "a.h5", scenes[0])
-    with h5py.File(tmp_path / "a.h5", "r+") as file:
-        del file[name], file.attrs["digest"], file["graph"].attrs["digest"]
-        file[name] = np.ones(shape, np.float16)
-    with pytest.raises(SceneError, match=told):
-        read_here(tmp_path / "a.h5")
-
-
 @pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
 def test_every_visit_draws_a_look_that_its_four_views_share(scenes, kind):
     world = make_world(scenes)

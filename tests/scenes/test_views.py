@@ -1,44 +1,16 @@
 """Views: three formats of images and no other, decoded when somebody looks."""
 
-import os
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from malformed import POSTSCRIPT, VIEW, picture
+from malformed import VIEW, picture
 from PIL import Image
 from rooms import grid_scene, read_here
 
 from dirl.scenes import write_dump
 from dirl.scenes.views import FORMATS, ImageError, decode
-from dirl.sources.photos import encoded_photos
-
-DRAWING = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 16 12\n%%EndComments\nshowpage\n%%EOF\n"
-
-
-@pytest.fixture
-def ghostscript(tmp_path, monkeypatch):
-    """A Ghostscript that leaves a file where it was started."""
-    program, trace = tmp_path / "bin" / "gs", tmp_path / "started"
-    program.parent.mkdir()
-    program.write_text(f"#!/bin/sh\ntouch {trace}\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(program.parent), prepend=os.pathsep)
-    monkeypatch.setattr("PIL.EpsImagePlugin.gs_binary", None)
-    return trace
-
-
-def test_ghostscript_is_never_started(ghostscript, tmp_path):
-    for data in (DRAWING, POSTSCRIPT):
-        with pytest.raises(ImageError, match="it is not WebP, PNG or JPEG"):
-            decode(data)
-    (tmp_path / "a.jpg").write_bytes(DRAWING)
-    with pytest.raises(ValueError, match=r"a\.jpg: not a readable image \(it is not WebP, PNG or JPEG\)"):
-        list(encoded_photos([tmp_path / "a.jpg"], 12, 16))
-    with pytest.raises(ValueError, match=r"the view of state 23 is not a readable image \(it is not WebP"):
-        write_dump(tmp_path / "room.h5", grid_scene(), [VIEW] * 23 + [DRAWING])
-    assert not ghostscript.exists()
 
 
 def reason(data):

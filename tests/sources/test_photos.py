@@ -34,8 +34,8 @@ def folder_of(path, lines, header=HEADER):
     return path
 
 
-@pytest.mark.parametrize("turns", [12])
-def test_a_table_becomes_a_scene(tmp_path, turns):
+def test_a_table_becomes_a_scene(tmp_path):
+    turns = 12
     scene, images = read_photos(folder_of(tmp_path, corridor(turns)))
     assert (scene.name, scene.source, scene.extractor) == (tmp_path.name, "photos", "none")
     assert [image.name for image in images] == [
@@ -49,24 +49,6 @@ def test_a_table_becomes_a_scene(tmp_path, turns):
     for action, column in (("ahead", 0), ("back", 3)):
         assert {s: to for s, to in enumerate(scene.graph[:, column].tolist()) if to >= 0} == wanted[action]
     assert scene.surrounding[1].tolist() == [(1 + step * quarter) % turns for step in range(4)]
-
-
-def test_rows_may_be_in_any_order_with_spaces_semicolons_and_a_byte_order_mark(tmp_path):
-    scene, images = read_photos(folder_of(tmp_path, corridor()))
-    lines = [HEADER, "", *reversed(corridor())]
-    text = "\n".join(lines).replace(",", " ; ")
-    (tmp_path / "states.csv").write_text(text, encoding="utf-8-sig")
-    again, others = read_photos(tmp_path)
-    assert [image.name for image in others] == [image.name for image in images[4:] + images[:4]]
-    assert (again.graph == np.where(scene.graph >= 0, (scene.graph + 4) % 8, -1)[[4, 5, 6, 7, 0, 1, 2, 3]]).all()
-
-
-def test_moves_back_and_goals_may_be_said(tmp_path):
-    said = {"hall_3": "door,", "door_1": ",yes"}
-    lines = [f"{line},{said.get(line.partition('.')[0], ',')}" for line in corridor()]
-    scene, _ = read_photos(folder_of(tmp_path, lines, f"{HEADER},back,goal"))
-    assert scene.graph[:, 3].tolist() == [-1, -1, -1, 7, -1, -1, -1, -1]
-    assert scene.goals == (5,)
 
 
 @given(width=st.integers(1, 3), depth=st.integers(1, 3), turns=st.sampled_from([4, 8, 12]), data=st.data())
@@ -101,9 +83,7 @@ def changed(line, old, new):
     [
         (changed(0, "hall_0.png", "hall_9.jpg"), "line 2: image: there is no file 'hall_9.jpg' in"),
         (changed(0, "hall_0.png", "../secret.png"), "line 2: image: '.*' lies outside of "),
-        (changed(2, ",180,", ",south,"), "line 4: heading: must be a valid number, .* found 'south'"),
         (changed(2, ",180,", ",170,"), "line 3: location 'hall': from heading 90 to the next, 170, are 80 degrees; 4"),
-        (changed(2, ",0,0,", ",0,3,"), r"line 4: location 'hall' is at \(0.0, 3.0\), but at \(0.0, 0.0\) in .* line 2"),
         (changed(1, ",door", ",dor"), "line 3: ahead: there is no location 'dor'; did you mean 'door'"),
         (corridor()[:7], "line 6: location 'door' has 3 headings; expected the same mult"),
         (corridor()[:4] + corridor(offset=30)[4:], "line 3: ahead: 'door' has no image with heading 90; a move keeps"),
@@ -174,21 +154,9 @@ def test_further_shots_of_a_place_are_looks(tmp_path):
     ]
 
 
-SHOTS = shots(corridor(), 1)
-
-
-@pytest.mark.parametrize(
-    ("lines", "says"),
-    [
-        (SHOTS[:-1], "line 2: 'hall' has no image of shot 1 with heading 0; a shot is a visit to every place"),
-        (
-            [*SHOTS, SHOTS[-1].replace(",0,0,0,", ",45,0,0,")],
-            "line 18: shot 1: 'hall' has no first image with heading 45",
-        ),
-    ],
-)
-def test_shots_that_are_no_visit_to_every_place_are_refused(tmp_path, lines, says):
-    with pytest.raises(SceneError, match=says):
+def test_shots_that_are_no_visit_to_every_place_are_refused(tmp_path):
+    lines = shots(corridor(), 1)[:-1]
+    with pytest.raises(SceneError, match="line 2: 'hall' has no image of shot 1 with heading 0; a shot is a visit to"):
         read_photos(folder_of(tmp_path, lines, f"{HEADER},shot"))
 
 
@@ -259,7 +227,6 @@ def test_grey_of_16_bits_keeps_its_upper_eight(tmp_path):
     Image.fromarray(np.linspace(0, 65535, 1200).astype(np.uint16).reshape(30, 40)).save(tmp_path / "a.png")
     (view,) = map(decode, encoded_photos([tmp_path / "a.png"], 30, 40))
     assert abs(view[:, :, 0].astype(float) - np.linspace(0, 255, 1200).reshape(30, 40)).mean() < 5
-    assert abs(decode((tmp_path / "a.png").read_bytes())[15, 20].astype(float) - 132).max() < 3
 
 
 def test_a_table_with_decimal_commas_is_read(tmp_path):

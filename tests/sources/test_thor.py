@@ -1,11 +1,10 @@
 """Taking a scene from live AI2-THOR, here from a double of its controller."""
 
 import sys
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from simulator import Simulator
 
 from dirl.scenes import SceneError
 from dirl.scenes.live import Pose, Simulated
@@ -13,6 +12,53 @@ from dirl.sources.simulators import take_scene
 from dirl.sources.thor import Thor, start_controller
 
 CELLS = [(-2, 1), (-1, 1), (0, 1), (-1, 2), (0, 2)]
+ALONG = {0: (0, 1), 90: (1, 0), 180: (0, -1), 270: (-1, 0)}
+NOISE = 3e-7
+"""AI2-THOR's numbers are float32."""
+
+
+class Simulator:
+    """A double of the controller: it answers `step` with events as ai2thor 5.0 makes them, of a room on a grid.
+
+    Args:
+        cells: free cells (x, z), as multiples of the step, half a metre.
+        gone: raise as the controller does when Unity is gone.
+    """
+
+    def __init__(self, cells, gone=False):
+        self.cells, self.gone, self.cell, self.heading = list(cells), gone, cells[0], 90
+
+    def step(self, action, **arguments):
+        if self.gone:
+            raise RuntimeError(f"Error encountered when running action {action}\n in scene FloorPlan1.")
+        message = ""
+        if action == "Teleport":
+            assert set(arguments) == {"position", "rotation", "horizon", "standing"}
+            cell = tuple(round(2 * arguments["position"][axis]) for axis in "xz")
+            if cell in self.cells:
+                self.cell, self.heading = cell, round(arguments["rotation"]["y"])
+            else:
+                message = "Collided with: \nSink_3."
+        elif action in ("MoveAhead", "MoveBack"):
+            sign = 1 if action == "MoveAhead" else -1
+            to = tuple(at + sign * by for at, by in zip(self.cell, ALONG[self.heading], strict=True))
+            if to in self.cells:
+                self.cell = to
+            else:
+                message = "Wall is blocking Agent 0 from moving by (0.0000, 0.0000, 0.5000)."
+        else:
+            assert action == "Pass", f"Invalid action: {action}"
+        at = {"x": self.cell[0] / 2 - NOISE, "y": 0.9009991884231567, "z": self.cell[1] / 2 + NOISE}
+        agent = {"position": at, "rotation": {"x": -0.0, "y": self.heading + NOISE, "z": 0.0}}
+        metadata = {"agent": agent, "lastActionSuccess": not message, "errorMessage": message}
+        return SimpleNamespace(metadata=metadata, frame=self.frame())
+
+    def frame(self):
+        """A gradient in the heading's colour."""
+        frame = np.zeros((300, 400, 3), np.uint8)
+        frame[..., 0] = np.linspace(0, 200, 400)
+        frame[..., 1] = 60 * (self.heading // 90)
+        return frame
 
 
 def test_a_scene_is_what_the_simulator_allows():
@@ -75,4 +121,4 @@ def test_it_is_walked_live():
     with pytest.raises(SceneError, match=r"FloorPlan1: .* put at 4\.00, 0\.00 m: Collided with: Sink_3"):
         world.reset(Pose(4.0, 0.0, 0.0))
     with pytest.raises(SceneError, match="FloorPlan1: AI2-THOR failed"):
-        Thor(Simulator([(0, 0)], crash_after=0), "FloorPlan1")
+        Thor(Simulator([(0, 0)], gone=True), "FloorPlan1")

@@ -123,12 +123,6 @@ def test_any_recogniser_finds_ambiguous_states():
         inspect_scene(room, TemplateStop(0.0, "front", Learned()))
 
 
-def test_a_room_of_too_many_states_is_refused(monkeypatch):
-    monkeypatch.setattr("dirl.perception.recognition.diagnostics.MAX_STATES", 23)
-    with pytest.raises(SceneError, match="grid_scene: 24 states; all pairs are compared, of at most 23"):
-        inspect_scene(grid_scene())
-
-
 def test_the_pictures_show_the_room(tmp_path):
     room = with_views(tmp_path, grid_scene(4, 2, headings=12, blocked=[(2, 0), (2, 1)], goals=(0,)))
     found = inspect_scene(room)

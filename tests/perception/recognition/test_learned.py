@@ -67,20 +67,6 @@ def test_what_has_no_fine_patches_is_compared_by_its_cells():
     torch.testing.assert_close(network.scores(few, few[:, :1]), network.scores(seen, few[:, :1]), atol=1e-4, rtol=1e-4)
 
 
-def test_a_photo_that_is_turned_a_little_is_compared_with_the_view_beside():
-    network = untrained(changing(patches="fine"))
-    seen, photo = torch.randn(1, 4, 48, 96), torch.randn(1, 48, 96)
-    found = [network.photo.scores(network.photo.describe(seen), network.photo.describe(photo))]
-    for view in range(1, 4):
-        other = seen.clone()
-        other[:, view] = torch.randn(48, 96)
-        found.append(network.photo.scores(network.photo.describe(other), network.photo.describe(photo)))
-    right, back, left = (one != found[0] for one in found[1:])
-    assert right
-    assert left
-    assert not back
-
-
 def test_the_weights_of_the_package_are_calibrated_and_need_the_patches_of_its_encoder():
     network = Learned()
     assert not torch.equal(network.calibration, torch.tensor([[1.0, 0.0], [1.0, 0.0]]))

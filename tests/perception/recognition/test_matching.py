@@ -28,13 +28,6 @@ def test_ncc_is_pearsons_coefficient(a, b):
     assert found.item() == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-9)
 
 
-@given(VECTOR, st.floats(0.1, 10), st.floats(-5, 5))
-def test_ncc_does_not_change_with_brightness_or_contrast(a, contrast, brightness):
-    a = torch.tensor(a, dtype=torch.float64)
-    assert ncc(a, contrast * a + brightness).item() == pytest.approx(1, abs=1e-6)
-    assert ncc(a, -contrast * a + brightness).item() == pytest.approx(-1, abs=1e-6)
-
-
 def test_ncc_with_a_constant_vector_is_zero():
     # In float32 the mean of such a vector is not quite its value, and what remains is taken for a pattern.
     constant = torch.full((2048,), 0.1)
@@ -92,11 +85,6 @@ def test_a_state_stops_only_above_the_threshold():
     stop = world.block(TemplateStop(threshold)(world), 0)
     assert stop.sum() == 2
     assert torch.equal(stop, scores > threshold)
-
-
-def test_an_unknown_way_to_match_is_refused():
-    with pytest.raises(ValueError, match="'views' or 'front', not 'back'"):
-        TemplateStop(match="back")
 
 
 def test_scores_of_a_learned_recogniser_can_be_drawn():

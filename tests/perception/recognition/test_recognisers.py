@@ -59,24 +59,6 @@ def test_a_camera_sees_what_the_table_of_a_world_says(kind):
         views_seen.append(described)
 
 
-def test_the_expert_arrives_and_stops_in_a_world_that_changes_a_little():
-    world = changing(noise=0.02)
-    stop = TemplateStop(0.8, "views", NCC()).arrived(world)
-    arguments = {"observation": SurroundingViews(world), "stop": stop, "max_steps": 30}
-    found = metrics(run_episodes(expert(world), world, every_start(world), **arguments))
-    assert (found["sr"], found["spl"], found["missed_stop_rate"]) == (1, 1, 0)
-
-
-def test_a_changed_place_is_missed_by_a_threshold_above_its_score():
-    world = changing(noise=0.5)
-    arguments = {"observation": SurroundingViews(world), "max_steps": 8}
-    stop = TemplateStop(0.98).arrived(world)
-    found = metrics(run_episodes(expert(world), world, every_start(world), stop=stop, **arguments))
-    assert found["missed_stop_rate"] > 0.3
-    told = metrics(run_episodes(expert(world), world, every_start(world), **arguments))
-    assert told["sr"] == 1
-
-
 def test_no_visit_has_the_look_of_the_goal():
     """A stop that asks for the goal's own picture never comes; where there is one look it does."""
     world = changing(noise=0.02)

@@ -71,18 +71,3 @@ NUMBERS = hnp.integer_dtypes() | hnp.unsigned_integer_dtypes() | hnp.floating_dt
 def test_any_numbers_for_any_dataset(data, name):
     shape = data.draw(hnp.array_shapes(max_dims=4, max_side=25) | st.just(GOOD.features.shape))
     reads(instead(name, data.draw(hnp.arrays(data.draw(NUMBERS), shape))))
-
-
-@given(data=st.data())
-def test_a_file_whose_values_are_damaged(data):
-    with tempfile.TemporaryDirectory() as folder:
-        path = published_dump(Path(folder) / "room.h5", GOOD, crops=1)
-        content = bytearray(path.read_bytes())
-        with h5py.File(path) as file:  # damage outside of the values is libhdf5's to notice
-            start = min(file[name].id.get_offset() for name in ("graph", "location", "rotation"))
-        places = st.integers(start, len(content) - 1)
-        for place, value in data.draw(st.dictionaries(places, st.integers(0, 255))).items():
-            content[place] = value
-        path.write_bytes(content)
-        with np.errstate(all="ignore"):
-            read_or_refused(path)

@@ -5,53 +5,137 @@ import tracemalloc
 import h5py
 import numpy as np
 import pytest
-from malformed import ABSURD, BEGIN, MALFORMED, PAGE, hollow, make, refused, row
-from rooms import read_here
+from malformed import hollow, instead, make, picture, refused, views
+from rooms import grid_scene, read_here
 
 from dirl.scenes.io import hdf5
+from dirl.scenes.io.digest import write_digest
+
+HUGE = 2**40
+"""More states than any machine can hold; a chunked dataset of that size takes no room on the disk."""
+
+GRAPH = grid_scene().graph
+RING = np.array([[-1, (i + 1) % 400, (i - 1) % 400, -1] for i in range(400)])
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\nshowpage\n"
 
 
-@pytest.mark.parametrize("what", MALFORMED)
-def test_a_malformed_dump_is_refused_in_the_words_of_the_documentation(tmp_path, what):
-    assert row(what, refused(make(tmp_path / "room.h5", MALFORMED[what]))) in PAGE.read_text().splitlines()
+def attribute(name, value):
+    return lambda file: file.attrs.update({name: value})
 
 
-@pytest.mark.parametrize("what", ABSURD)
-def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path, what):
-    path = make(tmp_path / "room.h5", ABSURD[what])
-    tracemalloc.start()
-    try:
-        refused(path)
-        assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
-    finally:
-        tracemalloc.stop()
+def linked(name, kind):
+    """The dataset's values lie in another (existing, good) file or under another name."""
+
+    def spoil(file):
+        shape, dtype = file[name].shape, file[name].dtype
+        another = file.filename + ".other"
+        with h5py.File(another, "w") as other:
+            other[name] = file[name][:]
+        file.move(name, "hidden")
+        if kind == "virtual":
+            layout = h5py.VirtualLayout(shape, dtype)
+            layout[:] = h5py.VirtualSource(another, name, shape)
+            file.create_virtual_dataset(name, layout)
+        elif kind == "storage":
+            with open(file.filename + ".raw", "wb") as raw:
+                raw.write(file["hidden"][:].tobytes())
+            file.create_dataset(name, shape, dtype, external=[(file.filename + ".raw", 0, h5py.h5f.UNLIMITED)])
+        else:
+            file[name] = h5py.ExternalLink(another, name)
+
+    return spoil
 
 
-def test_the_documentation_has_one_row_for_every_file():
-    about, _, rows = PAGE.read_text().partition(BEGIN)
-    assert [line.split(" | ")[0] for line in rows.splitlines()[1:]] == [f"| {what}" for what in MALFORMED]
-    assert f"has {len(MALFORMED)} damaged files" in about
+def as_group(file):
+    del file["graph"]
+    file.create_group("graph")
 
 
-def test_many_goals_are_refused(dump):
-    """Comparing each with all others took minutes."""
-    with h5py.File(dump.with_name("new.h5"), "w", libver="latest") as new, h5py.File(dump) as old:
-        for name in old:
-            old.copy(name, new)
-        new.attrs["goals"] = np.arange(64_000)
-    assert refused(dump.with_name("new.h5")) == "attribute 'goals': names 64000 goals of 24 states"
+def ring(file):
+    for name in (*file,):
+        del file[name]
+    file["graph"], file["location"], file["rotation"] = RING, np.zeros((400, 2)), np.arange(400) % 360
+
+
+def half_written(file):
+    """Only the first chunk of four has been written."""
+    del file["resnet_feature"]
+    file.create_dataset("resnet_feature", (24, 8), "f4", chunks=(6, 8))[:6] = 1.0
+
+
+def digest_lost(file):
+    write_digest(file)
+    del file["graph"].attrs["digest"]
+
+
+CASES = [
+    (instead("graph", None), "the dataset 'graph' is missing; the file holds ['location', "),
+    (instead("graph", np.zeros((24, 6), int)), "graph: expected shape (any, 4), found (24, 6)"),
+    (instead("graph", np.zeros((24, 4))), "graph: expected integer or unsigned integer values, found float64"),
+    (as_group, "graph: is a group; expected a dataset"),
+    (instead("graph", np.where(GRAPH == -1, -2, GRAPH)), "graph: state 0: back leads to state -2, but states are 0..2"),
+    (instead("graph", GRAPH.astype("u8")), "graph: state 0: back leads to state 9223372036854775807, but states are"),
+    (instead("graph", GRAPH[:, [0, 3, 2, 1]]), "graph: state 0: turning right is blocked, as a turn on the spot never"),
+    (ring, "graph: state 0: a full turn to the right passes more than 360 states;"),
+    (instead("location", np.zeros((24, 3))), "location: expected shape (24, 2), found (24, 3)"),
+    (instead("location", np.full((24, 2), b"x")), "location: expected integer or unsigned integer or float values, fo"),
+    (instead("rotation", np.where(np.arange(24) == 8, np.nan, 0)), "rotation: state 8 holds a value that is not finit"),
+    (instead("resnet_feature", np.zeros((24, 2, 2, 2))), "resnet_feature: expected shape (24, any), found (24, 2, 2, "),
+    (instead("resnet_feature", np.zeros((24, 0))), "resnet_feature: expected shape (states, features) or (states,"),
+    (instead("resnet_feature", np.zeros((24, 8, 2))), "resnet_feature: expected shape (states, features) or (states,"),
+    (instead("resnet_feature", np.full((24, 8), 1e38)), "resnet_feature: state 0 holds a value that is not finite, or"),
+    (instead("resnet_feature", np.full((24, 8), 1e300)), "resnet_feature: state 0 holds a value that is not finite"),
+    (instead("shortest_path_distance", np.zeros((24, 5))), "shortest_path_distance: expected shape (24, 24), found (2"),
+    (instead("observation", np.zeros((24, 3, 4), "u1")), "observation: expected shape (24, any, any, 3), found (24, 3"),
+    (instead("observation", np.zeros((24, 3, 4, 3), "u2")), "observation: expected uint8 pixels, found uint16"),
+    (views(POSTSCRIPT), "observation_webp: state 23: not a readable image (it is not WebP, PNG or JPEG)"),
+    (views(picture("PNG", (4096, 4097), "1")), "observation_webp: state 23: not a readable image (4096x4097 pixels ar"),
+    (attribute("goals", [3, 24]), "goal 24 is not a state; states are 0..23"),
+    (attribute("goals", [3, 4, 3]), "attribute 'goals': names state 3 twice"),
+    (attribute("goals", "abc"), "attribute 'goals': expected a list of states (integers), found 'abc'"),
+    (attribute("goals", np.arange(8000)), "attribute 'goals': names 8000 goals of 24 states"),
+    (attribute("actions", ["ahead", "right", "left"]), "attribute 'actions': expected ['ahead', 'right', 'left', 'bac"),
+    (attribute("name", np.bytes_(b"\xff\xfe")), "attribute 'name': expected text, found b'"),
+    (attribute("name", "../../etc/room"), "a scene cannot be called '../../etc/room'; a name has"),
+    (attribute("source", "thor\nrooms"), "attribute 'source': expected one line of text, found 'thor"),
+    (linked("graph", "external"), "graph: is a link to elsewhere; a dump must hold its own data"),
+    (linked("graph", "virtual"), "graph: its data lies in other files; a dump must hold its own data"),
+    (linked("resnet_feature", "storage"), "resnet_feature: its data lies in other files; a dump must hold its own dat"),
+    (half_written, "resnet_feature: some of its values were never written; was its making stopped?"),
+    (digest_lost, "does not hold what was written to it: it is damaged, or was changed without dirl"),
+]
+"""How a file is spoiled, and how its one line begins."""
+
+ABSURD = [
+    (hollow("graph", (HUGE, 4), "i4"), "graph: 1099511627776 states are more than the 50000 this package can hold"),
+    (hollow("resnet_feature", (24, HUGE)), "resnet_feature: expected shape (states, features) or (states, crops, feat"),
+    (hollow("observation", (24, HUGE, 4, 3), "u1"), "observation: expected 1 to 16777216 pixels a view, found shape"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "says"), CASES, ids=[says[:50] for _, says in CASES])
+def test_a_malformed_dump_is_refused_in_one_line(tmp_path, spoil, says):
+    assert refused(make(tmp_path / "room.h5", spoil)).startswith(says)
+
+
+def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path):
+    for number, (spoil, says) in enumerate(ABSURD):
+        path = make(tmp_path / f"{number}.h5", spoil)
+        tracemalloc.start()
+        try:
+            assert refused(path).startswith(says)
+            assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
+        finally:
+            tracemalloc.stop()
 
 
 def test_features_that_are_too_many_in_all_are_refused(dump):
     with h5py.File(dump, "a") as file:
-        for name, shape, dtype in (
-            ("graph", (400_000, 4), "i4"),
-            ("location", (400_000, 2), "f4"),
-            ("rotation", (400_000,), "f4"),
-            ("resnet_feature", (400_000, 1, 65_536), "f4"),
-        ):
-            hollow(name, shape, dtype)(file)
-    refused(dump)
+        for name, width in (("graph", (4,)), ("location", (2,)), ("rotation", ()), ("resnet_feature", (1, 65_536))):
+            hollow(name, (40_000, *width), "i4" if name == "graph" else "f4")(file)
+    assert refused(dump).startswith(
+        "resnet_feature: expected at least one feature a state, and 134217728 of all at most"
+    )
 
 
 @pytest.mark.parametrize("limit", ["MAX_STATES", "MAX_FEATURE_VALUES"])
@@ -61,3 +145,11 @@ def test_the_limits_themselves_are_allowed(dump, monkeypatch, limit):
     assert len(read_here(dump)) == 24
     monkeypatch.setattr(hdf5, limit, allowed - 1)
     refused(dump)
+
+
+def test_what_is_no_whole_hdf5_file_is_refused(dump, tmp_path):
+    assert refused(tmp_path / "none.h5") == refused(tmp_path) == "there is no such file"
+    whole = dump.read_bytes()
+    for content in (b"not HDF5", whole[: int(0.99 * len(whole))]):
+        dump.write_bytes(content)
+        assert refused(dump).startswith("not a readable HDF5 file, perhaps a broken download")

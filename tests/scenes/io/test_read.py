@@ -57,12 +57,12 @@ def test_a_dump_may_lack_features_images_and_distances(dump):
     assert read.distances[0, 4] == 3  # the next place to the right: turn, ahead, turn back
 
 
-@pytest.mark.parametrize(("integer", "number"), [("i8", "f2")])
-def test_numbers_may_be_of_any_type_and_in_compressed_chunks(scene, dump, integer, number):
+def test_numbers_may_be_of_any_type_and_in_compressed_chunks(scene, dump):
+    number = "f2"
     values = {"location": (2 * scene.positions).astype(number), "rotation": scene.headings.astype(number)}
     put(dump, **values, shortest_path_distance=np.zeros((24, 24), number), graph=None)  # distances are never used
     with h5py.File(dump, "a") as file:
-        file.create_dataset("graph", data=scene.graph.astype(integer), compression="gzip", shuffle=True, chunks=True)
+        file.create_dataset("graph", data=scene.graph.astype("i8"), compression="gzip", shuffle=True, chunks=True)
     read = read_here(dump)
     assert (read.graph == scene.graph).all()
     assert (read.distances == scene.distances).all()
@@ -81,15 +81,12 @@ def test_encoded_images_are_seen_and_go_before_raw_ones(dump):
     assert views.encoded(5) == encode(picture(5))
 
 
-@pytest.mark.parametrize("order", [("right", "back", "ahead", "left")])
-@pytest.mark.parametrize("kind", [lambda order: np.array(order, "S")])
-def test_columns_may_be_in_any_declared_order(scene, dump, order, kind):
+def test_columns_may_be_in_any_declared_order(scene, dump):
+    order = ("right", "back", "ahead", "left")
     put(dump, graph=scene.graph[:, [ACTIONS.index(action) for action in order]])
-    mark(dump, actions=kind(order))
+    mark(dump, actions=np.array(order, "S"))
     assert (read_here(dump).graph == scene.graph).all()
 
 
-@pytest.mark.parametrize("stem", ["a='b#"])
-def test_a_file_may_have_any_name(dump, stem):
-    dump = dump.rename(dump.with_name(f"{stem}.h5"))
-    assert read_here(dump).name == ("a_b" if len(stem) > 1 else "scene")
+def test_a_file_may_have_any_name(dump):
+    assert read_here(dump.rename(dump.with_name("a='b#.h5"))).name == "a_b"

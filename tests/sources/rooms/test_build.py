@@ -1,6 +1,5 @@
 """Building rooms: what the checks find, what stands in the file, and that another machine builds the same."""
 
-import hashlib
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,6 @@ pytest.importorskip("embreex")
 from dirl.perception.backbones import ResNet50, ViewEncoder
 from dirl.perception.backbones.resnet import encode
 from dirl.scenes import SceneError, read_dump
-from dirl.scenes.catalogue import ROOMS
 from dirl.sources.rooms import build_room, built_in_rooms, check_room, describe_room
 from dirl.sources.rooms.checks import check_views, contrast, thumbnail
 from dirl.sources.rooms.description import Piece
@@ -24,7 +22,7 @@ from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.view import Renderer
 
 REFERENCES = Path(__file__).parents[2] / "data" / "bathroom_02"
-"""Views of the bathroom, 60x80 PNG, as they were rendered when the built-in rooms were made; named by their states."""
+"""Views of the bathroom in coarse light, 60x80 PNG, rendered on the machine that made the rooms; named by states."""
 
 SMALL = {"size": (24, 32), "fine": False}
 
@@ -103,17 +101,10 @@ def test_what_cannot_be_built_is_refused_at_once(tmp_path, options, message):
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("closet.h5", "mine")]
 
 
-def test_the_shipped_rooms_are_the_ones_in_the_manifest():
-    manifest = dict(reversed(line.split("  ")) for line in (ROOMS / "SHA256SUMS").read_text().splitlines())
-    assert sorted(manifest) == sorted(f"{name}.{kind}" for name in built_in_rooms() for kind in ("h5", "patches.npy"))
-    for name, digest in manifest.items():
-        assert hashlib.sha256((ROOMS / name).read_bytes()).hexdigest() == digest, name
-
-
 def test_the_bathroom_is_built_the_same_on_this_machine():
     """Up to rounding, which moves a ray across an edge here and there: a PSNR above 50 dB (the graph: see above)."""
     room = describe_room("bathroom_02")
-    way, renderer = walk(room), Renderer.of(room)
+    way, renderer = walk(room), Renderer.of(room, fine=False)
     stored = sorted(REFERENCES.glob("*.png"))
     assert len(stored) == 6
     for file in stored:

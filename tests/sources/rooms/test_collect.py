@@ -10,7 +10,7 @@ from closet import closet, start_with_closets
 pytest.importorskip("embreex")
 
 from dirl.perception.backbones.patches import patch_attributes
-from dirl.scenes import SceneError, load_scenes, read_dump
+from dirl.scenes import SceneError, load_scenes
 from dirl.scenes.catalogue import split_of
 from dirl.scenes.io import processes
 from dirl.scenes.io.atomic import PREFIX
@@ -69,14 +69,6 @@ def test_a_seed_without_a_room_does_not_stop_the_others_and_rooms_of_a_collectio
         other = replace(PLAIN, **{key: value}).stored(None)
         with pytest.raises(SceneError, match=f"bathroom_14 was made with {key}=.*, not {value}; give the same options"):
             missing_rooms(tmp_path, WANTED, other)
-
-
-def test_the_views_of_the_look_are_those_that_a_build_would_take(drawn, tmp_path):
-    settings = replace(PLAIN, height=LOOK[0], width=LOOK[1])
-    list(make_rooms(tmp_path, WANTED[:1], settings, workers=1))
-    build_room(closet(), tmp_path / "built.h5", size=LOOK, fine=False)
-    made, built = load_scenes(f"collection:{tmp_path}")[0], read_dump(tmp_path / "built.h5")
-    assert all(made.views.encoded(state) == built.views.encoded(state) for state in range(20))
 
 
 def test_features_and_patches_say_what_made_them(drawn, tmp_path):

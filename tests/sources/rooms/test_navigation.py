@@ -25,15 +25,6 @@ def test_the_distance_of_a_segment_is_that_of_its_nearest_point(a, b, middle, ha
     assert dense - np.hypot(*np.subtract(a, b)) / 2000 <= exact <= dense + 1e-9
 
 
-def test_the_distance_of_points_and_grazing_segments_is_exact():
-    square = np.array([[0.0, 0.0, 1.0, 1.0, np.pi / 4]])
-    points = np.array([[2.0, 0.0], [0.0, 0.0], [2.0, 2.0]])
-    assert np.allclose(clearance(points, points, square), [2 - 2**0.5, 0, 8**0.5 - 1])
-    box = np.array([[0.0, 0.0, 0.5, 0.5, 0.0]])
-    found = clearance(np.array([[-1.0, 0.6], [0.4, 1.2]]), np.array([[1.0, 0.6], [1.2, 0.4]]), box)
-    assert np.allclose(found, [0.1, 0.6 / 2**0.5])
-
-
 def test_the_stool_takes_the_place_it_stands_on():
     way = walk(closet())
     assert way.places.round(3).tolist() == [[0.4, 0.4], [0.4, 0.9], [0.9, 0.4], [0.9, 0.9], [1.4, 0.4]]

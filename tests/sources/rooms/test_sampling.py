@@ -1,25 +1,16 @@
 """Random rooms: fixed by kind and seed, all different, all usable."""
 
-import numpy as np
 import pytest
 
 from dirl.scenes import SceneError
 from dirl.scenes.catalogue import split_of
 from dirl.sources.rooms import check_room
 from dirl.sources.rooms.build import scene_of
-from dirl.sources.rooms.description import Piece, description_text, parse_description
+from dirl.sources.rooms.description import description_text, parse_description
 from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.sampling import KINDS, sample_room
-from dirl.sources.rooms.sampling.draft import Draft
 from dirl.sources.rooms.sampling.sample import draw_room
 from dirl.sources.rooms.sampling.splits import EVERYTHING, HELD_OUT, TEST, TRAIN, repertoire_of
-from dirl.sources.rooms.sampling.styles import Style
-
-
-@pytest.fixture
-def draft():
-    rng = np.random.default_rng(0)
-    return Draft((4.0, 4.0, 2.5), Style(rng, wet=False), rng)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -40,25 +31,6 @@ def test_an_unknown_kind_and_a_negative_seed_are_refused():
         sample_room("bathrom", 0)
     with pytest.raises(SceneError, match="seed=-1: must not be negative"):
         sample_room("bathroom", -1)
-
-
-def test_nothing_is_put_where_something_stands_or_before_the_door(draft):
-    wall = draft.door()
-    (door,) = draft.placed
-    blocked = Piece("cabinet", (0.8, 0.5, 1.0), wall=wall, along=door.piece.along)
-    assert not draft.put(blocked)
-    assert draft.put(Piece("table", (1.0, 1.0, 0.7), at=(2.0, 2.0)))
-    assert not draft.put(Piece("stool", (0.4, 0.4, 0.4), at=(2.2, 2.2)))
-    assert not draft.put(Piece("stool", (0.4, 0.4, 0.4), at=(3.95, 2.0)))
-    assert draft.put(Piece("bowl", (0.3, 0.3, 0.1), at=(2.0, 2.0), options={"z": 0.7}))
-    assert draft.put(Piece("rug", (2.0, 2.0, 0.01), at=(2.0, 2.0)))
-    assert len(draft.placed) == 4
-
-
-def test_no_wall_stays_bare(draft):
-    draft.dress_walls()
-    for wall in ("north", "east", "south", "west"):
-        assert all(end - start < 1.0 for start, end in draft._bare(wall))
 
 
 def test_seeds_fix_the_split():

@@ -6,52 +6,14 @@ import numpy as np
 import pytest
 from closet import closet
 from PIL import Image
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
-from tours import Truth, grid_truth, tour_of, turned
+from tours import grid_truth, tour_of, turned
 
-from dirl.sources.rooms.building import Building, choose_panoramas, sample_building, write_building_tour
+from dirl.sources.rooms.building import Building, write_building_tour
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.alignment import LEAD, align, wrap
 from dirl.sources.tours.columns import Seen, columns, compare
 from dirl.sources.tours.images import Equirectangular
 from dirl.sources.tours.moves import tour_scene
-
-KINDS = {
-    10101: ("living_room", "kitchen", "bedroom"),
-    10301: ("bathroom", "bedroom", "bathroom", "living_room"),
-}
-
-
-def building_truth(seed):
-    """A tour of rooms joined by doors, panoramas 2 m apart: a third of the links lead one way, sectors are crowded."""
-    found, rng = choose_panoramas(sample_building(KINDS[seed], seed)), np.random.default_rng(seed)
-    places, links = found.places, {(int(a), int(b)) for a, b in found.links}
-    # Real tours also link what can be seen through a door: two arrows, or three, in one sector.
-    links |= {(a, d) for a, b in links for c, d in links if b == c and a != d and rng.random() < 0.15}
-    for a, b in sorted(links):
-        if a < b and (b, a) in links and rng.random() < 0.5:
-            links.remove((a, b) if rng.random() < 0.5 else (b, a))
-    along = {(a, b): float(np.degrees(np.arctan2(*(places[b] - places[a]))) % 360) for a, b in sorted(links)}
-    return Truth(places, rng.uniform(0, 360, len(places)), [(a, b, angle) for (a, b), angle in along.items()])
-
-
-def together(count, pairs):
-    """How many are in the largest group that can be reached from each other."""
-    ends = np.array(sorted(pairs)).reshape(-1, 2)
-    links = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    return np.bincount(connected_components(links, connection="strong")[1]).max()
-
-
-@pytest.mark.parametrize("seed", KINDS)
-def test_every_room_that_a_tour_connects_is_in_the_scene(seed):
-    truth = building_truth(seed)
-    links = {link[:2] for link in truth.links}
-    assert 0.2 < np.mean([(b, a) not in links for a, b in links]) < 0.6
-    count = len(truth.places)
-    scene = tour_scene(tour_of(truth), headings=8, compare_images=False).scene
-    moves = {(s // 8, t // 8) for s, ends in enumerate(scene.graph.tolist()) for t in ends if t >= 0}
-    assert together(count, moves) >= 0.98 * together(count, links)
 
 
 @pytest.fixture(scope="module")
@@ -91,14 +53,6 @@ def test_headings_that_links_one_way_leave_open_are_seen(closets):
     assert note.startswith(
         f"{len(pairs) // 2} of {len(pairs) // 2} pairs of panoramas that were compared show how they"
     )
-
-
-def test_headings_of_links_that_contradict_each_other_are_seen(closets):
-    tour, middles = closets
-    made = tour_scene(changed(tour, off=50.0))
-    assert errors(made, middles).max() <= 6
-    before, after = (float(note.split("median error of ")[1].split()[0]) for note in made.notes if "median" in note)
-    assert before > 15 > after
 
 
 def test_what_panoramas_show_takes_the_place_of_links_that_are_missing_or_wrong():

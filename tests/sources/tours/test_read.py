@@ -26,40 +26,20 @@ def links(tour):
 
 
 SPOILT = {
-    "code instead of data": (
-        "marzipano",
-        "data.js",
-        r'"scenes": ',
-        '"scenes": all() + ',
-        "data.js: is no JSON, and no",
-    ),
+    "code instead of data": ("marzipano", "data.js", r'"scenes": ', '"scenes": all() + ', "data.js: is no JSON, and"),
     "a scene outside": ("marzipano", "data.js", "place_0", "../../etc", "scene '../../etc': .* lies outside of"),
     "no such tile": ("marzipano", "data.js", "place_0", "hall", "'hall': there is no file .*hall"),
     "a yaw of text": ("marzipano", "data.js", r'"yaw": [-.\de]+', '"yaw": "x"', "'place_0': yaw: expected a number"),
     "tiles without end": ("marzipano", "data.js", r'"size": 8', '"size": 30000', "are more than 64 tiles a side"),
     "an entity": ("krpano", "tour.xml", "^", '<!DOCTYPE k [<!ENTITY a "aa">]>', "has a document type"),
-    "an encrypted tour": (
-        "krpano",
-        "tour.xml",
-        "^.*$",
-        "<encrypted>KENC</encrypted>",
-        "is encrypted; make the tour ag",
-    ),
-    "a scene twice": (
-        "krpano",
-        "tour.xml",
-        'name="place_1"',
-        'name="PLACE_0"',
-        "two scenes have the name 'PLACE_0', in",
-    ),
+    "encrypted": ("krpano", "tour.xml", "^.*$", "<encrypted>K</encrypted>", "is encrypted; make the tour again"),
+    "a scene twice": ("krpano", "tour.xml", 'name="place_1"', 'name="PLACE_0"', "two scenes have the name 'PLACE_0'"),
     "on the web": ("krpano", "tour.xml", 'cube url="', 'cube url="https://x.org/', "place_0': '.*' is on the web"),
-    "no image": ("krpano", "tour.xml", "<image>.*?</image>", "", "scene 'place_0': has no image"),
-    "another type": ("pannellum", "tour.json", '"equirectangular"', '"video"', "type 'video' is none of"),
+    "turned": ("krpano", "tour.xml", "<image>", '<image prealign="0|3|0">', "turns the panorama.*'skip=.place_0.'$"),
     "an absolute path": ("pannellum", "tour.json", '"place_0.jpg"', '"/etc/passwd"', "'/etc/passwd' lies outside"),
     "a pipe": ("pannellum", "tour.json", '"place_0.jpg"', '"pipe.jpg"', "there is no file "),
     "deep JSON": ("pannellum", "tour.json", "^.*$", '{"scenes":' * 100_000, "is no JSON"),
     "another column": ("table", "links.csv", "yaw", "jaw", "links.csv: line 1: columns: there is no 'jaw'; did you"),
-    "no file": ("table", "links.csv", "place_3.jpg", "attic.jpg", "panorama 'attic.jpg': there is no file"),
 }
 
 
@@ -90,21 +70,6 @@ def test_what_is_no_tour_is_refused(tmp_path):
         read_tour(tmp_path)
     with pytest.raises(SceneError, match="expected 'scenes'"):
         read_tour(tmp_path / "a.json")
-
-
-def test_a_tour_is_found_by_its_folder_or_file(tmp_path):
-    folder = tmp_path / "app-files"
-    folder.mkdir()
-    written("marzipano", folder)
-    assert len(read_tour(folder / "data.js").panoramas) == len(read_tour(tmp_path).panoramas) == 4
-
-
-def test_krpano_names_scenes_in_any_case(tmp_path):
-    before = links(read_tour(written("krpano", tmp_path)))
-    change(tmp_path / "tour.xml", 'scene name="place_', 'scene name="Place_', count=0)
-    after = read_tour(tmp_path)
-    assert links(after) == {(a.replace("p", "P", 1), b.replace("p", "P", 1)) for a, b in before}
-    assert not after.notes
 
 
 @pytest.mark.parametrize(
@@ -154,19 +119,11 @@ def test_pannellum_may_be_configured_in_a_script(tmp_path, name):
         assert links(read_tour(path)) == before
 
 
-FUNCTIONS = (
-    "hotspot",
-    "function (div, args) { if (args) { div.title = '}'; } return {go: () => { /* } */ }}; }",
-    "(div) => { div.innerHTML = `}`; }",
-)
-
-
-@pytest.mark.parametrize("function", FUNCTIONS)
-def test_functions_of_hot_spots_and_other_files_do_not_hide_a_tour(tmp_path, function):
+def test_functions_of_hot_spots_and_other_files_do_not_hide_a_tour(tmp_path):
     file = written("pannellum", tmp_path) / "tour.json"
+    function = "function (div, args) { if (args) { div.title = '}'; } return {go: () => { /* } */ }}; }"
     change(file, '"type": "info"', f'"createTooltipFunc": {function}, "type": "info"', count=0)
-    for name in ("composer.json", "firebase.json", "package.json"):
-        (tmp_path / name).write_text('{"name": "a tour: {it, is}"}')
+    (tmp_path / "package.json").write_text('{"name": "a tour: {it, is}"}')
     (tmp_path / "index.html").write_text('<p>It\'s here</p><script src="pannellum.js"></script>')
     assert len(links(read_tour(tmp_path))) == 8
 
@@ -249,16 +206,6 @@ def test_flat_pictures_of_a_tour_are_left_out(tmp_path, kind, file, old, new):
     assert [panorama.id for panorama in tour.panoramas] == ["place_1", "place_2", "place_3"]
     assert "1 flat pictures are left out, the first: " in tour.notes[0]
     assert len(read_tour(tmp_path, skip=["place_0"]).panoramas) == 3
-
-
-def test_a_panorama_that_cannot_be_read_can_be_skipped_and_all_of_them_cannot(tmp_path):
-    change(written("krpano", tmp_path) / "tour.xml", "<image>", '<image prealign="0|3|0">')
-    with pytest.raises(SceneError, match=r"turns the panorama.*; without these panoramas: 'skip=\[place_0\]'$"):
-        read_tour(tmp_path)
-    assert len(read_tour(tmp_path, skip=["place_0"]).panoramas) == 3
-    change(tmp_path / "tour.xml", "<image>", '<image prealign="0|3|0">', count=0)
-    with pytest.raises(SceneError, match=r"turns the panorama.* \(4 of 4 panoramas cannot be read\)$"):
-        read_tour(tmp_path)
 
 
 def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path, monkeypatch):
