@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from dirl import Navigator
-from dirl.agent.hub import fetch_pretrained
 from dirl.config.schemas import ConfigError
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition import Learned
@@ -29,11 +28,6 @@ def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path):
     (tmp_path / "general").mkdir()  # a folder of the reader's with this name comes first
     with pytest.raises(ValueError, match="holds no checkpoint"):
         load_checkpoint("general")
-
-
-@pytest.mark.usefixtures("elsewhere")
-def test_it_is_not_looked_for_in_the_hub():
-    assert fetch_pretrained("general") == AGENTS / "general"
 
 
 @pytest.mark.usefixtures("elsewhere")

@@ -564,7 +564,7 @@ def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp
 
 
 def test_a_navigator_and_its_episode_can_be_pickled():
-    navigator = Navigator.from_pretrained("general")
+    navigator = Navigator.load("general")
     images = np.random.default_rng(0).integers(0, 256, (3, 4, 60, 80, 3), np.uint8)
     navigator.reset(images[0])
     navigator.act(images[1])

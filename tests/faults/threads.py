@@ -29,7 +29,7 @@ from dirl.sources.tours.images import cut_views
 
 def tasks(folder):
     """What a thread does, by its name."""
-    navigator = Navigator.from_pretrained("general")
+    navigator = Navigator.load("general")
     images = np.random.default_rng(0).integers(0, 256, (4, 60, 80, 3), np.uint8)
     navigator.reset(images)
     Image.fromarray(images[0]).save(folder / "photo.png")

@@ -17,7 +17,6 @@ from torch import Tensor
 from dirl.agent.agent import Agent, Localising, Memory, Remembering, make_agent
 from dirl.agent.cameras import Decision, FeaturePolicy, Goal, Scores, Views
 from dirl.agent.exploring import Explorer, map_of, map_to_walk_on
-from dirl.agent.hub import fetch_pretrained
 from dirl.agent.images import (
     Images,
     NavigatorError,
@@ -163,29 +162,6 @@ class Navigator:
         navigator = cls(**parts, turns=turns)
         tell_of_turns(turns_of_training(saved), {turns}, origin)
         return navigator
-
-    @classmethod
-    def from_pretrained(
-        cls,
-        name: str | Path,
-        encoder: Encoder | str | Path | None = None,
-        *,
-        revision: str | None = None,
-        **options: Any,
-    ) -> "Navigator":
-        """Load a navigator from the Hugging Face Hub, or from a folder of the same form.
-
-        Args:
-            name: ``user/name`` in the Hub, or a folder, see `dirl.agent.hub`; or an agent of the package, ``general``.
-            encoder: see `load`.
-            revision: a commit, branch or tag; the latest if left out.
-            options: of `load`; without ``trust`` only dirl's own classes are built.
-
-        Raises:
-            HubError: there is no such policy, or it cannot be fetched.
-            NavigatorError: see `load`.
-        """
-        return cls.load(fetch_pretrained(name, revision=revision), encoder, **options)
 
     @property
     def device(self) -> torch.device:

@@ -17,7 +17,6 @@ from typing import Any
 
 import torch
 
-from dirl.runs.export import read_shared
 from dirl.runs.paths import RunError, find_checkpoint, training_checkpoints
 from dirl.runs.schema import State, check_entries
 from dirl.scenes.io.atomic import atomic_path
@@ -57,7 +56,7 @@ def load_checkpoint(path: str | Path) -> State:
 
     Args:
         path: a ``.pt`` file, or the folder of a run for its final weights, or the latest that is whole if it is not
-            finished; or a folder that `dirl.runs.export` wrote; or the name of an agent in `dirl.runs.paths.AGENTS`.
+            finished; or the name of an agent in `dirl.runs.paths.AGENTS`.
 
     Raises:
         RunError: there is none, or it is damaged.
@@ -65,7 +64,7 @@ def load_checkpoint(path: str | Path) -> State:
     found = find_checkpoint(path)
     if found.is_file():
         return read_checkpoint(found)
-    return latest_checkpoint(found)[0] if training_checkpoints(found) else read_shared(found)
+    return latest_checkpoint(found)[0]
 
 
 def latest_checkpoint(folder: Path, check: Callable[[Path, State], None] = lambda *_: None) -> tuple[State, list[Path]]:

@@ -6,9 +6,6 @@ from pathlib import Path
 AGENTS = Path(__file__).parents[1] / "agents"
 """Trained agents that come with the package, each in the folder of its name."""
 
-WEIGHTS = "model.safetensors"
-"""Of a policy that was shared, see `dirl.runs.export`."""
-
 ARCHITECTURE = ("observation", "encoder", "memory", "heads", "policy", "network")
 """The options that decide which weights a policy has, and what they read."""
 
@@ -39,7 +36,7 @@ def packaged_agent(name: str | Path) -> Path | None:
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """Return the file of a checkpoint, or the folder of an unfinished run or a shared policy; see `load_checkpoint`.
+    """Return the file of a checkpoint, or the folder of an unfinished run; see `load_checkpoint`.
 
     Raises:
         RunError: there is none.
@@ -48,7 +45,7 @@ def find_checkpoint(path: str | Path) -> Path:
     file = path / "network.pt" if path.is_dir() else path
     if file.is_file():
         return file
-    if path.is_dir() and (training_checkpoints(path) or (path / WEIGHTS).is_file()):
+    if path.is_dir() and training_checkpoints(path):
         return path
     raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
 

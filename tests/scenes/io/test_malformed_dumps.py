@@ -129,13 +129,6 @@ def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path):
             tracemalloc.stop()
 
 
-def test_features_that_are_too_many_in_all_are_refused(dump):
-    with h5py.File(dump, "a") as file:
-        for name, width in (("graph", (4,)), ("location", (2,)), ("rotation", ()), ("resnet_feature", (1, 65_536))):
-            hollow(name, (40_000, *width), "i4" if name == "graph" else "f4")(file)
-    assert refused(dump).startswith(
-        "resnet_feature: expected at least one feature a state, and 134217728 of all at most"
-    )
 
 
 @pytest.mark.parametrize("limit", ["MAX_STATES", "MAX_FEATURE_VALUES"])
