@@ -8,12 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 from commands import ROOT
 
 from dirl.agent.cameras import Decision, Scores
-from dirl.agent.exploring import Explorer
-from dirl.agent.mapping import ImageGraph, load_graph
 
 
 @pytest.fixture(scope="module")
@@ -84,28 +81,6 @@ def test_it_drives_what_was_decided_and_stops_at_the_goal(ros2):
     # Clockwise degrees, halved: after the right turn all views have moved on by one.
     assert np.abs(np.array(navigator.seen[0]) - [0, 45, 90, 135]).max() <= 1
     assert np.abs(np.array(navigator.seen[2]) - [45, 90, 135, 0]).max() <= 3
-
-
-def test_a_walk_makes_a_map_and_ends_where_all_is_known(ros2, tmp_path):
-    """In a place with one spot, where no move leads anywhere; the robot of `Robot` is not asked."""
-    looks = torch.randn(4, 8, generator=torch.Generator().manual_seed(0))
-    facing, seen = [0], []
-
-    def encode(images):
-        seen.append(images.shape)
-        return looks.roll(-facing[0], 0)
-
-    walk = ros2.Walk(Explorer(encode, ImageGraph(turns=4), "none"), str(tmp_path / "map"))
-    for _ in range(20):
-        step = walk.act(np.zeros((4, 2, 2, 3), np.uint8))
-        if step.stop:
-            break
-        facing[0] += {1: 1, 2: -1}.get(step.action, 0)
-    assert step.stop
-    assert set(seen) == {(4, 2, 2, 3)}
-    found = load_graph(tmp_path / "map", extractor="none")
-    assert len(found) == 4
-    assert all(found.moves[node][action] == node for node in range(4) for action in (0, 3))
 
 
 def test_it_only_looks_where_it_stands(ros2):

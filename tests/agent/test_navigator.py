@@ -4,7 +4,6 @@ import shutil
 import subprocess
 import sys
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,20 +73,19 @@ def own_run(run, tmp_path):
     return Path(shutil.copytree(run, tmp_path / "own"))
 
 
-def walk_until_stop(navigator, world, see, state, most):
-    """The states that a navigator passes until it stops, later than at the first; and whether it stopped."""
-    action, stopped, _ = navigator.act(see(state))
+def walk_until_stop(act, world, state, most):
+    """The states that are passed until a navigator stops, later than at the first; and whether it stopped."""
+    action, stopped, _ = act(int(state))
     walked = [int(state)]
     while len(walked) <= most and (len(walked) == 1 or not stopped):
-        state = world.graph[state, action]
-        walked.append(int(state))
-        action, stopped, _ = navigator.act(see(state))
+        walked.append(int(world.graph[walked[-1], action]))
+        action, stopped, _ = act(walked[-1])
     return walked, stopped
 
 
 @pytest.mark.parametrize(
     ("observation", "match", "heads"),
-    [("surrounding", "views", "scene"), ("surrounding", "front", "shared"), ("sequential", "front", "scene")],
+    [("surrounding", "views", "shared"), ("sequential", "front", "scene")],
 )
 def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observation, match, heads):
     world = rooms(("grid", "other.room"))
@@ -106,60 +104,51 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observatio
         for episode in torch.nonzero(world.scene_of[starts[1]] == index).flatten().tolist():
             goal, state = world.goals[starts[0][episode]], starts[1][episode]
             navigator.reset(see(goal))
-            walked, stopped = walk_until_stop(navigator, world, see, state, 12)
+            walked, stopped = walk_until_stop(lambda at, see=see, act=navigator.act: act(see(at)), world, state, 12)
             assert walked == paths[episode]
             assert stopped == bool(stop[world.pair(starts[0][episode], walked[-1])])
 
 
+FRONT = "goal_view=front"
+
+
 @pytest.mark.parametrize(
-    ("goal_view", "options", "memory"),
+    ("options", "memory", "turns", "shown"),
     [
-        ("surrounding", ["episodic_memory=planning", "episodic_memory.repeated=1"], PlanningMemory(repeated=1.0)),
-        ("front", ["episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3)),
+        (["episodic_memory=planning", "episodic_memory.repeated=1"], PlanningMemory(repeated=1.0), 4, {}),
+        ([FRONT, "episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3), 4, {}),
+        (["episodic_memory=planning"], PlanningMemory(), 8, {"panorama": True, "arrows": True}),
+        ([FRONT, "episodic_memory=localising"], LocalisingMemory(), 4, {}),
     ],
+    ids=["planning", "of a photo", "of a panorama", "localising"],
 )
-def test_a_navigator_remembers_and_takes_a_photo_as_the_evaluation_does(tmp_path, goal_view, options, memory):
-    world = rooms()
-    policy, seen = trained(tmp_path, world, f"goal_view={goal_view}", *options)
+def test_a_navigator_with_a_memory_walks_as_the_evaluation_does(tmp_path, monkeypatch, options, memory, turns, shown):
+    place = {} if turns == 4 else {"headings": turns, "goals": (9,), "blocked": [(0, 1)]}
+    world = make_world([grid_scene(3, 2, seed=0, **{"goals": (0, 13), **place})])
+    policy, seen = trained(tmp_path, world, *options)
+    match = "front" if FRONT in options else "views"
+    stop = TemplateStop(0.95 if match == "front" else 0.9, match)
+    if isinstance(memory, LocalisingMemory):
+        recogniser = Odds()
+        monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: recogniser)
+        stop = TemplateStop(match=match, recogniser=recogniser).compared
+        shown = {"scores": VisitScores(recogniser, world)}
     starts = every_start(world)
-    match = "front" if goal_view == "front" else "views"
-    stop = TemplateStop(0.95 if match == "front" else 0.9, match)(world)
-    protocol = EvaluationProtocol(world, seen, starts, max_steps=25, memory=memory, stop=stop)
-    _, paths = protocol.trajectories(policy, starts)
-    _, alone = replace(protocol, memory=None).trajectories(policy, starts)
-    assert paths != alone
-    navigator = load(tmp_path, world)
-    for episode in range(len(paths)):
-        goal, state = int(world.goals[starts[0][episode]]), starts[1][episode]
-        navigator.reset(images_of(goal if goal_view == "front" else world.surrounding[goal]))
-        walked = [int(state)]
-        while walked[-1] != goal and len(walked) <= 25:
-            state = world.graph[state, navigator.act(images_of(world.surrounding[state])).action]
-            walked.append(int(state))
-        assert walked == paths[episode]
-        assert bool(navigator.act(images_of(world.surrounding[goal])).stop)
-
-
-@pytest.mark.parametrize("goal_view", ["surrounding", "front"])
-def test_a_navigator_localises_as_the_evaluation_does(tmp_path, goal_view, monkeypatch):
-    world, recogniser = rooms(), Odds()
-    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: recogniser)
-    policy, seen = trained(tmp_path, world, f"goal_view={goal_view}", "episodic_memory=localising")
-    starts = every_start(world)
-    match = "front" if goal_view == "front" else "views"
-    stop = TemplateStop(match=match, recogniser=recogniser).compared(world)
-    scores = VisitScores(recogniser, world)
-    protocol = EvaluationProtocol(
-        world, seen, starts, max_steps=25, memory=LocalisingMemory(), scores=scores, stop=stop
-    )
+    protocol = EvaluationProtocol(world, seen, starts, max_steps=25, memory=memory, stop=stop(world), **shown)
     episodes, paths = protocol.trajectories(policy, starts)
-    assert episodes.success.any()
-    navigator = load(tmp_path, world)
-    for episode in range(len(paths)):
-        goal, state = int(world.goals[starts[0][episode]]), starts[1][episode]
-        navigator.reset(images_of(goal if goal_view == "front" else world.surrounding[goal]))
-        walked, stopped = walk_until_stop(navigator, world, lambda at: images_of(world.surrounding[at]), state, 25)
-        assert walked == paths[episode]
+    open_moves = world.graph != torch.arange(len(world)).unsqueeze(1)
+    around = world.panoramas() if "panorama" in shown else world.surrounding
+    navigator = load(tmp_path, world, turns=turns)
+
+    def act(state):
+        possible = open_moves[around[state]] if "arrows" in shown else None
+        return navigator.act(images_of(around[state]), possible=possible)
+
+    for episode, path in enumerate(paths):
+        goal = int(world.goals[starts[0][episode]])
+        navigator.reset(images_of(goal if match == "front" else world.surrounding[goal]))
+        walked, stopped = walk_until_stop(act, world, path[0], 25)
+        assert walked == path
         assert stopped == bool(episodes.success[episode] | episodes.false_stop[episode])
 
 
@@ -178,28 +167,6 @@ def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world
     assert (type(navigator.recogniser), navigator.memory) == (NCC, None)
     with pytest.raises(ConfigError, match=r"^recogniser=other: choose from learned, ncc, or a file of your"):
         load(run, world, recogniser="other")
-
-
-@pytest.mark.parametrize(("turns", "panorama", "arrows"), [(8, True, True), (8, False, False)])
-def test_a_navigator_that_turns_by_less_plans_as_the_evaluation_does(tmp_path, turns, panorama, arrows):
-    world = make_world([grid_scene(3, 2, headings=turns, goals=(9,), blocked=[(0, 1)])])
-    policy, seen = trained(tmp_path, world, "episodic_memory=planning")
-    starts = every_start(world)
-    stop = TemplateStop(0.9)(world)
-    protocol = EvaluationProtocol(
-        world, seen, starts, max_steps=25, memory=PlanningMemory(), stop=stop, panorama=panorama, arrows=arrows
-    )
-    _, paths = protocol.trajectories(policy, starts)
-    open_moves = world.graph != torch.arange(len(world)).unsqueeze(1)
-    navigator, around = load(tmp_path, world, turns=turns), world.panoramas() if panorama else world.surrounding
-    for episode, path in enumerate(paths):
-        navigator.reset(images_of(world.surrounding[world.goals[0]]))
-        walked = [int(starts[1][episode])]
-        while walked[-1] != int(world.goals[0]) and len(walked) <= 25:
-            seen = around[walked[-1]]
-            decided = navigator.act(images_of(seen), possible=open_moves[seen] if arrows else None)
-            walked.append(int(world.graph[walked[-1], decided.action]))
-        assert walked == path
 
 
 def test_moves_that_are_possible_are_told_facing_each_view(run, world):

@@ -3,13 +3,7 @@
 import os
 import signal
 
-import torch
-
 from dirl.scenes.live import simulator_errors
-
-
-def square(number):
-    return number**2, os.getpid(), torch.get_num_threads()
 
 
 def fail():

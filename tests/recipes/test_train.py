@@ -1,13 +1,8 @@
 import csv
 import json
-import os
-import signal
-import time
 
 import pytest
-import torch
-import yaml
-from commands import SAVED, TINY, done, room_file, run_program, run_recipe, start_recipe, wait_until
+from commands import TINY, done, room_file, run_program, run_recipe
 from PIL import Image
 
 STAGES = ("imitation", "reinforcement", "evaluation")
@@ -84,85 +79,6 @@ def test_a_run_until_stable_ends_at_the_first_evaluation_that_finds_every_goal_s
     assert summary["stable_at_frame"] is not None
     assert [frames for frames in evaluated if frames > summary["stable_at_frame"]] == [summary["frames"]]
     assert summary["frames"] < 20_000
-
-
-def test_optuna_tells_the_job_with_the_highest_greedy_spl(tmp_path):
-    search = ["hydra/sweeper=search", "hydra.sweeper.n_trials=2", "hydra.sweep.dir=sweep"]
-    search += ["imitation.fraction=interval(0.1,1)", "imitation.max_steps=3", "reinforcement.frames_per_scene=60"]
-    tiny = [
-        option for option in TINY if not option.startswith(("imitation.fraction", "reinforcement.frames_per_scene"))
-    ]
-    options = [f"scene={room_file(tmp_path)}", *tiny, *search]
-    done(tmp_path, "train", "-m", *options)
-    spl = [read_summary(tmp_path / "sweep" / job)["greedy"]["spl"] for job in ("0", "1")]
-    found = yaml.safe_load((tmp_path / "sweep" / "optimization_results.yaml").read_text())
-    assert found["best_value"] == max(spl)
-    assert all(0.1 <= value <= 1 for value in found["best_params"].values())
-    assert [name.lstrip("+") for name in found["best_params"]] == ["imitation.fraction"]
-
-
-def test_a_run_killed_and_resumed_ends_as_one_that_was_not(tmp_path):
-    """With a memory; without one, see tests/faults/test_runs.py."""
-    memory = ["memory=gru", "memory.hidden_size=16", "reinforcement.frames_per_scene=1500"]
-    options = [f"scene={room_file(tmp_path)}", *TINY, *memory]
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    done(tmp_path, "train", *options, f"hydra.run.dir={whole}")
-    process = start_recipe(tmp_path, "train", *options, f"hydra.run.dir={killed}", SAVED)
-    wait_until(lambda: list(killed.glob("checkpoints/0*[1-9]???.pt")))
-    process.send_signal(signal.SIGKILL)
-    assert process.wait().status == -signal.SIGKILL
-    assert not (killed / "summary.json").exists(), "it was not killed in time"
-    done(tmp_path, "train", f"resume={killed}")
-    first, second = (torch.load(run / "network.pt", weights_only=True)["network"] for run in (whole, killed))
-    assert all(torch.equal(first[key], second[key]) for key in first)
-    assert read_summary(whole) == read_summary(killed)
-    for stage in STAGES:
-        assert read_table(whole / f"{stage}.csv") == read_table(killed / f"{stage}.csv")
-
-
-def test_ctrl_c_saves_a_checkpoint_and_says_how_to_go_on(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *TINY, "reinforcement.frames_per_scene=100_000_000"]
-    process = start_recipe(tmp_path, "train", *options, "hydra.run.dir=stopped", "checkpoint.every_seconds=1000")
-    evaluation = tmp_path / "stopped" / "evaluation.csv"
-    wait_until(lambda: evaluation.exists())
-    time.sleep(1)
-    process.send_signal(signal.SIGINT)
-    ended = process.wait()
-    assert ended.status == 130
-    assert "resume=stopped" in ended.errors
-    assert list((tmp_path / "stopped" / "checkpoints").glob("*.pt"))
-
-
-OWN_ENCODER = """
-import torch
-from torch import nn
-
-class Mean(nn.Module):
-    def __init__(self, num_features: int, width: int = 8) -> None:
-        super().__init__()
-        self.layer = nn.Linear(2 * num_features, width)
-
-    def forward(self, observation, goal_observation):
-        return self.layer(torch.cat([observation, goal_observation], -1).mean(1))
-"""
-
-
-def test_an_encoder_of_ones_own_comes_from_outside_and_is_trusted_by_name(tmp_path, monkeypatch):
-    (tmp_path / "my_house.py").write_text(OWN_ENCODER)
-    (tmp_path / "conf" / "encoder").mkdir(parents=True)
-    (tmp_path / "conf" / "encoder" / "mean.yaml").write_text("_target_: my_house.Mean\nwidth: 12\n")
-    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
-    options = [option for option in TINY if not option.startswith("encoder.")]
-    options += [f"scene={room_file(tmp_path)}", "encoder=mean", "hydra.run.dir=run"]
-    done(tmp_path, "train", f"--config-dir={tmp_path / 'conf'}", *options)
-    asked = ["checkpoint=run", "seed=3", "max_steps=50"]
-    status, _, errors = run_recipe(tmp_path, "evaluate", *asked)
-    assert status == 1
-    assert errors.count("\n") == 1
-    assert "trust=[my_house]" in errors
-    done(tmp_path, "evaluate", *asked, "trust=[my_house]", "out=e.json")
-    again = json.loads((tmp_path / "e.json").read_text())
-    assert again["greedy"] == read_summary(tmp_path / "run")["greedy"]
 
 
 def test_benchmark_measures_every_loop(tmp_path):

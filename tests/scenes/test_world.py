@@ -126,9 +126,7 @@ def test_goals_replace_those_of_the_scenes_that_they_name(scene, scenes):
             None,
             r"hall and grid have features of different extractors.*: 'CLIP' \(16 wide\) and 'random' \(16 wide\)",
         ),
-        ([grid_scene(goals=())], None, r"grid_scene: names no goals; choose some, e.g. goals=\[0,12\]"),
         ([grid_scene(), hall()], [0], r"goals of several scenes are given by name, e.g. \{grid: \[0, 4\]\}"),
-        ([grid_scene()], [0, 24], r"grid_scene: goal 24 is not a state; states are 0\.\.23"),
         ([grid_scene()], [4, 0, 4], r"grid: a goal is named twice in \[4, 0, 4\]"),
     ],
 )

@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rooms import grid_scene
 
-from dirl.perception.recognition import Learned
 from dirl.perception.recognition.matching import TemplateStop, ncc
 from dirl.scenes import make_world
 
@@ -85,8 +84,3 @@ def test_a_state_stops_only_above_the_threshold():
     stop = world.block(TemplateStop(threshold)(world), 0)
     assert stop.sum() == 2
     assert torch.equal(stop, scores > threshold)
-
-
-def test_scores_of_a_learned_recogniser_can_be_drawn():
-    world = world_of(feature_width=1280, patches=True)
-    assert not TemplateStop(recogniser=Learned()).scores(world).requires_grad

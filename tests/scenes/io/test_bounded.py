@@ -9,6 +9,7 @@ import torch
 from dirl.scenes import SceneError
 from dirl.scenes.io.bounded import MOST_WEIGHTS, read_arrays, read_bytes, read_tensors
 from dirl.scenes.io.checked import inside
+from dirl.scenes.io.texts import read_rows
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/abs/secret.png", "link.png"])
@@ -31,6 +32,16 @@ def test_links_within_a_folder_and_a_folder_that_is_a_link_are_inside(tmp_path, 
     for where in (folder, tmp_path / "other", folder.relative_to(tmp_path)):
         assert inside(where, "c.png", "") == where / "c.png"
         assert inside(where, "a\\b.png", "") == where / "a" / "b.png"
+
+
+def test_bytes_that_are_no_text_and_no_table_are_refused(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_bytes("a,b\r\n1,\r\nä,3\r\n".encode())
+    assert read_rows(file) == [{"a": "1", "b": ""}, {"a": "ä", "b": "3"}]
+    for content, says in ((b"\xff", "is not UTF-8 text"), (b"a,b\n" + b"\0" * 200_000, "is no table")):
+        file.write_bytes(content)
+        with pytest.raises(ValueError, match=says):
+            read_rows(file)
 
 
 def test_a_pipe_is_not_waited_for(tmp_path):

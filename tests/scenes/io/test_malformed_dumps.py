@@ -129,8 +129,6 @@ def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path):
             tracemalloc.stop()
 
 
-
-
 @pytest.mark.parametrize("limit", ["MAX_STATES", "MAX_FEATURE_VALUES"])
 def test_the_limits_themselves_are_allowed(dump, monkeypatch, limit):
     allowed = {"MAX_STATES": 24, "MAX_FEATURE_VALUES": 24 * 16}[limit]

@@ -1,21 +1,11 @@
 """Tasks in several processes."""
 
-import os
-from functools import partial
-
 import pytest
-from tasks import die, fail, square
+from tasks import die, fail
 
 from dirl.scenes import SceneError
 from dirl.scenes.io.processes import in_processes
 from dirl.scenes.live import SimulatorError
-
-
-def test_results_come_from_other_processes_with_one_thread():
-    results = list(in_processes([partial(square, number) for number in range(4)], 2, "a test"))
-    assert sorted(result[0] for result in results) == [0, 1, 4, 9]
-    assert os.getpid() not in {result[1] for result in results}
-    assert {result[2] for result in results} == {1}
 
 
 def test_a_failed_simulator_in_a_process_is_its_one_line():
