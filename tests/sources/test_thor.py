@@ -74,14 +74,6 @@ def test_a_scene_is_what_the_simulator_allows():
             assert scene.graph[first + turn, 3] == (-1 if back is None else back + turn)
 
 
-def test_a_frame_of_one_colour_means_that_nothing_is_rendered(monkeypatch):
-    simulator = Simulator(CELLS)
-    frame = simulator.frame() * 0
-    monkeypatch.setattr(simulator, "frame", lambda: frame)
-    with pytest.raises(SceneError, match=r"FloorPlan1: the frame is of one colour: .* use headless=true"):
-        take_scene(Thor(simulator, "FloorPlan1"), source="thor", step=0.5, turn=90)
-
-
 def test_without_ai2thor_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ai2thor.controller", None)
     with pytest.raises(SceneError, match=r"AI2-THOR is not installed .*: pip install 'dirl\[thor\]'"):

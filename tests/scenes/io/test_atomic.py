@@ -1,6 +1,5 @@
 import json
 import math
-import os
 import stat
 
 import pytest
@@ -32,22 +31,6 @@ def test_if_anything_fails_the_old_file_stays_and_no_temporary_one(tmp_path, pro
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
     if isinstance(problem, OSError):
         assert caught.value.filename == str(file)
-
-
-@pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_failing_call_of_the_system_names_the_file(tmp_path, monkeypatch, call):
-    file = tmp_path / "a.txt"
-    write_text(file, "old")
-
-    def fail(*_):
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(os, call, fail)
-    with pytest.raises(OSError, match="Input/output error") as caught:
-        write_text(file, "new")
-    assert caught.value.filename == str(file)
-    assert file.read_text() == "old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
 
 
 def test_json_knows_no_nan(tmp_path):

@@ -1,7 +1,6 @@
 """Reading in another process: the same scenes, and one line if that process comes to grief."""
 
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -92,11 +91,3 @@ def test_the_clock_limits_it_as_well(dump, tmp_path, monkeypatch):
     monkeypatch.setattr(isolation, "PATIENCE", 0.01)
     with pytest.raises(SceneError, match="was killed: it took too long"):
         read_dump(dump)
-
-
-def test_the_process_imports_neither_torch_nor_what_draws():
-    program = (
-        "import sys, dirl.scenes.io.isolation, dirl.scenes.io.hdf5, dirl.scenes.io.write;"
-        "print(sorted({name.split('.')[0] for name in sys.modules} & {'torch', 'matplotlib', 'hydra'}))"
-    )
-    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "[]\n"

@@ -63,6 +63,10 @@ def half_written(file):
     file.create_dataset("resnet_feature", (24, 8), "f4", chunks=(6, 8))[:6] = 1.0
 
 
+def patches_in_chunks(file):
+    file.create_dataset("patches", data=np.zeros((24, 8, 6), np.float16), chunks=(24, 8, 6))
+
+
 def digest_lost(file):
     write_digest(file)
     del file["graph"].attrs["digest"]
@@ -102,6 +106,8 @@ CASES = [
     (linked("graph", "virtual"), "graph: its data lies in other files; a dump must hold its own data"),
     (linked("resnet_feature", "storage"), "resnet_feature: its data lies in other files; a dump must hold its own dat"),
     (half_written, "resnet_feature: some of its values were never written; was its making stopped?"),
+    (patches_in_chunks, "patches: are not stored in one piece (h5repack"),
+    (instead("patches", np.zeros((24, 8, 6), np.float32)), "patches: expected float16 values"),
     (digest_lost, "does not hold what was written to it: it is damaged, or was changed without dirl"),
 ]
 """How a file is spoiled, and how its one line begins."""

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("embreex")
 
-from dirl.sources.rooms.description import Camera, Material
+from dirl.sources.rooms.description import Material
 from dirl.sources.rooms.light import direct_light, standpoints
 from dirl.sources.rooms.mesh import Mesh
 from dirl.sources.rooms.scenery import Scenery
@@ -40,26 +40,6 @@ def test_in_a_cube_that_shines_all_over_the_light_is_pi_times_the_radiance():
     light = direct_light(cube, origins, normals, 400, np.random.default_rng(0))[inside]
     assert np.allclose(light.mean(), np.pi * 2.0, rtol=0.04)
     assert light.std() < 0.1 * light.mean()
-
-
-def test_a_ray_hits_what_stands_in_its_way_and_where():
-    cube = furnace({"a": RED, "b": BLUE}, "baaaaa")
-    hits = cube.trace(np.array([[1.0, 0.5, 1.0]] * 2), np.array([[0, 1.0, 0], [0, -1.0, 0]]))
-    assert np.allclose(hits.distance, [1.5, 0.5], atol=1e-5)
-    assert np.allclose(cube.color(hits.triangle, hits.u, hits.v), [[0, 0, 1], [1, 0, 0]], atol=1e-3)
-    lost = furnace({"a": RED}, "aaaaaa").trace(np.array([[1.0, 0.5, 5.0]]), np.array([[0, 0, 1.0]]))
-    assert lost.triangle.tolist() == [-1]
-
-
-def test_the_camera_looks_where_it_should():
-    cube = furnace({"r": RED, "b": BLUE, "g": GREY}, "rbgggg")
-    renderer = Renderer(cube, np.ones((len(cube.point_corner), 3), np.float32))
-    camera = Camera(height=1.0, pitch=0.0, fov=60.0)
-    assert renderer.view(camera, (1.0, 1.0, 0.0), (8, 8))[4, 4].tolist()[1:] == [0, 0]  # north is red
-    assert renderer.view(camera, (1.0, 1.0, 180.0), (8, 8))[4, 4].tolist()[:2] == [0, 0]  # south is blue
-    east_half = renderer.view(camera, (1.0, 1.0, 45.0), (8, 8))
-    assert east_half[4, 0, 1] == 0  # left of north-east lies the north
-    assert east_half[4, 7, 1] > 100
 
 
 def test_a_panorama_shows_all_directions():
