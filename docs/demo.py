@@ -382,7 +382,7 @@ def take_photos(name: str, scene: Any, folder: Path) -> None:
 
 def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path) -> str:
     """The page of a place with the agent's episodes there; its features and what else the browser needs are written."""
-    from dirl.config.choices import goal_view_options, group_options
+    from dirl.config.files import goal_view_options, group_options
     from dirl.perception.backbones import encode_scene, load_encoder
     from dirl.perception.recognition.build import matching
     from dirl.perception.recognition.recogniser import NCC

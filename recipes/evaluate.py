@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from dirl.cli.start import run, start
-from dirl.config.bounds import Bounds
-from dirl.config.options import option
+from dirl.config.options import Bounds, option
 from dirl.config.schemas import (
     ConfigError,
     Correlation,
@@ -126,8 +125,8 @@ from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.cli.output import new_file
-from dirl.config.choices import goal_view_options, group_options, load_simulator, own_options
 from dirl.config.components import make
+from dirl.config.files import goal_view_options, group_options, load_simulator, own_options
 from dirl.evaluation.episodes import Episodes, Metric, sampled_starts, shortest_episodes
 from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.evaluation.maps import map_quality, map_scene

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from dirl.cli.start import run, start
-from dirl.config.bounds import Bounds
-from dirl.config.options import option
+from dirl.config.options import Bounds, option
 
 
 @dataclass

@@ -1,6 +1,5 @@
 """DIRL on one page: sections 3.2 to 3.5 of the paper in plain torch, for one room. Nothing of the package is imported.
 
-    python recipes/one_page.py
     python recipes/one_page.py --seed 1 --frames 60000 --room path/to/dump.h5
 
 The equations are numbered as in the paper; `docs/method.md` has them all. `recipes/train.py` is the same for several
@@ -16,12 +15,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+ROOM = Path(str(getattr(find_spec("dirl"), "origin", ""))).parent / "scenes/data/bathroom_02.h5"  # one that is built in
 AGENTS, STEPS, LIMIT = 64, 5, 200  # that walk together; between two updates; of an episode
 GAMMA, LAMBDA, RATE = 0.95, 0.95, 1e-3
 SHOWN, WIDTH, THRESHOLD = 0.05, 512, 0.9  # of all states, by the expert; of the layers; of the stop
-
-Rows = dict[str, Tensor]  # of frames, by what they say
-Shown = tuple[Tensor, Tensor, Tensor]  # state, goal and action of each demonstration
 
 
 class Room:
@@ -37,7 +34,7 @@ class Room:
         # 3.5, surrounding views: those ahead, right, back and left of the heading, by turning right again and again.
         right = self.graph[:, 1]
         surrounding = torch.stack([states, right, right[right], right[right[right]]], 1)
-        mean, deviation = features.mean(0), features.std(0)
+        deviation, mean = torch.std_mean(features, 0)
         standardised = (features - mean) / torch.where(deviation > 1e-6, deviation, 1.0)
         # N observations span at most N of 8192 dimensions: in coordinates of these, X V = U L, everything is the same.
         left, length, axes = torch.linalg.svd(standardised[surrounding].flatten(1).double(), full_matrices=False)
@@ -78,7 +75,7 @@ class Policy(nn.Module):
         return self.actor(hidden), self.critic(hidden).squeeze(1)
 
 
-def imitate(policy: Policy) -> Shown:
+def imitate(policy: Policy) -> tuple[Tensor, Tensor, Tensor]:
     """3.3: an expert shows the first action of a shortest path, in a few states, for every goal; clone it."""
     room = policy.room
     shown = torch.randperm(len(room.graph))[: round(SHOWN * len(room.graph))]
@@ -98,42 +95,39 @@ def imitate(policy: Policy) -> Shown:
 
 
 @torch.no_grad()
-def walk(policy: Policy, state: Tensor, goal: Tensor, age: Tensor) -> tuple[Rows, tuple[Tensor, ...]]:
+def walk(policy: Policy, agents: list[Tensor]) -> tuple[dict[str, Tensor], list[Tensor]]:
     """3.2: let every agent take some steps; a new episode begins where one ends, at the goal or at the limit."""
     room, steps = policy.room, []
     for _ in range(STEPS):
+        state, goal, age = agents
         action = torch.multinomial(policy(state, goal)[0].softmax(1), 1).squeeze(1)
-        after, age = room.graph[state, action], age + 1
+        after = room.graph[state, action]
         arrived = after == room.goals[goal]
         reward = torch.where(arrived, 10.0, torch.where(after == state, -0.1, -0.01)) * 0.1  # 4.2, scaled
-        over = arrived | (age >= LIMIT)
+        over = arrived | (age + 1 >= LIMIT)
         step = {"state": state, "goal": goal, "action": action, "after": after}
         steps.append(step | {"reward": reward, "arrived": arrived, "over": over})
-        fresh, fresh_goal = room.starts(len(state))
-        state, goal = torch.where(over, fresh, after), torch.where(over, fresh_goal, goal)
-        age = torch.where(over, 0, age)
-    return {key: torch.stack([step[key] for step in steps]) for key in steps[0]}, (state, goal, age)
+        begins = (*room.starts(AGENTS), torch.zeros_like(age))
+        agents = [torch.where(over, new, old) for new, old in zip(begins, (after, goal, age + 1), strict=True)]
+    return {key: torch.stack([step[key] for step in steps]) for key in steps[0]}, agents
 
 
-def losses(policy: Policy, batch: Rows, shown: Shown, left: float) -> Rows:
+def losses(policy: Policy, batch: dict[str, Tensor], shown: tuple[Tensor, ...], left: float) -> dict[str, Tensor]:
     """What is minimised while a fraction ``left`` of the training, 1 to 0, is still to come."""
     goal, shape = batch["goal"].flatten(), batch["reward"].shape
     with torch.no_grad():
         value, following = (policy(batch[key].flatten(), goal)[1].view(shape) for key in ("state", "after"))
-    error = batch["reward"] + GAMMA * following * ~batch["arrived"] - value  # (4), less the value
-    advantage = error.clone()  # (6); with LAMBDA < 1 averaged over all numbers of steps
-    for step in reversed(range(STEPS - 1)):
+    advantage = batch["reward"] + GAMMA * following * ~batch["arrived"] - value  # (4), less the value
+    for step in reversed(range(STEPS - 1)):  # (6); with LAMBDA < 1 averaged over all numbers of steps
         advantage[step] += GAMMA * LAMBDA * advantage[step + 1] * ~batch["over"][step]
-    states, goals = torch.cat([batch["state"].flatten(), shown[0]]), torch.cat([goal, shown[1]])
-    logits, values = policy(states, goals)
-    walked, cloned = logits.split([len(goal), len(shown[0])])
-    log_chance = walked.log_softmax(1)
+    logits, values = policy(torch.cat([batch["state"].flatten(), shown[0]]), torch.cat([goal, shown[1]]))
+    log_chance = logits[: len(goal)].log_softmax(1)
     taken = log_chance.gather(1, batch["action"].flatten()[:, None]).squeeze(1)
     return {
         "objective": -(taken * advantage.flatten()).mean(),  # (7), its first sum
         "entropy": (0.01 + 0.01 * left) * (log_chance.exp() * log_chance).sum(1).mean(),  # (7), its second sum
         "critic": F.mse_loss(values[: len(goal)], (advantage + value).flatten()),  # (8), towards (5)
-        "imitation": 0.3 * left * F.cross_entropy(cloned, shown[2]),  # (12), less and less of it
+        "imitation": 0.3 * left * F.cross_entropy(logits[len(goal) :], shown[2]),  # (12), less and less of it
     }
 
 
@@ -141,31 +135,29 @@ def losses(policy: Policy, batch: Rows, shown: Shown, left: float) -> Rows:
 def evaluate(policy: Policy) -> dict[str, float]:
     """4.3: walk from every start to every goal, greedily, until template matching (3.4) says that it is there."""
     room = policy.room
-    start, goal = torch.nonzero(room.distance > 0).T
-    state, steps = start, torch.full((len(start),), float(LIMIT))
-    found, walking = torch.zeros(len(start), dtype=torch.bool), torch.ones(len(start), dtype=torch.bool)
-    for step in range(1, LIMIT + 1):
-        state = room.graph[state, policy(state, goal)[0].argmax(1)]
-        stops = walking & room.stop[state, goal]
-        arrives = stops & (state == room.goals[goal])  # a stop anywhere else is a failure
-        found, walking = found | arrives, walking & ~stops
-        steps[arrives] = step
-    shortest = room.distance[start, goal]
+    state, goal = torch.nonzero(room.distance > 0).T
+    shortest, steps, stopped = room.distance[state, goal], torch.zeros(len(state)), torch.zeros(len(state)).bool()
+    for _ in range(LIMIT):
+        state = torch.where(stopped, state, room.graph[state, policy(state, goal)[0].argmax(1)])
+        steps += ~stopped
+        stopped |= room.stop[state, goal]
+    found = stopped & (state == room.goals[goal])  # a stop anywhere else is a failure
     spl = found * shortest / torch.maximum(steps, shortest)
-    return {"sr": found.float().mean().item(), "spl": spl.mean().item(), "atl": steps.mean().item()}
+    atl = torch.where(found, steps, LIMIT)  # what fails counts as the limit
+    return {"sr": found.float().mean().item(), "spl": spl.mean().item(), "atl": atl.mean().item()}
 
 
-def train(file: Path, seed: int = 0, total: int = 200_000) -> dict[str, float]:
+def train(room: Path = ROOM, seed: int = 0, frames: int = 200_000) -> dict[str, float]:
     """Imitation, then reinforcement (algorithm 1); returns the measures of the trained policy."""
     torch.manual_seed(seed)
-    policy = Policy(Room(file))
+    policy = Policy(Room(room))
     shown = imitate(policy)
     optimiser = torch.optim.Adam(policy.parameters(), lr=RATE, eps=1e-5)
-    agents: tuple[Tensor, ...] = (*policy.room.starts(AGENTS), torch.zeros(AGENTS, dtype=torch.int64))
-    for frames in range(0, total, AGENTS * STEPS):  # 3.2: walk, and improve actor and critic
-        left = 1 - frames / total
+    agents = [*policy.room.starts(AGENTS), torch.zeros(AGENTS)]
+    for done in range(0, frames, AGENTS * STEPS):  # 3.2: walk, and improve actor and critic
+        left = 1 - done / frames
         optimiser.param_groups[0]["lr"] = RATE * left
-        batch, agents = walk(policy, *agents)
+        batch, agents = walk(policy, agents)
         loss = sum(losses(policy, batch, shown, left).values(), torch.zeros(()))
         optimiser.zero_grad()
         loss.backward()  # (9) and (10)
@@ -175,13 +167,8 @@ def train(file: Path, seed: int = 0, total: int = 200_000) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    package = Path(
-        str(getattr(find_spec("dirl"), "origin", ""))
-    )  # where the built-in rooms are, without an import of it
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--room", type=Path, default=package.parent / "scenes/data/bathroom_02.h5", help="a dump")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--frames", type=int, default=200_000)
-    options = parser.parse_args()
-    for name, value in train(options.room, options.seed, options.frames).items():
+    for name, default in {"--room": ROOM, "--seed": 0, "--frames": 200_000}.items():
+        parser.add_argument(name, type=type(default), default=default)
+    for name, value in train(**vars(parser.parse_args())).items():
         print(f"{name.upper()} {value:.3f}")

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from dirl.cli.start import run, start
-from dirl.config.bounds import Bounds
-from dirl.config.options import option
+from dirl.config.options import Bounds, option
 from dirl.config.schemas import ConfigError, ExperimentName, Positive, TrainConfig
 
 

@@ -21,8 +21,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from dirl.cli.start import run, start
-from dirl.config.bounds import Bounds
-from dirl.config.options import option
+from dirl.config.options import Bounds, option
 from dirl.config.schemas import Correlation, Device, EncoderPrecision, Match, NotNegative, Positive, Seed
 
 Layout = StrEnum("Layout", ["icra17"])
@@ -379,8 +378,8 @@ import numpy as np
 from tqdm import tqdm
 
 from dirl.cli.output import check_writable, new_file
-from dirl.config.choices import group_options, load_simulator
 from dirl.config.components import make
+from dirl.config.files import group_options, load_simulator
 from dirl.config.folders import command as command_of
 from dirl.perception.backbones import ViewEncoder, encode_all, load_encoder
 from dirl.perception.recognition.build import chosen_stop

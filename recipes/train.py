@@ -16,6 +16,7 @@ from dirl.cli.start import run, start
 if __name__ == "__main__":
     start(__doc__)  # "loading ...", or help; the imports below take their time
 
+from collections.abc import Callable
 from typing import Any
 
 import hydra
@@ -41,8 +42,8 @@ from dirl.training.objectives import (
     total_loss,
 )
 from dirl.training.pairs import Demonstrations
-from dirl.training.rollout import collect
-from dirl.training.together import Job, goes_together, reinforce_alone, run_together
+from dirl.training.rollout import collect, summarise
+from dirl.training.together import Job, reinforce_captured, run_together
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
@@ -58,9 +59,8 @@ def train(run: Run, components: Components) -> dict[str, Any]:
     found = imitation(run, components)
     if components.state is None:
         return found
-    if run.config.device == "cuda" and goes_together(run, components):
-        return reinforce_alone(run, components, learn)
-    return reinforce(run, components.state, components.protocol)
+    captured = reinforce_captured(run, components, learn) if run.config.device == "cuda" else None
+    return captured or reinforce(run, components.state, components.protocol)
 
 
 def imitation(run: Run, components: Components) -> dict[str, Any]:
@@ -104,23 +104,30 @@ def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict
     return state.summary
 
 
-def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
+def learn(
+    config: TrainConfig,
+    state: TrainState,
+    loop: Updates,
+    prepared: Callable[[Callable[[], Any]], Callable[[], Any]] = lambda update: update,
+) -> None:
     """Collect, losses, backward, clip, step; as long as the loop goes on.
 
-    Where an episode ends, at the goal or by template matching (section 3.4), the environment decides.
+    Where an episode ends, at the goal or by template matching (section 3.4), the environment decides. ``prepared``
+    makes a CUDA graph of the update.
     """
     options, policy, optimiser = config.reinforcement, state.policy, state.optimiser
     operator, advantages = policy.operator(), make_advantages(options.gamma, options.lmbda)
     critic = operator.get_value_operator()
     by_agent = bool(state.losses.recurrent)  # a memory needs the steps of an agent together and in order
 
-    def update() -> tuple[TensorDictBase, TensorDictBase]:
+    def step() -> tuple[TensorDictBase, TensorDictBase]:
         with caching(policy):
-            batch, state.agents = collect(state.env, operator, state.agents, options.n_steps)
+            batch, agents = collect(state.env, operator, state.agents, options.n_steps)
+            state.agents.update_(agents)
             batch = state.losses.rewarded(batch)  # the environment's reward, unless a loss defines one
             batch = advantages(bootstrap(batch, critic))  # equations 5 and 6
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
-                losses = state.losses(part, loop.left)  # equations 7 and 8, and 12 with a weight
+                losses = state.losses(part, state.left)  # equations 7 and 8, and 12 with a weight
                 optimiser.zero_grad()
                 total_loss(losses).sum().backward()  # over the runs, if they are a stack
                 norm = clip_gradients(
@@ -132,10 +139,10 @@ def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
                 optimiser.step()
         return batch, losses.set("gradient_norm", norm).detach()
 
-    update = state.prepared(update)
+    update = prepared(step)
     while loop.goes_on:
-        set_learning_rate(optimiser, optimiser.defaults["lr"] * loop.left)  # falls linearly to 0
-        loop.record(state.summarise(*update()))
+        set_learning_rate(optimiser, optimiser.defaults["lr"] * state.left)  # falls linearly to 0
+        loop.record(summarise(state.env, *update()))
 
 
 if __name__ == "__main__":

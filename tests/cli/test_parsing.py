@@ -7,8 +7,7 @@ import pytest
 from options import SCHEMAS
 
 from dirl.cli.parsing import compose_training, parse, prepare
-from dirl.config.bounds import Bounds
-from dirl.config.options import meanings, option, option_types
+from dirl.config.options import Bounds, meanings, option, option_types
 from dirl.config.schemas import ConfigError, Device
 from dirl.config.values import typed
 

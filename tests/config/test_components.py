@@ -7,7 +7,6 @@ import pytest
 from commands import train_config
 from torch import nn
 
-from dirl.config.bounds import Bounds
 from dirl.config.components import (
     check_components,
     components,
@@ -16,7 +15,8 @@ from dirl.config.components import (
     packages_to_trust,
     schedules,
 )
-from dirl.config.saved import config_text, read_config
+from dirl.config.files import config_text, read_config
+from dirl.config.options import Bounds
 from dirl.config.schemas import ConfigError, Schedule
 from dirl.envs import NavigationEnv
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import pytest
 import torch
 
-from dirl.config.bounds import Bounds
+from dirl.config.options import Bounds
 from dirl.config.schemas import ConfigError, Device
 from dirl.config.values import check_value
 

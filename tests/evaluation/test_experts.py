@@ -10,11 +10,11 @@ from dirl.evaluation.experts import (
     RandomPolicy,
     ShortestPathExpert,
     ShortestPathPolicy,
-    demonstration_states,
     demonstrations,
     label,
     merge_demonstrations,
     optimal_actions,
+    shown_states,
 )
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
@@ -57,12 +57,9 @@ def test_optimal_actions_are_all_that_come_nearer_and_the_expert_takes_the_first
         assert expert_action(world, *case).tolist() == [nearer.index(True)]
 
 
-PLACE = torch.tensor([0, 0, 1, 1, 2, 0, 2, 3, 1, 3, 4, 4])
-
-
-def test_random_states_are_a_fraction_and_depend_on_the_seed():
-    chosen = [demonstration_states(PLACE, 0.25, "random", torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)]
-    assert [int(one.sum()) for one in chosen] == [3, 3, 3]
+def test_random_states_are_a_fraction_and_depend_on_the_seed(world):
+    chosen = [shown_states(world, 0.25, "random", seed) for seed in (0, 0, 1)]
+    assert [int(one.sum()) for one in chosen] == [6 + 3 + 2] * 3
     assert torch.equal(chosen[0], chosen[1])
     assert not torch.equal(chosen[0], chosen[2])
 

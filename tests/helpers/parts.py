@@ -18,7 +18,6 @@ from dirl.training.build import (
     learning_policy,
 )
 from dirl.training.job import begin
-from dirl.training.loops import noticing_divergence
 
 
 def make_parts(*options):
@@ -53,10 +52,9 @@ def train_in(folder, parts):
     run = Run(folder, parts.config)
     state = begin(run, parts.policy, parts.losses, parts.protocol)
     run.begin(parts.world, parts.observation.order)
-    with noticing_divergence():
-        if len(parts.demos):
-            imitate(run, parts.policy, parts.demos)
-        result = reinforce(run, state, parts.protocol)
+    if len(parts.demos):
+        imitate(run, parts.policy, parts.demos)
+    result = reinforce(run, state, parts.protocol)
     run.finish({"frames": result["frames"], "network": plain_weights(parts.policy)}, {})
     return result
 
@@ -67,19 +65,17 @@ class Loop:
     def __init__(self, state, total, enough=lambda _: False):
         self.state, self.total, self.enough = state, total, enough
         self.stop, self.told = [], []
+        state.left.fill_(1 - state.frames / total)
 
     @property
     def goes_on(self):
         return self.state.frames < self.total and not self.stop
 
-    @property
-    def left(self):
-        return 1 - self.state.frames / self.total
-
     def record(self, reports, paused=None):
         (update,) = reports
         with paused or nullcontext():
             self.state.count(update, 1.0)
+        self.state.left.fill_(1 - self.state.frames / self.total)
         self.told.append(update.values)
         if self.enough(self.state):
             self.stop.append(1)

@@ -1,7 +1,6 @@
 """Embedding once what many frames share, with encoders of any kind."""
 
 import copy
-from contextlib import nullcontext
 
 import pytest
 import torch
@@ -13,8 +12,7 @@ from torch import nn
 
 from dirl.envs.transforms import front_only
 from dirl.models import ComparingEncoder, SiameseEncoder, distinct
-from dirl.models.distinct import CachedEncoder, EmbeddingCache, Keys
-from dirl.models.features import FeatureTable
+from dirl.models.distinct import CachedEncoder, EmbeddingCache, Keys, packable
 
 
 @given(st.lists(st.lists(st.integers(0, 55_107), min_size=4, max_size=4), min_size=1, max_size=20))
@@ -23,35 +21,8 @@ def test_packed_rows_unpack_to_themselves(rows):
     packed = keys.pack(view_ids)
     assert torch.equal(keys.unpack(packed), view_ids)
     assert len(packed.unique()) == len({tuple(row) for row in rows})
-    assert not keys.halves
-
-
-def test_rows_that_do_not_fit_into_one_integer_keep_their_keys():
-    ids, slots = 181, 16
-    keys, generator = Keys(ids, slots), torch.Generator().manual_seed(0)
-    rows = [torch.randint(ids - 2, ids, (50, slots), generator=generator) for _ in range(3)]
-    packed = [keys.pack(some) for some in rows]
-    assert keys.halves
-    for some, those in zip(rows, packed, strict=True):
-        assert torch.equal(keys.unpack(those), some)
-        assert torch.equal(keys.pack(some), those)
-    assert len(torch.cat(packed).unique()) == len(torch.cat(rows).unique(dim=0))
-
-
-@pytest.mark.parametrize("kept", [False, True], ids=["as in imitation", "as in reinforcement"])
-def test_what_an_update_computes_does_not_depend_on_earlier_ones(kept):
-    generator, inputs = torch.Generator().manual_seed(0), []
-    rows = torch.randint(180, (60, 16), generator=generator)
-    table = FeatureTable(torch.rand(180, 8, generator=generator))
-    for updates in ([rows], [rows[30:31], rows]):
-        encoder = SiameseEncoder(8, 16, num_views=16)
-        encoder.embed = lambda seen, embed=encoder.embed: inputs.append(seen) or embed(seen)
-        cached = CachedEncoder(encoder, table, views=16)
-        for view_ids in updates:
-            with cached.caching() if kept else nullcontext():
-                cached(view_ids, view_ids.flip(0))
-    assert len(inputs) == 3
-    assert torch.equal(inputs[0], inputs[2])
+    assert packable(55_108, 4)
+    assert not packable(55_109, 4)
 
 
 @pytest.mark.parametrize("every", [None, 41])
@@ -127,7 +98,7 @@ def test_an_encoder_of_ones_own_computes_the_same_cached(encoder, kind, late, mo
     torch.testing.assert_close(fused, wanted)
     found = gradients(policy.encoder, fused)
     torch.testing.assert_close(found, gradients(expected.encoder, wanted), rtol=1e-3, atol=1e-4)
-    with policy.cached.caching(), torch.no_grad():
+    with policy.cached.keeping(learns=True), torch.no_grad():
         for rows in (slice(0, 30), slice(20, 80)):
             torch.testing.assert_close(policy.cached(views[rows], goal_views[rows]), wanted[rows].detach())
 
@@ -138,12 +109,12 @@ def test_every_distinct_observation_is_embedded_once():
     distinct = len(torch.cat([views, goal_views]).unique(dim=0))
     policy.cached(views, goal_views)
     assert policy.encoder.rows == [distinct]
-    with policy.cached.caching(), torch.no_grad():
+    with policy.cached.keeping(learns=True), torch.no_grad():
         policy.cached(views[:9], goal_views[:9])
         policy.cached(views, goal_views)
         policy.cached(goal_views, views)
         assert sum(policy.encoder.rows) == 2 * distinct
-    with policy.cached.caching():
+    with policy.cached.keeping(learns=True):
         with torch.no_grad():
             policy.cached(views[:9], goal_views[:9])
         policy.cached(views, goal_views)  # a loss goes back through what the rollout embedded
@@ -155,24 +126,24 @@ def test_a_loss_gets_the_gradients_of_what_a_rollout_embedded():
     (views, goal_views, _), (more_views, more_goal_views, _) = seen(), seen(seed=1)
     everything = torch.cat([views, more_views]), torch.cat([goal_views, more_goal_views])
     wanted = gradients(expected.encoder, plain(expected, *everything))
-    with policy.cached.caching():
+    with policy.cached.keeping(learns=True):
         for _ in range(2):  # a graph is gone back through once
             with torch.no_grad():
                 for half in (slice(40), slice(40, None)):
                     policy.cached(views[half], goal_views[half])
             torch.testing.assert_close(gradients(policy.encoder, policy.cached(*everything)), wanted)
-    with policy.cached.frozen():
+    with policy.cached.keeping(learns=False):
         with torch.no_grad():
             policy.cached(views, goal_views)
         torch.testing.assert_close(gradients(policy.encoder, policy.cached(*everything)), wanted)
 
 
-@pytest.mark.parametrize("context", ["caching", "frozen"])
-def test_after_the_context_nothing_is_kept(context):
+@pytest.mark.parametrize("learns", [True, False])
+def test_after_the_context_nothing_is_kept(learns):
     policy, _ = cached_and_plain(Attention, SURROUNDING)
     views, goal_views, _ = seen()
     with torch.no_grad():
-        with getattr(policy.cached, context)():
+        with policy.cached.keeping(learns=learns):
             policy.cached(views, goal_views)
         policy.encoder.query.weight.data = policy.encoder.query.weight.data + 1  # without a trace in its version
         torch.testing.assert_close(policy.cached(views, goal_views), plain(policy, views, goal_views))

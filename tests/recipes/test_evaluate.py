@@ -8,7 +8,7 @@ import torch
 from rooms import grid_scene
 
 from dirl.cli.parsing import parse
-from dirl.config.choices import group_options
+from dirl.config.files import group_options
 from dirl.config.schemas import ConfigError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start

@@ -6,7 +6,7 @@ import pytest
 from commands import train_config, wait_until
 from PIL import Image
 
-from dirl.config.saved import config_text
+from dirl.config.files import config_text
 from dirl.config.schemas import ConfigError
 from dirl.runs.loggers import WandbLogger
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dirl.config.choices import load_simulator
+from dirl.config.files import load_simulator
 from dirl.config.schemas import ConfigError
 from dirl.scenes import read_dump, write_dump
 from dirl.scenes.live import Dumped, Pose, Simulated, state_pose

@@ -5,7 +5,7 @@ import io
 import pytest
 import torch
 from commands import room_file, train_config
-from parts import Loop, make_parts, train_in, train_state
+from parts import Loop, make_parts, train_state
 from tensordict import TensorDict
 from torch import nn
 from train import imitate, learn, train
@@ -13,7 +13,7 @@ from train import imitate, learn, train
 from dirl.config.schemas import Schedule
 from dirl.runs.folder import Run
 from dirl.runs.paths import RunError
-from dirl.training.job import build_components
+from dirl.training.job import build_components, run_stages
 from dirl.training.loops import restore_random_state
 from dirl.training.objectives import Losses, ScheduledLoss
 
@@ -192,9 +192,11 @@ DIVERGING += ["reinforcement.frames_per_scene=2000"]
     ids=["imitation", "reinforcement"],
 )
 def test_a_training_that_diverges_ends_in_one_line(tmp_path, options, says):
-    parts = make_parts(f"scene={room_file(tmp_path)}", *DIVERGING, *options)
+    run = Run(tmp_path / "run", train_config(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
+    components = build_components(run)
+    run.begin(components.protocol.world, components.protocol.observation.order)
     with pytest.raises(RunError, match=says):
-        train_in(tmp_path / "run", parts)
+        run_stages(run, components, train)
 
 
 def test_a_reinforcement_after_dagger_tells_its_own_frames(tmp_path):

@@ -45,7 +45,7 @@ def test_an_update_tells_the_episodes_that_ended_in_it_in_their_order(room):
     parts = make_parts(room, *SMALL)
     batch, env = rollout(parts)
     losses = parts.losses(batch.reshape(-1), 1.0)
-    (update,) = summarise(env, batch[None], losses[None])
+    (update,) = summarise(env, batch, losses)
     goals, steps = [], []
     for step in range(20):
         for agent in range(30):

@@ -86,7 +86,7 @@ def test_a_rollout_makes_no_host_device_synchronisation(world, monkeypatch):
         monkeypatch.setattr(module, "reading_waits", lambda tensor: True)
     env, policy = make_env(world), cached_policy(world)
     operator = policy.operator()
-    with policy.cached.caching():
+    with policy.cached.keeping(learns=True):
         _, agents = collect(env, operator, env.reset(), 1)  # sets up what is set up once
         monkeypatch.setattr(torch.Tensor, "tolist", None, raising=False)  # of which the dispatcher does not hear
         with Questions() as questions:

@@ -34,9 +34,8 @@ def make_stack(room, options=VARIED):
 class Updates:
     """So many updates, of a stack or of one run."""
 
-    def __init__(self, count, stack=None):
-        self.count, self.reports = count, []
-        self.stack, self.left = stack, 1.0 if stack is None else stack.left
+    def __init__(self, count, state):
+        self.count, self.reports, self.state = count, [], state
 
     @property
     def goes_on(self):
@@ -44,15 +43,12 @@ class Updates:
 
     def record(self, report):
         self.reports.append(report)
-        if self.stack is None:
-            self.left = 1 - len(self.reports) / 100
-        else:
-            self.stack.left = 1 - len(self.reports) / 100
+        self.state.left.fill_(1 - len(self.reports) / 100)
 
 
 def learned(stack, updates):
     loop = Updates(updates, stack)
-    learn(stack.config, stack, loop)
+    learn(stack.config, stack, loop, stack.prepared)
     return loop.reports
 
 
@@ -63,7 +59,7 @@ def test_each_run_of_a_stack_learns_what_it_learns_alone(tmp_path):
     every, states = make_states(room)
     for number, (parts, state) in enumerate(zip(every, states, strict=True)):
         torch.manual_seed(parts.config.seed)
-        loop = Updates(3)
+        loop = Updates(3, state)
         learn(parts.config, state, loop)
         for (alone,), together in zip(loop.reports, reports, strict=True):
             own = together[number]

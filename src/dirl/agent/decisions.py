@@ -13,7 +13,7 @@ from dirl.agent.agent import NEVER
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.models import frozen, initial_state, recurrent_keys
-from dirl.models.distinct import EmbeddingCache, Keys
+from dirl.models.distinct import EmbeddingCache, Keys, packable
 from dirl.perception.recognition.matching import StopRule
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import ACTIONS, World
@@ -43,9 +43,9 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
         return decide
     if recurrent_keys(policy):
         return _with_memory(policy, world, observation, episodes)
-    if observation.history:
+    if observation.history and packable(observation.pictures + 1, len(observation.order)):
         return _once_a_case(policy, world, observation)
-    if world.looks > 1 or max(PAIRS_AT_ONCE, WALKED * episodes) < len(world.distances):
+    if world.looks > 1 or observation.history or max(PAIRS_AT_ONCE, WALKED * episodes) < len(world.distances):
         return lambda _, ahead, view_ids, wanted: policy(observe(world, observation, ahead, view_ids, wanted))["logits"]
     table, _ = answers(policy, world, observation)
     return lambda episode, ahead, view_ids, wanted: table.index_select(0, world.pair(wanted, ahead))

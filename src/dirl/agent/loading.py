@@ -11,9 +11,8 @@ from torch import Tensor, nn
 
 from dirl.agent.cameras import FeaturePolicy
 from dirl.agent.images import NavigatorError
-from dirl.config.choices import group_options
 from dirl.config.components import TARGET, find_class, make
-from dirl.config.saved import read_config
+from dirl.config.files import group_options, read_config
 from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
@@ -164,7 +163,7 @@ def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origi
     try:
         patches = torch.empty(0, *PATCH_SHAPE) if reads_patches(config) else None
         features = torch.empty(0, len(weights["features.mean"]))
-        policy = build_policy(config, FeatureTable(features, *saved_statistics(weights, origin), patches), names)
+        policy = build_policy(config, FeatureTable(features, *saved_statistics(weights), patches), names)
         load_weights(policy, weights, origin, names)
     except ConfigError as error:
         raise NavigatorError(str(error)) from None

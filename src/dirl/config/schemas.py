@@ -4,8 +4,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any
 
-from dirl.config.bounds import Bounds
-from dirl.config.options import option
+from dirl.config.options import Bounds, option
 
 Device = StrEnum("Device", ["cpu", "cuda"])
 Axes = StrEnum("Axes", ["features", "principal"])

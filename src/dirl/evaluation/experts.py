@@ -80,26 +80,28 @@ def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
     return after == world.distance(goal_index, state).unsqueeze(-1) - 1
 
 
-def demonstration_states(place: Tensor, fraction: float, rule: str, generator: torch.Generator) -> Tensor:
-    """Return the states of a scene that the expert demonstrates, bool ``[N]``.
+def shown_states(world: World, fraction: float, rule: str, seed: int) -> Tensor:
+    """Return the states of a world that the expert demonstrates, bool ``[N]``, counted scene by scene.
 
     Args:
-        place: the place of each state, int64 ``[N]``, numbered from 0.
+        world: the scenes.
         fraction: of the states to demonstrate, 0 to 1.
         rule: ``interval``, every k-th state by its number, as the paper says (with four headings a place and an
             even k that is only ever one or two headings); ``interval_pos``, every k-th place with all its headings;
             ``random``, sampled without replacement. k is 1/fraction, rounded.
-        generator: for ``random``.
+        seed: for ``random``.
     """
-    states = len(place)
-    if fraction == 0:
-        return torch.zeros(states, dtype=torch.bool)
-    if rule == "random":
+    generator, parts = torch.Generator().manual_seed(seed), []
+    for scene in world.scenes:
+        states = len(scene)
         shown = torch.zeros(states, dtype=torch.bool)
-        shown[torch.randperm(states, generator=generator)[: max(1, round(fraction * states))]] = True
-        return shown
-    every = round(1 / fraction)
-    return (torch.arange(states) if rule == "interval" else place) % every == 0
+        if fraction and rule == "random":
+            shown[torch.randperm(states, generator=generator)[: max(1, round(fraction * states))]] = True
+        elif fraction:
+            number = torch.arange(states) if rule == "interval" else torch.from_numpy(places(scene.graph))
+            shown = number % round(1 / fraction) == 0
+        parts.append(shown)
+    return torch.cat(parts).to(world.device)
 
 
 def demonstrations(
@@ -112,7 +114,7 @@ def demonstrations(
 ) -> TensorDict:
     """Return the expert's actions in a fraction of each scene's states, for every goal of the scene.
 
-    For fraction and rule see `demonstration_states`. A state without advice for a goal is left out for that goal. A
+    For fraction and rule see `shown_states`. A state without advice for a goal is left out for that goal. A
     demonstrated state has no history: it is observed as the start of an episode.
 
     Returns:
@@ -133,13 +135,6 @@ def demonstrations(
         device=world.device,
     )
     return label(expert, rows)
-
-
-def shown_states(world: World, fraction: float, rule: str, seed: int) -> Tensor:
-    """Return the states of a world that the expert demonstrates, bool ``[N]``; see `demonstration_states`."""
-    generator = torch.Generator().manual_seed(seed)
-    place = (torch.from_numpy(places(scene.graph)) for scene in world.scenes)
-    return torch.cat([demonstration_states(one, fraction, rule, generator) for one in place]).to(world.device)
 
 
 def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBase:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dirl.config.choices import goal_view_options
-from dirl.config.saved import read_config
+from dirl.config.files import goal_view_options, read_config
 from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns

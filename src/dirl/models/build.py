@@ -109,7 +109,7 @@ def feature_table(
     """
     mean, std, axes = None, None, None
     if weights is not None:
-        mean, std, axes = saved_statistics(weights, origin)
+        mean, std, axes = saved_statistics(weights)
         if mean is not None and len(mean) != world.features.shape[1]:
             raise ConfigError(
                 f"{origin}: the weights read {len(mean)} features; these scenes have {world.features.shape[1]}"
@@ -128,22 +128,13 @@ def feature_table(
     return FeatureTable(world.features, mean, std, axes, patches, room).to(world.device)
 
 
-def saved_statistics(weights: Mapping[str, Tensor], origin: str) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
-    """Mean, standard deviation and axes of the features that a network was trained on, float32.
+def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+    """Return mean, standard deviation and axes of the features that a network was trained on, float32.
 
     The agents of the package are stored as float16, half the size.
-
-    Raises:
-        ConfigError: they are not of one feature width.
     """
     keys = [f"features.{name}" for name in ("mean", "std", "axes")]
     mean, std, axes = (weights[key].float() if key in weights else None for key in keys)
-    width = 0 if mean is None else mean.numel()
-    for name, value in {"mean": mean, "std": std, "axes": axes}.items():
-        if value is not None and (len(value) if value.ndim == 1 + (name == "axes") else None) != width:
-            raise ConfigError(
-                f"{origin}: the weights' features.{name} has the shape {list(value.shape)}, for {width} features"
-            )
     return mean, std, axes
 
 

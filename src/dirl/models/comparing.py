@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.config.bounds import Bounds
+from dirl.config.options import Bounds
 from dirl.envs.transforms import VIEWS
 
 SCALE = 5.0
@@ -86,15 +86,12 @@ class ComparingEncoder(nn.Module):
         (patches, views), (goal_patches, goal_views) = compared, goal_embedding.split(self.sizes, -1)
         cosines = _cosines(patches, goal_patches, VIEWS * self.patch_shape[0])
         if self.pair_cosines is not None:
-            cosines = self.pair_cosines(self._by_pair(cosines)).flatten(-2)
+            # By pair of an observed and a goal view, [B, 16, C^2].
+            by_view = cosines.unflatten(-1, (VIEWS, self.patch_shape[0]) * 2).transpose(-3, -2)
+            cosines = self.pair_cosines(by_view.flatten(-2).flatten(-3, -2)).flatten(-2)
         by_patch = self.patch_fusion(F.relu(self.patch_cosines(cosines)))
         by_view = self.view_fusion(F.relu(self.view_cosines(_cosines(views, goal_views, VIEWS))))
         return F.relu(seen + by_patch + by_view)
-
-    def _by_pair(self, cosines: Tensor) -> Tensor:
-        """Return the cosines of patches, ``[B, (4 C)^2]``, by pair of an observed and a goal view, ``[B, 16, C^2]``."""
-        cells = self.patch_shape[0]
-        return cosines.unflatten(-1, (VIEWS, cells, VIEWS, cells)).transpose(-3, -2).flatten(-2).flatten(-3, -2)
 
     def _parts(self, observation: Tensor) -> list[Tensor]:
         """Pooled features and patches of views."""

@@ -6,7 +6,8 @@ embedded is not computed again for the loss: it is computed with its graph, whic
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -61,33 +62,22 @@ class EmbeddingCache:
             return self._places[at]
 
 
+def packable(ids: int, slots: int) -> bool:
+    """True if rows of so many of so many view ids fit into one int64, as four of up to 55,108 pictures do."""
+    return ids**slots < 2**63
+
+
+@dataclass(frozen=True)
 class Keys:
-    """One integer for each row of view ids, and the row again.
+    """One integer for each row of view ids, and the row again; see `packable`."""
 
-    Four ids of up to 55,108 pictures are packed into one int64. Of longer rows, as those of a stack of observations,
-    the halves are numbered in the order in which they were first seen.
-
-    Args:
-        ids: how many view ids there are.
-        slots: V, how many are in a row.
-    """
-
-    def __init__(self, ids: int, slots: int) -> None:
-        self.ids, self.slots = ids, slots
-        self.halves: list[tuple[Keys, EmbeddingCache]] = []
-        if ids**slots >= 2**63:
-            self.halves = [(Keys(ids, part), EmbeddingCache()) for part in (slots // 2, slots - slots // 2)]
-
-    def forget(self) -> None:
-        """Number anew, so that numbers, and the order of what is computed by them, do not depend on earlier updates."""
-        self.halves = [(Keys(half.ids, half.slots), EmbeddingCache()) for half, _ in self.halves]
+    ids: int
+    """How many view ids there are."""
+    slots: int
+    """How many are in a row, V."""
 
     def pack(self, view_ids: Tensor) -> Tensor:
         """Return the keys of rows, int64 ``[B, V]`` to ``[B]``."""
-        if self.halves:
-            parts = zip(self.halves, view_ids.split([half.slots for half, _ in self.halves], 1), strict=True)
-            first, second = (numbers.places(half.pack(part), half.unpack) for (half, numbers), part in parts)
-            return first << 32 | second
         keys = view_ids[:, 0].contiguous()
         for slot in range(1, self.slots):
             keys = keys * self.ids + view_ids[:, slot]
@@ -95,9 +85,6 @@ class Keys:
 
     def unpack(self, keys: Tensor) -> Tensor:
         """Return the rows that keys of `pack` stand for, int64 ``[R]`` to ``[R, V]``."""
-        if self.halves:
-            places = (keys >> 32, keys & (2**32 - 1))
-            return torch.cat([n.rows[place] for (_, n), place in zip(self.halves, places, strict=True)], 1)
         return torch.stack([keys // self.ids**power % self.ids for power in reversed(range(self.slots))], -1)
 
 
@@ -155,8 +142,6 @@ class CachedEncoder(nn.Module):
         """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
         encoder, table = self._wrapped
         learns = torch.is_grad_enabled() or self._learns
-        if not self._keeps:
-            self.keys.forget()
         if self._kept is None or not self._keeps or learns > self._kept[0].learns:
             # To find what is distinct, the CPU would wait for a GPU: there all observations are embedded at once.
             known = self.surrounding if reading_waits(table.table) else None
@@ -190,18 +175,13 @@ class CachedEncoder(nn.Module):
         return self.keys.pack(view_ids[:, : self.keys.slots])
 
     @contextmanager
-    def _keeping(self, *, learns: bool) -> Iterator[None]:
+    def keeping(self, *, learns: bool) -> Iterator[None]:
+        """A context in which embeddings are kept: to its end, so that weights must not change, as in evaluation.
+
+        Where it ``learns``, until a loss has read them; then weights may change.
+        """
         self._keeps, self._learns, self._kept = True, learns, None
-        self.keys.forget()
         try:
             yield
         finally:
             self._keeps, self._learns, self._kept = False, False, None
-
-    def caching(self) -> AbstractContextManager[None]:
-        """A context for learning, in which embeddings are kept until a loss has read them; then weights may change."""
-        return self._keeping(learns=True)
-
-    def frozen(self) -> AbstractContextManager[None]:
-        """A context for evaluation, in which the weights must not change."""
-        return self._keeping(learns=False)

@@ -9,7 +9,7 @@ from typing import Annotated, Self
 import torch
 from torch import Tensor, nn
 
-from dirl.config.bounds import Bounds
+from dirl.config.options import Bounds
 from dirl.envs.transforms import VIEWS
 from dirl.models.planning import SURE, Nodes, again_costs, cheapest, connect
 from dirl.scenes import ACTIONS

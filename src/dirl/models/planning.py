@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.config.bounds import Bounds
+from dirl.config.options import Bounds
 from dirl.envs.transforms import VIEWS
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT

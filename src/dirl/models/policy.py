@@ -18,9 +18,9 @@ from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
 
-from dirl.config.bounds import Bounds
+from dirl.config.options import Bounds
 from dirl.envs.transforms import VIEWS
-from dirl.models.distinct import Cacheable, CachedEncoder, reading_waits
+from dirl.models.distinct import Cacheable, CachedEncoder, packable, reading_waits
 from dirl.models.features import FeatureTable, ObservationTable
 
 VIEW_IDS = ("view_ids", "goal_view_ids")
@@ -228,9 +228,11 @@ class ActorCritic(TensorDictModuleBase):
     def cache(self, surrounding: Tensor | None, *, views: int = VIEWS, front: bool = False) -> None:
         """From now on embed each distinct observation once, see `CachedEncoder`; faster, but not for ``torch.vmap``.
 
-        An encoder without `Cacheable`'s parts embeds every row as before.
+        An encoder without `Cacheable`'s parts, and one of very many views, embeds every row as before.
         """
-        if isinstance(self.encoder, Cacheable):
+        if isinstance(self.encoder, Cacheable) and (
+            surrounding is not None or packable(len(self.features.table), views)
+        ):
             self.cached = CachedEncoder(self.encoder, self.features, surrounding, views=views, front=front)
         for module in self.heads.modules():
             if isinstance(module, SceneTrunks):
@@ -281,13 +283,13 @@ def count_parameters(network: nn.Module) -> int:
 def caching(policy: nn.Module) -> AbstractContextManager[None]:
     """A context in which each observation is embedded once between two weight updates, if the policy supports it."""
     cached = getattr(policy, "cached", None)
-    return nullcontext() if cached is None else cached.caching()
+    return nullcontext() if cached is None else cached.keeping(learns=True)
 
 
 def frozen(policy: nn.Module) -> AbstractContextManager[None]:
     """A context for evaluation: the weights must not change, so that the policy may precompute embeddings."""
     cached = getattr(policy, "cached", None)
-    return nullcontext() if cached is None else cached.frozen()
+    return nullcontext() if cached is None else cached.keeping(learns=False)
 
 
 def noisy(policy: nn.Module, deviation: float) -> AbstractContextManager[None]:

@@ -11,7 +11,7 @@ from dirl.reporting.animation import write_gif
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.tables import run_title
 from dirl.reporting.trajectories import draw_trajectories
-from dirl.runs.schema import Summary
+from dirl.runs.paths import Summary
 
 
 def draw_scene(

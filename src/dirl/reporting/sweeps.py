@@ -10,10 +10,10 @@ from hydra.experimental.callback import Callback
 from numpy.typing import NDArray
 from omegaconf import DictConfig
 
-from dirl.config.saved import plain_mapping
+from dirl.config.files import plain_mapping
 from dirl.config.values import leaves
 from dirl.reporting.tables import result_table
-from dirl.runs.schema import Summary
+from dirl.runs.paths import Summary
 from dirl.scenes.io.bounded import read_text
 
 FEW = 4

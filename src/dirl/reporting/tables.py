@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.config.folders import command
-from dirl.runs.schema import Summary
+from dirl.runs.paths import Summary
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.texts import read_rows
 

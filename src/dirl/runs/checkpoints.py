@@ -17,8 +17,7 @@ from typing import Any
 
 import torch
 
-from dirl.runs.paths import RunError, find_checkpoint, training_checkpoints
-from dirl.runs.schema import State, check_entries
+from dirl.runs.paths import RunError, State, check_entries, find_checkpoint, training_checkpoints
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes, unpack_tensors
 

@@ -12,14 +12,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dirl.config.components import packages_to_trust
+from dirl.config.files import config_text, read_config
 from dirl.config.folders import command
-from dirl.config.saved import config_text, read_config
 from dirl.config.schemas import Existing, LoggerName, TrainConfig
 from dirl.config.values import leaves, plain
 from dirl.runs.checkpoints import latest_checkpoint, save_checkpoint
 from dirl.runs.locks import FolderLock, claim, is_numbered
-from dirl.runs.paths import RunError, config_file, find_unfinished, is_finished, training_checkpoints
-from dirl.runs.schema import SCHEMA, TABLES, State, Summary
+from dirl.runs.paths import (
+    SCHEMA,
+    TABLES,
+    RunError,
+    State,
+    Summary,
+    config_file,
+    find_unfinished,
+    is_finished,
+    training_checkpoints,
+)
 from dirl.scenes import World
 from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
 from dirl.scenes.io.bounded import read_text
@@ -180,16 +189,12 @@ class Run:
         """Write ``network.pt`` and ``summary.json``."""
         self._check_written()
         save_checkpoint(self.folder / "network.pt", {**state, **self._facts})
-        self.write_summary(summary)
+        write_json(self.folder / "summary.json", summary)
 
     def _check_written(self) -> None:
         """Raise ``FileNotFoundError`` if a file was deleted: of a folder deleted during a write, a part may stay."""
         for file in (config_file(self.folder), *self._tables):
             file.stat()
-
-    def write_summary(self, summary: Summary) -> None:
-        """Write ``summary.json``."""
-        write_json(self.folder / "summary.json", summary)
 
     def clean_up(self, summary: Summary) -> None:
         """Delete the checkpoints of the training; the run then counts as finished, and the folder is released."""

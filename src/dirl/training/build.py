@@ -11,7 +11,7 @@ from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transform, TransformedEnv
 
 from dirl.config.components import TARGET, Options, components, make, schedules, tried
-from dirl.config.saved import read_config
+from dirl.config.files import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, Device, GoalView, Starts, Stop, TrainConfig
 from dirl.envs import Reward, SequentialViews, SurroundingViews
 from dirl.envs.transforms import broken_promise, front_only
@@ -42,8 +42,7 @@ from dirl.perception.recognition.build import build_recogniser, matching, set_me
 from dirl.perception.recognition.matching import ScoreFunction, StopRule
 from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import ARCHITECTURE
-from dirl.runs.schema import Facts, State
+from dirl.runs.paths import ARCHITECTURE, Facts, State
 from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals

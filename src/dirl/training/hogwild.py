@@ -210,8 +210,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
                 optimiser.step()
                 if several:
                     fetch(shared, policy)
-        told = losses.set("gradient_norm", norm).detach()
-        sender.send(summarise(env, batch.unsqueeze(0), told.unsqueeze(0))[0])
+        sender.send(summarise(env, batch, losses.set("gradient_norm", norm).detach())[0])
 
 
 def claim(shared: Shared, frames: int, total: int) -> float | None:

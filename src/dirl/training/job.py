@@ -25,9 +25,9 @@ from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_t
 from dirl.runs.checkpoints import load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
-from dirl.runs.paths import RunError
-from dirl.runs.schema import Facts, State
+from dirl.runs.paths import Facts, RunError, State
 from dirl.scenes import World
+from dirl.scenes.io.atomic import write_json
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.live import SimulatorError
 from dirl.training.build import (
@@ -45,8 +45,8 @@ from dirl.training.build import (
     learning_policy,
     with_architecture,
 )
-from dirl.training.loops import TrainState, noticing_divergence
-from dirl.training.objectives import Losses
+from dirl.training.loops import TrainState
+from dirl.training.objectives import Losses, trained_parameters
 from dirl.training.pairs import Demonstrations
 
 
@@ -67,6 +67,8 @@ class Components:
 
 NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
 """What a summary says of a run without reinforcement."""
+
+DIVERGED = "the policy has diverged, its logits are not finite: lower imitation.lr, optimiser.lr or reward.scale"
 
 DRAWN_SCENES = 8
 """Of how many scenes there are pictures at most; those of one take seconds."""
@@ -188,7 +190,7 @@ def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationPro
     optimiser = build_optimiser(run.config, policy, losses)
     env = build_env(run.config, protocol.world, protocol.observation, policy)
     meter = EpisodeMeter(mean_shortest(protocol.world))
-    state = TrainState(policy, losses, optimiser, env, env.reset(), meter)
+    state = TrainState(policy, losses, trained_parameters(policy, losses), optimiser, env, env.reset(), meter)
     if run.saved is not None and "imitation" not in run.saved:
         with restoring(run.folder):
             state.load_state_dict(run.saved)
@@ -204,24 +206,22 @@ def run_stages(run: Run, components: Components, stages: Stages) -> Facts:
     policy, protocol = components.policy, components.protocol
     if run.saved is None:
         torch.manual_seed(run.config.seed)
-    facts = facts_of(run, components)
+    facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)}
     print(f"{run_title(facts)}: {run.folder}")
     if not count_parameters(policy):
         summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
-        run.write_summary(summary)
+        write_json(run.folder / "summary.json", summary)
         print(summary_table(summary))
         run.clean_up(summary)
         return summary
     try:
-        with noticing_divergence():
-            return conclude(run, policy, protocol, facts | stages(run, components))
+        return conclude(run, policy, protocol, facts | stages(run, components))
     except SimulatorError as error:
         raise RunError(f"{error.failure}; {run.how_to_go_on()}") from None
-
-
-def facts_of(run: Run, components: Components) -> Facts:
-    """Return the facts of a run that its summary begins with."""
-    return describe(run.config, components.protocol.world) | {"demonstrations": len(components.demos)}
+    except RuntimeError as error:  # torch draws no actions by logits that are not finite
+        if "probability tensor contains" not in str(error):
+            raise
+        raise RunError(DIVERGED) from None
 
 
 def conclude(run: Run, policy: ActorCritic, protocol: EvaluationProtocol, facts: Facts, *, shown: bool = True) -> Facts:

@@ -8,8 +8,8 @@ from torch import nn
 
 from dirl.agent.loading import image_encoder, load_parts
 from dirl.agent.navigator import Navigator
-from dirl.config.choices import load_simulator
 from dirl.config.components import packages_to_trust
+from dirl.config.files import load_simulator
 from dirl.config.schemas import ConfigError, GoalView, Stop, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, sampled_starts

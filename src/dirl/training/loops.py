@@ -2,15 +2,15 @@
 
 A loop is used within its context, whose end stops the program if a signal came meanwhile:
 
-    with updates(run, state, protocol) as loop:
+    with updates(state, [run], [protocol]) as loop:
         while loop.goes_on:
             ...  # collect, losses, backward, clip, step
-            loop.record(update)
+            loop.record(reports)
 """
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -30,14 +30,11 @@ from dirl.models import ActorCritic, plain_weights
 from dirl.runs.checkpoints import restoring
 from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
-from dirl.runs.paths import RunError
-from dirl.runs.schema import Facts, State
+from dirl.runs.paths import Facts, RunError, State
 from dirl.training.build import build_env, build_expert
-from dirl.training.objectives import Losses, trained_parameters
+from dirl.training.objectives import Losses
 from dirl.training.pairs import Demonstrations, with_labels
-from dirl.training.rollout import Update, collect, summarise
-
-DIVERGED = "the policy has diverged, its logits are not finite: lower imitation.lr, optimiser.lr or reward.scale"
+from dirl.training.rollout import Update, collect
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -50,46 +47,23 @@ class TrainState:
     policy: ActorCritic
     """See `dirl.models.ActorCritic`."""
     losses: Losses
+    parameters: list[nn.Parameter]
+    """What is trained: the policy's parameters and the losses' own."""
     optimiser: Optimizer
     env: EnvBase
     agents: TensorDictBase
-    """Where the agents stand, ``[B]``."""
+    """Where the agents stand, ``[B]``; replaced in place, as a CUDA graph needs it."""
     meter: EpisodeMeter
     frames: int = 0
     seconds: float = 0.0
     """Spent on updates, without evaluation."""
-    left: float = 1.0
-    """The fraction of the training that is left, 1 to 0."""
+    left: Tensor = field(default_factory=lambda: torch.ones((), dtype=torch.float64))
+    """The fraction of the training that is left, 1 to 0, float64 ``[]``; also replaced in place."""
     generator: torch.Generator | None = None
     """In a stack that of the run's actions; else they are drawn by torch's own."""
 
     stacked: ClassVar[bool] = False
     """True if the first dimension of everything is the run, see `dirl.training.stacked.Stack`."""
-
-    @property
-    def parameters(self) -> list[nn.Parameter]:
-        """What is trained: the policy's parameters and the losses' own."""
-        return trained_parameters(self.policy, self.losses)
-
-    def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
-        """Return the update as it is called; that of a stack is a CUDA graph."""
-        return update
-
-    def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
-        """Return the report of an update, as a stack returns those of its runs."""
-        return summarise(self.env, batch.unsqueeze(0), losses.unsqueeze(0))
-
-    @property
-    def members(self) -> list["TrainState"]:
-        """Itself, as a stack has the states of its runs."""
-        return [self]
-
-    def walked(self, protocols: Sequence[EvaluationProtocol]) -> Sequence[EvaluationProtocol]:
-        """Return the protocols; those of a stack come with the episodes, walked together."""
-        return protocols
-
-    def separate(self) -> None:
-        """Do nothing; a stack gives its runs what it holds for them."""
 
     @property
     def summary(self) -> Facts:
@@ -115,13 +89,17 @@ class TrainState:
         random = {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)}
         if self.generator is not None:
             random["cpu"] = self.generator.get_state()
+        optimiser = self.optimiser.state_dict()
+        for group in optimiser["param_groups"]:
+            if isinstance(group["lr"], Tensor):  # while it is captured in a graph
+                group.update(lr=float(group["lr"]), capturable=False)
         return {
             "frames": self.frames,
             "training_seconds": self.seconds,
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
             "losses": own_of_losses,
-            "optimiser": plain_optimiser(self.optimiser),
+            "optimiser": optimiser,
             "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
             "random": random,
@@ -138,15 +116,6 @@ class TrainState:
         self.meter.load_state_dict(state["meter"])
         self.env.base_env.generator.set_state(state["random"]["env"])
         restore_random_state(state["random"])
-
-
-def plain_optimiser(optimiser: Optimizer) -> State:
-    """Return the state_dict of an optimiser, with numbers for what are tensors while it is captured in a graph."""
-    state = optimiser.state_dict()
-    for group in state["param_groups"]:
-        if isinstance(group["lr"], Tensor):
-            group.update(lr=float(group["lr"]), capturable=False)
-    return state
 
 
 def random_state(device: torch.device) -> dict[str, Tensor]:
@@ -251,7 +220,9 @@ class Updates:
     """The updates of a reinforcement, of one run or of those of a stack; made by `updates`."""
 
     state: Any
-    """A `TrainState`, or a `dirl.training.stacked.Stack`; ``members`` are the states of the runs."""
+    """A `TrainState`, or a `dirl.training.stacked.Stack`."""
+    members: Sequence[TrainState]
+    """The states of the runs: the same, or those in the stack."""
     runs: Sequence[Run]
     protocols: Sequence[EvaluationProtocol]
     total: int
@@ -268,14 +239,9 @@ class Updates:
         return not self.done and not self.signals
 
     @property
-    def left(self) -> float | Tensor:
-        """The fraction of the training that is left, 1 to 0; of a stack on its device, where a graph reads it."""
-        return self.state.left
-
-    @property
     def done(self) -> bool:
         """True if all frames are done, or with ``until=stable`` every goal is stable and was evaluated since."""
-        config, first = self.runs[0].config, self.state.members[0]
+        config, first = self.runs[0].config, self.members[0]
         stable = first.meter.stable_at if config.reinforcement.until == Until.stable else None
         return first.frames >= self.total or (
             stable is not None and due(stable, first.frames, self.total, config.evaluation.times)
@@ -284,50 +250,47 @@ class Updates:
     def record(self, reports: Sequence[Update], paused: AbstractContextManager[None] | None = None) -> None:
         """Count an update of every run; write, evaluate and save when it is due, the latter two within ``paused``."""
         seconds = time.perf_counter() - self.began
-        config, members = self.runs[0].config, self.state.members
-        before, frames = members[0].frames, members[0].frames + reports[0].frames
-        for run, state, report in zip(self.runs, members, reports, strict=True):
+        config, first = self.runs[0].config, self.members[0]
+        before, frames = first.frames, first.frames + reports[0].frames
+        for run, state, report in zip(self.runs, self.members, reports, strict=True):
             state.count(report, seconds)
             if due(before, frames, self.total, ROWS):
-                self._write(run, state, report, 1 - before / self.total)
+                meter, rate = state.meter, state.optimiser.defaults["lr"] * (1 - before / self.total)
+                row = {"frames": frames, "seconds": state.seconds, "frames_per_second": frames / state.seconds}
+                row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
+                row |= {"sr": meter.success_rate(config.reinforcement.max_steps), "lr": rate}
+                run.write("reinforcement", frames, row | report.values)
         evaluates = due(before, frames, self.total, config.evaluation.times)
         saves = self.done or any(run.save_due() for run in self.runs)
         if evaluates or saves:
             with paused or nullcontext():
                 if evaluates:
-                    walked = self.state.walked(self.protocols)
-                    for run, state, protocol in zip(self.runs, members, walked, strict=True):
+                    # The episodes of a stack are walked together.
+                    protocols = self.state.walked(self.protocols) if self.state.stacked else self.protocols
+                    for run, state, protocol in zip(self.runs, self.members, protocols, strict=True):
                         write_evaluation(run, state.policy, protocol, frames)
                 if saves:
                     self.save()
-        self.state.left = 1 - frames / self.total
+        self.state.left.fill_(1 - frames / self.total)
         # tqdm drops a bar that is more than full.
         self.bar.update(min(reports[0].frames * len(reports), self.bar.total - self.bar.n))
-        self.bar.set_postfix_str(f"ATL {members[0].meter.atl:.1f}", refresh=False)
+        self.bar.set_postfix_str(f"ATL {first.meter.atl:.1f}", refresh=False)
         self.began = time.perf_counter()
 
     def save(self) -> None:
         """Save the runs, all after the same update."""
-        self.state.separate()
-        for run, state in zip(self.runs, self.state.members, strict=True):
+        if self.state.stacked:
+            self.state.separate()
+        for run, state in zip(self.runs, self.members, strict=True):
             run.save(state.state_dict())
-
-    def _write(self, run: Run, state: TrainState, report: Update, left: float) -> None:
-        """Write a row of ``reinforcement.csv``; ``left`` is the fraction of the training before the update."""
-        frames, seconds, meter = state.frames, state.seconds, state.meter
-        row = {"frames": frames, "seconds": seconds, "frames_per_second": frames / seconds}
-        row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
-        row |= {"sr": meter.success_rate(run.config.reinforcement.max_steps)}
-        run.write("reinforcement", frames, row | {"lr": state.optimiser.defaults["lr"] * left} | report.values)
 
 
 @contextmanager
 def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProtocol]) -> Iterator[Updates]:
     """The updates of a reinforcement from its present state on, of one run or of a stack; see `Updates`."""
-    total, frames = (
-        runs[0].config.reinforcement.frames_per_scene * len(protocols[0].world.scenes),
-        state.members[0].frames,
-    )
+    members = state.members if state.stacked else [state]
+    total = runs[0].config.reinforcement.frames_per_scene * len(protocols[0].world.scenes)
+    frames = members[0].frames
     bar = tqdm(
         total=total * len(runs),
         initial=frames * len(runs),
@@ -335,9 +298,9 @@ def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProto
         unit_scale=True,
         mininterval=bar_interval(),
     )
-    state.left = 1 - frames / total
+    state.left.fill_(1 - frames / total)
     with interruptible() as signals, bar:
-        loop = Updates(state, runs, protocols, total, bar, signals)
+        loop = Updates(state, members, runs, protocols, total, bar, signals)
         yield loop
         if signals and not loop.done:
             loop.save()
@@ -345,21 +308,6 @@ def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProto
             again = f"go on with the same command and existing=keep hydra.sweep.dir={runs[0].folder.parent}"
             advice = runs[0].how_to_go_on() if len(runs) == 1 else f"all checkpoints are safe; {again}"
             leave("interrupted", 128 + signals[0], lambda: advice)
-
-
-@contextmanager
-def noticing_divergence() -> Iterator[None]:
-    """Within this context torch's refusal to draw actions by logits that are not finite is told as what it means.
-
-    Raises:
-        RunError: the policy has diverged. The checkpoints before are not touched.
-    """
-    try:
-        yield
-    except RuntimeError as error:
-        if "probability tensor contains" not in str(error):
-            raise
-        raise RunError(DIVERGED) from None
 
 
 def dagger_rounds(

@@ -6,7 +6,6 @@ and torch lack, or have otherwise.
 
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -33,24 +32,20 @@ MINIBATCH = 512
 """Of more than that so many are sampled."""
 
 
-@dataclass(frozen=True)
 class ScheduledLoss:
-    """A loss with the coefficients that change linearly over the training."""
+    """A loss with the coefficients that change linearly over the training.
 
-    module: Any
-    """Reads a batch and writes ``loss_*`` entries, as TorchRL's ``LossModule`` does."""
-    schedules: Mapping[str, Schedule]
-    """``weight``, which multiplies the loss, and attributes of the module by name."""
+    Args:
+        module: reads a batch and writes ``loss_*`` entries, as TorchRL's ``LossModule`` does.
+        schedules: ``weight``, which multiplies the loss, and attributes of the module by name.
+    """
 
-    @property
-    def on_demonstrations(self) -> bool:
+    def __init__(self, module: Any, schedules: Mapping[str, Schedule]) -> None:
+        self.module, self.schedules = module, schedules
+        self.on_demonstrations = not EXPERT.isdisjoint(module.in_keys)
         """True if it is computed on demonstrations."""
-        return not EXPERT.isdisjoint(self.module.in_keys)
-
-    @property
-    def compares(self) -> bool:
+        self.compares = "demonstrations" in list(inspect.signature(module.forward).parameters)[1:]
         """True if it is computed on rollouts and demonstrations together: ``forward(batch, demonstrations)``."""
-        return "demonstrations" in list(inspect.signature(self.module.forward).parameters)[1:]
 
 
 class Losses(nn.Module):
@@ -85,7 +80,7 @@ class Losses(nn.Module):
         """True if any loss needs rollouts."""
         return any(not loss.on_demonstrations for loss in self.losses.values())
 
-    def forward(self, batch: TensorDictBase, left: float) -> TensorDict:
+    def forward(self, batch: TensorDictBase, left: float | Tensor) -> TensorDict:
         """Return the weighted losses of a batch.
 
         Args:
@@ -96,9 +91,9 @@ class Losses(nn.Module):
             ``loss_*`` entries, scalars that carry gradients, and what else the losses report.
         """
         demonstrated = any(loss.on_demonstrations or loss.compares for loss in self.losses.values())
-        return self.compute(batch, self.draw() if demonstrated else None, self.coefficients(left))
+        return self.compute(batch, self.draw() if demonstrated else None, self.coefficients(float(left)))
 
-    def coefficients(self, left: float) -> dict[str, dict[str, Any]]:
+    def coefficients(self, left: Any) -> dict[str, dict[str, Any]]:
         """The coefficients of each loss, by its name and theirs, when a fraction ``left`` of the training remains."""
         return {
             name: {option: schedule(left) for option, schedule in loss.schedules.items()}
@@ -292,10 +287,10 @@ def bootstrap(batch: TensorDictBase, critic: TensorDictModuleBase) -> TensorDict
     for the states after the last step and where an episode was truncated.
 
     Args:
-        batch: ``[B, T]`` with ``state_value``.
+        batch: ``[B, T]`` with ``state_value``; or ``[R, B, T]`` of the runs of a stack.
         critic: the whole value operator, from views to ``state_value``.
     """
-    if getattr(critic, "fixed_shapes", False):
+    if batch.batch_dims > 2:
         return _bootstrap_all(batch, critic)
     values = torch.zeros_like(batch["state_value"])
     values[:, :-1] = batch["state_value"][:, 1:]
@@ -307,7 +302,7 @@ def bootstrap(batch: TensorDictBase, critic: TensorDictModuleBase) -> TensorDict
 
 
 def _bootstrap_all(batch: TensorDictBase, critic: TensorDictModuleBase) -> TensorDictBase:
-    """The same for ``[R, B, T]`` by two values of each agent: an episode is truncated at most once in a rollout."""
+    """The same by two values of each agent, as no shape may depend on values: at most one episode is truncated."""
     truncated = batch["next", "truncated"]
     first = truncated.squeeze(-1).int().argmax(-1)
     last = torch.full_like(first, batch.shape[-1] - 1)
@@ -357,7 +352,7 @@ def set_learning_rate(optimiser: Any, rate: Any) -> None:
         if isinstance(group["lr"], Tensor):
             group["lr"].copy_(rate)
         else:
-            group["lr"] = rate
+            group["lr"] = float(rate)
 
 
 class TFRMSprop(Optimizer):

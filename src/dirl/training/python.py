@@ -20,7 +20,7 @@ from dirl.cli.parsing import compose_training, parse
 from dirl.config.folders import HOME, RECIPES
 from dirl.reporting import summary_table
 from dirl.runs.folder import Run
-from dirl.runs.schema import Facts
+from dirl.runs.paths import Facts
 from dirl.training.job import Components, run_one
 from dirl.training.together import Job, run_together
 

@@ -60,11 +60,14 @@ class Update(NamedTuple):
 
 
 def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
-    """The reports of an update of R runs, from their rollouts ``[R, B, T]`` and the losses of its last pass, ``[R]``.
+    """Return the reports of an update of R runs, from their rollouts ``[R, B, T]`` and its losses, ``[R]``.
 
+    Those of one run may be ``[B, T]`` and ``[]``.
     With them comes the fraction of the variance of the returns that the critic explains: 1 is a perfect one, 0 one that
     says the same of every state.
     """
+    if batch.batch_dims == 2:
+        batch, losses = batch.unsqueeze(0), losses.unsqueeze(0)
     told = {key: value.float() for key, value in sorted(losses.items()) if value.ndim == 1}
     target, value = batch["value_target"].float().flatten(1), batch["state_value"].float().flatten(1)
     told["explained_variance"] = 1 - (target - value).var(1) / target.var(1)

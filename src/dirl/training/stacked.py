@@ -7,7 +7,7 @@ evaluated, saved and resumed as if it had been trained alone.
 
 import copy
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from types import SimpleNamespace
@@ -23,18 +23,13 @@ from dirl.agent.decisions import PAIRS_AT_ONCE, observe
 from dirl.config.schemas import Schedule, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import EvaluationProtocol
-from dirl.models.distinct import Cacheable
 from dirl.scenes import World
 from dirl.training.build import build_env, build_losses
 from dirl.training.loops import TrainState
-from dirl.training.objectives import Losses, set_learning_rate
-from dirl.training.rollout import Update, summarise
+from dirl.training.objectives import Losses, ScheduledLoss, set_learning_rate
 
 WARM_UP = 3
 """Updates before the capture: libraries choose their kernels, and optimisers make their state. They count."""
-
-SEEN = ("view_ids", "goal_view_ids", "scene")
-"""What a policy reads."""
 
 
 class Stack:
@@ -58,18 +53,21 @@ class Stack:
         world: World,
         observation: SurroundingViews,
     ) -> None:
-        self.members = members
+        self.members, self.world = members, world
         first, self.device = members[0], members[0].env.device
         self.config: TrainConfig = with_tensors(configs, self.device)
         # One policy with its losses is the form that the weights of every run are put into. Its features are shared.
         self.form: Any = copy.deepcopy(first.policy, {id(first.policy.features): first.policy.features})
-        self.form.cached = None
+        self.form.cached = self._fused
         for module in self.form.modules():
             if hasattr(module, "sorts"):
                 module.sorts = False  # by scene, which has shapes that depend on values
-        if isinstance(self.form.encoder, Cacheable) and type(observation) is SurroundingViews:
-            self.form.cached = EmbeddedOnce(self.form, world, observation)  # type: ignore[assignment]  # which takes its place
-        self._embedded: tuple[Tensor, ...] = ()
+        self.views = observation.reset_view_ids(torch.arange(len(world), device=world.device))
+        self.goal_views = observation.goal_view_ids(world.goals)
+        self._kept: tuple[Tensor, ...] = ()
+        """Embeddings of all runs, in `caching`."""
+        self._own: tuple[Tensor, ...] = ()
+        """Those of the run that is computed."""
         self.weights = _stack_weights([state.policy for state in members])
         self.parameters = list(self.weights.values(True, True))
         self.optimiser = StackedOptimiser([state.optimiser for state in members], self.parameters, self.device)
@@ -80,38 +78,17 @@ class Stack:
             self.generators = drawn[:1]
         self.env = build_env(self.config, world, observation, self.form, agents=(len(members), *first.agents.shape))
         self.env.base_env.generators = drawn[: len(self.generators)]
-        self._agents: TensorDictBase = torch.stack([state.agents for state in members])
-        self._left = torch.ones((), dtype=torch.float64, device=self.device)
+        self.agents: TensorDictBase = torch.stack([state.agents for state in members])
+        self.left = torch.ones((), dtype=torch.float64, device=self.device)
         losses = build_losses(configs[0], self.form, world, demos[0])
         self.losses = StackedLosses(self, [state.losses for state in members], losses, demos)
 
     @property
     def policy(self) -> "Stack":
-        """What is asked of a policy, `operator` and `caching`, the stack answers for all runs."""
+        """What is asked of a policy, `operator` and ``cached`` (`dirl.models.caching`), the stack has for all runs."""
         return self
 
-    @property
-    def cached(self) -> "Stack | None":
-        """Itself if observations are embedded once, see `dirl.models.caching`."""
-        return None if self.form.cached is None else self
-
-    @property
-    def left(self) -> Tensor:
-        """The fraction of the training that is left, 1 to 0, float64 ``[]`` on the device."""
-        return self._left
-
-    @left.setter
-    def left(self, fraction: float) -> None:
-        self._left.fill_(fraction)
-
-    @property
-    def agents(self) -> TensorDictBase:
-        """Where the agents stand, ``[R, B]``; always in the same memory, which a graph reads and writes."""
-        return self._agents
-
-    @agents.setter
-    def agents(self, after: TensorDictBase) -> None:
-        self._agents.update_(after.select(*self._agents.keys(True, True)))
+    cached = policy
 
     def operator(self) -> "StackedOperator":
         """Return what takes the agents ``[R, B]`` through the policies of their runs."""
@@ -119,17 +96,15 @@ class Stack:
 
     def each(self, function: Callable[..., Any], *rows: Any) -> Any:
         """Return the function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
-        if self.form.cached is None:
-            return self._with_weights(function, *rows)
-        embedded = self._embedded or self._with_weights(self.form.cached.embed)
+        kept = self._kept or self._with_weights(self._embedded)
         if not torch.is_grad_enabled():
-            embedded = tuple(every.detach() for every in embedded)
+            kept = tuple(every.detach() for every in kept)
 
         def with_embeddings(own: tuple[Tensor, ...], *rows: Any) -> Any:
-            self.form.cached.rows = own
+            self._own = own
             return function(*rows)
 
-        return self._with_weights(with_embeddings, embedded, *rows)
+        return self._with_weights(with_embeddings, kept, *rows)
 
     def _with_weights(self, function: Callable[..., Any], *rows: Any) -> Any:
         def of_run(weights: TensorDictBase, *own: Any) -> Any:
@@ -138,29 +113,36 @@ class Stack:
 
         return vmap(of_run)(self.weights, *rows)
 
+    def _embedded(self) -> tuple[Tensor, Tensor]:
+        """Return the embeddings of all states and of all goals, ``[N, E]`` and ``[G, E]``."""
+        encoder, features = self.form.encoder, self.form.features
+        embed_goal = getattr(encoder, "embed_goal", encoder.embed)
+        return encoder.embed(features(self.views)), embed_goal(features(self.goal_views))
+
+    def _fused(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
+        """Return what the encoder makes of embeddings by view ids of observation and goal, int64 ``[B, 4]`` each."""
+        rows, goal_rows = self._own
+        goals = goal_rows[self.world.goal_index[goal_view_ids[:, 0]]]
+        fused: Tensor = self.form.encoder.fuse(rows[view_ids[:, 0]], goals)
+        return fused
+
     @contextmanager
-    def caching(self) -> Iterator[None]:
-        """A context, of one update, in which the observations are embedded once: for the rollout and for the losses."""
-        if self.form.cached is not None:
-            with torch.enable_grad():
-                self._embedded = self._with_weights(self.form.cached.embed)
+    def keeping(self, *, learns: bool) -> Iterator[None]:
+        """A context, of one update, in which all is embedded once; for the losses too if it ``learns``."""
+        with torch.set_grad_enabled(learns):
+            self._kept = self._with_weights(self._embedded)
         try:
             yield
         finally:
-            self._embedded = ()
+            self._kept = ()
 
     def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
         """Return the update as a CUDA graph, where there is a GPU."""
-        generators = {*self.generators, *self.env.base_env.generators}
-        return Captured(update, generators) if is_gpu(self.device) else update
-
-    def summarise(self, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
-        """Return the report of each run's update."""
-        return summarise(self.env, batch, losses)
+        return Captured(update, {*self.generators, *self.env.base_env.generators}) if is_gpu(self.device) else update
 
     def separate(self) -> None:
         """Give each run's state what the stack holds for it besides the weights."""
-        for state, agents in zip(self.members, self._agents.unbind(0), strict=True):
+        for state, agents in zip(self.members, self.agents.unbind(0), strict=True):
             state.agents = agents.clone()
 
     def finite(self) -> list[bool]:
@@ -172,13 +154,12 @@ class Stack:
     @torch.no_grad()
     def walked(self, protocols: Sequence[EvaluationProtocol], *, assess: bool = False) -> list[EvaluationProtocol]:
         """Return the protocols of the runs, equal but for their starts, with greedy episodes; to assess, with all."""
-        world, observation = protocols[0].world, protocols[0].observation
+        world, observation = self.world, protocols[0].observation
         operator, (goals, states) = StackedOperator(self, acts=False), world.pairs()
         parts = []
-        with self.caching():
+        with self.keeping(learns=False):
             for rows in torch.arange(len(goals), device=world.device).split(max(1, PAIRS_AT_ONCE // len(protocols))):
-                views = observation.reset_view_ids(states[rows])
-                asked = observe(world, observation, states[rows], views, goals[rows])
+                asked = observe(world, observation, states[rows], self.views[states[rows]], goals[rows])
                 parts.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
         # Of every run for each pair, [R, P, 4]. One that has diverged is walked too: others do not wait.
         logits = torch.cat(parts, 1).nan_to_num()
@@ -203,9 +184,7 @@ class Stack:
 class StackedOperator:
     """Writes action, its log-probability and the state's value, each run by its own policy."""
 
-    in_keys = SEEN
-    fixed_shapes = True
-    """True if no shape may depend on values, as in a graph, see `bootstrap`."""
+    in_keys = ("view_ids", "goal_view_ids", "scene")
 
     def __init__(self, stack: Stack, *, acts: bool = True) -> None:
         self.stack, self.acts = stack, acts
@@ -221,7 +200,7 @@ class StackedOperator:
             answered = self.stack.form(own.copy())
             return answered["logits"], answered["state_value"]
 
-        logits, value = self.stack.each(answer, agents.select(*SEEN))
+        logits, value = self.stack.each(answer, agents.select(*self.in_keys))
         written = agents.copy().update({"logits": logits, "state_value": value})
         if not self.acts:
             return written
@@ -252,7 +231,7 @@ class StackedLosses:
                     (own.losses[name].schedules[option].start, own.losses[name].schedules[option].end) for own in losses
                 ]
                 schedules[option] = Schedule(*torch.tensor(ends, device=stack.device).T)
-            form.losses[name] = replace(loss, schedules=schedules)
+            form.losses[name] = ScheduledLoss(loss.module, schedules)
 
     def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
         """Return the rollout as it is: losses that define a reward are not stacked."""
@@ -260,8 +239,7 @@ class StackedLosses:
 
     def __call__(self, batch: TensorDictBase, left: Tensor) -> TensorDict:
         """Return the weighted losses of a batch ``[R, B]``, see `Losses.forward`."""
-        coefficients = self.form.coefficients(left)  # type: ignore[arg-type]  # tensors, as the ends of the schedules are
-        return TensorDict(self.stack.each(self._of_run, batch, coefficients, *self.demonstrated))
+        return TensorDict(self.stack.each(self._of_run, batch, self.form.coefficients(left), *self.demonstrated))
 
     def _of_run(
         self, batch: TensorDictBase, coefficients: Any, rows: TensorDictBase | None = None, counts: Tensor | None = None
@@ -300,39 +278,6 @@ class StackedOptimiser:
             if not isinstance(optimiser.param_groups[0]["lr"], Tensor):
                 set_learning_rate(optimiser, rate.item())
             optimiser.step()
-
-
-class EmbeddedOnce(nn.Module):
-    """An encoder on view ids that embeds every state of the world, and every goal, once an update.
-
-    Args:
-        form: the policy whose encoder and features it reads.
-        world: of the runs.
-        observation: surrounding views.
-    """
-
-    rows: tuple[Tensor, ...] = ()
-    """What `embed` gave, of the run that is computed."""
-
-    def __init__(self, form: Any, world: World, observation: SurroundingViews) -> None:
-        super().__init__()
-        self._form = (form,)  # in a tuple, or the encoder would be a submodule of the policy twice
-        states = torch.arange(len(world), device=world.device)
-        self.views, self.goal_views = observation.reset_view_ids(states), observation.goal_view_ids(world.goals)
-        self.goal_index = world.goal_index
-
-    def embed(self) -> tuple[Tensor, Tensor]:
-        """Return the embeddings of all states and of all goals, ``[N, E]`` and ``[G, E]``."""
-        encoder, features = self._form[0].encoder, self._form[0].features
-        embed_goal = getattr(encoder, "embed_goal", encoder.embed)
-        return encoder.embed(features(self.views)), embed_goal(features(self.goal_views))
-
-    def forward(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
-        """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
-        rows, goal_rows = self.rows
-        goals = goal_rows[self.goal_index[goal_view_ids[:, 0]]]
-        fused: Tensor = self._form[0].encoder.fuse(rows[view_ids[:, 0]], goals)
-        return fused
 
 
 def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainConfig:
@@ -377,7 +322,7 @@ class Captured:
         generators: that it draws from, besides torch's own.
     """
 
-    def __init__(self, function: Callable[[], Any], generators: Collection[torch.Generator]) -> None:
+    def __init__(self, function: Callable[[], Any], generators: set[torch.Generator]) -> None:
         self.function, self.generators = function, generators
         self.calls = 0
         self.graph: torch.cuda.CUDAGraph | None = None

@@ -16,17 +16,17 @@ from omegaconf import DictConfig
 from dirl.config.components import TARGET, class_parameters, find_class
 from dirl.config.schemas import Device, Until
 from dirl.config.values import leaves, plain, typed
-from dirl.evaluation.episodes import EvaluationProtocol
+from dirl.models.distinct import Cacheable
 from dirl.runs.folder import Run
-from dirl.runs.paths import RunError
-from dirl.runs.schema import Facts
+from dirl.runs.paths import Facts, RunError
 from dirl.scenes.io.bounded import read_text
-from dirl.training.job import Components, Stages, build_components, conclude, facts_of, open_job, run_stages
-from dirl.training.loops import DIVERGED, updates
+from dirl.training.build import describe
+from dirl.training.job import DIVERGED, Components, Stages, build_components, conclude, open_job, run_stages
+from dirl.training.loops import updates
 from dirl.training.objectives import FULL_BATCH, trained_parameters
 from dirl.training.stacked import Stack
 
-Learn = Callable[[Any, Any, Any], None]
+Learn = Callable[..., None]
 """`learn` of ``recipes/train.py``."""
 
 SWEPT = ("gamma", "lmbda", "entropy_coef", "critic_coef")
@@ -73,21 +73,13 @@ def why_alone(run: Run, components: Components) -> str | None:
         "a world that changes": world.looks > 1,
         # A stack applies the layers of every scene to all rows.
         "several scenes on a CPU": world.device.type == "cpu" and len(world.scenes) > 1,
-        "a policy without features": not hasattr(components.policy, "features"),
+        "an encoder without embed and fuse": not isinstance(getattr(components.policy, "encoder", None), Cacheable),
         "a loss with weights of its own": len(state.parameters) > len(trained_parameters(components.policy)),
         "a loss that defines the reward": any(hasattr(loss.module, "reward") for loss in losses),
         "a loss that is not reduced by reduction": not all(hasattr(loss.module, "reduction") for loss in losses),
         "a loss that compares": any(loss.compares for loss in losses),
     }
     return next((reason for reason, holds in reasons.items() if holds), None)
-
-
-def goes_together(run: Run, components: Components) -> bool:
-    """True if a run alone on a GPU can be a stack of one; if not, the reason is told."""
-    reason = why_alone(run, components)
-    if reason is not None:
-        print(f"no CUDA graph, each kernel is launched by itself: {reason}", file=sys.stderr, flush=True)
-    return reason is None
 
 
 def run_together(jobs: Sequence[Job], train: Stages, imitation: Stages, learn: Learn) -> list[Facts | Exception]:
@@ -164,25 +156,29 @@ def run_stack(
     protocols = stack.walked([components.protocol for _, components in ready.values()], assess=True)
     walked = zip(ready.items(), stack.members, stack.finite(), protocols, strict=True)
     for (number, (run, components)), state, finite, protocol in walked:
-        facts = facts_of(run, components) | state.summary
+        facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)} | state.summary
         yield number, conclude(run, state.policy, protocol, facts, shown=False) if finite else RunError(DIVERGED)
 
 
 def reinforce_together(members: Sequence[tuple[Run, Components]], learn: Learn) -> Stack:
     """Reinforce runs that differ in numbers only; returns their stack."""
-    runs, every = [run for run, _ in members], [components for _, components in members]
-    first: EvaluationProtocol = every[0].protocol
-    states: list[Any] = [components.state for components in every]
-    demos: list[Any] = [components.demos for components in every]
-    stack = Stack([run.config for run in runs], states, demos, first.world, first.observation)
-    with updates(stack, runs, [components.protocol for components in every]) as loop:
-        learn(stack.config, stack, loop)
+    runs, every = zip(*members, strict=True)
+    states, demos, protocols = ([getattr(one, name) for one in every] for name in ("state", "demos", "protocol"))
+    stack = Stack([run.config for run in runs], states, demos, protocols[0].world, protocols[0].observation)
+    with updates(stack, runs, protocols) as loop:
+        learn(stack.config, stack, loop, stack.prepared)
     return stack
 
 
-def reinforce_alone(run: Run, components: Components, learn: Learn) -> Facts:
-    """Reinforce one run as a stack, whose update is a CUDA graph; returns what the summary says of it."""
-    assert components.state is not None
+def reinforce_captured(run: Run, components: Components, learn: Learn) -> Facts | None:
+    """Reinforce one run as a stack, whose update is a CUDA graph; returns what the summary says of it.
+
+    Returns None, and tells why, if it cannot be one.
+    """
+    if (reason := why_alone(run, components)) is not None:
+        print(f"no CUDA graph, each kernel is launched by itself: {reason}", file=sys.stderr, flush=True)
+        return None
     if not all(reinforce_together([(run, components)], learn).finite()):
         raise RunError(DIVERGED)
+    assert components.state is not None
     return components.state.summary

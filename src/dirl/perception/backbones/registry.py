@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
-from dirl.config.choices import own_options
 from dirl.config.components import make, tried
+from dirl.config.files import own_options
 from dirl.config.values import check_choice
 from dirl.perception.backbones.efficientnet import lite0_encoder
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash

@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from dirl.config.choices import group_options
 from dirl.config.components import make
+from dirl.config.files import group_options
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.recogniser import NCC, Recogniser, Thresholds

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.config.bounds import Bounds
+from dirl.config.options import Bounds
 from dirl.perception.backbones.patches import are_fine, coarse
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.photo import PhotoOdds

@@ -1,13 +1,10 @@
-"""Saved configurations: read back as they were, and nothing in them is run or resolved."""
+"""Configurations in files: read back as they were, and nothing in them is run or resolved; choices of a group."""
 
 import pytest
-import torch
 from commands import room_file, train_config
 from parts import make_parts
 
-from dirl.agent.images import NavigatorError
-from dirl.agent.loading import rebuild
-from dirl.config.saved import MAX_CHARACTERS, config_text, read_config
+from dirl.config.files import MAX_CHARACTERS, config_text, group_options, read_config
 from dirl.config.schemas import ConfigError
 from dirl.models import plain_weights
 from dirl.training.build import load_trained
@@ -58,8 +55,30 @@ def test_weights_that_do_not_fit_are_refused_in_one_line(tmp_path):
     with pytest.raises(ConfigError, match="here: the weights do not fit the network of its configuration") as raised:
         load_trained(saved, "here")
     assert "\n" not in str(raised.value)
-    saved |= {"network": {**weights, "features.std": torch.ones(7)}, "config": config_text(parts.config)}
-    with pytest.raises(ConfigError, match=r"here: the weights' features.std has the shape"):
-        load_trained(saved, "here")
-    with pytest.raises(NavigatorError, match=r"the weights' features.std has the shape"):
-        rebuild(saved, parts.config, None, "here")
+
+
+def test_a_choice_is_a_file_of_the_group_or_of_ones_own(tmp_path):
+    own = tmp_path / "mine.yaml"
+    own.write_text("_target_: mine.Recogniser\nwidth: 3\n")
+    assert group_options("recogniser", None) is None
+    assert group_options("recogniser", "ncc") == {"_target_": "dirl.perception.recognition.NCC"}
+    assert group_options("recogniser", str(own)) == {"_target_": "mine.Recogniser", "width": 3}
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (None, "there is no such file"),
+        ("junk", "cannot be read as options: it is no mapping of options"),
+        ("a: [", "cannot be read as options: while parsing a flow node"),
+        ("width: 3", "has no _target_, which names the class"),
+    ],
+)
+def test_a_file_that_is_none_is_one_line(tmp_path, text, reason):
+    own = tmp_path / "mine.yaml"
+    if text is not None:
+        own.write_text(text)
+    with pytest.raises(ConfigError) as error:
+        group_options("recogniser", str(own))
+    assert str(error.value).startswith(f"recogniser={own}: {reason}")
+    assert "\n" not in str(error.value)
