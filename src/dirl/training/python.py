@@ -193,4 +193,4 @@ def hydra_put_aside() -> Iterator[None]:
     try:
         yield
     finally:
-        state.hydra = outer
+        GlobalHydra.instance().hydra = outer  # Hydra's own contexts replace the instance

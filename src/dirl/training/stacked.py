@@ -58,6 +58,7 @@ class Stack:
         self.config: TrainConfig = with_tensors(configs, self.device)
         # One policy with its losses is the form that the weights of every run are put into. Its features are shared.
         self.form: Any = copy.deepcopy(first.policy, {id(first.policy.features): first.policy.features})
+        del self.form.cached  # which may be a module; in its place comes a function
         self.form.cached = self._fused
         for module in self.form.modules():
             if hasattr(module, "sorts"):
