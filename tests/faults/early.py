@@ -3,7 +3,7 @@
     nice python tests/faults/early.py kills=8 seed=1
 
 Each tool is run in a fork of a process that has everything imported, so that its second is one of work. It gets SIGKILL
-after up to a second of the processor, or ten of the clock. Then no process of it may be left, and no file in /dev/shm;
+after up to a second of the processor or three of the clock. Then no process of it may be left, and no file in /dev/shm;
 after its kills it is run to its end in the folder of one. It prints a line for each tool. Other programs that use
 /dev/shm meanwhile would be blamed on it: ``unshare -m sh -c 'mount -t tmpfs tmpfs /dev/shm; exec python ...'``.
 """
@@ -39,7 +39,8 @@ def tools(files):
         "a3c": ("train", [*training, "system=a3c"]),
         "stacked": ("train", ["-m", *training, "hydra/launcher=stacked", "seed=0,1"]),
         "sample, two processes": ("scenes", [*found["sample"][1][:-1], "workers=2", "count=2"]),
-        "go": ("go", [f"map={files / 'walk.npz'}", f"photo={files / 'photos' / '6.png'}", "mcap=way.mcap"]),
+        "go": ("go", [*found["go"][1], "mcap=way.mcap"]),
+        "report": ("report", ["experiment=fig8", *found["report"][1][1:]]),
     }
 
 
@@ -68,7 +69,7 @@ def kill(tool, words, delay, folder):
     """Kill a tool after so many seconds: what it left behind, and whether it had ended before."""
     word, before, began = secrets.token_hex(8), set(SHARED.iterdir()), time.monotonic()
     child = Child(folder, tool, *words, prepare=partial(os.environ.update, DIRL_EARLY=word))
-    while time.monotonic() < began + 10 * delay and processor_seconds(child.pid) < delay:
+    while time.monotonic() < began + 3 * delay and processor_seconds(child.pid) < delay:
         time.sleep(0.005)
     child.kill()
     ended = child.wait().status != -signal.SIGKILL

@@ -80,8 +80,8 @@ def base(recipe, files, tiny=()):
         "export": [room, "out=new.h5"],
         "import": [room, "out=new.h5"],
         "inspect": [room],
-        "map": [f"video={files / 'photos'}", "out=walk.npz"],
-        "go": [f"map={files / 'walk.npz'}", f"photo={files / 'photos' / '0.png'}"],
+        "map": [f"video={files / 'walk'}", "out=walk.npz"],
+        "go": [f"map={files / 'walk.npz'}", f"photo={files / 'walk' / '6.png'}"],
     }[recipe]
 
 

@@ -10,6 +10,7 @@ from rooms import grid_scene
 from dirl.scenes import SceneError
 from dirl.scenes.views import decode
 from dirl.sources.photos import draft_table, encoded_photos, read_photos
+from dirl.sources.video import photo_field_of_view, read_photo
 
 HEADER = "image,location,heading,x,z,ahead"
 
@@ -167,6 +168,16 @@ def photo(file, time=None, north=None):
     if north is not None:
         exif.get_ifd(ExifTags.IFD.GPSInfo)[ExifTags.GPS.GPSImgDirection] = north
     Image.new("RGB", (40, 30)).save(file, exif=exif)
+
+
+def test_damaged_exif_is_told_in_one_line(tmp_path):
+    for number in range(4):
+        Image.new("RGB", (40, 30)).save(tmp_path / f"{number}.webp", exif=b"Exif\0\0no TIFF")
+    file = tmp_path / "0.webp"
+    for read in (draft_table, lambda _: read_photo(file), lambda _: list(encoded_photos([file], 16, 16))):
+        with pytest.raises(SceneError, match=r"\.webp: its EXIF is damaged \(not a TIFF file"):
+            read(tmp_path)
+    assert photo_field_of_view(file) is None
 
 
 def drafted(folder, **options):

@@ -159,16 +159,22 @@ def open_image(data: bytes, max_pixels: int, *, load: bool = True) -> Image.Imag
 
 
 def open_photo(file: str | Path, *, load: bool = True) -> Image.Image:
-    """Return the photograph in a file, or with ``load=False`` what it declares; `ImageError`, which names it, if none.
+    """Return the photograph in a file, upright as its EXIF says, or with ``load=False`` what it declares.
 
-    It may have `MAX_PHOTO_PIXELS`.
+    It may have `MAX_PHOTO_PIXELS`. `ImageError`, which names the file, if there is none.
     """
     try:
-        return open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS, load=load)
+        image = open_image(read_bytes(Path(file), MAX_PHOTO_BYTES), MAX_PHOTO_PIXELS, load=load)
     except OSError as error:
         raise ImageError(f"{file}: {error.strerror or error}") from None
     except ValueError as error:
         raise ImageError(f"{file}: not a readable image ({error})") from None
+    try:
+        if load:
+            ImageOps.exif_transpose(image, in_place=True)
+    except Exception as error:  # of damaged EXIF, as SyntaxError and TypeError
+        raise ImageError(f"{file}: its EXIF is damaged ({error})") from None
+    return image
 
 
 def natural_order(file: Path) -> list[tuple[int, int | str]]:
@@ -183,12 +189,6 @@ def to_rgb(image: Image.Image) -> Image.Image:
     return image if image.mode == "RGB" else image.convert("RGB")
 
 
-def upright_rgb(image: Image.Image) -> Image.Image:
-    """Return an image as its EXIF orientation says, and as RGB; ``image`` itself may be turned."""
-    ImageOps.exif_transpose(image, in_place=True)
-    return to_rgb(image)
-
-
 def read_photo(file: str | Path) -> NDArray[np.uint8]:
     """Return the photo in a file, upright as its EXIF says, RGB, uint8 ``[H, W, 3]``; `ImageError` if there is none."""
-    return np.asarray(upright_rgb(open_photo(file)))
+    return np.asarray(to_rgb(open_photo(file)))

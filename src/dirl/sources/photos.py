@@ -35,7 +35,7 @@ from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.checked import check_choice, checked, inside
 from dirl.scenes.io.texts import read_csv
 from dirl.scenes.scene import LARGEST, Scene, SceneError, check_name
-from dirl.scenes.views import encode, natural_order, open_photo, upright_rgb
+from dirl.scenes.views import encode, natural_order, open_photo, to_rgb
 
 TABLE = "states.csv"
 REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
@@ -158,16 +158,15 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
         SceneError: an image cannot be read, or is a panorama.
     """
     for path in images:
-        image = open_photo(path)
+        image = open_photo(path, load=False)  # its shape as it is stored
         wide = abs(image.width / image.height - 2) < 0.02 < abs(width / height - 2)  # as no other view is
         if wide or PANORAMA_MARK in path.read_bytes():
             raise SceneError(
                 f"{path}: {image.width}x{image.height} pixels are a panorama, which shows all headings at once; cut it "
                 "into one image a heading (an ordinary image of that shape: crop it a little)"
             )
-        yield encode(
-            np.asarray(ImageOps.fit(upright_rgb(image), (width, height), Image.Resampling.LANCZOS)), quality=90
-        )
+        upright = to_rgb(open_photo(path))
+        yield encode(np.asarray(ImageOps.fit(upright, (width, height), Image.Resampling.LANCZOS)), quality=90)
 
 
 def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
@@ -259,14 +258,13 @@ def _said_by_exif(file: Path) -> tuple[str, float | None]:
     try:
         exif = image.getexif()
         details, place = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
-    except (OSError, ValueError) as error:
+        angle = place.get(ExifTags.GPS.GPSImgDirection)
+        north = None if angle is None or not 0 <= angle <= 360 else float(angle)  # NaN where the camera wrote 0 / 0
+    except Exception as error:  # as SyntaxError and TypeError
         raise SceneError(f"{file}: its EXIF is damaged ({error})") from None
     time = str(details.get(ExifTags.Base.DateTimeOriginal, ""))
     fraction = str(details.get(ExifTags.Base.SubsecTimeOriginal, ""))
-    angle = place.get(ExifTags.GPS.GPSImgDirection)
-    if angle is not None:
-        angle = float(angle) if 0 <= angle <= 360 else None  # where the camera wrote 0 / 0
-    return time and f"{time}.{fraction}", angle
+    return time and f"{time}.{fraction}", north
 
 
 def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:

@@ -14,7 +14,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import Image
 
 from dirl.scenes.io.bounded import FREELY_UNPACKED, MOST_RATIO
 from dirl.scenes.io.isolation import SECONDS, SECONDS_A_MEGABYTE, environment, limit, why_ended
@@ -174,7 +174,7 @@ def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
     Raises:
         SceneError: it cannot be decoded, or has 16 bits.
     """
-    return _small(file, ImageOps.exif_transpose(open_photo(file)), side)
+    return _small(file, open_photo(file), side)
 
 
 def photo_field_of_view(file: str | Path) -> float | None:
@@ -182,7 +182,7 @@ def photo_field_of_view(file: str | Path) -> float | None:
     try:
         image = open_photo(file, load=False)
         focal = float(image.getexif().get_ifd(0x8769).get(0xA405) or 0)
-    except (ValueError, TypeError):
+    except Exception:  # Pillow raises many kinds for damaged EXIF
         return None
     upright = image.height > image.width
     across = image.getexif().get(0x0112, 1) in (5, 6, 7, 8)  # turned when shown
