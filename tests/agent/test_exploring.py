@@ -131,16 +131,6 @@ def test_a_map_leads_who_sees_a_panorama_as_well(tmp_path):
     assert navigator.act(images_of(around[state])).stop
 
 
-def test_turns_are_given_by_the_caller_or_the_map(navigator):
-    with pytest.raises(NavigatorError, match="say how many right turns make a full circle"):
-        navigator.explore()
-    known = ImageGraph(turns=8)
-    assert navigator.explore(known).graph is known
-    assert navigator.explore(known, turns=8).graph is known
-    with pytest.raises(NavigatorError, match="turns=4: this map was made with turns=8"):
-        navigator.explore(known, turns=4)
-
-
 def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
     goal = images_of(world.surrounding[5])
     with pytest.raises(NavigatorError, match="the map is empty"):

@@ -59,14 +59,6 @@ def sequential(tmp_path_factory, world):
     return folder
 
 
-@pytest.fixture(scope="module")
-def localising(tmp_path_factory, world):
-    """The folder of a run whose memory localises."""
-    folder = tmp_path_factory.mktemp("runs") / "localising"
-    trained(folder, world, "episodic_memory=localising")
-    return folder
-
-
 @pytest.fixture
 def own_run(run, tmp_path):
     """A copy of the run, to be changed."""
@@ -150,11 +142,6 @@ def test_a_navigator_with_a_memory_walks_as_the_evaluation_does(tmp_path, monkey
         walked, stopped = walk_until_stop(act, world, path[0], 25)
         assert walked == path
         assert stopped == bool(episodes.success[episode] | episodes.false_stop[episode])
-
-
-def test_a_memory_that_localises_needs_log_odds(localising, world):
-    with pytest.raises(ConfigError, match=r"^episodic_memory=localising weighs log odds, and NCC has none: "):
-        load(localising, world)
 
 
 def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world):
@@ -424,12 +411,6 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, capfd):
         np.testing.assert_allclose(value, expected["state_value"], rtol=0, atol=1e-5)
         scores = TemplateStop().scores(world)
         np.testing.assert_allclose(matching, world.block(scores, 2)[:agents], rtol=0, atol=1e-5)
-
-
-def test_without_its_packages_the_export_says_what_to_install(navigator, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnxscript", None)
-    with pytest.raises(NavigatorError, match=r"pip install 'dirl\[onnx\]'"):
-        export_onnx(navigator, tmp_path / "policy.onnx")
 
 
 def walk_with_memory(policy, world, observation, states, goal_index):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dirl.perception.columns import BEARING, COLUMNS, UNIT, load_column_net, relative_pose, wall_points
+from dirl.perception.columns import COLUMNS, UNIT, load_column_net, relative_pose, wall_points
 
 
 def moved(points, ahead, right, turned):
@@ -31,13 +31,6 @@ def test_the_pose_of_points_that_match_is_exact_and_few_wrong_matches_change_lit
     matches[0, :4] = matches[0, :4].roll(9, 1)
     pose = [float(value[0]) for value in relative_pose(matches, seen, other)[1:]]
     assert pose == pytest.approx([ahead, right, turned], abs=8)
-
-
-def test_depths_are_along_the_bearing_of_each_column():
-    points = wall_points(torch.zeros(1, COLUMNS))[0]
-    assert torch.allclose(points.norm(dim=1), torch.ones(COLUMNS))
-    assert torch.allclose(torch.atan2(points[:, 1], points[:, 0]), BEARING)
-    assert -np.pi / 4 < BEARING[0] < BEARING[-1] < np.pi / 4
 
 
 def test_a_frame_fits_itself_best_where_it_is():

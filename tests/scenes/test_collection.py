@@ -1,6 +1,5 @@
 """Collections: folders of random rooms, whose names say kind and seed, and so the split."""
 
-import numpy as np
 import pytest
 from rooms import grid_scene
 
@@ -27,14 +26,6 @@ def test_rooms_are_read_by_seed_and_split(folder):
         load_scenes(f"collection:{folder}", split="validation")
     with pytest.raises(SceneError, match="is no collection; it holds no rooms such as bathroom_30000"):
         load_scenes(f"collection:{folder.parent}")
-
-
-def test_features_of_a_room_are_read_when_they_are_used(folder):
-    """They are memory-mapped, so that many rooms need memory for them only once, in their world."""
-    base = load_scenes(f"collection:{folder}")[0].features
-    while not isinstance(base, np.memmap):
-        base = base.base
-    assert base.mode == "r"
 
 
 def test_a_damaged_room_is_named(folder):

@@ -2,15 +2,10 @@
 
 import pytest
 import torch
-from policies import expert, run_episodes
 from rooms import grid_scene
 
 from dirl.agent.cameras import compare
-from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import every_start
-from dirl.evaluation.protocol import metrics
 from dirl.perception.recognition import NCC, Learned
-from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.recogniser import panorama_odds
 from dirl.perception.recognition.tables import VisitScores, described_visits
 from dirl.scenes import make_world
@@ -57,18 +52,6 @@ def test_a_camera_sees_what_the_table_of_a_world_says(kind):
             torch.testing.assert_close(by_camera, by_table, atol=1e-5, rtol=0)
         ids_seen.append(ids)
         views_seen.append(described)
-
-
-def test_no_visit_has_the_look_of_the_goal():
-    """A stop that asks for the goal's own picture never comes; where there is one look it does."""
-    world = changing(noise=0.02)
-    exactly = TemplateStop(1 - 1e-5).arrived(world)
-    arguments = {"observation": SurroundingViews(world), "max_steps": 30}
-    assert metrics(run_episodes(expert(world), world, every_start(world), stop=exactly, **arguments))["sr"] == 0
-    still = make_world([grid_scene(3, 2, feature_width=64)])
-    arguments["observation"] = SurroundingViews(still)
-    stop = TemplateStop(1 - 1e-5)(still)
-    assert metrics(run_episodes(expert(still), still, every_start(still), stop=stop, **arguments))["sr"] == 1
 
 
 @pytest.mark.parametrize("views", [8, 4])

@@ -25,15 +25,6 @@ def test_the_distance_of_a_segment_is_that_of_its_nearest_point(a, b, middle, ha
     assert dense - np.hypot(*np.subtract(a, b)) / 2000 <= exact <= dense + 1e-9
 
 
-def test_the_stool_takes_the_place_it_stands_on():
-    way = walk(closet())
-    assert way.places.round(3).tolist() == [[0.4, 0.4], [0.4, 0.9], [0.9, 0.4], [0.9, 0.9], [1.4, 0.4]]
-    north_of_last = 4 * 4
-    assert way.graph[north_of_last, AHEAD] == -1
-    assert way.graph[north_of_last + 3, AHEAD] == 4 * 2 + 3  # west
-    assert way.graph[north_of_last + 1, BACK] == 4 * 2 + 1
-
-
 @pytest.mark.parametrize(("turn", "headings", "moves"), [(45, 8, 16), (30, 12, 10)])
 def test_smaller_turns_have_more_headings_and_move_only_onto_the_grid(turn, headings, moves):
     way = walk(closet(), turn)
