@@ -43,7 +43,7 @@ from dirl.training.objectives import (
 )
 from dirl.training.pairs import Demonstrations
 from dirl.training.rollout import collect, summarise
-from dirl.training.together import Job, reinforce_captured, run_together
+from dirl.training.stacked import Job, reinforce_captured, run_together
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")

@@ -17,7 +17,7 @@ class StackedLauncher(BasicLauncher):
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run the jobs."""
-        from dirl.training.together import Job  # late: Hydra imports every plug-in when it starts
+        from dirl.training.stacked import Job  # late: Hydra imports every plug-in when it starts
 
         assert self.task_function is not None
         train, jobs = self.task_function, list[Job]()

@@ -1,9 +1,7 @@
 """From a configuration to the parts of a run; what does not fit together is one line."""
 
 import sys
-from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from commands import TINY, done, room_file, train_config
@@ -18,9 +16,8 @@ from dirl.envs.transforms import front_only
 from dirl.models import FeatureTable, ObservationTable, plain_weights, recurrent_keys
 from dirl.models.build import build_policy
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.scenes import SceneError, make_world, write_dump
+from dirl.scenes import SceneError, write_dump
 from dirl.training.build import build_env, build_goals, build_world, learning_policy, load_trained, trained_policy
-from dirl.training.job import tell_of_far_goals
 
 SMALL = ["encoder.width=8", "heads.width=8"]
 
@@ -126,18 +123,6 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
 def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path):
     with pytest.raises(ConfigError, match=r"^episodic_memory: PlanningMemory asks .*use episodic_memory=none$"):
         make_parts(f"scene={room_file(tmp_path)}", "episodic_memory=planning", "memory=gru", *SMALL)
-
-
-def test_goals_that_few_states_reach_are_told(capsys):
-    room = grid_scene(goals=(0, 13))
-    graph = np.where(np.arange(len(room))[:, None] < 4, room.graph, np.where(room.graph < 4, -1, room.graph))
-    tell_of_far_goals(make_world([replace(room, graph=graph)]))
-    told = capsys.readouterr().out
-    assert told.startswith(
-        "grid: most states cannot reach 1 of 2 goals, the worst: 0 can be reached from 4 of 24 states"
-    )
-    tell_of_far_goals(make_world([room]))
-    assert not capsys.readouterr().out
 
 
 SHAPES = {"left": (3, 2), "right": (2, 3)}

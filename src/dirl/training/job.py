@@ -26,7 +26,6 @@ from dirl.runs.checkpoints import load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
 from dirl.runs.paths import Facts, RunError, State
-from dirl.scenes import World
 from dirl.scenes.io.atomic import write_json
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.live import SimulatorError
@@ -162,27 +161,11 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
         live = open_live(run.config, world, observation)
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
     state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None
-    tell_of_far_goals(world)
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
     before_reinforcement = run.saved is None or "imitation" in run.saved
     return Components(policy, demos, protocol, state, before_reinforcement)
-
-
-def tell_of_far_goals(world: World) -> None:
-    """Print a line for each scene with goals that most states cannot reach: their success rates say little."""
-    for index, scene in enumerate(world.scenes):
-        goals = zip(world.local_goals(index).tolist(), world.goals_in(index), strict=True)
-        reached = {goal: int((world.block(world.distances, number) >= 0).sum()) for goal, number in goals}
-        few = [goal for goal, count in reached.items() if 2 * count < len(scene)]
-        if few:
-            worst = min(few, key=reached.__getitem__)
-            print(
-                f"{scene.name}: most states cannot reach {len(few)} of {len(reached)} goals, the worst: {worst} can be "
-                f"reached from {reached[worst]} of {len(scene)} states; success rates count those alone",
-                flush=True,
-            )
 
 
 def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationProtocol) -> TrainState:

@@ -22,7 +22,7 @@ from dirl.reporting import summary_table
 from dirl.runs.folder import Run
 from dirl.runs.paths import Facts
 from dirl.training.job import Components, run_one
-from dirl.training.together import Job, run_together
+from dirl.training.stacked import Job, run_together
 
 PICTURES = {"learning_curve": "learning_curve.png", "paths": "trajectories_*.png", "maps": "maps_*.png"}
 """Of a run's folder, by what they show."""
