@@ -121,15 +121,12 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dirl import Navigator
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
 from dirl.cli.output import new_file
 from dirl.config.components import make
 from dirl.config.files import goal_view_options, group_options, load_simulator, own_options
 from dirl.evaluation.episodes import Episodes, Metric, sampled_starts, shortest_episodes
-from dirl.evaluation.live import Remembered, evaluate_live
-from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.perception.backbones.registry import packaged_encoder
@@ -143,7 +140,6 @@ from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, shortest_move
 from dirl.training.build import Trained, describe, load_trained
-from dirl.training.live import check_simulator
 
 MOST_EPISODES = 20_000
 """Of an evaluation for which no starts are asked for."""
@@ -323,6 +319,10 @@ def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
 
 def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     """Measures of a navigator in a live world, by policy; each image is encoded when it is first seen."""
+    from dirl.agent.navigator import Navigator
+    from dirl.evaluation.live import Remembered, evaluate_live
+    from dirl.training.live import check_simulator
+
     config, policy, protocol = trained
     if len(protocol.world.scenes) > 1:
         raise RunError(f"simulator: walks in one scene, not in {len(protocol.world.scenes)}; name it: scene=...")
@@ -384,6 +384,8 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
         return trained._replace(
             policy=GuidedPolicy(trained.policy, memory, LAST_STEPS if last_steps is None else last_steps)
         )
+    from dirl.evaluation.maps import map_quality, map_scene
+
     if last_steps is not None:
         raise RunError(f"last_steps={last_steps}: a memory that localises knows its map to the end; leave it out")
     maps = []

@@ -12,7 +12,7 @@ from rooms import grid_scene
 from dirl.config.schemas import ConfigError
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.runs.folder import Run, open_run
-from dirl.runs.paths import RunError, training_checkpoints
+from dirl.runs.paths import RunError, is_finished, training_checkpoints
 from dirl.scenes import make_world
 
 ORDER = ["ahead", "right", "back", "left"]
@@ -209,4 +209,4 @@ def test_resume_takes_no_other_option_and_no_finished_run(tmp_path):
     run.finish(state(0), {})
     with pytest.raises(RunError, match="is finished"):
         resumed(tmp_path)
-    assert opened(tmp_path, "existing=keep").finished
+    assert is_finished(opened(tmp_path, "existing=keep").folder)

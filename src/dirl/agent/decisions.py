@@ -16,7 +16,8 @@ from dirl.models import frozen, initial_state, recurrent_keys
 from dirl.models.distinct import EmbeddingCache, Keys, packable
 from dirl.perception.recognition.matching import StopRule
 from dirl.perception.recognition.tables import VisitScores
-from dirl.scenes import ACTIONS, World
+from dirl.scenes import ACTIONS
+from dirl.scenes.world import World
 
 PAIRS_AT_ONCE = 16_384
 

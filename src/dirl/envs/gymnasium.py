@@ -20,7 +20,8 @@ from tensordict import TensorDict
 from dirl.envs.navigation import NavigationEnv, Reward
 from dirl.envs.rendering import Painter
 from dirl.envs.transforms import VIEWS
-from dirl.scenes import ACTIONS, SceneError, load_scenes, make_world
+from dirl.scenes import ACTIONS, SceneError, load_scenes
+from dirl.scenes.world import make_world
 
 Ints = NDArray[np.int64]
 Observation = dict[str, NDArray[np.float32] | NDArray[np.uint8]]

@@ -18,9 +18,9 @@ from torchrl.data import Categorical, Unbounded
 
 from dirl.envs.navigation import NavigationEnv
 from dirl.envs.transforms import VIEWS, front_only
-from dirl.scenes import World
 from dirl.scenes.graph import AHEAD, BACK, RIGHT, turns_per_circle
 from dirl.scenes.live import Pose, Simulator, shortest_move, simulator_errors, stride
+from dirl.scenes.world import World
 
 QUARTERS = (0.0, 90.0, 180.0, 270.0)
 NEAR = 0.02

@@ -8,7 +8,8 @@ from torch import Tensor
 from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from dirl.scenes import ACTIONS, World
+from dirl.scenes import ACTIONS
+from dirl.scenes.world import World
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.data import Categorical, TensorSpec, Unbounded
 from torchrl.envs import Transform
 
-from dirl.scenes import World
+from dirl.scenes.world import World
 
 VIEWS = 4
 """Of a node: ahead, right, back and left."""

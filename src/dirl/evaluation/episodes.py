@@ -18,7 +18,8 @@ from dirl.models import frozen
 from dirl.perception.recognition.matching import StopRule
 from dirl.perception.recognition.recogniser import NCC
 from dirl.perception.recognition.tables import VisitScores
-from dirl.scenes import ACTIONS, World
+from dirl.scenes import ACTIONS
+from dirl.scenes.world import World
 
 
 @dataclass(frozen=True, eq=False)

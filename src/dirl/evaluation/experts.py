@@ -8,8 +8,9 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from dirl.envs import SurroundingViews
-from dirl.scenes import ACTIONS, World
+from dirl.scenes import ACTIONS
 from dirl.scenes.graph import places
+from dirl.scenes.world import World
 
 DEMONSTRATED = ("state", "goal", "scene", "view_ids", "goal_view_ids", "expert_action")
 """The keys of a demonstration."""

@@ -10,8 +10,8 @@ from dirl.agent.mapping.walks import explore
 from dirl.evaluation.episodes import drawn_looks
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition.tables import VisitScores
-from dirl.scenes import World
 from dirl.scenes.graph import AHEAD, BACK, RIGHT
+from dirl.scenes.world import World
 
 
 class Quality(NamedTuple):

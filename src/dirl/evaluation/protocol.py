@@ -16,7 +16,7 @@ from dirl.evaluation.episodes import Episodes, Metric, shortest_episodes
 from dirl.evaluation.episodes import EvaluationProtocol as EvaluationProtocol
 from dirl.evaluation.experts import RandomPolicy
 from dirl.models import LocalisingMemory, PlanningMemory
-from dirl.scenes import World
+from dirl.scenes.world import World
 
 Report = dict[str, Any]
 """Measures by name; under ``scenes``, and there under ``goals``, those of each."""

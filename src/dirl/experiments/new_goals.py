@@ -13,8 +13,8 @@ from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, 
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.runs.paths import RunError
-from dirl.scenes import World
 from dirl.scenes.goals import well_reached
+from dirl.scenes.world import World
 from dirl.training.build import build_goals
 
 DISTANCES = (1, 2, 4, 8)

@@ -22,7 +22,8 @@ from dirl.models import (
     whitening,
 )
 from dirl.perception.backbones.patches import PATCH_SHAPE, coarse
-from dirl.scenes import ACTIONS, World
+from dirl.scenes import ACTIONS
+from dirl.scenes.world import World
 
 
 def build_policy(
@@ -136,11 +137,6 @@ def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tens
     keys = [f"features.{name}" for name in ("mean", "std", "axes")]
     mean, std, axes = (weights[key].float() if key in weights else None for key in keys)
     return mean, std, axes
-
-
-def reads_linearly(config: TrainConfig) -> bool:
-    """True if the encoder itself says which of its layers read a whole observation; what it inherits may not hold."""
-    return "linear" in vars(find_class("encoder", config.encoder[TARGET], config.trust))
 
 
 def reads_patches(config: TrainConfig) -> bool:

@@ -21,10 +21,11 @@ from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import LocalisingMemory, recurrent_keys
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import described_visits
-from dirl.scenes import ACTIONS, Scene, World
+from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 from dirl.scenes.views import encoded_view
+from dirl.scenes.world import World
 
 MOST_WALKS = 100_000
 """Episodes of an agent with a memory that are computed for the pages; of more goals, some are left out."""

@@ -29,10 +29,10 @@ from dirl.runs.paths import (
     is_finished,
     training_checkpoints,
 )
-from dirl.scenes import World
 from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.scene import turns_of
+from dirl.scenes.world import World
 
 if TYPE_CHECKING:
     from dirl.runs.loggers import WandbLogger
@@ -128,15 +128,10 @@ class Run:
         """Return what is safe and how to continue, for the message of a stopped run."""
         if not config_file(self.folder).exists():
             return "nothing of this run was saved"
-        if self.finished:
+        if is_finished(self.folder):
             return f"the run is finished: {self.folder}"
         safe = "its last checkpoint is safe" if training_checkpoints(self.folder) else "it has no checkpoint yet"
         return f"{safe}; resume with: {command('train', running=True)} resume={self.folder}"
-
-    @property
-    def finished(self) -> bool:
-        """True if it is finished; only one with ``config.existing=keep`` is opened again then."""
-        return is_finished(self.folder)
 
     @property
     def seconds(self) -> float:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transform, TransformedEnv
 
-from dirl.config.components import TARGET, Options, components, make, schedules, tried
+from dirl.config.components import TARGET, Options, components, find_class, make, schedules, tried
 from dirl.config.files import read_config
 from dirl.config.schemas import Axes, Cache, ConfigError, Device, GoalView, Starts, Stop, TrainConfig
 from dirl.envs import Reward, SequentialViews, SurroundingViews
@@ -32,7 +32,6 @@ from dirl.models.build import (
     check_extractor,
     feature_table,
     load_weights,
-    reads_linearly,
     reads_patches,
     tell_of_turns,
     turns_of_training,
@@ -43,11 +42,11 @@ from dirl.perception.recognition.matching import ScoreFunction, StopRule
 from dirl.perception.recognition.tables import VisitScores
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.paths import ARCHITECTURE, Facts, State
-from dirl.scenes import Scene, SceneError, World, load_scenes, make_world
+from dirl.scenes import Scene, SceneError, load_scenes
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.scene import turns_of
-from dirl.scenes.world import Goals
+from dirl.scenes.world import Goals, World, make_world
 from dirl.training.objectives import (
     ImitationLoss,
     Losses,
@@ -397,7 +396,8 @@ def learning_policy(
         features is None
         and config.network.axes == Axes.principal
         and config.network.cache == Cache.auto
-        and reads_linearly(config)
+        # The encoder itself says which of its layers read a whole observation; what it inherits may not hold.
+        and "linear" in vars(find_class("encoder", config.encoder[TARGET], config.trust))
         and initial is None  # given weights would change in the last digit
         and config.imitation.noise == 0  # which is added to features
         and not live

@@ -25,7 +25,7 @@ from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_t
 from dirl.runs.checkpoints import load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
-from dirl.runs.paths import Facts, RunError, State
+from dirl.runs.paths import Facts, RunError, State, is_finished
 from dirl.scenes.io.atomic import write_json
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.live import SimulatorError
@@ -101,7 +101,7 @@ def run_one(composed: DictConfig, folder: Path, overrides: list[str], stages: St
     # Hydra would say something of its own about an error before `dirl.cli.start.run` does.
     with one_line_exits(lambda: "nothing was trained", folder) if alone else nullcontext():
         run, initial = open_job(composed, folder, overrides)
-        if run.finished:
+        if is_finished(run.folder):  # and ``existing=keep``
             print(f"finished before: {run.folder}")
             summary: Facts = json.loads(read_text(run.folder / "summary.json"))
             return summary

@@ -18,9 +18,10 @@ from dirl.models import plain_weights
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import packaged_encoder
 from dirl.runs.folder import facts
-from dirl.scenes import Scene, World
+from dirl.scenes import Scene
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.live import Noisy, Simulated, Simulator, shortest_move
+from dirl.scenes.world import World
 
 
 class Live(NamedTuple):

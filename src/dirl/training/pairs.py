@@ -12,7 +12,7 @@ from dirl.envs import SurroundingViews
 from dirl.envs.transforms import front_only
 from dirl.evaluation.episodes import drawn_looks
 from dirl.evaluation.experts import label, merge_demonstrations
-from dirl.scenes import World
+from dirl.scenes.world import World
 
 
 class DrawnPairs:

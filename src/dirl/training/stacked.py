@@ -31,9 +31,9 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import EvaluationProtocol
 from dirl.models.distinct import Cacheable
 from dirl.runs.folder import Run
-from dirl.runs.paths import Facts, RunError
-from dirl.scenes import World
+from dirl.runs.paths import Facts, RunError, is_finished
 from dirl.scenes.io.bounded import read_text
+from dirl.scenes.world import World
 from dirl.training.build import build_env, build_losses, describe
 from dirl.training.job import DIVERGED, Components, Stages, build_components, conclude, open_job, run_stages
 from dirl.training.loops import TrainState, updates
@@ -113,7 +113,7 @@ def run_together(jobs: Sequence[Job], train: Stages, imitation: Stages, learn: L
             if config.goals is not None or config.evaluation.goals is not None:  # they may be drawn with the seed
                 fixed["seed"] = config.seed
             run, initial = open_job(job.composed, job.folder, job.overrides)
-            if run.finished:
+            if is_finished(run.folder):
                 results[number] = json.loads(read_text(run.folder / "summary.json"))
                 continue
             kind = json.dumps(fixed, default=str, sort_keys=True)
@@ -221,7 +221,7 @@ class Stack:
         # One policy with its losses is the form that the weights of every run are put into. Its features are shared.
         self.form: Any = copy.deepcopy(first.policy, {id(first.policy.features): first.policy.features})
         del self.form.cached  # which may be a module; in its place comes a function
-        self.form.cached = self._fused
+        self.form.cached = self._fused  # type: ignore[assignment]
         for module in self.form.modules():
             if hasattr(module, "sorts"):
                 module.sorts = False  # by scene, which has shapes that depend on values

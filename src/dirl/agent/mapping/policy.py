@@ -12,8 +12,9 @@ from dirl.agent.mapping.walks import explore
 from dirl.config.options import Bounds
 from dirl.perception.recognition.recogniser import NCC
 from dirl.perception.recognition.tables import described_visits
-from dirl.scenes import ACTIONS, World
+from dirl.scenes import ACTIONS
 from dirl.scenes.graph import turns_per_circle
+from dirl.scenes.world import World
 
 NO_GOAL = -(2**60)
 """In a table of goals: of a state that is none."""

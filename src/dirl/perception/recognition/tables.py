@@ -5,7 +5,7 @@ from torch import Tensor
 
 from dirl.config.components import tried
 from dirl.perception.recognition.recogniser import ComparesPanoramas, Recogniser, in_blocks, panorama_odds
-from dirl.scenes import World
+from dirl.scenes.world import World
 
 
 class VisitScores:
