@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 from commands import ROOT, TINY, room_file
+from PIL import Image
 
 LACKING = """
 import pathlib, signal, sys
@@ -43,4 +44,9 @@ def test_every_module_is_imported_and_a_run_trained_and_evaluated_without_what_w
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["peak_memory_mb"] is None
     assert "nan" not in done.stdout
+    pictures = sorted((tmp_path / "run").glob("*.png"))
+    assert [file.name for file in pictures] == ["learning_curve.png", "maps_grid.png", "trajectories_grid.png"]
+    for file in pictures:
+        with Image.open(file) as image:
+            assert min(image.size) > 200
     assert "greedy" in json.loads((tmp_path / "result.json").read_text())

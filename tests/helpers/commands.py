@@ -2,13 +2,10 @@
 
 import copy
 import functools
-import subprocess
-import sys
 import time
 
 from fork_server import Started as start_recipe
 from forks import ROOT as ROOT
-from forks import recipe_file
 from rooms import grid_scene
 
 from dirl.cli.parsing import compose_training, parsed
@@ -40,9 +37,9 @@ def run_recipe(folder, name, *arguments):
     return ended.status, ended.printed, ended.errors
 
 
-def done(folder, name, *arguments, by=run_recipe):
+def done(folder, name, *arguments):
     """Run a recipe, which must succeed; what it printed."""
-    status, printed, errors = by(folder, name, *arguments)
+    status, printed, errors = run_recipe(folder, name, *arguments)
     assert status == 0, errors
     return printed
 
@@ -53,19 +50,6 @@ def wait_until(happens, patience=600):
     while not happens():
         assert time.monotonic() - began < patience, "it did not happen"
         time.sleep(0.02)
-
-
-def run_program(folder, name, *arguments):
-    """Run a recipe as a user does, in an interpreter of its own, which takes seconds more than `run_recipe`."""
-    done = subprocess.run(
-        [sys.executable, str(recipe_file(name)), *map(str, arguments)],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=900,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr.removeprefix("loading ...\n")
 
 
 def room_file(folder, **options):
