@@ -85,6 +85,7 @@ def test_threads_wait_passively_unless_the_user_says_otherwise(monkeypatch, own)
     [
         (["seed=1", "-m", "preset=fast"], "error: unrecognized arguments: preset=fast; flags come before options"),
         (["--cfg=nope"], "error: argument --cfg/-c: invalid choice: 'nope'"),
+        (["--experimental-rerun=nope"], "error: --experimental-rerun: a run goes on by resume=<its folder>"),
         (["scene=a\nb"], "error: scene=a b: is not of the form name=value"),
     ],
 )

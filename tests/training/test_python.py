@@ -52,6 +52,9 @@ def test_several_seeds_make_several_runs(room):
 def test_what_is_wrong_is_an_error_of_one_line(room):
     with pytest.raises(ConfigError, match="there is no option 'sed'"):
         dirl.train(scene=room, sed=3)
+    for seeds in (-1, 1.5, "12", [2, 2], [None]):
+        with pytest.raises(ConfigError, match="must be a number of seeds, or a list of different ones"):
+            dirl.train(scene=room, seeds=seeds)
     with pytest.raises(ConfigError, match="there is no option 'goal'"):
         dirl.evaluate("general", goal=3)
 

@@ -71,9 +71,13 @@ def check_agents(views: Tensor, goals: int, before: Tensor | None) -> None:
         raise NavigatorError(f"images: {views.shape[1]} views after {before.shape[1]}; call reset first")
 
 
+MOST_TURNS = 360
+"""In a full circle."""
+
+
 def check_turns(turns: Any) -> None:
     """Raise `NavigatorError` unless so many turns make a full circle and pass the four views."""
-    if isinstance(turns, bool) or not isinstance(turns, int) or turns < VIEWS or turns % VIEWS:
+    if isinstance(turns, bool) or not isinstance(turns, int) or turns % VIEWS or not 0 < turns <= MOST_TURNS:
         raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
 
 

@@ -118,7 +118,8 @@ def check_flags(arguments: Sequence[str]) -> None:
 
     parser = get_args_parser()
     parser.error = refuse  # type: ignore[method-assign]
-    parser.parse_args(list(arguments))
+    if parser.parse_args(list(arguments)).experimental_rerun is not None:
+        refuse("--experimental-rerun: a run goes on by resume=<its folder>")
 
 
 def prepare(arguments: Sequence[str]) -> list[str]:

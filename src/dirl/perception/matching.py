@@ -207,6 +207,9 @@ class Matcher:
         except ImportError as error:
             raise EncoderError(f"points={self.kind}: a package is not installed ({error}): {INSTALL}") from None
 
+    def __reduce__(self) -> tuple[type, tuple[str]]:
+        return type(self), (self.kind,)  # what finds points belongs to a library, and cannot be pickled
+
     def describe(self, views: Iterable[NDArray[np.uint8]]) -> Described:
         """Describe views, RGB, uint8 ``[H, W, 3]`` each; one is held at a time."""
         found = [self._describe(view) for view in views]

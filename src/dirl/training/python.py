@@ -7,10 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from operator import index
 from pathlib import Path
 from types import ModuleType
 from typing import Any, overload
 
+import numpy as np
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, open_dict
 from PIL import Image
@@ -18,6 +20,7 @@ from PIL import Image
 from dirl.agent.navigator import Navigator
 from dirl.cli.parsing import compose_training, parse
 from dirl.config.folders import HOME, RECIPES
+from dirl.config.schemas import ConfigError
 from dirl.reporting import summary_table
 from dirl.runs.folder import Run
 from dirl.runs.paths import Facts
@@ -93,7 +96,7 @@ def train(
         >>> run.evaluate(goals=[26])["greedy"]["spl"]  # doctest: +SKIP
     """
     if seeds is not None:
-        return _train_seeds(overrides, range(seeds) if isinstance(seeds, int) else seeds, options)
+        return _train_seeds(overrides, chosen_seeds(seeds), options)
     arguments = [*overrides, *as_arguments(options)]
     composed, folder = _compose(arguments)
     runs: list[Run] = []
@@ -109,6 +112,17 @@ def train(
             raise
         raise KeyboardInterrupt from None
     return TrainedRun(runs[0].folder if runs else folder, Measures(summary))
+
+
+def chosen_seeds(seeds: Any) -> list[int]:
+    """Return so many seeds, 0 and up, or these; `ConfigError` if they are none, or one is there twice."""
+    try:
+        chosen = [*range(index(seeds))] if np.ndim(seeds) == 0 else [index(seed) for seed in seeds]
+    except TypeError:
+        chosen = []
+    if not chosen or len(set(chosen)) < len(chosen):
+        raise ConfigError(f"seeds={seeds}: must be a number of seeds, or a list of different ones")
+    return chosen
 
 
 def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mapping[str, object]) -> list[TrainedRun]:

@@ -4,7 +4,8 @@ import pytest
 import torch
 from rooms import grid_scene
 
-from dirl.agent.mapping import ImageGraph, MapError
+from dirl.agent.images import NavigatorError
+from dirl.agent.mapping import ImageGraph
 from dirl.agent.mapping.panoramas import UNKNOWN
 from dirl.agent.mapping.walks import explore, step
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
@@ -146,5 +147,5 @@ def test_what_was_seen_is_only_changed_by_what_is_seen_twice():
 
 @pytest.mark.parametrize("options", [{"keep": 0.95}, {"turns": 6}])
 def test_options_are_checked(options):
-    with pytest.raises(MapError, match=f"{next(iter(options))}="):
+    with pytest.raises(NavigatorError, match=f"{next(iter(options))}="):
         ImageGraph(**options)

@@ -1,5 +1,7 @@
 """Being led to a photo, live, in a hall."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hall import look, walk
@@ -23,6 +25,12 @@ def graph(matcher):
     along = [(2 + x, 1.5, 0) for x in range(10)]
     turn = [(11, 1.5, 18 * part) for part in range(1, 6)]
     return map_recordings([walk([*along, *turn, (11, 2.2, 90)])], matcher, 65.0)
+
+
+def test_a_guide_can_be_pickled(graph, matcher):
+    guide = dirl.Guide(graph, [look(11, 2.1, 90)], matcher)
+    again = pickle.loads(pickle.dumps(guide))
+    assert again.see(look(3.2, 1.6, -6)) == guide.see(look(3.2, 1.6, -6))
 
 
 def test_a_walker_who_does_what_is_said_arrives(graph, matcher):

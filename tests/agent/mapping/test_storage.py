@@ -33,13 +33,30 @@ def test_another_extractor_is_refused(saved):
         load_graph(saved[1], extractor="resnet")
 
 
-@pytest.mark.parametrize("how", ["absent", "cut", "json", "nowhere"])
-def test_a_damaged_map_is_refused_in_one_line(how, saved):
+def reseal(folder, change):
+    """Change the tensors and facts of a map, under a digest that is right."""
     from safetensors.torch import load, save
 
+    file, facts = folder / "map.safetensors", json.loads((folder / "map.json").read_text())
+    tensors = load(file.read_bytes())
+    del facts["digest"]
+    change(tensors, facts)
+    file.write_bytes(save(tensors))
+    (folder / "map.json").write_text(json.dumps(sealed(facts, file.read_bytes())))
+
+
+CHANGES = {
+    "to nowhere": lambda tensors, facts: tensors["moves"].__setitem__((0, 0), 10**6),
+    "moves that are no numbers": lambda tensors, facts: tensors.update(moves=tensors["moves"].bool()),
+    "views that are whole numbers": lambda tensors, facts: tensors.update(views=tensors["views"].long()),
+    "many turns": lambda tensors, facts: facts.update(turns=10**9),
+}
+
+
+@pytest.mark.parametrize("how", ["absent", "cut", "json", *CHANGES])
+def test_a_damaged_map_is_refused_in_one_line(how, saved):
     folder = saved[1]
     file = folder / "map.safetensors"
-    tensors = load(file.read_bytes())
     if how == "absent":
         file.unlink()
     elif how == "cut":
@@ -47,11 +64,7 @@ def test_a_damaged_map_is_refused_in_one_line(how, saved):
     elif how == "json":
         (folder / "map.json").write_text(json.dumps({"schema": 1}))
     else:
-        tensors["moves"][0, 0] = 10**6
-        file.write_bytes(save(tensors))
-        facts = json.loads((folder / "map.json").read_text())
-        del facts["digest"]
-        (folder / "map.json").write_text(json.dumps(sealed(facts, file.read_bytes())))
+        reseal(folder, CHANGES[how])
     with pytest.raises(MapError, match=r"holds no map|is no map of dirl") as caught:
         load_graph(folder)
     assert "\n" not in str(caught.value)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from dirl.agent.images import NavigatorError
+from dirl.agent.images import NavigatorError, check_turns
 from dirl.agent.mapping.panoramas import UNDOES, UNKNOWN, VIEWS, Panoramas, turned
 from dirl.perception.recognition.recogniser import Recogniser
 from dirl.scenes.graph import AHEAD, BACK, RIGHT
@@ -41,7 +41,8 @@ class ImageGraph(Panoramas):
         recogniser: by which observations are compared; correlation if left out.
 
     Raises:
-        MapError: a threshold out of bounds, or turns that are no multiple of four.
+        MapError: a threshold out of bounds.
+        NavigatorError: turns that are no multiple of four.
     """
 
     def __init__(
@@ -66,8 +67,7 @@ class ImageGraph(Panoramas):
                 f"keep={keep:g}, threshold={threshold:g}, margin={margin:g}: expected -1 <= keep <= threshold <= 1 and "
                 "a margin of 0 to 2"
             )
-        if turns < 4 or turns % 4:
-            raise MapError(f"turns={turns}: must be a multiple of four")
+        check_turns(turns)
         self.threshold, self.keep, self.margin = threshold, keep, margin
         self.merge, self.verify = merge, verify
         self.at: int | None = None

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dirl.agent.images import check_turns
 from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.panoramas import UNKNOWN, VIEWS
 from dirl.agent.mapping.places import PlaceMap
@@ -117,16 +118,16 @@ def _image_graph(facts: dict[str, Any], tensors: dict[str, Tensor], recogniser: 
     graph = ImageGraph(threshold, keep, margin, int(facts["turns"]), merge=merge, verify=verify, recogniser=recogniser)
     views, moves, observed = (tensors[key] for key in ("views", "moves", "observed"))
     panoramas = len(views)
-    if views.ndim != 3 or views.shape[1] != VIEWS or not views.isfinite().all():
-        raise ValueError(f"views of shape {list(views.shape)}")
-    shape = (VIEWS * panoramas, len(ACTIONS))
-    if moves.shape != shape or observed.shape != shape or moves.is_floating_point():
-        raise ValueError(f"moves of shape {list(moves.shape)} for {panoramas} panoramas")
+    if views.ndim != 3 or views.shape[1] != VIEWS or views.dtype != torch.float32 or not views.isfinite().all():
+        raise ValueError(f"views: {views.dtype} {list(views.shape)}")
+    for name, kind in (("moves", torch.int64), ("observed", torch.bool)):
+        if tensors[name].shape != (VIEWS * panoramas, len(ACTIONS)) or tensors[name].dtype != kind:
+            raise ValueError(f"{name}: {tensors[name].dtype} {list(tensors[name].shape)} for {panoramas} panoramas")
     if int(moves.min()) < UNKNOWN or int(moves.max()) >= len(moves):
         raise ValueError("a move leads to a node that is not there")
     for one in views:
         graph.add_panorama(one)
-    graph.moves, graph.observed = moves.tolist(), observed.bool().tolist()
+    graph.moves, graph.observed = moves.tolist(), observed.tolist()
     return graph
 
 
@@ -134,7 +135,8 @@ def _places(tensors: dict[str, Tensor], turns: int) -> PlaceMap:
     """A map of T visits of P places, whose tensors have the shapes that `dirl.models.localising.Places` says."""
     seen, (visits, count) = tensors["seen"], (tensors["node"].shape[1], tensors["heading"].shape[1])
     nodes, views = turns * count, tensors["goal"].shape[-1]
-    if turns < VIEWS or turns % VIEWS or views not in (VIEWS, turns):
+    check_turns(turns)
+    if views not in (VIEWS, turns):
         raise ValueError(f"{views} views of {turns} headings")
     expected = {
         "cost": ((1, nodes, len(ACTIONS)), torch.float32),
@@ -153,7 +155,12 @@ def _places(tensors: dict[str, Tensor], turns: int) -> PlaceMap:
         raise ValueError("a visit is of a node that is not there")
     if not -1 <= int(tensors["after"].min()) <= int(tensors["after"].max()) < nodes:
         raise ValueError("a move leads to a node that is not there")
-    if seen.shape[:3] != (1, visits, views) or seen.ndim != 4 or not seen.isfinite().all():
-        raise ValueError(f"visits of shape {list(seen.shape)}")
+    if (
+        seen.shape[:3] != (1, visits, views)
+        or seen.ndim != 4
+        or seen.dtype != torch.float32
+        or not seen.isfinite().all()
+    ):
+        raise ValueError(f"seen: {seen.dtype} {list(seen.shape)}")
     known = {name: tensors[name] for name in expected}
     return PlaceMap(Places(**known, mapped=torch.zeros(1, dtype=torch.bool), turns=turns), seen)
