@@ -26,7 +26,6 @@ from dirl.config.schemas import Correlation, Device, EncoderPrecision, Match, No
 
 Layout = StrEnum("Layout", ["icra17"])
 Pixels = Annotated[int, Bounds(16, 4096)]
-Degrees = Annotated[float, Bounds(0, 180)]
 FieldOfView = Annotated[float, Bounds(10, 150)]
 Step = Annotated[float, Bounds(0.05, 10)]
 Turn = Annotated[float, Bounds(1, 360)]
@@ -209,7 +208,6 @@ class TourOptions(EncodedForGeneral):
     compare_images: bool = option(
         "headings that links do not give, or contradict, come from what the panoramas show", True
     )
-    tolerance: Degrees = option("degrees between a heading and the link that a move follows, at most", 90)
     step: Step = option("metres of a link on the map, where the tour gives no positions", 2.0)
     height: Pixels = option(OF_VIEW, 224)
     width: Pixels = option(OF_VIEW, 224)
@@ -467,7 +465,7 @@ def tour(options: TourOptions) -> None:
     """Make a dump from a 360-degree tour."""
     out = new_file(options.out)
     found = read_tour(options.path, skip=options.skip)
-    chosen = {name: getattr(options, name) for name in ("headings", "compare_images", "tolerance", "step", "name")}
+    chosen = {name: getattr(options, name) for name in ("headings", "compare_images", "step", "name")}
     made = tour_scene(found, **chosen)
     encoder = chosen_encoder(options)
     print(

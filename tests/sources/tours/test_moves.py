@@ -68,12 +68,6 @@ def test_links_side_by_side_are_all_shown():
     ahead = made.scene.graph[:, AHEAD].reshape(3, 8)
     assert set(ahead[0][ahead[0] >= 0] // 8) == {1, 2}
     assert set(ahead[2][ahead[2] >= 0] // 8) == {0, 1}
-    strict = tour_scene(tour_of(replace(truth, links=links)), headings=8, tolerance=22.5)
-    (note,) = told(strict, "shown by no heading")
-    assert note == "2 of 6 links are shown by no heading, the first: 'place_0' to 'place_2'"
-    crooked = [(i, j, d + 20 * j) for i, j, d in truth.links]
-    with pytest.raises(SceneError, match="no heading shows any of the 4 links"):
-        tour_scene(tour_of(replace(truth, links=crooked)), headings=4, tolerance=0)
 
 
 def test_a_move_back_undoes_every_move_ahead_though_panoramas_are_crowded():
@@ -116,6 +110,7 @@ def test_the_rooms_that_a_crowded_hall_shows_and_those_that_it_hides_are_all_of_
     shown = set((ahead[ahead >= 0] // 8).tolist())
     hidden = set(range(1, len(angles) + 1)) - shown
     (note,) = told(made, "can be reached from each other") if hidden else ("",)
+    assert bool(told(made, "shown by no heading")) == bool(hidden)
     assert not hidden or f"panoramas can be reached from each other ({len(angles) + 1} by all links); not among" in note
     assert all((f"'place_{room}'" in note) == (room in hidden) for room in range(1, len(angles) + 1))
     if len(angles) <= 4:  # there are always so many headings within 90 degrees

@@ -65,7 +65,6 @@ def tour_scene(
     tour: Tour,
     *,
     headings: int = 8,
-    tolerance: float = ASIDE,
     step: float = 2.0,
     name: str | None = None,
     compare_images: bool = True,
@@ -78,7 +77,6 @@ def tour_scene(
     Args:
         tour: see `dirl.sources.tours.read_tour`.
         headings: of each panorama, a multiple of four.
-        tolerance: degrees that a link may lie aside of the heading that shows it.
         step: metres that a link is long on the map, where the tour gives no positions.
         name: of the scene; the tour's if left out.
         compare_images: whether headings that links do not give, or contradict, come from what the panoramas show.
@@ -100,12 +98,7 @@ def tour_scene(
         aligned = align(tour, seen)
     middles, along = _directions(tour, aligned, turn)
     facing = np.float64(_zero(along, turn)) + turn * np.arange(headings, dtype=np.float64)
-    graph, off = follow_links(tour, along, facing, tolerance)
-    shown = np.isfinite(off)
-    if not shown.any():
-        raise SceneError(
-            f"{tour.origin}: no heading shows any of the {len(shown)} links; give more headings or tolerance"
-        )
+    graph, off = follow_links(tour, along, facing)
     layout = any(panorama.position is None for panorama in tour.panoramas)
     places = _layout(tour, along, aligned.part, step) if layout else np.array([p.position for p in tour.panoramas])
     scene = Scene(
@@ -246,7 +239,7 @@ def link_ends(tour: Tour) -> tuple[IntArray, Array]:
     return np.array(list(yaws), np.int64).reshape(-1, 2), np.array(list(yaws.values()), float)
 
 
-def follow_links(tour: Tour, along: Array, facing: Array, tolerance: float = ASIDE) -> tuple[IntArray, Array]:
+def follow_links(tour: Tour, along: Array, facing: Array) -> tuple[IntArray, Array]:
     """Return the moves of a tour of P panoramas with K headings each.
 
     Every link gets one heading of its panorama, and a link both ways opposite ones at its two ends, see
@@ -257,7 +250,6 @@ def follow_links(tour: Tour, along: Array, facing: Array, tolerance: float = ASI
         tour: with L links.
         along: where each link is on the map, degrees clockwise, float64 ``[L]``.
         facing: the headings, degrees clockwise, float64 ``[K]``.
-        tolerance: degrees between a link and its heading, at most.
 
     Returns:
         Next states, int64 ``[P * K, 4]``; and how far each link lies aside of its heading, degrees, float64 ``[L]``,
@@ -266,7 +258,7 @@ def follow_links(tour: Tour, along: Array, facing: Array, tolerance: float = ASI
     ends, _ = link_ends(tour)
     count = len(facing)
     off = np.abs(wrap(along[:, None] - facing)).round(6)
-    heading = assign_headings(ends, np.where(off <= tolerance + 1e-6, off, np.inf))
+    heading = assign_headings(ends, np.where(off <= ASIDE, off, np.inf))
     shown = np.flatnonzero(heading >= 0)
     ahead = heading[shown]
     behind = (ahead + count // 2) % count
