@@ -99,9 +99,6 @@ class OneUpdate:
 
     goes_on = True
 
-    def __init__(self, stack):
-        self.left = stack.left
-
     def record(self, reports):
         self.goes_on = False
 
@@ -125,7 +122,7 @@ def first_update(*options):
         protocol = members[0].protocol
         stack = Stack(configs, *given, protocol.world, protocol.observation)
         recipe.collect = collected
-        recipe.learn(stack.config, stack, OneUpdate(stack))
+        recipe.learn(stack.config, stack, OneUpdate())
         # As weights on features: the axes of the observations are each device's own.
         plain = [plain_weights(member.policy) for member in members]
         weights.append([own[name].float().cpu() for own in plain for name in own if name.endswith(("weight", "bias"))])
