@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dirl.config.files import goal_view_options, read_config
+from dirl.config.files import read_config
 from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
@@ -56,10 +56,9 @@ class Result:
         names = self.summary["scene"]
         return [names] if isinstance(names, str) else names
 
-    def load(self, changes: Mapping[str, Any] | None = None, goal_view: str | None = None) -> Trained:
+    def load(self, changes: Mapping[str, Any] | None = None) -> Trained:
         """Its policy with the final weights; ``changes`` are options to replace, by dotted name."""
-        changed = {**(changes or {}), **goal_view_options(goal_view)}
-        return load_trained(load_checkpoint(self.folder), str(self.folder), changed)
+        return load_trained(load_checkpoint(self.folder), str(self.folder), changes)
 
     def table(self, stage: str, *names: str) -> dict[str, FloatArray]:
         """Columns of ``<stage>.csv``, see `dirl.reporting.tables.read_columns`."""
