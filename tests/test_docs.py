@@ -65,6 +65,7 @@ SHORTER = {
     "many_goals.md": {
         "train.py scene=kitchen_02": "train.py evaluation.goals=2 evaluation.starts=sampled scene=kitchen_02"
     },
+    "install.md": {"range(60)": "range(4)"},
     "own_photographs.md": {"height=150 width=200": "height=48 width=64"},
     "own_rooms.md": {"height=60 width=80": "height=24 width=32"},
     "rooms.md": {"RoomSettings(height=48, width=64": "RoomSettings(height=24, width=32"},
