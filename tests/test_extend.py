@@ -93,7 +93,7 @@ def clone(config, protocol, policy, steps=150):
         optimiser.step()
 
 
-@pytest.mark.parametrize("views", [STACKED, SOME], ids=["stacked", "some"])
+@pytest.mark.parametrize("views", [[STACKED[0], "++observation.steps=2"], SOME], ids=["stacked", "some"])
 def test_an_observation_of_ones_own_is_learnt_from_and_cached_to_the_same_result(parts, views):
     answers, ids = [], None
     for cache in ("auto", "off"):
