@@ -14,16 +14,14 @@ import random
 import resource
 import shutil
 import signal
-import sys
 import tempfile
 import time
 from collections import Counter
 from itertools import count
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parents[1] / "helpers"))
-
 import torch
+from campaign import start, table
 from commands import SHORT, room_file
 from forks import Child, no_pictures, run, warm_up
 from injection import KINDS, Faults
@@ -106,7 +104,7 @@ class Bench:
         if names != expected:
             return f"other files: {sorted(names)}"
         for file in sorted(self.whole.glob("*.csv")):
-            if table(file) != table(folder / file.name):
+            if rows(file) != rows(folder / file.name):
                 return f"other rows: {file.name}"
         first, second = (without_times(json.loads((one / "summary.json").read_text())) for one in (self.whole, folder))
         if first != second:
@@ -115,7 +113,7 @@ class Bench:
         return "" if all(torch.equal(mine[key], theirs[key]) for key in mine) else "other weights"
 
 
-def table(file):
+def rows(file):
     """The rows of a CSV file without times."""
     with file.open() as stream:
         return [without_times(row) for row in csv.DictReader(stream)]
@@ -336,31 +334,23 @@ CASES = {
 """Each takes a `Bench`, how often, and a random number generator; yields what was done, and what was wrong with it."""
 
 
-def main(arguments):
-    """Try everything, print the table; whether all was as promised."""
-    counts = COUNTS | {name: int(value) for name, value in (text.split("=") for text in arguments)}
-    began = time.monotonic()
+def main(**given):
+    """Try everything so often; print the table; how much was not as promised."""
+    counts, outcomes = COUNTS | given, Counter()
     warm_up("train")
     folder = Path(tempfile.mkdtemp(prefix="faults-"))
-    rows, bad = [], 0
     try:
         bench = Bench(folder)
         for name, case in CASES.items():
-            outcomes = Counter()
             for what, problem in case(bench, counts[name], random.Random(f"{name}{counts['seed']}")):
-                outcomes[problem.split(":")[0] or "as promised"] += 1
+                outcomes[name, "otherwise" if problem else "as promised"] += 1
                 if problem:
                     print(f"{name}: {what}: {problem}", flush=True)
-            bad += sum(outcomes.values()) - outcomes["as promised"]
-            rest = ", ".join(f"{number} {problem}" for problem, number in outcomes.items() if problem != "as promised")
-            rows.append(f"| {name} | {sum(outcomes.values())} | {outcomes['as promised']} | {rest or 'none'} |")
-            print(rows[-1], flush=True)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    print("\n".join(["", "| what | tried | as promised | otherwise |", "|---|--:|--:|---|", *rows]))
-    print(f"\nseed {counts['seed']}, {time.monotonic() - began:.0f} s")
-    return not bad
+    print(table(outcomes, "what", ("as promised", "otherwise")))
+    return sum(number for (_, outcome), number in outcomes.items() if outcome == "otherwise")
 
 
 if __name__ == "__main__":
-    sys.exit(not main(sys.argv[1:]))
+    start(main)
