@@ -44,14 +44,16 @@ def prepare():
 def outcome(ended, began, recipe, arguments):
     """What came of a case; ``began``: it wrote a file or printed anything."""
     if ended.status is None:
-        return STOPPED if began else HANG
+        return STOPPED if began or recipe == "build" else HANG  # which says nothing before it is done
     if ended.status < 0:
         return CRASH
     if "Traceback" in ended.errors:
         return TRACEBACK
     if ended.status == 0:
         return NO_NUMBER if any(is_no_number(recipe, one) for one in arguments) else ACCEPTED
-    return LINE if ended.status in (1, 2, 71, 74) and len(ended.told) == 1 else LINES
+    # Of a sweep each job that failed has a line, and Hydra writes one of its own.
+    told = [line for line in ended.told if not line.startswith(("failed: multirun", "Error executing job"))]
+    return LINE if ended.status in (1, 2, 71, 74) and len(told) == 1 else LINES
 
 
 def try_case(number, seed, files):

@@ -214,6 +214,19 @@ def test_a_table_is_drafted_by_time_and_compass(tmp_path):
     ]
 
 
+def test_no_table_is_drafted_of_names_that_it_cannot_hold_nor_through_a_link(tmp_path):
+    (tmp_path / "photos").mkdir()
+    odd = tmp_path / "photos" / "a\nb.png"
+    for file in (odd, *(tmp_path / "photos" / f"{number}.png" for number in range(3))):
+        Image.new("RGB", (40, 30)).save(file)
+    with pytest.raises(SceneError, match="a photo: expected the name of a file, found"):
+        draft_table(tmp_path / "photos")
+    odd.rename(odd.with_name("3.png"))
+    (tmp_path / "photos" / "states.csv").symlink_to(tmp_path / "elsewhere.csv")
+    with pytest.raises(SceneError, match="is there already"):
+        draft_table(tmp_path / "photos")
+
+
 def test_a_table_is_drafted_in_the_order_of_names_where_nothing_else_is_known(tmp_path):
     for number in range(1, 17):
         photo(tmp_path / f"IMG_{number}.jpg", time=3 if number == 5 else None)

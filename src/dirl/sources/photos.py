@@ -19,6 +19,7 @@ A right turn is the next heading clockwise.
 """
 
 import csv
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -195,10 +196,11 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
     folder = Path(folder)
     if headings % 4:
         raise SceneError(f"headings={headings}: a place has a multiple of four, evenly spread")
-    if (folder / TABLE).exists():
+    if os.path.lexists(folder / TABLE):  # a link to nowhere would be written to
         raise SceneError(f"{folder / TABLE}: is there already; delete it to have it drafted anew")
     suffixes = {".jpg", ".jpeg", ".png", ".webp"}
-    files = [file for file in folder.glob("*") if file.suffix.lower() in suffixes and file.is_file()]
+    found = [file for file in folder.glob("*") if file.suffix.lower() in suffixes and file.is_file()]
+    files = [inside(folder, file.name, f"{folder}: a photo") for file in found]  # as the table's reader asks
     if not files:
         raise SceneError(f"{folder}: holds no photos (JPEG, PNG or WebP)")
     said = {file: _said_by_exif(file) for file in files}
