@@ -165,7 +165,7 @@ def stack_tables(app, pagename, templatename, context, doctree):
     soup = BeautifulSoup(context["body"], "html.parser")
     for table in soup.find_all("table", class_="docutils"):
         cells = [row.find_all(["th", "td"]) for row in table.find_all("tr")]
-        rows = [[" ".join(cell.get_text().split()) for cell in row] for row in cells]
+        rows = [[cell.get_text().replace("\n", " ").strip(" ") for cell in row] for row in cells]
         columns = zip_longest(*rows, fillvalue="")
         longest = [max(max(map(len, text.split(" ")), default=0) for text in column) for column in columns]
         if "rows" in table["class"] or not table.thead or sum(longest) + 2 * len(longest) < PHONE:
