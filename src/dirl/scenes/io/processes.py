@@ -1,13 +1,15 @@
 """Work that is shared among processes, and processes that end with this one."""
 
+import os
 import secrets
 import subprocess
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Protocol, TypeVar
 
 from dirl.scenes.scene import SceneError
@@ -58,6 +60,15 @@ def _start() -> None:
     import torch
 
     torch.set_num_threads(1)  # each process has one core
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End a process of a pool whose owner was killed: it would wait for work for ever."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 class Doom(Protocol):
