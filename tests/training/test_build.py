@@ -1,7 +1,9 @@
 """From a configuration to the parts of a run; what does not fit together is one line."""
 
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from commands import TINY, done, room_file, train_config
@@ -17,7 +19,9 @@ from dirl.models import FeatureTable, ObservationTable, plain_weights, recurrent
 from dirl.models.build import build_policy
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import SceneError, write_dump
+from dirl.scenes.world import make_world
 from dirl.training.build import build_env, build_goals, build_world, learning_policy, load_trained, trained_policy
+from dirl.training.job import tell_of_far_goals
 
 SMALL = ["encoder.width=8", "heads.width=8"]
 
@@ -90,6 +94,15 @@ def test_an_agents_memory_is_emptied_with_every_episode(tmp_path):
     assert torch.equal(begins[:, 1:], steps["next", "done"][:, :-1, 0])
     assert not steps[key][begins].any()
     assert steps[key][~begins].any(-1).all()
+
+
+def test_goals_that_few_states_reach_are_told(capsys):
+    room = grid_scene(goals=(0, 13))
+    graph = np.where(np.arange(len(room))[:, None] < 4, room.graph, np.where(room.graph < 4, -1, room.graph))
+    tell_of_far_goals(make_world([replace(room, graph=graph)]))
+    assert capsys.readouterr().out.endswith("whose success rates count those alone: 0 (from 4 of 24)\n")
+    tell_of_far_goals(make_world([room]))
+    assert not capsys.readouterr().out
 
 
 def test_features_of_another_extractor_are_refused(tmp_path):
