@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 
 from dirl.agent.mapping.frames import FrameMap, distances_to, load_matcher
 from dirl.agent.mapping.graph import MapError
@@ -57,8 +57,16 @@ BEYOND = 60.0
 ASIDE = 70.0
 """Degrees from which another heading has nothing in common with the present one; then points only seem to agree."""
 
-PATIENCE = 45
-"""Views without progress before another path is taken."""
+PATIENCE, PAUSE = 4, 2
+"""Views without progress before another path is taken, for each frame of the path that is looked for; and before one
+does what the recording did next, though nothing of it is in sight."""
+
+SAME_VIEW, BLOCKED = 1.5, 3
+"""Mean difference of grey values between views of which the second was stopped by a wall; and after so many in a row
+another path is taken."""
+
+EVERYWHERE = 12
+"""Of so many views one is compared with frames where one is unlikely to be."""
 
 IN_VAIN = 8.0
 """What a link of the path costs more, each time that it did not lead on."""
@@ -162,6 +170,8 @@ class Guide:
         self._window = max(AHEAD, round(ON_THE_WAY / graph.spacing))
         self._steps: dict[tuple[int, int], float] = {}
         self._missed = MISSED
+        self._views, self._blocked, self._moving = 0, 0, False
+        self._last: NDArray[np.int64] | None = None  # the last view, small
         self._since, self._least = 0, float("inf")  # views without progress, and the least way to the goal so far
         self._plan()
 
@@ -170,16 +180,17 @@ class Guide:
         seen = self.localise(frame)
         here, sure = self.belief.frame()
         if sure < SURE or not np.isfinite(self._far[here]):
+            self._missed = MISSED
             return Guidance("lost", 0.0, here, sure)
         path = self._path(here)
-        fit = self.matcher.fit(seen, self.graph.described, path)
-        scores = fit.score
+        fit = self.matcher.fit(seen, self.graph.described, [*path, *self._followed])
+        scores, before = np.split(fit.score, [len(path)])
         of_photo = float(self.matcher.fit(seen, self._photo, [0]).score[0]) if self._far[path[-1]] == 0 else 0.0
         best, least = max(float(scores.max()), of_photo), self.graph.scale.recognised
         self._missed = self._missed + 1 if best < least else 0
         if best < least:
             return Guidance("lost" if self._missed >= MISSED else "ahead", 0.0, here, sure)
-        if self._without_progress(here):
+        if self._without_progress(here) or self._stopped(frame):
             self._doubt(path)
             return Guidance("stuck", 0.0, here, sure)
         enough = max(least, NEARLY * best)
@@ -187,9 +198,18 @@ class Guide:
         if arrived or of_photo >= enough:
             motion = self._motion(seen, self._photo, 0)
             return self._towards(motion, here, sure, "arrived" if arrived else "ahead", to_photo=True)
-        in_sight = (scores >= enough) & (np.abs(fit.turned) < ASIDE)
+        towards, towards_before = np.split(np.abs(fit.turned) < ASIDE, [len(path)])
+        in_sight = (scores >= enough) & towards
         leading = int(np.flatnonzero(in_sight).max()) if in_sight.any() else int(scores.argmax())
+        # What was followed leads on while it is in sight: a place was often recorded several times, and who changes
+        # over to another of these paths at every view turns to and fro.
+        in_sight = (before >= min(enough, self.graph.scale.link)) & towards_before
+        if in_sight.any() and self._far[self._followed[np.flatnonzero(in_sight).max()]] < self._far[path[leading]]:
+            path, leading = self._followed, int(np.flatnonzero(in_sight).max())
+        self._followed = path
         motion = self._motion(seen, self.graph.described, path[leading])
+        if leading == 0 and len(path) > 1 and self._since >= PAUSE:  # exactly here nothing else fits as well
+            leading, motion = 1, motion._replace(turned=motion.turned + self._next_turn(path))
         backwards = leading > 0 and all(0 <= one - two <= 1 for one, two in pairwise(path[: leading + 1]))
         return self._towards(motion, here, sure, "back" if backwards else "ahead", backwards=backwards)
 
@@ -197,7 +217,11 @@ class Guide:
         """Take in a frame while nobody asks what to do: moves spread the belief, and what is seen weighs it."""
         seen = self.matcher.describe([self._fitted(frame)])
         self.belief.move()
-        likelihood = np.exp(LIKE * self.matcher.likeness(seen, self.graph.described, self.belief.of))
+        # Else all recordings of a place would be as likely as the one that is followed, and paths change at every view.
+        everywhere = self._views % (EVERYWHERE if self._missed < MISSED else 3) == 0
+        self._views += 1
+        likely = None if everywhere else self.belief.of
+        likelihood = np.exp(LIKE * self.matcher.likeness(seen, self.graph.described, likely))
         if np.isfinite(self.graph.scale.unit):
             some = np.argsort(-self.belief.of * likelihood)[:COMPARED]
             agreeing = self.matcher.fit(seen, self.graph.described, some.tolist()).score
@@ -208,7 +232,7 @@ class Guide:
     def forget(self) -> None:
         """Doubt where one is and how far one came, as somebody must who has to wander about."""
         self.belief.forget(0.3)
-        self._since, self._least = 0, float("inf")
+        self._since, self._least, self._blocked = 0, float("inf"), 0
 
     def _path(self, here: int) -> list[int]:
         """The next frames of the path, those that may be in sight."""
@@ -230,6 +254,16 @@ class Guide:
             self._steps[frame, following] = self._motion(described[frame : frame + 1], described, following).turned
         return self._steps[frame, following]
 
+    def _next_turn(self, path: list[int]) -> float:
+        """Degrees to the left from the first frame of a path to the end of the turn that follows."""
+        turn = 0.0
+        for first, second in pairwise(path):
+            step = self._step(first, second)
+            turn += step
+            if abs(step) < STRAIGHT:
+                break
+        return turn
+
     def _towards(
         self, motion: Motion, here: int, sure: float, straight: Literal["ahead", "back", "arrived"], **facts: bool
     ) -> Guidance:
@@ -238,13 +272,22 @@ class Guide:
         if motion.ahead > BEYOND:  # half to the heading of the frame, and half to where it was taken
             turn = (turn - float(np.degrees(np.arctan2(motion.right, motion.ahead)))) / 2
         say = "turn" if abs(turn) >= STRAIGHT and straight != "arrived" else straight
+        self._moving = say in ("ahead", "back")
         return Guidance(say, turn, here, sure, motion.ahead, motion.right, **facts)
 
     def _without_progress(self, here: int) -> bool:
-        """Return True if for `PATIENCE` views one came no nearer."""
+        """Return True if for many views one came no nearer."""
         self._since = 0 if self._far[here] < self._least - 0.5 else self._since + 1
         self._least = min(self._least, float(self._far[here]))
-        return self._since > PATIENCE
+        return self._since > PATIENCE * self._window
+
+    def _stopped(self, frame: NDArray[np.uint8]) -> bool:
+        """Return True if the view stays the same, though one was told to move."""
+        small = frame[::2, ::2].astype(int)
+        same = self._moving and self._last is not None and np.abs(small - self._last).mean() < SAME_VIEW
+        self._last, self._moving = small, False
+        self._blocked = self._blocked + 1 if same else 0
+        return self._blocked >= BLOCKED
 
     def _doubt(self, path: list[int]) -> None:
         """What did not lead on costs more; a goal that was reached in vain is given up for the next best."""
@@ -259,6 +302,7 @@ class Guide:
         """Choose the goal's frame, and the paths to it."""
         self.goal = int(self._scores.argmax())
         self._far, self._following = distances_to(self._links, self.goal)
+        self._followed = []
         agreeing = float(self.matcher.fit(self._photo, self.graph.described, [self.goal]).score[0])
         self._arrived = max(self.graph.scale.recognised, ARRIVED * agreeing)
 
@@ -272,8 +316,4 @@ class Guide:
         height, width = self.graph.size
         if image.shape[:2] == (height, width):
             return image
-        scale = max(height / image.shape[0], width / image.shape[1])
-        size = max(width, round(image.shape[1] * scale)), max(height, round(image.shape[0] * scale))
-        resized = np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX if scale < 1 else None))
-        top, left = (size[1] - height) // 2, (size[0] - width) // 2
-        return resized[top : top + height, left : left + width]
+        return np.asarray(ImageOps.fit(Image.fromarray(image), (width, height), Image.Resampling.BOX))
