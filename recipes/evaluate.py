@@ -196,8 +196,8 @@ def evaluate(options: Options) -> Result:
     changes = {**goal_view_options(options.goal_view), **given}
     trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
     asked = options.episodic_memory, options.recogniser, options.map
-    if returns_in_tours(trained) and asked == (None, None, None):
-        # Panoramas return bit for bit: correlation tells them apart, where a recogniser of rooms confuses headings.
+    if views_return(trained) and asked == (None, None, None):
+        # Correlation tells them apart; a recogniser that allows for changes takes places of a maze for one.
         changes |= {
             "episodic_memory": group_options("episodic_memory", "planning"),
             "recogniser": group_options("recogniser", "ncc"),
@@ -273,10 +273,9 @@ def in_tours(trained: Trained) -> bool:
     return all(scene.source.startswith("tour") for scene in trained.protocol.world.scenes)
 
 
-def returns_in_tours(trained: Trained) -> bool:
-    """Return whether an agent that localises would be in tours whose views return bit for bit."""
-    localises = isinstance(trained.protocol.memory, LocalisingMemory)
-    return localises and in_tours(trained) and trained.protocol.world.looks == 1
+def views_return(trained: Trained) -> bool:
+    """Return whether an agent that localises would be in scenes of one look, whose views return bit for bit."""
+    return isinstance(trained.protocol.memory, LocalisingMemory) and trained.protocol.world.looks == 1
 
 
 def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:

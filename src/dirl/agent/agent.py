@@ -25,6 +25,10 @@ Memory = PlanningMemory | LocalisingMemory
 NEVER = -20.0
 """Logit of a move that is not possible."""
 
+TRUST = 0.5
+"""Factor of the policy's logits where a memory plans: in places unlike its training rooms it is too sure of itself; in
+rooms this makes hardly a difference. See docs/decisions.md."""
+
 SAVED = 5.0
 """Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
 
@@ -148,12 +152,12 @@ class Remembering(Agent):
     def costs(self, now: Observed) -> Callable[[Tensor], Tensor]:
         """Return what is asked at new places: the cost of trying each action facing each view, float32 ``[B, K, 4]``.
 
-        Costs are ``-log p`` of the policy. Where arrows are seen, the next panorama lies metres away, and the policy
-        knows less than it thinks: it is worse than a sweep that ignores the goal. There costs are numbers of actions,
-        and the move along an arrow is the cheaper the more its view looks like the goal.
+        Costs are ``-log p`` of the policy, as far as it is trusted. Where arrows are seen, the next panorama lies
+        metres away, and the policy is worse than a sweep that ignores the goal. There costs are numbers of actions, and
+        the move along an arrow is the cheaper the more its view looks like the goal.
         """
         if now.arrows is None:
-            return lambda chosen: -now.facing(chosen).log_softmax(-1)
+            return lambda chosen: -(TRUST * now.facing(chosen)).log_softmax(-1)
         return partial(self.arrow_costs, now)
 
     def arrow_costs(self, now: Observed, chosen: Tensor) -> Tensor:

@@ -28,7 +28,10 @@ POOLED, WHITENED, PROJECTED = 128, 64, 48
 """Components of pooled features, those compared without training, and width of the learned projection of patches."""
 
 WIDTH = ROWS * COLUMNS * (PROJECTED + WHITENED) + 2 * WHITENED
-"""Of the description of a view by patches and pooled features; what follows it is that of fine patches."""
+"""Of the description of a view by patches and pooled features."""
+
+PANORAMA = WIDTH + POOLED
+"""With what panoramas are compared by; what follows is the description of fine patches."""
 
 SCALE = 4.0
 """Of the cosines, so that the layers on them learn as fast as the others."""
@@ -128,10 +131,11 @@ class Learned(nn.Module):
                 f"recogniser=learned compares 8 or 48 patches and {len(self.mean)} features a view, and these views "
                 "have others: encode them with encoder=efficientnet_lite0 fine_patches=true, or use recogniser=ncc"
             )
-        described = self.project(*self.whiten(features, patches))
-        if not (are_fine(patches) and self.photo.trained):
-            return described
-        return torch.cat([described, self.photo.describe(patches)], -1)
+        pooled, whitened = self.whiten(features, patches)
+        parts = [self.project(pooled, whitened), pooled / self.axes.norm(dim=0).clamp(min=1e-6)]
+        if are_fine(patches) and self.photo.trained:
+            parts.append(self.photo.describe(patches))
+        return torch.cat(parts, -1)
 
     def whiten(self, features: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
         """Pooled features and patches by the statistics of training rooms, ``[..., 128]`` and ``[..., 8, 96]``."""
@@ -147,16 +151,15 @@ class Learned(nn.Module):
         return torch.cat([part.flatten(-3) for part in lengths[:2]] + lengths[2:], -1)
 
     def whole(self, described: Tensor) -> Tensor:
-        """Whitened pooled features, ``[..., 64]``; see `ComparesPanoramas`."""
-        return described[..., WIDTH - WHITENED : WIDTH]
+        """Principal components of pooled features, not whitened, ``[..., 128]``; see `ComparesPanoramas`."""
+        return described[..., WIDTH:PANORAMA]
 
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:
         """The log odds of every two; see `Recogniser.scores`."""
         rows = max(1, PAIRS_AT_ONCE // references.shape[-3])
-        if references.shape[-2] == 1 and min(seen.shape[-1], references.shape[-1]) > WIDTH:
-            photos = references[..., 0, WIDTH:]
-            return torch.cat([self.photo.scores(part[..., WIDTH:], photos) for part in seen.split(rows, -3)], -2)
-        seen, references = seen[..., :WIDTH], references[..., :WIDTH]
+        if references.shape[-2] == 1 and min(seen.shape[-1], references.shape[-1]) > PANORAMA:
+            photos = references[..., 0, PANORAMA:]
+            return torch.cat([self.photo.scores(part[..., PANORAMA:], photos) for part in seen.split(rows, -3)], -2)
         blocks = [self.log_odds(part.unsqueeze(-3), references.unsqueeze(-4)) for part in seen.split(rows, -3)]
         return torch.cat(blocks, -2)
 
@@ -196,7 +199,7 @@ class Learned(nn.Module):
 def _parts(described: Tensor) -> tuple[Tensor, ...]:
     """Of V views, ``[..., V, F]``: two kinds of columns, ``[..., 4 V, 2, W]``, and two of views, ``[..., V, W]``."""
     sizes = (ROWS * COLUMNS * PROJECTED, ROWS * COLUMNS * WHITENED, WHITENED, WHITENED)
-    projected, whitened, *views = described.split(sizes, -1)
+    projected, whitened, *views = described[..., :WIDTH].split(sizes, -1)
     columns = (part.unflatten(-1, (COLUMNS, ROWS, -1)).flatten(-4, -3) for part in (projected, whitened))
     return *columns, *views
 

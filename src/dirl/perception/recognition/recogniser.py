@@ -70,37 +70,46 @@ class ComparesPanoramas(Protocol):
     """A recogniser whose descriptions have a part by which whole panoramas are compared, see `panorama_odds`."""
 
     def whole(self, described: Tensor) -> Tensor:
-        """Return that part of described views, float32 ``[..., F]`` to ``[..., W]``; it need not be centred."""
+        """Return that part of described views, float32 ``[..., F]`` to ``[..., W]``; neither centred nor whitened."""
 
 
-PANORAMA_SLOPE, PANORAMA_MEAN = 35.0, 0.36
-"""Log odds by the mean cosine of two panoramas, chosen in two real tours with photographs that changed: of one place it
-is 0.49 and 0.61 in the median, of the most alike other place 0.26 and 0.28; see docs/decisions.md."""
+PANORAMA_SLOPE, PANORAMA_MIDDLE = 50.0, 0.2
+"""Log odds by the mean cosine of two panoramas, chosen in two real tours with photographs that changed; see
+docs/decisions.md."""
 
 
 def panorama_odds(seen: Tensor, wanted: Tensor, place: Tensor | None = None) -> Tensor:
     """Return the log odds that panoramas are of one place, by all views at once.
 
     In a panorama whose headings lie 45 degrees apart, four views are alike at several of them, and a recogniser that
-    learned in rooms confuses these. All views together do not, once what the views of this place share is taken away.
+    learned in rooms confuses these. All views together do not, once they are whitened by those of this place: what many
+    of them share says little.
 
     Args:
         seen: of T panoramas of K views, float32 ``[B, T, K, W]``; see `ComparesPanoramas`.
         wanted: the panorama that is looked for, ``[B, K, W]``, or four views of it, 90 degrees apart.
-        place: panoramas of the place, whose mean is taken away; those of ``seen`` if left out.
+        place: panoramas of the place, by which all are whitened; those of ``seen`` if left out.
 
     Returns:
         float32 ``[B, T, K]``: facing each view of each panorama, that what is ahead is ``wanted``'s first view.
     """
-    views = seen if place is None else place
+    views = torch.cat([(seen if place is None else place).flatten(1, 2), wanted], 1)
     headings, count = seen.shape[2], wanted.shape[1]
-    mean = (views.sum((1, 2)) + wanted.sum(1)) / (views.shape[1] * headings + count)
-    seen, wanted = (F.normalize(seen - mean[:, None, None], dim=-1), F.normalize(wanted - mean[:, None], dim=-1))
-    cosines = torch.einsum("btkw,bvw->btkv", seen, wanted)
+    mean = views.mean(1, keepdim=True)
+    covariance = (views - mean).mT @ (views - mean) / views.shape[1]
+    # As much as the mean variance is added: a few views tell little of so many directions.
+    floor = covariance.diagonal(dim1=1, dim2=2).sum(1) / min(views.shape[1:])
+    identity = torch.eye(views.shape[2], device=views.device)
+    factor = torch.linalg.cholesky(covariance + (floor + 1e-6)[:, None, None] * identity)
+    around, ahead = (
+        F.normalize(torch.linalg.solve_triangular(factor, (each - mean).mT, upper=False).mT, dim=-1)
+        for each in (seen.flatten(1, 2), wanted)
+    )
+    cosines = torch.einsum("btkw,bvw->btkv", around.unflatten(1, seen.shape[1:3]), ahead)
     aside = torch.arange(count, device=seen.device) * (headings // count)
     facing = (torch.arange(headings, device=seen.device)[:, None] + aside) % headings
     mean_cosine = cosines.gather(2, facing.expand(*cosines.shape[:2], -1, -1)).mean(-1)
-    return PANORAMA_SLOPE * (mean_cosine - PANORAMA_MEAN)
+    return PANORAMA_SLOPE * (mean_cosine - PANORAMA_MIDDLE)
 
 
 class NCC(nn.Module):
