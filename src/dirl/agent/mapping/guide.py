@@ -173,6 +173,8 @@ class Guide:
         self._views, self._blocked, self._moving = 0, 0, False
         self._last: NDArray[np.int64] | None = None  # the last view, small
         self._since, self._least = 0, float("inf")  # views without progress, and the least way to the goal so far
+        self._followed: list[int] = []
+        self._arrived = 1.0  # least agreement with the photo
         self._plan()
 
     def see(self, frame: NDArray[np.uint8]) -> Guidance:
