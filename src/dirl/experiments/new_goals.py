@@ -41,7 +41,7 @@ def new_goals(world: World, distance: int, among: Mapping[str, Sequence[int]] | 
     for index, scene in enumerate(world.scenes):
         trained = world.local_goals(index).tolist()
         to_trained = scene.distances[:, trained]
-        nearest = np.where(to_trained < 0, np.iinfo(np.int64).max, to_trained).min(1)
+        nearest = np.where(to_trained < 0, np.iinfo(to_trained.dtype).max, to_trained).min(1)
         fitting = np.flatnonzero((nearest == distance) & well_reached(scene))
         if among is not None:
             fitting = fitting[np.isin(fitting, among[scene.name])]

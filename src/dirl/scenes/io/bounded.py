@@ -45,7 +45,7 @@ def read_bytes(file: Path, most: int = MOST) -> bytes:
     """
     with open_regular(file) as stream:
         size = os.fstat(stream.fileno()).st_size
-        data = stream.read(most + 1) if size <= most else b""
+        data = stream.read(size + 1) if size <= most else b""  # a buffer of `most` may be more than there is
     if max(size, len(data)) > most:
         raise ValueError(f"{file}: has more than {most} bytes, which no such file of dirl has")
     return data
