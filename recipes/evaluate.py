@@ -135,7 +135,7 @@ from dirl.perception.recognition.recogniser import NCC
 from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import RunError, packaged_agent
+from dirl.runs.paths import RunError, State, packaged_agent
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, shortest_move
@@ -194,15 +194,7 @@ def evaluate(options: Options) -> Result:
     }
     given = {name: value for name, value in changes.items() if value is not None}
     changes = {**goal_view_options(options.goal_view), **given}
-    trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
-    asked = options.episodic_memory, options.recogniser, options.map
-    if views_return(trained) and asked == (None, None, None):
-        # Correlation tells them apart; a recogniser that allows for changes takes places of a maze for one.
-        changes |= {
-            "episodic_memory": group_options("episodic_memory", "planning"),
-            "recogniser": group_options("recogniser", "ncc"),
-        }
-        trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
+    trained, changes = loaded(saved, options, changes)
     if options.starts is None:
         trained = trained._replace(protocol=few_enough(trained.protocol))
     trained = as_visitors_see(trained, arrows=options.arrows, panorama=options.panorama)
@@ -234,6 +226,23 @@ def evaluate(options: Options) -> Result:
         write_text(file, page)
         result.written.append(f"viewer: {file}, {file.stat().st_size / 1e6:.1f} MB{replaced}")
     return result
+
+
+def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Trained, dict[str, Any]]:
+    """Return the agent, and the changes of its configuration: where views return, it plans if nothing else is said.
+
+    Correlation tells such views apart; a recogniser that allows for changes takes places of a maze for one.
+    """
+    trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
+    live = options.simulator is not None  # a navigator walks there, with its own memory
+    asked = options.episodic_memory, options.recogniser, options.map
+    if live or asked != (None, None, None) or not views_return(trained):
+        return trained, changes
+    plans = {
+        "episodic_memory": group_options("episodic_memory", "planning"),
+        "recogniser": group_options("recogniser", "ncc"),
+    }
+    return load_trained(saved, options.checkpoint, changes | plans, options.trust or []), changes | plans
 
 
 def leave_pictures(trained: Trained, facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:

@@ -48,6 +48,12 @@ def test_what_looks_like_a_later_look_of_a_place_but_not_like_the_first_is_anoth
         agent.action = torch.zeros_like(action)
 
 
+def test_a_policy_is_trusted_half_where_a_memory_plans():
+    """An action that it prefers by one nat costs half a nat less."""
+    costs = Planning(PlanningMemory(), torch.tensor([4])).costs(Seen(None))(torch.tensor([True]))
+    assert torch.allclose(costs[..., :-1] - costs[..., 1:], torch.tensor(0.5), atol=1e-5)
+
+
 def test_likeness_is_of_what_differs_within_the_place():
     """Views of one place share most of their features; centred, only the view that shows the goal is like it."""
     generator = torch.Generator().manual_seed(0)

@@ -13,6 +13,7 @@ from dirl.config.schemas import ConfigError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
+from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.scenes import make_world
 from dirl.training.build import Trained
 
@@ -31,6 +32,35 @@ def test_where_every_start_makes_too_many_episodes_some_are_drawn(monkeypatch, c
         assert (start != world.goals[goal_index]).all()
         told = capsys.readouterr().out
         assert told.startswith(f"552 episodes from every start would take long: {each} starts of a goal are sampled")
+
+
+@pytest.mark.parametrize(
+    ("looks", "memory", "given", "plans"),
+    [
+        (0, LocalisingMemory, [], True),
+        (2, LocalisingMemory, [], False),
+        (0, PlanningMemory, [], False),
+        (0, LocalisingMemory, ["recogniser=learned"], False),
+        (0, LocalisingMemory, ["map=2"], False),
+        (0, LocalisingMemory, ["simulator=dump"], False),
+    ],
+)
+def test_where_views_return_an_agent_that_localises_plans_unless_something_is_asked(
+    monkeypatch, looks, memory, given, plans
+):
+    world = make_world([grid_scene(3, 2, looks=looks)])
+    protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), memory=memory())
+    asked = []
+
+    def load(saved, origin, changes, trust):
+        asked.append(changes)
+        return Trained(None, None, protocol)
+
+    monkeypatch.setattr(evaluate, "load_trained", load)
+    _, changes = evaluate.loaded({}, parse(evaluate.Options, ["checkpoint=run", *given]), {"seed": 1})
+    planning = {"episodic_memory": "planning", "recogniser": "ncc"}
+    planning = {name: group_options(name, option) for name, option in planning.items()} if plans else {}
+    assert changes == asked[-1] == {"seed": 1, **planning}
 
 
 @pytest.mark.parametrize(

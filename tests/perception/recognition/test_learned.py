@@ -36,6 +36,15 @@ def test_a_turn_of_both_visits_changes_nothing_and_a_turn_of_one_does():
     assert not torch.allclose(found, network.log_odds(seen.roll(1, 1), reference), atol=1e-3)
 
 
+def test_panoramas_are_compared_by_all_that_pooled_features_tell_of_a_place():
+    """Their principal components are not whitened: scalar products are those of the centred features."""
+    world = changing()
+    network = untrained(world)
+    whole = network.whole(visits(world, network))
+    centred = world.features[world.surrounding[:6]] - network.mean
+    torch.testing.assert_close(whole @ whole.mT, centred @ centred.mT, atol=1e-3, rtol=1e-3)
+
+
 def test_scores_are_the_log_odds_of_every_two_in_blocks_of_any_size(monkeypatch):
     world = changing()
     network = untrained(world)

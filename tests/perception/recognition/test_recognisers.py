@@ -64,6 +64,16 @@ def test_a_panorama_is_found_again_with_its_heading_by_what_differs_within_the_p
     assert ((odds > 0).sum(), odds.shape) == (1, (1, 5, 8))
 
 
+def test_what_many_views_of_a_place_share_says_little_of_a_panorama():
+    """Light differs from place to place and from day to day, more than anything else."""
+    generator = torch.Generator().manual_seed(1)
+    places = torch.randn((1, 5, 8, 32), generator=generator)
+    wanted = places[:, 2].roll(-3, 1).clone()
+    places[..., :2] += 8 * torch.randn((1, 5, 1, 2), generator=generator)
+    wanted[..., :2] += 8 * torch.randn((1, 1, 2), generator=generator)
+    assert panorama_odds(places, wanted).flatten().argmax() == 2 * 8 + 3
+
+
 class Whole(NCC):
     """Compares panoramas by the first features of each view."""
 

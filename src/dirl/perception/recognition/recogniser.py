@@ -96,7 +96,8 @@ def panorama_odds(seen: Tensor, wanted: Tensor, place: Tensor | None = None) -> 
     views = torch.cat([(seen if place is None else place).flatten(1, 2), wanted], 1)
     headings, count = seen.shape[2], wanted.shape[1]
     mean = views.mean(1, keepdim=True)
-    covariance = (views - mean).mT @ (views - mean) / views.shape[1]
+    centred = views - mean
+    covariance = centred.mT @ centred / views.shape[1]
     # As much as the mean variance is added: a few views tell little of so many directions.
     floor = covariance.diagonal(dim1=1, dim2=2).sum(1) / min(views.shape[1:])
     identity = torch.eye(views.shape[2], device=views.device)
