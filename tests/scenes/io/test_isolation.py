@@ -77,7 +77,9 @@ def test_processor_time_is_limited(tmp_path, monkeypatch):
         read_dump(path)
 
 
-def test_memory_is_limited(dump, monkeypatch):
+def test_memory_is_limited(tmp_path, monkeypatch):
+    dump = tmp_path / "room.h5"
+    write_dump(dump, grid_scene(feature_width=200_000))  # 19 MB: more than the process has left over from its start
     monkeypatch.setattr(isolation, "MEMORY", 2**20)
     with pytest.raises(SceneError) as caught:
         read_dump(dump)
