@@ -3,6 +3,7 @@
 import os
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from dirl.config.schemas import ConfigError
@@ -27,6 +28,8 @@ def check_writable(name: str) -> None:
     """Raise `ConfigError` for what cannot be made, and for a folder in which nothing can be."""
     path = Path(name).absolute()
     try:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            path.lstat()  # a name that is too long is told here; from Python 3.14 on the methods of Path hide it
         above = path if path.is_dir() else next(folder for folder in path.parents if folder.exists())
         with tempfile.TemporaryFile(dir=above):
             pass
