@@ -12,8 +12,8 @@ from dirl.scenes.io.checked import check_choice
 from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 
-LIBRARIES = "libegl1 libgl1-mesa-dri libglu1-mesa"
-"""Debian's names of what OpenGL needs without a display."""
+LIBRARIES = "libegl1 libgl1-mesa-dri libglu1-mesa libfreetype6 libfontconfig1"
+"""Debian's names of what OpenGL and pyglet need without a display."""
 
 STRIDE = 0.05
 """Metres between the points of a move that are checked."""
@@ -42,7 +42,8 @@ class MiniWorld:
         check_choice(env, [name.split("-")[1] for name in names], "MiniWorld", "environment")
         self.name = f"{env}_{seed}"
         # It tells about samples of pixels.
-        with simulator_errors(f"{self.name}: MiniWorld"), redirect_stdout(StringIO()):
+        remedy = f"without a display it needs, in Debian: apt install {LIBRARIES}"
+        with simulator_errors(f"{self.name}: MiniWorld", remedy), redirect_stdout(StringIO()):
             made = make(f"MiniWorld-{env}-v0", obs_height=height, obs_width=width, domain_rand=False)
             made.reset(seed=seed)
         self._world = made.unwrapped
