@@ -24,7 +24,6 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 from dirl.config.folders import CONF
-from dirl.config.schemas import TrainConfig
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import ActorCritic, caching, noisy
 from dirl.runs.folder import Run
@@ -43,7 +42,7 @@ from dirl.training.objectives import (
 )
 from dirl.training.pairs import Demonstrations
 from dirl.training.rollout import collect, summarise
-from dirl.training.stacked import Job, reinforce_captured, run_together
+from dirl.training.stacked import Job, Stack, captured, run_together
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
@@ -59,8 +58,8 @@ def train(run: Run, components: Components) -> dict[str, Any]:
     found = imitation(run, components)
     if components.state is None:
         return found
-    captured = reinforce_captured(run, components, learn) if run.config.device == "cuda" else None
-    return captured or reinforce(run, components.state, components.protocol)
+    state = captured(run, components) if run.config.device == "cuda" else components.state
+    return reinforce(run, state, components.protocol)
 
 
 def imitation(run: Run, components: Components) -> dict[str, Any]:
@@ -96,26 +95,20 @@ def imitate(run: Run, policy: ActorCritic, demos: Demonstrations, done: int = 0)
     return steps.step
 
 
-def reinforce(run: Run, state: TrainState, protocol: EvaluationProtocol) -> dict[str, Any]:
+def reinforce(run: Run, state: TrainState | Stack, protocol: EvaluationProtocol) -> dict[str, Any]:
     """Improve the policy by actor-critic (paper section 3.2); returns what the summary says of the training."""
-    improve = hogwild.learn if run.config.reinforcement.workers > 1 else learn
+    improve: Callable[..., None] = hogwild.learn if run.config.reinforcement.workers > 1 else learn
     with updates(state, [run], [protocol]) as loop:
-        improve(run.config, state, loop)
-    return state.summary
+        improve(state, loop)
+    return loop.members[0].summary
 
 
-def learn(
-    config: TrainConfig,
-    state: TrainState,
-    loop: Updates,
-    prepared: Callable[[Callable[[], Any]], Callable[[], Any]] = lambda update: update,
-) -> None:
+def learn(state: TrainState | Stack, loop: Updates) -> None:
     """Collect, losses, backward, clip, step; as long as the loop goes on.
 
-    Where an episode ends, at the goal or by template matching (section 3.4), the environment decides. ``prepared``
-    makes a CUDA graph of the update.
+    Where an episode ends, at the goal or by template matching (section 3.4), the environment decides.
     """
-    options, policy, optimiser = config.reinforcement, state.policy, state.optimiser
+    options, policy, optimiser = state.config.reinforcement, state.policy, state.optimiser
     operator, advantages = policy.operator(), make_advantages(options.gamma, options.lmbda)
     critic = operator.get_value_operator()
     by_agent = bool(state.losses.recurrent)  # a memory needs the steps of an agent together and in order
@@ -139,7 +132,7 @@ def learn(
                 optimiser.step()
         return batch, losses.set("gradient_norm", norm).detach()
 
-    update = prepared(step)
+    update = state.prepared(step)  # of a stack on a GPU one CUDA graph
     while loop.goes_on:
         set_learning_rate(optimiser, optimiser.defaults["lr"] * state.left)  # falls linearly to 0
         loop.record(summarise(state.env, *update()))

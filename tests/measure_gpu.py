@@ -118,11 +118,8 @@ def first_update(*options):
         members = [build_components(SimpleNamespace(config=config, saved=None)) for config in configs]
         for config, member in zip(configs, members, strict=True):
             member.state.generator = torch.Generator().manual_seed(config.seed)
-        given = [[getattr(member, name) for member in members] for name in ("state", "demos")]
-        protocol = members[0].protocol
-        stack = Stack(configs, *given, protocol.world, protocol.observation)
         recipe.collect = collected
-        recipe.learn(stack.config, stack, OneUpdate())
+        recipe.learn(Stack(members), OneUpdate())
         # As weights on features: the axes of the observations are each device's own.
         plain = [plain_weights(member.policy) for member in members]
         weights.append([own[name].float().cpu() for own in plain for name in own if name.endswith(("weight", "bias"))])

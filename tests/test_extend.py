@@ -78,7 +78,7 @@ def parts(tmp_path):
 def train(config, state, total, until=None):
     """Train until there are so many frames; what the updates told."""
     loop = Loop(state, total, lambda state: until is not None and state.frames >= until)
-    learn(config, state, loop)
+    learn(state, loop)
     return loop.told
 
 

@@ -155,7 +155,7 @@ def test_the_recipe_trains_and_the_navigator_is_evaluated_in_it(options):
     parts = make_parts(*options, "evaluation.max_steps=12")
     state = train_state(parts)
     before = {name: value.clone() for name, value in parts.policy.named_parameters()}
-    learn(parts.config, state, Loop(state, 120))
+    learn(state, Loop(state, 120))
     assert state.frames == 120
     assert any(not torch.equal(value, before[name]) for name, value in parts.policy.named_parameters())
     opened = open_live(parts.config, parts.world, parts.observation)

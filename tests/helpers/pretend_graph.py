@@ -85,7 +85,7 @@ def pretend(monkeypatch):
         made.append(PretendGraph())
         return made[-1]
 
-    monkeypatch.setattr("dirl.training.stacked.is_gpu", lambda device: True)
+    monkeypatch.setattr("dirl.training.stacked.reading_waits", lambda tensor: True)
     for name, value in {
         "CUDAGraph": graph,
         "graph": capture,

@@ -29,7 +29,7 @@ KINDS = {
 def walk(parts, state, frames):
     """Updates until so many frames, as the recipe does them."""
 
-    learn(parts.config, state, Loop(state, frames))
+    learn(state, Loop(state, frames))
 
 
 def through_a_file(saved):
@@ -52,7 +52,7 @@ def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
         if not stop and state.frames >= 120:
             stop.append(through_a_file(state.state_dict()))
 
-    learn(whole.config, state, Loop(state, 300, save_once))
+    learn(state, Loop(state, 300, save_once))
     torch.manual_seed(99)
     resumed = train_state(second)
     resumed.load_state_dict(stop[0])

@@ -35,8 +35,9 @@ def make_states(room, options=VARIED):
 
 def make_stack(room, options=VARIED):
     every, states = make_states(room, options)
-    configs, demos = [parts.config for parts in every], [parts.demos for parts in every]
-    return Stack(configs, states, demos, every[0].world, every[0].observation)
+    for parts, state in zip(every, states, strict=True):
+        parts.state = state
+    return Stack(every)
 
 
 class Updates:
@@ -56,7 +57,7 @@ class Updates:
 
 def learned(stack, updates):
     loop = Updates(updates, stack)
-    learn(stack.config, stack, loop, stack.prepared)
+    learn(stack, loop)
     return loop.reports
 
 
@@ -68,7 +69,7 @@ def test_each_run_of_a_stack_learns_what_it_learns_alone(tmp_path):
     for number, (parts, state) in enumerate(zip(every, states, strict=True)):
         torch.manual_seed(parts.config.seed)
         loop = Updates(3, state)
-        learn(parts.config, state, loop)
+        learn(state, loop)
         for (alone,), together in zip(loop.reports, reports, strict=True):
             own = together[number]
             assert (alone.goal_index, alone.steps, alone.frames) == (own.goal_index, own.steps, own.frames)
@@ -185,7 +186,7 @@ def test_a_run_that_diverges_does_not_end_the_others(tmp_path, capsys):
 )
 def test_what_cannot_be_stacked_is_told(option, reason, tmp_path):
     run = SimpleNamespace(config=train_config(f"scene={room_file(tmp_path)}", *TINY, option), saved=None, folder="run")
-    told = why_alone(run, build_components(run))
+    told = why_alone(run.config, build_components(run))
     assert told is None if reason is None else reason in told
 
 

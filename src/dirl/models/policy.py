@@ -280,7 +280,7 @@ def count_parameters(network: nn.Module) -> int:
     return sum(parameter.numel() for parameter in network.parameters() if parameter.requires_grad)
 
 
-def caching(policy: nn.Module) -> AbstractContextManager[None]:
+def caching(policy: object) -> AbstractContextManager[None]:
     """A context in which each observation is embedded once between two weight updates, if the policy supports it."""
     cached = getattr(policy, "cached", None)
     return nullcontext() if cached is None else cached.keeping(learns=True)

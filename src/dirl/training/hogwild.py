@@ -119,10 +119,11 @@ def waiting(shared: Shared, policy: nn.Module) -> Iterator[None]:
         shared.going.set()
 
 
-def learn(config: TrainConfig, state: TrainState, loop: Updates) -> None:
+def learn(state: TrainState, loop: Updates) -> None:
     """Train with several workers, as long as the loop goes on."""
     if not loop.goes_on:
         return
+    config = state.config
     shared = share(state.policy, state.optimiser, state.frames)
     if config.init is not None:
         shared.initial = {name: value.detach().clone() for name, value in plain_weights(state.policy).items()}

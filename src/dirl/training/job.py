@@ -186,7 +186,8 @@ def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationPro
     optimiser = build_optimiser(run.config, policy, losses)
     env = build_env(run.config, protocol.world, protocol.observation, policy)
     meter = EpisodeMeter(mean_shortest(protocol.world))
-    state = TrainState(policy, losses, trained_parameters(policy, losses), optimiser, env, env.reset(), meter)
+    trained = trained_parameters(policy, losses)
+    state = TrainState(run.config, policy, losses, trained, optimiser, env, env.reset(), meter)
     if run.saved is not None and "imitation" not in run.saved:
         with restoring(run.folder):
             state.load_state_dict(run.saved)
@@ -221,7 +222,13 @@ def run_stages(run: Run, components: Components, stages: Stages) -> Facts:
 
 
 def conclude(run: Run, policy: ActorCritic, protocol: EvaluationProtocol, facts: Facts, *, shown: bool = True) -> Facts:
-    """Evaluate and write the summary; unless the run is one of a stack, show it as a table and in pictures."""
+    """Evaluate and write the summary; unless the run is one of a stack, show it as a table and in pictures.
+
+    Raises:
+        RunError: the policy has diverged.
+    """
+    if not all(bool(weights.isfinite().all()) for weights in policy.parameters()):
+        raise RunError(DIVERGED)
     measures = assess(policy, protocol)
     summary = NOT_REINFORCED | facts | {"seconds": run.seconds, "peak_memory_mb": peak_memory_mb()} | measures
     run.finish({"frames": summary["frames"], "network": plain_weights(policy)}, summary)

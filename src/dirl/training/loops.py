@@ -10,7 +10,7 @@ A loop is used within its context, whose end stops the program if a signal came 
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -22,7 +22,7 @@ from torch.optim import Optimizer
 from torchrl.envs import EnvBase
 from tqdm import tqdm
 
-from dirl.config.schemas import Until
+from dirl.config.schemas import TrainConfig, Until
 from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, metrics
@@ -44,6 +44,7 @@ ROWS = 200
 class TrainState:
     """Everything that changes between updates."""
 
+    config: TrainConfig
     policy: ActorCritic
     """See `dirl.models.ActorCritic`."""
     losses: Losses
@@ -70,6 +71,10 @@ class TrainState:
         """What the summary of a run says of its reinforcement."""
         stable = {"stable_at_frame": self.meter.stable_at, "near_shortest_at_frame": self.meter.near_at}
         return {"frames": self.frames, "frames_per_second": self.frames / self.seconds, **stable}
+
+    def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
+        """Return the update as it is; see `dirl.training.stacked.Stack`, which makes a CUDA graph of it."""
+        return update
 
     def count(self, update: Update, seconds: float) -> None:
         """Count an update that took so many seconds."""
@@ -279,8 +284,6 @@ class Updates:
 
     def save(self) -> None:
         """Save the runs, all after the same update."""
-        if self.state.stacked:
-            self.state.separate()
         for run, state in zip(self.runs, self.members, strict=True):
             run.save(state.state_dict())
 

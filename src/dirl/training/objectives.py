@@ -41,7 +41,7 @@ class ScheduledLoss:
     """
 
     def __init__(self, module: Any, schedules: Mapping[str, Schedule]) -> None:
-        self.module, self.schedules = module, schedules
+        self.module, self.schedules = module, dict(schedules)
         self.on_demonstrations = not EXPERT.isdisjoint(module.in_keys)
         """True if it is computed on demonstrations."""
         self.compares = "demonstrations" in list(inspect.signature(module.forward).parameters)[1:]

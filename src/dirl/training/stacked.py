@@ -26,18 +26,16 @@ from torch.func import vmap
 from dirl.agent.decisions import PAIRS_AT_ONCE, observe
 from dirl.config.components import TARGET, class_parameters, find_class
 from dirl.config.schemas import Device, Schedule, TrainConfig, Until
-from dirl.config.values import leaves, plain, typed
-from dirl.envs import SurroundingViews
+from dirl.config.values import leaves, plain
 from dirl.evaluation.episodes import EvaluationProtocol
-from dirl.models.distinct import Cacheable
+from dirl.models.distinct import Cacheable, reading_waits
 from dirl.runs.folder import Run
-from dirl.runs.paths import Facts, RunError, is_finished
+from dirl.runs.paths import Facts, is_finished
 from dirl.scenes.io.bounded import read_text
-from dirl.scenes.world import World
 from dirl.training.build import build_env, build_losses, describe
-from dirl.training.job import DIVERGED, Components, Stages, build_components, conclude, open_job, run_stages
+from dirl.training.job import Components, Stages, build_components, conclude, open_job, run_stages
 from dirl.training.loops import TrainState, updates
-from dirl.training.objectives import FULL_BATCH, Losses, ScheduledLoss, set_learning_rate, trained_parameters
+from dirl.training.objectives import FULL_BATCH, Losses, set_learning_rate, trained_parameters
 
 Learn = Callable[..., None]
 """`learn` of ``recipes/train.py``."""
@@ -61,9 +59,9 @@ class Job:
     overrides: list[str]
 
 
-def why_alone(run: Run, components: Components) -> str | None:
+def why_alone(config: TrainConfig, components: Components) -> str | None:
     """Return what keeps a run from being reinforced in a stack, in words; None if nothing does."""
-    config, state, world = run.config, components.state, components.protocol.world
+    state, world = components.state, components.protocol.world
     if state is None:
         return "it learns nothing by reinforcement"
     options, imitation, losses = config.reinforcement, config.imitation, state.losses.losses.values()
@@ -104,40 +102,38 @@ def run_together(jobs: Sequence[Job], train: Stages, imitation: Stages, learn: L
     Returns:
         The summary of each, or the error that ended it; the others are run to their end.
     """
-    results: list[Any] = [None] * len(jobs)
-    stacks: dict[str, dict[int, tuple[Run, Components]]] = {}
+    results: dict[int, Facts | Exception] = {}
+    stacks: dict[tuple[Any, ...], dict[int, tuple[Run, Components]]] = {}
+    of_kind: dict[str, Components] = {}
     for number, job in enumerate(jobs):
         try:
-            config = typed(job.composed)
-            fixed = {name: value for name, value in leaves(plain(config)).items() if not name.startswith(VARIED)}
-            if config.goals is not None or config.evaluation.goals is not None:  # they may be drawn with the seed
-                fixed["seed"] = config.seed
             run, initial = open_job(job.composed, job.folder, job.overrides)
             if is_finished(run.folder):
                 results[number] = json.loads(read_text(run.folder / "summary.json"))
                 continue
+            fixed = {name: value for name, value in leaves(plain(run.config)).items() if not name.startswith(VARIED)}
+            if run.config.goals is not None or run.config.evaluation.goals is not None:  # they may be drawn with it
+                fixed["seed"] = run.config.seed
             kind = json.dumps(fixed, default=str, sort_keys=True)
-            like = next((stack for other, stack in stacks.items() if other.startswith(kind)), None)
-            components = build_components(run, initial, None if like is None else next(iter(like.values()))[1])
-            if (reason := why_alone(run, components)) is not None:
+            components = build_components(run, initial, of_kind.get(kind))
+            if (reason := why_alone(run.config, components)) is not None:
                 print(f"by itself: {run.folder}: {reason}", flush=True)
                 run.begin(components.protocol.world, components.protocol.observation.order)
                 results[number] = run_stages(run, components, train)
                 continue
+            of_kind.setdefault(kind, components)
             # Runs that stand at the same frame, with the same losses and about as many demonstrations.
-            at = 0 if run.saved is None else run.saved["frames"]
-            losses = sorted(components.state.losses.losses)  # type: ignore[union-attr]
-            alike = f"{kind} {at} {losses} {len(components.demos).bit_length()}"
+            state: Any = components.state
+            alike = (kind, state.frames, *sorted(state.losses.losses), len(components.demos).bit_length())
             stacks.setdefault(alike, {})[number] = (run, components)
         except Exception as error:
             results[number] = error
     for members in stacks.values():
-        for number, result in run_stack(members, imitation, learn):
-            results[number] = result
-    for job, result in zip(jobs, results, strict=True):
-        if isinstance(result, Exception):
-            print(f"failed: {job.folder}: {result}", file=sys.stderr, flush=True)
-    return results
+        results.update(run_stack(members, imitation, learn))
+    for number, job in enumerate(jobs):
+        if isinstance(results[number], Exception):
+            print(f"failed: {job.folder}: {results[number]}", file=sys.stderr, flush=True)
+    return [results[number] for number in range(len(jobs))]
 
 
 def run_stack(
@@ -145,7 +141,7 @@ def run_stack(
 ) -> Iterator[tuple[int, Facts | Exception]]:
     """Train runs that stand at the same frame, their reinforcement as one; yields the summary of each, or its error."""
     print(f"{len(members)} runs as one: {', '.join(str(run.folder) for run, _ in members.values())}", flush=True)
-    ready = {}
+    ready: dict[int, tuple[Run, Any]] = {}
     for number, (run, components) in members.items():
         try:
             run.begin(components.protocol.world, components.protocol.observation.order)
@@ -153,105 +149,83 @@ def run_stack(
                 torch.manual_seed(run.config.seed)
             imitation(run, components)
             # A generator of its own for the actions, which draws what torch's own would for this run alone.
-            assert components.state is not None
-            goes_on = None if components.before_reinforcement else run.saved
-            components.state.generator = torch.Generator()
-            components.state.generator.set_state(goes_on["random"]["cpu"] if goes_on else torch.get_rng_state())
+            saved, state = None if components.before_reinforcement else run.saved, components.state
+            assert state is not None
+            state.generator = torch.Generator()
+            state.generator.set_state(saved["random"]["cpu"] if saved else torch.get_rng_state())
             ready[number] = (run, components)
         except Exception as error:
             yield number, error
     if not ready:
         return
-    stack = reinforce_together(list(ready.values()), learn)
-    protocols = stack.walked([components.protocol for _, components in ready.values()], assess=True)
-    walked = zip(ready.items(), stack.members, stack.finite(), protocols, strict=True)
-    for (number, (run, components)), state, finite, protocol in walked:
-        facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)} | state.summary
-        yield number, conclude(run, state.policy, protocol, facts, shown=False) if finite else RunError(DIVERGED)
-
-
-def reinforce_together(members: Sequence[tuple[Run, Components]], learn: Learn) -> "Stack":
-    """Reinforce runs that differ in numbers only; returns their stack."""
-    runs, every = zip(*members, strict=True)
-    states, demos, protocols = ([getattr(one, name) for one in every] for name in ("state", "demos", "protocol"))
-    stack = Stack([run.config for run in runs], states, demos, protocols[0].world, protocols[0].observation)
+    runs, every = zip(*ready.values(), strict=True)
+    protocols = [components.protocol for components in every]
+    stack = Stack(every)
     with updates(stack, runs, protocols) as loop:
-        learn(stack.config, stack, loop, stack.prepared)
-    return stack
+        learn(stack, loop)
+    walked = stack.walked(protocols, assess=True)
+    for number, run, components, protocol in zip(ready, runs, every, walked, strict=True):
+        facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)}
+        try:
+            yield number, conclude(run, components.policy, protocol, facts | components.state.summary, shown=False)
+        except Exception as error:
+            yield number, error
 
 
-def reinforce_captured(run: Run, components: Components, learn: Learn) -> Facts | None:
-    """Reinforce one run as a stack, whose update is a CUDA graph; returns what the summary says of it.
-
-    Returns None, and tells why, if it cannot be one.
-    """
-    if (reason := why_alone(run, components)) is not None:
-        print(f"no CUDA graph, each kernel is launched by itself: {reason}", file=sys.stderr, flush=True)
-        return None
-    if not all(reinforce_together([(run, components)], learn).finite()):
-        raise RunError(DIVERGED)
+def captured(run: Run, components: Components) -> "TrainState | Stack":
+    """Return a run's state as a stack of one, whose update is a CUDA graph; or tell why it is none, and return it."""
     assert components.state is not None
-    return components.state.summary
+    reason = why_alone(run.config, components)
+    if reason is None:
+        return Stack([components])
+    print(f"no CUDA graph, each kernel is launched by itself: {reason}", file=sys.stderr, flush=True)
+    return components.state
 
 
 class Stack:
     """R trainings that differ in numbers and demonstrations only, see `why_alone`.
 
     Args:
-        configs: of the runs.
-        members: their states.
-        demos: theirs, rows ``[M]`` each, of different numbers.
-        world: of all of them.
-        observation: likewise.
+        every: what each is made of; world and observation are those of all.
     """
 
     stacked = True
 
-    def __init__(
-        self,
-        configs: Sequence[TrainConfig],
-        members: Sequence[TrainState],
-        demos: Sequence[TensorDictBase],
-        world: World,
-        observation: SurroundingViews,
-    ) -> None:
-        self.members, self.world = members, world
-        first, self.device = members[0], members[0].env.device
-        self.config: TrainConfig = with_tensors(configs, self.device)
+    def __init__(self, every: Sequence[Components]) -> None:
+        self.members: list[Any] = [components.state for components in every]
+        """Their states, `TrainState`."""
+        first, demos = self.members[0], [components.demos for components in every]
+        self.world, observation = every[0].protocol.world, every[0].protocol.observation
+        self.device = first.env.device
+        self.config = with_tensors([state.config for state in self.members], self.device)
+        # What is asked of a policy, `operator` and ``cached`` (`dirl.models.caching`), the stack has for all runs.
+        self.policy = self.cached = self
         # One policy with its losses is the form that the weights of every run are put into. Its features are shared.
         self.form: Any = copy.deepcopy(first.policy, {id(first.policy.features): first.policy.features})
         del self.form.cached  # which may be a module; in its place comes a function
-        self.form.cached = self._fused  # type: ignore[assignment]
-        for module in self.form.modules():
-            if hasattr(module, "sorts"):
-                module.sorts = False  # by scene, which has shapes that depend on values
-        self.views = observation.reset_view_ids(torch.arange(len(world), device=world.device))
-        self.goal_views = observation.goal_view_ids(world.goals)
+        self.form.cached = self._fused
+        self.views = observation.reset_view_ids(torch.arange(len(self.world), device=self.device))
+        self.goal_views = observation.goal_view_ids(self.world.goals)
         self._kept: tuple[Tensor, ...] = ()
-        """Embeddings of all runs, in `caching`."""
+        """Embeddings of all runs, in `keeping`."""
         self._own: tuple[Tensor, ...] = ()
         """Those of the run that is computed."""
-        self.weights = _stack_weights([state.policy for state in members])
+        self.weights = _stack_weights([state.policy for state in self.members])
         self.parameters = list(self.weights.values(True, True))
-        self.optimiser = StackedOptimiser([state.optimiser for state in members], self.parameters, self.device)
+        self.optimiser = StackedOptimiser([state.optimiser for state in self.members], self.parameters, self.device)
         # On a CPU each run draws what it would alone; on a GPU one kernel draws for all.
-        drawn = [state.env.base_env.generator for state in members]
-        self.generators: list[torch.Generator] = [state.generator or drawn[0] for state in members]
+        drawn = [state.env.base_env.generator for state in self.members]
+        self.generators: list[torch.Generator] = [state.generator for state in self.members]
         if self.device.type != "cpu":
-            self.generators = drawn[:1]
-        self.env = build_env(self.config, world, observation, self.form, agents=(len(members), *first.agents.shape))
-        self.env.base_env.generators = drawn[: len(self.generators)]
-        self.agents: TensorDictBase = torch.stack([state.agents for state in members])
+            self.generators = drawn = drawn[:1]
+        shape = (len(every), *first.agents.shape)
+        self.env = build_env(self.config, self.world, observation, self.form, agents=shape)
+        self.env.base_env.generators = drawn
+        self.agents: TensorDictBase = torch.stack([state.agents for state in self.members])
+        for state, own in zip(self.members, self.agents.unbind(0), strict=True):
+            state.agents = own  # as are its weights a view, which changes with the stack
         self.left = torch.ones((), dtype=torch.float64, device=self.device)
-        losses = build_losses(configs[0], self.form, world, demos[0])
-        self.losses = StackedLosses(self, [state.losses for state in members], losses, demos)
-
-    @property
-    def policy(self) -> "Stack":
-        """What is asked of a policy, `operator` and ``cached`` (`dirl.models.caching`), the stack has for all runs."""
-        return self
-
-    cached = policy
+        self.losses = StackedLosses(self, build_losses(first.config, self.form, self.world, demos[0]), demos)
 
     def operator(self) -> "StackedOperator":
         """Return what takes the agents ``[R, B]`` through the policies of their runs."""
@@ -259,22 +233,13 @@ class Stack:
 
     def each(self, function: Callable[..., Any], *rows: Any) -> Any:
         """Return the function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
-        kept = self._kept or self._with_weights(self._embedded)
-        if not torch.is_grad_enabled():
-            kept = tuple(every.detach() for every in kept)
 
-        def with_embeddings(own: tuple[Tensor, ...], *rows: Any) -> Any:
-            self._own = own
-            return function(*rows)
-
-        return self._with_weights(with_embeddings, kept, *rows)
-
-    def _with_weights(self, function: Callable[..., Any], *rows: Any) -> Any:
-        def of_run(weights: TensorDictBase, *own: Any) -> Any:
+        def of_run(weights: TensorDictBase, kept: tuple[Tensor, ...], *own: Any) -> Any:
+            self._own = kept
             with weights.to_module(self.form, preserve_module_state=False):
                 return function(*own)
 
-        return vmap(of_run)(self.weights, *rows)
+        return vmap(of_run)(self.weights, self._kept, *rows)
 
     def _embedded(self) -> tuple[Tensor, Tensor]:
         """Return the embeddings of all states and of all goals, ``[N, E]`` and ``[G, E]``."""
@@ -293,7 +258,7 @@ class Stack:
     def keeping(self, *, learns: bool) -> Iterator[None]:
         """A context, of one update, in which all is embedded once; for the losses too if it ``learns``."""
         with torch.set_grad_enabled(learns):
-            self._kept = self._with_weights(self._embedded)
+            self._kept = self.each(self._embedded)
         try:
             yield
         finally:
@@ -301,16 +266,8 @@ class Stack:
 
     def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
         """Return the update as a CUDA graph, where there is a GPU."""
-        return Captured(update, {*self.generators, *self.env.base_env.generators}) if is_gpu(self.device) else update
-
-    def separate(self) -> None:
-        """Give each run's state what the stack holds for it besides the weights."""
-        for state, agents in zip(self.members, self.agents.unbind(0), strict=True):
-            state.agents = agents.clone()
-
-    def finite(self) -> list[bool]:
-        """True for each run whose weights are numbers still."""
-        return list(torch.stack([value.flatten(1).isfinite().all(1) for value in self.parameters]).all(0).tolist())
+        generators = {*self.generators, *self.env.base_env.generators}
+        return Captured(update, generators) if reading_waits(self.left) else update
 
     @torch.no_grad()
     def walked(self, protocols: Sequence[EvaluationProtocol], *, assess: bool = False) -> list[EvaluationProtocol]:
@@ -357,18 +314,16 @@ class StackedOperator:
     def __call__(self, agents: TensorDictBase) -> TensorDictBase:
         """Return the agents, ``[R, ...]``, with what is written."""
 
-        def answer(own: TensorDictBase) -> tuple[Tensor, Tensor]:
-            answered = self.stack.form(own.copy())
-            return answered["logits"], answered["state_value"]
+        def answer(own: TensorDictBase) -> TensorDictBase:
+            return self.stack.form(own.copy()).select("logits", "state_value")
 
-        logits, value = self.stack.each(answer, agents.select(*self.in_keys))
-        written = agents.copy().update({"logits": logits, "state_value": value})
+        written = agents.copy().update(self.stack.each(answer, agents.select(*self.in_keys)))
         if not self.acts:
             return written
-        choice = Categorical(logits=logits, validate_args=False)
+        choice = Categorical(logits=written["logits"], validate_args=False)
         # What torch.multinomial does where one number is drawn, by the generators of the runs.
         generators = self.stack.generators
-        parts = zip(logits.chunk(len(generators)), generators, strict=True)
+        parts = zip(choice.logits.chunk(len(generators)), generators, strict=True)
         drawn = torch.cat([torch.empty_like(part).exponential_(generator=own) for part, own in parts])
         action = (choice.probs / drawn).argmax(-1)
         return written.update({"action": action, "action_log_prob": choice.log_prob(action)})
@@ -377,40 +332,32 @@ class StackedOperator:
 class StackedLosses:
     """The losses of each run, as `Losses` are those of one; every entry is ``[R]``."""
 
-    recurrent = ()
-
-    def __init__(self, stack: Stack, losses: Sequence[Losses], form: Losses, demos: Sequence[TensorDictBase]) -> None:
+    def __init__(self, stack: Stack, form: Losses, demos: Sequence[TensorDictBase]) -> None:
         self.stack, self.form = stack, form
+        self.recurrent, self.rewarded = form.recurrent, form.rewarded
         self.demonstrated = padded(demos) if max(map(len, demos)) else ()
         self.reductions: dict[str, str] = {}
         for name, loss in form.losses.items():
             self.reductions[name] = loss.module.reduction
             loss.module.reduction = "none"  # rows are reduced without those that only fill up
-            schedules: dict[str, Any] = {}
+            every = [state.losses.losses[name].schedules for state in stack.members]
             for option in loss.schedules:
-                ends = [
-                    (own.losses[name].schedules[option].start, own.losses[name].schedules[option].end) for own in losses
-                ]
-                schedules[option] = Schedule(*torch.tensor(ends, device=stack.device).T)
-            form.losses[name] = ScheduledLoss(loss.module, schedules)
+                ends = [(own[option].start, own[option].end) for own in every]
+                loss.schedules[option] = Schedule(*torch.tensor(ends, device=stack.device).T)
 
-    def rewarded(self, batch: TensorDictBase) -> TensorDictBase:
-        """Return the rollout as it is: losses that define a reward are not stacked."""
-        return batch
-
-    def __call__(self, batch: TensorDictBase, left: Tensor) -> TensorDict:
+    def __call__(self, batch: TensorDictBase, left: Tensor) -> Any:
         """Return the weighted losses of a batch ``[R, B]``, see `Losses.forward`."""
-        return TensorDict(self.stack.each(self._of_run, batch, self.form.coefficients(left), *self.demonstrated))
+        return self.stack.each(self._of_run, batch, self.form.coefficients(left), *self.demonstrated)
 
     def _of_run(
         self, batch: TensorDictBase, coefficients: Any, rows: TensorDictBase | None = None, counts: Tensor | None = None
-    ) -> dict[str, Tensor]:
+    ) -> TensorDict:
         def reduce(name: str, value: Tensor) -> Tensor:
             if counts is not None and self.form.losses[name].on_demonstrations:
                 value = value.flatten() * counts / counts.mean()
             return value.sum() if self.reductions[name] == "sum" else value.mean()
 
-        return self.form.compute(batch, rows, coefficients, reduce).to_dict()
+        return self.form.compute(batch, rows, coefficients, reduce)
 
 
 class StackedOptimiser:
@@ -515,8 +462,3 @@ class Captured:
         except Exception as error:
             reason = " ".join(str(error).split())[:200]
             print(f"no CUDA graph, each kernel is launched by itself: {reason}", file=sys.stderr, flush=True)
-
-
-def is_gpu(device: torch.device) -> bool:
-    """True if there are graphs on the device."""
-    return device.type == "cuda"
