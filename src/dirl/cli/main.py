@@ -82,16 +82,17 @@ def versions() -> None:
     """Print installed packages, devices and built-in scenes, as a bug report needs them."""
     import platform
 
-    import torch
-
-    from dirl.scenes import PUBLISHED_GOALS, load_scenes
-
-    print(f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores")
+    print(f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores", flush=True)
     for package in PACKAGES:
         try:
             print(f"{package} {importlib.metadata.version(package)}")
         except importlib.metadata.PackageNotFoundError:
             print(f"{package} is not installed")
+
+    import torch  # these take seconds
+
+    from dirl.scenes import PUBLISHED_GOALS, load_scenes
+
     cuda = torch.cuda.get_device_name() if torch.cuda.is_available() else "none"
     print(f"\ndevice=cpu: {torch.get_num_threads()} threads\ndevice=cuda: {cuda}")
     print("\nbuilt-in scenes (source: rooms, synthetic):")
