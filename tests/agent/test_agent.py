@@ -14,7 +14,6 @@ from dirl.evaluation.episodes import EvaluationProtocol, every_start
 from dirl.evaluation.protocol import metrics
 from dirl.models import PlanningMemory
 from dirl.perception.recognition.recogniser import NCC
-from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import make_world
 
 
@@ -118,17 +117,3 @@ def test_in_a_world_each_arrow_is_judged_by_the_view_along_it():
         )
         spl.append(metrics(protocol.run(policy))["spl"])
     assert spl[0] > 1.2 * spl[1]
-
-
-def test_of_panoramas_all_views_are_compared_looked_up_or_computed():
-    world = make_world([grid_scene(2, 1, headings=8, feature_width=32)])
-    around = world.panoramas()
-    seen, visit = around[[3, 9]][None], around[[5]]
-    looked_up = VisitScores(NCC(), world).of_visits(seen, visit)
-    computed = compare(NCC(), world.features[seen], world.features[visit])
-    assert torch.allclose(looked_up, computed, atol=1e-5)
-    assert looked_up[0, 0].argmax() == 2  # two turns to the right of where the agent faced then
-    assert torch.allclose(looked_up[0, 0, 2], torch.tensor(1.0))
-    views = [(around[None, 9, ring::2], around[None, 5, ring::2]) for ring in (0, 1)]
-    each = [NCC().scores(*(world.features[ids] for ids in pair)) for pair in views]
-    assert torch.allclose(looked_up[0, 1, 0], torch.stack(each).mean(), atol=1e-5)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from odds import Odds
+from refusals import refused
 from rooms import grid_scene
 from shown_goals import images_of, look_up, rooms, trained, walk_through
 
@@ -88,8 +89,7 @@ def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_p
     facts = json.loads((folder / "map.json").read_text())
     del facts["digest"]  # as in maps of before the digest, which are believed
     (folder / "map.json").write_text(json.dumps(facts).replace('"random"', '"other"'))
-    with pytest.raises(NavigatorError, match="the digest differs"):
-        navigator.reset(images_of(world.surrounding[5]), graph=folder)
+    refused("the digest differs", navigator.reset, images_of(world.surrounding[5]), graph=folder)
 
 
 def test_an_image_graph_is_made_and_used_by_the_navigators_recogniser(world, navigator, tmp_path, monkeypatch):
@@ -104,8 +104,7 @@ def test_an_image_graph_is_made_and_used_by_the_navigators_recogniser(world, nav
     sure.reset(seen, graph=folder, last_steps=0)
     assert walk_to(sure, world, 18, 13)[-1] == 13
     for graph in (folder, walk.graph):
-        with pytest.raises(NavigatorError, match="was made with another recogniser: 'odds"):
-            navigator.reset(seen, graph=graph)
+        refused("was made with another recogniser: 'odds", navigator.reset, seen, graph=graph)
 
 
 @pytest.mark.parametrize(("truly", "given"), [(8, 4), (8, 12)])
@@ -133,15 +132,10 @@ def test_a_map_leads_who_sees_a_panorama_as_well(tmp_path):
 
 def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
     goal = images_of(world.surrounding[5])
-    with pytest.raises(NavigatorError, match="the map is empty"):
-        navigator.reset(goal, graph=ImageGraph())
-    with pytest.raises(NavigatorError, match="holds no map"):
-        navigator.reset(goal, graph=tmp_path)
-    with pytest.raises(NavigatorError, match="a map leads one agent"):
-        navigator.reset(np.stack([goal, goal]), graph=explorer.graph)
-    with pytest.raises(NavigatorError, match="action=7: expected 0 ahead"):
-        explorer.see(goal, 7)
+    refused("the map is empty", navigator.reset, goal, graph=ImageGraph())
+    refused("holds no map", navigator.reset, goal, graph=tmp_path)
+    refused("a map leads one agent", navigator.reset, np.stack([goal, goal]), graph=explorer.graph)
+    refused("action=7: expected 0 ahead", explorer.see, goal, 7)
     narrow = ImageGraph()
     narrow.see(torch.randn(4, 5))
-    with pytest.raises(NavigatorError, match="the map has 5 features a view, the navigator 48"):
-        navigator.reset(goal, graph=narrow)
+    refused("the map has 5 features a view, the navigator 48", navigator.reset, goal, graph=narrow)

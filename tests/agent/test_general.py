@@ -30,6 +30,12 @@ def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path):
         load_checkpoint("general")
 
 
+def test_turns_that_its_training_did_not_have_are_told(capsys):
+    for turns, told in ((12, ""), (16, "warning: general: was trained with turns of 90 and 45 and 30 degrees; with ")):
+        Navigator.load("general", turns=turns)
+        assert capsys.readouterr().err.startswith(told)
+
+
 @pytest.mark.usefixtures("elsewhere")
 def test_its_evaluation_needs_a_room():
     with pytest.raises(ConfigError, match=r"general: its training rooms, .* are not here; .*: scene=\.\.\."):

@@ -1,20 +1,17 @@
 """Configurations in files: read back as they were, and nothing in them is run or resolved; choices of a group."""
 
+from functools import partial
+
 import pytest
 from commands import room_file, train_config
 from parts import make_parts
+from refusals import refused
 
 from dirl.config.files import MAX_CHARACTERS, config_text, group_options, read_config
-from dirl.config.schemas import ConfigError
 from dirl.models import plain_weights
 from dirl.training.build import load_trained
 
-
-def refusal(*arguments, **options):
-    with pytest.raises(ConfigError) as raised:
-        read_config(*arguments, **options)
-    assert "\n" not in str(raised.value)
-    return str(raised.value)
+refusal = partial(refused, ".", read_config)
 
 
 def test_a_saved_configuration_is_read_back_without_trust_and_can_be_changed():
@@ -52,9 +49,7 @@ def test_weights_that_do_not_fit_are_refused_in_one_line(tmp_path):
     weights, other = plain_weights(parts.policy), train_config(f"scene={room}", "encoder.width=16", "heads.width=16")
     saved = {"network": weights, "config": config_text(other), "scenes": ["grid"], "frames": 0}
     saved["extractor"] = parts.world.scenes[0].extractor
-    with pytest.raises(ConfigError, match="here: the weights do not fit the network of its configuration") as raised:
-        load_trained(saved, "here")
-    assert "\n" not in str(raised.value)
+    refused("here: the weights do not fit the network of its configuration", load_trained, saved, "here")
 
 
 def test_a_choice_is_a_file_of_the_group_or_of_ones_own(tmp_path):
@@ -78,7 +73,4 @@ def test_a_file_that_is_none_is_one_line(tmp_path, text, reason):
     own = tmp_path / "mine.yaml"
     if text is not None:
         own.write_text(text)
-    with pytest.raises(ConfigError) as error:
-        group_options("recogniser", str(own))
-    assert str(error.value).startswith(f"recogniser={own}: {reason}")
-    assert "\n" not in str(error.value)
+    refused(f"^recogniser={own}: {reason}", group_options, "recogniser", str(own))

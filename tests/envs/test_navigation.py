@@ -1,10 +1,8 @@
 import pytest
 import torch
 from rooms import grid_scene
-from torchrl.envs import Compose, StepCounter, TransformedEnv
-from torchrl.envs.utils import check_env_specs
 
-from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
+from dirl.envs import NavigationEnv
 from dirl.scenes import make_world
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
@@ -33,11 +31,6 @@ def move(env, state, goal, action):
 
 def no_stop(world):
     return torch.zeros_like(world.distances, dtype=torch.bool)
-
-
-@pytest.mark.parametrize("views", [SurroundingViews, SequentialViews])
-def test_env_with_views_and_step_limit_keeps_torchrls_promises(world, views):
-    check_env_specs(TransformedEnv(NavigationEnv(world, 5), Compose(StepCounter(2), views(world))))
 
 
 def test_starts_reach_their_goal_and_are_not_it(world):

@@ -23,27 +23,6 @@ def rollout(world, kind, seed=0):
     return env.rollout(STEPS, break_when_any_done=False)
 
 
-@pytest.mark.parametrize(
-    ("state", "views"),
-    # A state of the first scene is 4 x place + heading, and right turns count headings up.
-    [(0, [0, 1, 2, 3]), (5, [5, 6, 7, 4]), (14, [14, 15, 12, 13]), (23, [23, 20, 21, 22]), (25, [25, 26, 27, 24])],
-)
-def test_surrounding_views_are_ahead_right_back_left_of_the_heading(world, state, views):
-    assert SurroundingViews(world).reset_view_ids(torch.tensor(state)).tolist() == views
-
-
-def test_sequential_views_begin_with_the_first_four_times_and_end_with_the_newest(world):
-    observation = SequentialViews(world)
-    views = observation.reset_view_ids(torch.tensor([7, 16]))
-    assert views.tolist() == [[7, 7, 7, 7], [16, 16, 16, 16]]
-    seen = []
-    for state in ([4, 17], [5, 18], [5, 19], [9, 16], [9, 12]):
-        views = observation.step_view_ids(views, torch.tensor(state))
-        seen.append(views[0].tolist())
-    assert seen == [[7, 7, 7, 4], [7, 7, 4, 5], [7, 4, 5, 5], [4, 5, 5, 9], [5, 5, 9, 9]]
-    assert views[1].tolist() == [18, 19, 16, 12]
-
-
 def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states(world):
     steps = rollout(world, SequentialViews)
     assert steps["next", "done"].sum() > AGENTS

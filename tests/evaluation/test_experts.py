@@ -1,5 +1,3 @@
-from collections import deque
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -29,32 +27,12 @@ def shown_by_expert(world, fraction, rule="interval", seed=0):
     return demonstrations(world, ShortestPathExpert(world), SurroundingViews(world), fraction, rule, seed)
 
 
-def distances_by_hand(world, goal):
-    """Fewest actions from each state that reaches the goal, by a search of its own."""
-    distances, queue = {goal: 0}, deque([goal])
-    while queue:
-        state = queue.popleft()
-        for before in (world.graph == state).any(1).nonzero().flatten().tolist():
-            if before not in distances:
-                distances[before] = distances[state] + 1
-                queue.append(before)
-    return distances
-
-
-def every_case(world):
-    """Goal index, state and distances of every state that reaches a goal."""
-    for index, goal in enumerate(world.goals.tolist()):
-        distances = distances_by_hand(world, goal)
-        for state in set(distances) - {goal}:
-            yield index, state, distances
-
-
 def test_optimal_actions_are_all_that_come_nearer_and_the_expert_takes_the_first(world):
-    for index, state, distances in every_case(world):
-        nearer = [distances[next_state] < distances[state] for next_state in world.graph[state].tolist()]
-        case = torch.tensor([index]), torch.tensor([state])
-        assert optimal_actions(world, *case).tolist() == [nearer]
-        assert expert_action(world, *case).tolist() == [nearer.index(True)]
+    goal_index, state = (part[world.distances > 0] for part in world.pairs())
+    after = world.distance(goal_index.unsqueeze(1), world.graph[state])
+    nearer = after < world.distance(goal_index, state).unsqueeze(1)
+    assert torch.equal(optimal_actions(world, goal_index, state), nearer)
+    assert torch.equal(expert_action(world, goal_index, state), nearer.int().argmax(1))
 
 
 def test_random_states_are_a_fraction_and_depend_on_the_seed(world):

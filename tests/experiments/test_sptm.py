@@ -6,6 +6,7 @@ from pathlib import Path
 import mazes
 import numpy as np
 import pytest
+from refusals import refused
 
 from dirl.agent.mapping.guide import Guide
 from dirl.experiments import sptm
@@ -23,7 +24,6 @@ from dirl.experiments.sptm import (
     random_walker,
     walk,
 )
-from dirl.scenes.scene import SceneError
 
 SETTINGS = """screen_resolution = RES_160X120
 render_hud = false
@@ -68,16 +68,14 @@ def test_the_protocol_has_672_episodes():
 
 def test_a_folder_without_the_mazes_is_one_line(tmp_path):
     pytest.importorskip("vizdoom")
-    with pytest.raises(SceneError, match="is no copy of github nsavinov/SPTM"):
-        Game(tmp_path / "data", TESTS[0])
+    refused("is no copy of github nsavinov/SPTM", Game, tmp_path / "data", TESTS[0])
 
 
 @pytest.mark.parametrize("use", [lambda game: game.see(), lambda game: game.act(AHEAD)])
 def test_a_game_that_is_gone_is_one_line(use):
     game = Game.__new__(Game)
     game._buttons, game._game = [], None  # its process was killed
-    with pytest.raises(SceneError, match=r"^VizDoom failed \(AttributeError: .*\); run the command again$"):
-        use(game)
+    refused(r"^VizDoom failed \(AttributeError: .*\); run the command again$", use, game)
 
 
 @found

@@ -82,13 +82,6 @@ def test_a_blocked_way_is_not_tried_again_and_moves_count_in_both_directions():
     assert walked.after[0, 6, AHEAD] == 2
 
 
-def test_a_turn_by_less_than_a_right_angle_is_learnt():
-    walked = walk(PlanningMemory(), (RIGHT, None))
-    assert walked.after[0, 0, RIGHT] == 4
-    assert walked.after[0, 4, LEFT] == 0
-    assert walked.after[0, 0, LEFT] == 3  # still assumed
-
-
 def test_a_goal_that_was_seen_is_walked_to_and_not_where_the_agent_did_not_stop():
     memory = PlanningMemory()
     seen = torch.tensor([[True, False, True, False]])
@@ -159,13 +152,6 @@ def test_a_plan_ends_where_costs_are_no_numbers():
     walked = walk(memory, (AHEAD, None))
     walked.cost[:] = math.nan
     assert memory.plan(walked).isnan().all()
-
-
-def test_a_step_to_a_known_place_adds_none():
-    walked = walk(PlanningMemory(), (AHEAD, None), (BACK, 0))
-    assert walked.here.tolist() == [0]
-    assert walked.used.tolist() == [8 * [True] + 4 * [False]]
-    assert walked.goal.tolist() == [12 * [False]]
 
 
 def test_smaller_turns_are_not_known_until_one_was_taken_and_then_they_are_from_all_four_views():

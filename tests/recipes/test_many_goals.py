@@ -3,30 +3,17 @@
 import json
 
 import pytest
-from commands import done, run_recipe
+from commands import TINY, done, run_recipe
 from rooms import grid_scene
 
 from dirl.scenes import write_dump
-
-OPTIONS = [
-    "seed=3",
-    "encoder.width=32",
-    "heads.width=32",
-    "imitation.fraction=0.5",
-    "imitation.batch_size=16",
-    "imitation.max_steps=5",
-    "reinforcement.frames_per_scene=120",
-    "reinforcement.agents_per_scene=6",
-    "evaluation.times=1",
-    "evaluation.max_steps=30",
-]
 
 
 @pytest.mark.parametrize("policy", ["actor_critic", "shortest_path"])
 def test_goals_held_out_are_evaluated_apart(tmp_path, policy):
     write_dump(tmp_path / "room.h5", grid_scene(goals=(0, 13), feature_width=32))
     asked = [f"scene={tmp_path / 'room.h5'}", "goals=all", "hold_out=0.34", f"policy={policy}", "hydra.run.dir=run"]
-    printed = done(tmp_path, "train", *OPTIONS, *asked)
+    printed = done(tmp_path, "train", *TINY, *asked)
     assert "Goals held out of the training:" in printed
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     goals = [set(part["greedy"]["scenes"]["grid"]["goals"]) for part in (summary, summary["held_out"])]

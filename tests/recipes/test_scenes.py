@@ -8,6 +8,7 @@ import pytest
 from closet import closet
 from commands import run_recipe
 from PIL import Image
+from refusals import refused
 from rooms import grid_scene
 from scenes import COMMANDS, OPTIONS
 from tours import Camera360, grid_truth, turned, write_table
@@ -130,8 +131,7 @@ def test_a_tour_becomes_a_dump(here, capsys):
     assert ((encoded.along != 0).any(1) == ahead).all()
     # In a grid each arrow lies along a heading, whose view is here as wide as that along the arrow.
     np.testing.assert_allclose(encoded.along[ahead], encoded.features[ahead], atol=0.05)
-    with pytest.raises(SceneError, match="headings=6: must be a multiple of four"):
-        run("tour path=hall out=new.h5 headings=6 encoder=null")
+    refused("headings=6: must be a multiple of four", run, "tour path=hall out=new.h5 headings=6 encoder=null")
 
 
 def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch):
@@ -159,8 +159,7 @@ def test_random_rooms_are_listed_with_what_was_checked(here, capsys, monkeypatch
     run(line.replace("count=2", "count=3"))
     assert asked[2:] == [("bedroom", 30001)]
     assert capsys.readouterr().out.startswith("many: 2 of 3 rooms are there")
-    with pytest.raises(SceneError, match="bedroom_29999 was made with height=24, not 25"):
-        run(line.replace("height=24", "height=25"))
+    refused("bedroom_29999 was made with height=24, not 25", run, line.replace("height=24", "height=25"))
 
 
 def test_a_dump_goes_out_and_comes_back_as_it_was(room, capsys):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import yaml
 from commands import TINY, done, room_file, run_recipe, train_config
+from refusals import refused
 
 from dirl.agent.navigator import Navigator
 from dirl.config.schemas import ConfigError
@@ -101,9 +102,7 @@ def test_trust_counts_only_where_the_user_gives_it(trained, trap):
     saved = load_checkpoint(trained / "run")
     text = poisoned(saved["config"], *CASES[1])
     config = yaml.safe_dump({**yaml.safe_load(text), "trust": ["trap"]})
-    with pytest.raises(ConfigError, match="trust=\\[trap\\] allows it"):
-        load_trained({**saved, "config": config}, "the checkpoint")
+    refused("trust=\\[trap\\] allows it", load_trained, {**saved, "config": config}, "the checkpoint")
     assert not trap.exists()
-    with pytest.raises(ConfigError, match=r"no option 'encoder.command'"):
-        load_trained({**saved, "config": text}, "the checkpoint", trust=["trap"])
+    refused(r"no option 'encoder.command'", load_trained, {**saved, "config": text}, "the checkpoint", trust=["trap"])
     assert trap.exists()

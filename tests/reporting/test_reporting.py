@@ -311,11 +311,3 @@ def test_views_follow_the_first_path_and_end_with_the_goals(dump, picture):
     figure = picture(scene, 0, [[1, 2, 3] + [0, 1, 2, 3] * 20 + [0]], [True])
     titles = [axes.get_title() for axes in figure.axes if axes.images]
     assert (len(titles), titles[7:]) == (9, ["step 83: goal reached", "goal"])
-
-
-def test_drawing_refuses_what_does_not_go_together_and_writes_nothing(scene, tmp_path):
-    file = tmp_path / "paths.png"
-    for goal, paths, success in ((7, [[0, 2]], [True]), (24, WAYS, [True, True])):
-        with pytest.raises(ValueError, match=r"no action leads|is not a state"):
-            draw_trajectories(scene, goal, paths, file, success=success, title="")
-    assert not file.exists()

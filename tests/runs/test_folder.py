@@ -7,9 +7,9 @@ import os
 import pytest
 import torch
 from commands import train_config
+from refusals import refused
 from rooms import grid_scene
 
-from dirl.config.schemas import ConfigError
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.runs.folder import Run, open_run
 from dirl.runs.paths import RunError, is_finished, training_checkpoints
@@ -92,8 +92,7 @@ def test_only_the_latest_checkpoints_stay_and_none_after_the_end(tmp_path):
 def test_a_folder_that_holds_a_run_is_not_overwritten(tmp_path):
     begun(tmp_path).close()
     for again in (opened, begun):
-        with pytest.raises(RunError, match=f"{tmp_path}: holds a run already"):
-            again(tmp_path)
+        refused(f"{tmp_path}: holds a run already", again, tmp_path)
 
 
 def test_two_runs_begun_in_the_same_second_get_two_folders(tmp_path):
@@ -114,8 +113,7 @@ def test_a_running_run_is_neither_resumed_nor_begun_again(tmp_path):
     run = begun(tmp_path)
     run.save(state(10))
     for option in (f"resume={tmp_path}", "existing=keep"):
-        with pytest.raises(RunError, match=rf"{tmp_path}: process {os.getpid()} on .* is writing to it"):
-            opened(tmp_path, option)
+        refused(rf"{tmp_path}: process {os.getpid()} on .* is writing to it", opened, tmp_path, option)
     run.close()
     with pytest.raises(RunError, match="is writing to it"):
         [resumed(tmp_path) for _ in range(2)]
@@ -127,8 +125,7 @@ def test_a_run_that_could_not_begin_leaves_nothing_behind(tmp_path, monkeypatch)
     monkeypatch.delenv("WANDB_API_KEY", raising=False)
     begun(tmp_path / "2026-01-31_12-00-00").close()
     for folder in (tmp_path / "b", tmp_path / "2026-01-31_12-00-00"):
-        with pytest.raises(ConfigError, match="nobody is logged in"):
-            begin(Run(folder, config("logger=wandb")))
+        refused("nobody is logged in", begin, Run(folder, config("logger=wandb")))
     assert {file.name for file in tmp_path.rglob("*") if file.is_file()} == {"config.yaml"}
     assert not (tmp_path / "2026-01-31_12-00-00-2").exists()
 
@@ -147,8 +144,7 @@ def test_a_damaged_checkpoint_is_set_aside_and_the_one_before_is_gone_on_from(tm
     assert sorted(file.name for file in first.parent.iterdir()) == [first.name, f"{second.name}.damaged"]
     run.close()
     first.write_bytes(b"")
-    with pytest.raises(RunError, match=rf"to begin this run again from its start, delete {tmp_path / 'checkpoints'}$"):
-        resumed(tmp_path)
+    refused(rf"to begin this run again from its start, delete {tmp_path / 'checkpoints'}$", resumed, tmp_path)
 
 
 def test_a_checkpoint_whose_tables_are_shorter_than_it_says_is_not_gone_on_from(tmp_path, capsys):
@@ -159,8 +155,7 @@ def test_a_checkpoint_whose_tables_are_shorter_than_it_says_is_not_gone_on_from(
     assert resumed(tmp_path).saved["frames"] == 10
     assert f"does not fit {table}, which is shorter" in capsys.readouterr().err
     table.unlink()
-    with pytest.raises(RunError, match="which is shorter than it was, or missing"):
-        resumed(tmp_path)
+    refused("which is shorter than it was, or missing", resumed, tmp_path)
     table.write_text(rows)
     save_checkpoint(second, {key: value for key, value in load_checkpoint(second).items() if key != "tables"})
     assert resumed(tmp_path).saved["frames"] == 10
@@ -204,9 +199,7 @@ def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path):
 def test_resume_takes_no_other_option_and_no_finished_run(tmp_path):
     run = begun(tmp_path)
     run.close()
-    with pytest.raises(RunError, match="leave out seed=1"):
-        opened(tmp_path, f"resume={tmp_path}", "seed=1")
+    refused("leave out seed=1", opened, tmp_path, f"resume={tmp_path}", "seed=1")
     run.finish(state(0), {})
-    with pytest.raises(RunError, match="is finished"):
-        resumed(tmp_path)
+    refused("is finished", resumed, tmp_path)
     assert is_finished(opened(tmp_path, "existing=keep").folder)

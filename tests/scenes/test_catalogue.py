@@ -1,10 +1,11 @@
-"""The built-in rooms, and how a user names scenes."""
+"""The built-in rooms, collections of random ones, and how a user names scenes."""
 
 import h5py
 import pytest
+from refusals import refused
 from rooms import grid_scene, published_dump
 
-from dirl.scenes import PUBLISHED_GOALS, SceneError, catalogue, load_scenes
+from dirl.scenes import PUBLISHED_GOALS, SceneError, catalogue, load_scenes, write_dump
 from dirl.scenes.catalogue import ROOMS
 from dirl.scenes.io import read
 
@@ -60,28 +61,51 @@ def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
     content = bytearray((tmp_path / "bathroom_02.h5").read_bytes())
     content[-1] ^= 1
     (tmp_path / "bathroom_02.h5").write_bytes(content)
-    with pytest.raises(SceneError, match=r"bathroom_02\.h5: is not the built-in room that was installed \(SHA-256 d"):
-        load_scenes("bathroom_02")
+    refused(r"bathroom_02\.h5: is not the built-in room that was installed \(SHA-256 d", load_scenes, "bathroom_02")
     sums = (ROOMS / "SHA256SUMS").read_bytes()
     for damaged in (sums[:-9], sums.replace(b"bathroom_02.h5", b"bathroom\xff02.h5")):
         (tmp_path / "SHA256SUMS").write_bytes(damaged)
-        with pytest.raises(SceneError, match="SHA256SUMS: is not the list of hashes that was installed"):
-            load_scenes("bathroom_02")
+        refused("SHA256SUMS: is not the list of hashes that was installed", load_scenes, "bathroom_02")
 
 
 def test_an_unknown_scene_lists_the_choices():
-    with pytest.raises(SceneError, match=r"^there is no scene 'bathroom_2' \(did you mean 'bathroom_02'\?\); choose"):
-        load_scenes("bathroom_2")
-    with pytest.raises(SceneError, match=r"^no/such/file\.h5: there is no such file"):
-        load_scenes("no/such/file.h5")
+    refused(r"^there is no scene 'bathroom_2' \(did you mean 'bathroom_02'\?\); choose", load_scenes, "bathroom_2")
+    refused(r"^no/such/file\.h5: there is no such file", load_scenes, "no/such/file.h5")
 
 
 def test_a_source_has_choices_and_a_folder_of_its_own(folder):
-    with pytest.raises(SceneError, match=r"choose from \['bathroom_01', 'bathroom_02', 'all'\]"):
-        load_scenes("kitchen_02", source="thor", root=folder)
-    with pytest.raises(SceneError, match=r"^there is no source 'habitat'; choose one of \['rooms', 'thor'\]"):
-        load_scenes("all", source="habitat")
-    with pytest.raises(SceneError, match=r"^source=thor needs the folder of your dumps: source\.root="):
-        load_scenes("all", source="thor")
-    with pytest.raises(SceneError, match=r"^source\.root=.*nowhere: there is no such folder"):
-        load_scenes("all", source="thor", root=folder / "nowhere")
+    refused(r"^there is no source 'habitat'; choose one of \['rooms', 'thor'\]", load_scenes, "all", source="habitat")
+    refused(
+        r"choose from \['bathroom_01', 'bathroom_02', 'all'\]", load_scenes, "kitchen_02", source="thor", root=folder
+    )
+    refused("nowhere: there is no such folder", load_scenes, "all", source="thor", root=folder / "nowhere")
+    refused(r"^source=thor needs the folder of your dumps: source\.root=", load_scenes, "all", source="thor")
+
+
+@pytest.fixture
+def collection(tmp_path):
+    """Four rooms, and what else a folder may hold."""
+    collection = tmp_path / "many"
+    for name in ("bedroom_30001", "bathroom_30000", "living_room_10000", "bedroom_9"):
+        write_dump(collection / f"{name}.h5", grid_scene(name=name, depth=2 + (name == "bedroom_9")))
+    (collection / "living_room_10000.toml").write_text("name = 'living_room_10000'")
+    (collection / ".unfinished-1.h5").write_text("half a dump")
+    return collection
+
+
+def test_rooms_are_read_by_seed_and_split(collection):
+    rooms = load_scenes(f"collection:{collection}")
+    assert [room.name for room in rooms] == ["bedroom_9", "living_room_10000", "bathroom_30000", "bedroom_30001"]
+    assert [len(room) for room in rooms] == [36, 24, 24, 24]
+    assert [room.name for room in load_scenes(f"collection:{collection}", split="train", rooms=1)] == ["bathroom_30000"]
+    with pytest.raises(SceneError, match=r"no room with split=validation; splits: \['none', 'test', 'train'\]"):
+        load_scenes(f"collection:{collection}", split="validation")
+    with pytest.raises(SceneError, match="is no collection; it holds no rooms such as bathroom_30000"):
+        load_scenes(f"collection:{collection.parent}")
+
+
+def test_a_damaged_room_is_named(collection):
+    data = bytearray((collection / "bedroom_30001.h5").read_bytes())
+    data[-9] ^= 1
+    (collection / "bedroom_30001.h5").write_bytes(data)
+    refused(r"bedroom_30001\.h5: ", load_scenes, f"collection:{collection}")

@@ -115,6 +115,7 @@ def changed(state, action, to):
         (changed(5, AHEAD, 24), r"state 5: ahead leads to state 24, but states are 0\.\.23"),
         (changed(6, RIGHT, -1), "state 6: turning right is blocked"),
         (changed(6, LEFT, -1), "state 5: turning right and back does not return"),
+        (ring(400), "state 0: a full turn to the right passes more than 360 states"),
         (ring(6), "state 0: a full turn to the right passes 6 states"),
         (beside(ring(4), ring(8)), r"state 4: a full turn .* passes 8 states; .* \(4 at state 0\)"),
     ],

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from refusals import refused
 from rooms import grid_scene, read_here
 
 from dirl.scenes import Scene, SceneError
@@ -64,8 +65,7 @@ def test_the_callers_arrays_are_not_shared(dtype):
     ],
 )
 def test_a_scene_that_cannot_be_used_is_refused(change, message):
-    with pytest.raises(SceneError, match=f"^here: {message}"):
-        Scene(**parts(**change))
+    refused(f"^here: {message}", Scene, **parts(**change))
 
 
 def test_a_goal_no_state_leads_to_is_refused(scene):
@@ -73,10 +73,8 @@ def test_a_goal_no_state_leads_to_is_refused(scene):
     spare = {"positions": np.zeros((25, 2)), "headings": np.zeros(25), "features": None}
     made = Scene(**parts(graph=graph, **spare))
     made.check_goal(23)
-    with pytest.raises(SceneError, match="here: goal 24 cannot be reached from any other state"):
-        made.check_goal(24)
-    with pytest.raises(SceneError, match="here: goal 24 cannot be reached from any other state"):
-        Scene(**parts(graph=graph, goals=(0, 24), **spare))
+    refused("here: goal 24 cannot be reached from any other state", made.check_goal, 24)
+    refused("here: goal 24 cannot be reached from any other state", Scene, **parts(graph=graph, goals=(0, 24), **spare))
 
 
 def test_raw_views_come_as_they_are_stored_and_only_those_there_are(dump):

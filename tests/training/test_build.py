@@ -8,6 +8,7 @@ import pytest
 import torch
 from commands import TINY, done, room_file, train_config
 from parts import make_parts
+from refusals import refused
 from rooms import grid_scene
 from torch import nn
 
@@ -56,9 +57,7 @@ def test_an_encoder_that_does_not_encode_rows_is_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "house", sys.modules[__name__])
     config = train_config()
     config.encoder = {"_target_": "house.Narrow"}
-    with pytest.raises(ConfigError, match=f"^{told}") as raised:
-        build_policy(config, FeatureTable(torch.rand(5, 7)), ["a"])
-    assert "\n" not in str(raised.value)
+    refused(f"^{told}", build_policy, config, FeatureTable(torch.rand(5, 7)), ["a"])
 
 
 @pytest.mark.parametrize(
@@ -127,8 +126,7 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
     assert held_out
     assert shown == set(range(24)) - held_out
     assert parts.world.goals.tolist() == [0, 13]  # where reinforcement is
-    with pytest.raises(ConfigError, match=r"imitation\.goals: applies to sampled pairs only"):
-        make_parts(*options, "imitation.goals=all")
+    refused(r"imitation\.goals: applies to sampled pairs only", make_parts, *options, "imitation.goals=all")
     with pytest.raises(SceneError, match=r"^imitation\.goals: grid: goals=some: must be states, or one of all"):
         make_parts(*options, "imitation.sampled=true", "imitation.goals=some")
 
@@ -192,10 +190,7 @@ def test_turns_that_the_training_did_not_have_are_told_of_in_one_line(trained, t
     assert saved["turns"] == [4]
     load_trained(saved, "run", {"scene": str(tmp_path / "room_4.h5")})
     assert capsys.readouterr().err == ""
+    load_trained(saved, "run", {"scene": str(tmp_path / "room_8.h5")})
+    (line,) = capsys.readouterr().err.splitlines()
     told = "warning: run: was trained with turns of 90 degrees; with turns of 45 degrees its paths may be much longer"
-    for known in (saved, {key: value for key, value in saved.items() if key != "turns"}):  # none stood there before
-        load_trained(known, "run", {"scene": str(tmp_path / "room_8.h5")})
-        (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith(told)
-    load_trained({**saved, "turns": [4, 8]}, "run", {"scene": str(tmp_path / "room_8.h5")})
-    assert capsys.readouterr().err == ""
+    assert line.startswith(told)

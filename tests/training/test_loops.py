@@ -6,13 +6,13 @@ import pytest
 import torch
 from commands import room_file, train_config
 from parts import Loop, make_parts, train_state
+from refusals import refused
 from tensordict import TensorDict
 from torch import nn
 from train import imitate, learn, train
 
 from dirl.config.schemas import Schedule
 from dirl.runs.folder import Run
-from dirl.runs.paths import RunError
 from dirl.training.job import build_components, run_stages
 from dirl.training.loops import restore_random_state
 from dirl.training.objectives import Losses, ScheduledLoss
@@ -103,8 +103,7 @@ def test_a_checkpoint_that_is_not_of_this_imitation_is_refused(imitated):
     _, _, (saved, *_) = imitated()
     other = {**saved["optimiser"], "param_groups": []}
     for change in ({"learning": {}}, {"optimiser": other}, {"random": {}}, {"random": {"cpu": torch.zeros(3)}}):
-        with pytest.raises(RunError, match="its checkpoint does not fit this run"):
-            imitated(saved | change)
+        refused("its checkpoint does not fit this run", imitated, saved | change)
 
 
 def test_a_state_says_the_weights_for_everyone_else(tmp_path):
@@ -195,8 +194,7 @@ def test_a_training_that_diverges_ends_in_one_line(tmp_path, options, says):
     run = Run(tmp_path / "run", train_config(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
     components = build_components(run)
     run.begin(components.protocol.world, components.protocol.observation.order)
-    with pytest.raises(RunError, match=says):
-        run_stages(run, components, train)
+    refused(says, run_stages, run, components, train)
 
 
 def test_a_reinforcement_after_dagger_tells_its_own_frames(tmp_path):

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn, TypeVar
 
 from hydra import compose, initialize_config_dir
 from hydra._internal.utils import get_args_parser
@@ -13,7 +13,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, Override, QuotedString
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config.components import GROUPS
@@ -21,6 +21,8 @@ from dirl.config.folders import CONF
 from dirl.config.options import meanings, option_types
 from dirl.config.schemas import ConfigError, Schedule, TrainConfig, Weight
 from dirl.config.values import check_choice, typed
+
+T = TypeVar("T")
 
 EXTRAS = {"joblib": "sweeps", "optuna": "optuna", "ray": "ray", "submitit_local": "slurm", "submitit_slurm": "slurm"}
 """Of dirl, by the launcher or sweeper of Hydra that they bring."""
@@ -33,9 +35,9 @@ def register() -> None:
     OmegaConf.register_new_resolver("sweep_folder", lambda out, time: out or f"multirun/{time}", replace=True)
 
 
-def _run_folder(resume: str | None, out: str | None, system: str, scene: Any, time: str) -> str:
+def _run_folder(resume: str | None, out: str | None, system: str, scene: object, time: str) -> str:
     """Return the folder given, or ``runs/dirl_bathroom_02/<time>`` (several scenes joined by +, files by stems)."""
-    scenes = list(map(str, scene)) if OmegaConf.is_list(scene) else [str(scene or "nowhere")]
+    scenes = list(map(str, scene)) if isinstance(scene, ListConfig) else [str(scene or "nowhere")]
     return resume or out or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
 
 
@@ -58,7 +60,7 @@ def one_line_errors() -> Iterator[None]:
         raise ConfigError(text) from None
 
 
-def parse(schema: type, arguments: Sequence[str]) -> Any:
+def parse(schema: type[T], arguments: Sequence[str]) -> T:
     """Return the dataclass of a recipe's options, or of a command's of ``recipes/scenes.py``.
 
     Raises:
@@ -82,7 +84,8 @@ def parse(schema: type, arguments: Sequence[str]) -> Any:
         for name in map(str, config):
             if OmegaConf.is_missing(config, name):
                 raise ConfigError(f"{name} must be given: {meanings(schema)[name]}")
-        return typed(config)
+        found: T = typed(config)
+        return found
 
 
 def parsed(text: str) -> Override:

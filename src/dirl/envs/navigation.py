@@ -19,7 +19,7 @@ class Reward:
     goal: float = 10.0
     """The agent stopped at the goal."""
     step: float = -0.01
-    """Any other step."""
+    """Every other step."""
     collision: float = -0.1
     """A blocked move, instead of ``step``."""
 

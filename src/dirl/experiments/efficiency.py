@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.ticker import EngFormatter
@@ -14,6 +13,7 @@ from dirl.experiments.figures import band, panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, grouped, published, write_tables
 from dirl.reporting.curves import atl_axis, common_frames
 from dirl.reporting.statistics import FloatArray, iqm
+from dirl.runs.paths import Summary
 from dirl.scenes.palette import COLORS
 
 RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}
@@ -80,8 +80,8 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
 
 
 def _settings(
-    experiment: str, results: Sequence[Result], paper: Mapping[str, Any]
-) -> Iterator[tuple[str, list[Result], Any, bool]]:
+    experiment: str, results: Sequence[Result], paper: Summary
+) -> Iterator[tuple[str, list[Result], float | None, bool]]:
     """The label of each setting, its runs, the frames that the paper reports or None, and whether it is drawn."""
     if experiment == "fig4":
         for system, runs in by_system(results).items():
@@ -112,7 +112,7 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
             continue
         stable = float(iqm([stable_frames(run) for run in runs]))
         when = f"stable at {stable:,.0f}" if np.isfinite(stable) else "never stable"
-        band(axes, frames, values, color, f"{label}: {when}", linewidth=1.6)
+        band(axes, frames, values, color, f"{label}: {when}")
         if np.isfinite(stable):
             axes.axvline(stable, color=color, linestyle=":", linewidth=1.2)
     limit = f"stable: every goal stays at or under {STABLE_ATL:g}"

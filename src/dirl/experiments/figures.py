@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,11 +20,11 @@ def panels(count: int, size: tuple[float, float], *, sharey: bool = True) -> tup
     return figure, grid
 
 
-def band(axes: Axes, x: ArrayLike, values: ArrayLike, color: str, label: str | None, **style: Any) -> None:
+def band(axes: Axes, x: ArrayLike, values: ArrayLike, color: str, label: str | None) -> None:
     """A line through the means of ``values`` ``[R, K]`` of R runs, in a band of their intervals."""
     low, high = bootstrap_interval(values)
     axes.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
-    axes.plot(x, iqm(values), color=color, label=label, **style)
+    axes.plot(x, iqm(values), color=color, label=label, linewidth=1.6)
 
 
 def interval_row(axes: Axes, place: float, values: Sequence[float], color: str) -> None:

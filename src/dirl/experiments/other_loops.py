@@ -1,7 +1,6 @@
 """Stock TorchRL's training loop, which recipes/benchmark.py times beside ours, on the same rooms and network."""
 
 import time
-from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
@@ -40,7 +39,7 @@ def stock_torchrl(config: TrainConfig, updates: int) -> float:
     """
     options, world = config.reinforcement, build_world(config)
     agents, table = options.agents_per_scene * len(world.scenes), feature_table(config, world)
-    network: Any = build_policy(config, table, world.names, world=world)
+    network = build_policy(config, table, world.names, world=world)
     trunk = TensorDictSequential(
         TensorDictModule(network.encoder, ["observation", "goal_observation"], ["fused"]),
         TensorDictModule(AnyBatch(network.heads.trunk), ["fused", "scene"], ["hidden"]),

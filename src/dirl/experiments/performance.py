@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.lines import Line2D
 
 from dirl.config.schemas import TrainConfig
 from dirl.experiments.figures import interval_row, panels, save_figure
-from dirl.experiments.results import NAMES, Result, Table, by_system, published, write_tables
+from dirl.experiments.results import NAMES, Cell, Result, Table, by_system, published, write_tables
+from dirl.runs.paths import Summary
 from dirl.scenes.palette import SYSTEM_COLORS
 
 MEASURES = {
@@ -59,9 +59,9 @@ def report_performance(experiment: str, results: Sequence[Result], out: Path, no
         for system, runs in by_system(results).items():
             found = [halfway(run) if half else measures(run, mode) for run in runs]
             values = {name: [run[name] for run in found] for name in MEASURES}
-            told: Mapping[str, Any] = paper.get(system, {})
+            told: Summary = paper.get(system, {})
             frames = max(run.total for run in runs) // (2 if half and is_reinforced(runs[0].config) else 1)
-            cells: list[Any] = [NAMES.get(system, system), len(runs), frames]
+            cells: list[Cell] = [NAMES.get(system, system), len(runs), frames]
             for name in MEASURES:
                 cells += [values[name]] if name == "atl_success" else [told.get(name), values[name]]
             table.add(*cells)
@@ -74,7 +74,7 @@ def report_performance(experiment: str, results: Sequence[Result], out: Path, no
     return write_tables(out, title, text, tables, {experiment: shown})
 
 
-def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Mapping[str, Any], out: Path, name: str) -> None:
+def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Summary, out: Path, name: str) -> None:
     figure, grid = panels(3, (9, 0.42 * len(ours) + 1.5))
     places = np.arange(len(ours))[::-1]
     for axes, measure in zip(grid, ("atl", "sr", "spl"), strict=True):

@@ -6,18 +6,21 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from dirl.config.files import read_config
 from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import RunError, finished_folders
+from dirl.runs.paths import RunError, Summary, finished_folders
 from dirl.scenes.io.atomic import atomic_path, write_json, write_text
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.build import Trained, load_trained
+
+T = TypeVar("T")
+K = TypeVar("K")
 
 NAMES = {
     "shortest_path": "shortest path",
@@ -43,7 +46,7 @@ class Result:
 
     folder: Path
     config: TrainConfig
-    summary: Mapping[str, Any]
+    summary: Summary
 
     @property
     def total(self) -> int:
@@ -56,7 +59,7 @@ class Result:
         names = self.summary["scene"]
         return [names] if isinstance(names, str) else names
 
-    def load(self, changes: Mapping[str, Any] | None = None) -> Trained:
+    def load(self, changes: Mapping[str, object] | None = None) -> Trained:
         """Its policy with the final weights; ``changes`` are options to replace, by dotted name."""
         return load_trained(load_checkpoint(self.folder), str(self.folder), changes)
 
@@ -89,9 +92,9 @@ def finished_runs(folder: Path, hint: str) -> list[Result]:
     return found
 
 
-def grouped(results: Sequence[Result], key: Callable[[TrainConfig], Any]) -> dict[Any, list[Result]]:
+def grouped(results: Sequence[Result], key: Callable[[TrainConfig], K]) -> dict[K, list[Result]]:
     """Runs grouped by a function of their configuration, in their order."""
-    groups: dict[Any, list[Result]] = {}
+    groups: dict[K, list[Result]] = {}
     for result in results:
         groups.setdefault(key(result.config), []).append(result)
     return groups
@@ -103,7 +106,7 @@ def by_system(results: Sequence[Result]) -> dict[str, list[Result]]:
     return {name: groups[name] for name in [*NAMES, *sorted(set(groups) - set(NAMES))] if name in groups}
 
 
-def published(experiment: str) -> dict[str, Any]:
+def published(experiment: str) -> Summary:
     """The paper's numbers, and under ``source`` their place in it."""
     text = (Path(__file__).parent / "published.toml").read_text()
     return tomllib.loads(text)[experiment]
@@ -170,7 +173,7 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
     return text
 
 
-def kept(file: Path, measure: Callable[[], Any]) -> Any:
+def kept(file: Path, measure: Callable[[], T]) -> T:
     """Return what a JSON file holds; if there is none yet, it is measured and written."""
     if not file.exists():
         found = measure()

@@ -177,7 +177,7 @@ def walk(game: Game, start: str, goal: tuple[float, float], walker: Walker) -> t
 
 
 def random_walker(seed: int) -> Walker:
-    """Any of the actions, as SPTM's control."""
+    """One of the actions at random, as SPTM's control."""
     draw = np.random.default_rng(seed)
     return lambda frame: int(draw.integers(len(BUTTONS)))
 

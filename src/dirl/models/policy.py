@@ -6,7 +6,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -241,7 +241,7 @@ class ActorCritic(TensorDictModuleBase):
     def trunk(self) -> TensorDictSequential:
         """From view ids to ``hidden``."""
         if self.cached is not None:
-            modules: list[Any] = [KeyedModule(self.cached, VIEW_IDS, "fused")]
+            modules: list[nn.Module] = [KeyedModule(self.cached, VIEW_IDS, "fused")]
         else:
             pairs = zip(VIEW_IDS, OBSERVATIONS, strict=True)
             modules = [KeyedModule(self.features, [ids], observation) for ids, observation in pairs]

@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,8 +23,7 @@ THUMBNAIL, LABEL, GAP = 96, 14, 4
 MAP_SIZE = 6.0
 """Inches, the longer side."""
 
-NUMBER: dict[str, Any] = {"ha": "center", "va": "center", "color": "0.25", "zorder": 4}
-NUMBER |= {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.8}}
+BACKGROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 """Of the numbers on the map."""
 
 
@@ -49,7 +47,10 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
             color = COLORS[(parts[first] - 1) % len(COLORS)]
             axes.plot(x, z, "s", color=color, alpha=0.35, markersize=2.4 * size, zorder=2)
         if size > 3.5:
-            axes.text(x, z, str(first), fontsize=min(size, 9), **NUMBER)
+            centred = axes.text(
+                x, z, str(first), ha="center", va="center", fontsize=min(size, 9), color="0.25", zorder=4
+            )
+            centred.set_bbox(BACKGROUND)
     for state in np.flatnonzero(scene.graph[:, AHEAD] >= 0):
         ends = scene.positions[[state, scene.graph[state, AHEAD]]]
         axes.plot(*ends.T, color="0.7", linewidth=0.8, zorder=1.5)

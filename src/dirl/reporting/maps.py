@@ -3,7 +3,6 @@
 import math
 import textwrap
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.collections import PatchCollection
@@ -102,15 +101,17 @@ def draw_policy(
         figure.colorbar(heat, ax=axes, shrink=0.8, aspect=30, pad=0.02)
     above = np.flatnonzero(scores > threshold)
     outlined = [wedges[state] for state in above]
-    style: dict[str, Any] = {"facecolor": "none", "edgecolor": MATCH_COLOR, "linewidth": 1.6}
-    matching_map.add_collection(PatchCollection(outlined, **style, zorder=5))
+    matching_map.add_collection(
+        PatchCollection(outlined, facecolor="none", edgecolor=MATCH_COLOR, linewidth=1.6, zorder=5)
+    )
 
     handles: list[Patch | Line2D] = [
         Patch(color=color, label=name) for color, name in zip(COLORS, ACTION_NAMES, strict=False)
     ]
     if lost.any():
         handles.append(Patch(color=LOST_COLOR, label=f"never arrives, states: {lost.sum()}"))
-    handles.append(Patch(**style, label=f"matches above {threshold:g}, states: {len(above)}"))
+    told = f"matches above {threshold:g}, states: {len(above)}"
+    handles.append(Patch(facecolor="none", edgecolor=MATCH_COLOR, linewidth=1.6, label=told))
     handles.append(Patch(color=WALL_COLOR, label="walls, furniture"))
     handles.append(star(11, f"goal, state {goal}"))
     figure.legend(

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from hydra.experimental.callback import Callback
@@ -31,7 +31,7 @@ SPREAD = {
 class SweepTable(Callback):
     """Prints a table of the runs of a sweep when its jobs are done: Hydra's ``on_multirun_end``."""
 
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Print it; a run that failed has no summary, and no row."""
         swept, folder = config.hydra, Path(config.hydra.sweep.dir)
         given = [override.partition("=")[0].lstrip("+~") for override in swept.overrides.task]
@@ -48,7 +48,7 @@ class Swept(NamedTuple):
     """A finished run of a sweep."""
 
     folder: Path
-    config: dict[str, Any]
+    config: dict[str, object]
     """Values by dotted name."""
     summary: Summary
 

@@ -5,7 +5,6 @@ import math
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,7 +161,7 @@ def _heading(summary: Summary) -> str:
     return textwrap.fill(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
 
 
-def _by_goal(scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, float | None]]:
+def _by_goal(scenes: Mapping[str, Summary]) -> dict[str, Mapping[str, float | None]]:
     """Return a row for each goal; among several scenes also one for each scene, before its goals."""
     rows: dict[str, Mapping[str, float | None]] = {}
     for name, measures in scenes.items():
@@ -188,7 +187,7 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def write_goals(measures: Mapping[str, Any], file: Path) -> None:
+def write_goals(measures: Summary, file: Path) -> None:
     """Write the measures of each goal, a row a goal, as `dirl.evaluation.protocol.report` gives them, as CSV."""
     with atomic_path(file) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, list(GOAL_COLUMNS), extrasaction="ignore")

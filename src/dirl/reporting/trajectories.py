@@ -3,9 +3,10 @@
 import math
 import textwrap
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -31,8 +32,8 @@ MAX_VIEWS = 8
 # Inches: the longer side of the map; the width of the views and the legend; the height of the views.
 MAP_SIZE, SIDE_WIDTH, VIEWS_HEIGHT = 5.0, 4.9, 4.75
 
-ARROW: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches"}
-ARROW |= {"headwidth": 5, "headlength": 5, "headaxislength": 4.5}
+draw_arrows = partial(Axes.quiver, angles="xy", scale_units="xy", scale=1, units="inches")
+draw_arrows = partial(draw_arrows, headwidth=5, headlength=5, headaxislength=4.5)
 
 FloatArray = NDArray[np.floating]
 
@@ -124,7 +125,7 @@ def _draw_map(
         failed = "" if reached else ", failed"
         line.set_label(f"{number + 1}: from state {path[0]}, {steps} step{'' if steps == 1 else 's'}{failed}")
         handles.append(line)
-    axes.quiver(*scene.positions[[goal]].T, *0.9 * arrows[[goal]].T, color="black", width=1.8 / 72, zorder=6, **ARROW)
+    draw_arrows(axes, *scene.positions[[goal]].T, *0.9 * arrows[[goal]].T, color="black", width=1.8 / 72, zorder=6)
     axes.plot(*scene.positions[goal], "*", color=GOAL_COLOR, markersize=16, markeredgecolor="black", zorder=6)
     handles.append(marker("o", 7, "0.4", "white", "start; arrows: heading"))
     if not all(success):
@@ -151,7 +152,7 @@ def _draw_path(
     states = list(dict.fromkeys(path))
     lengths = np.ones((len(states), 1))
     lengths[0] = 2
-    axes.quiver(*at[states].T, *(lengths * arrows[states]).T, color=color, width=1 / 72, zorder=4, **ARROW)
+    draw_arrows(axes, *at[states].T, *(lengths * arrows[states]).T, color=color, width=1 / 72, zorder=4)
     axes.plot(*at[path[0]], "o", color=color, markersize=7, markeredgecolor="white", zorder=5)
     if not reached:
         axes.plot(*at[path[-1]], "X", color=color, markersize=10, markeredgecolor="white", zorder=7)

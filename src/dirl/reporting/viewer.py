@@ -5,7 +5,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -166,7 +165,7 @@ def file_name(scene: str) -> str:
     return f"viewer_{quote(scene, safe=' ')}.html"
 
 
-def _room(scene: Scene) -> dict[str, Any]:
+def _room(scene: Scene) -> dict[str, object]:
     """Return the data of a scene that a page needs, apart from its goals."""
     views = scene.views
     encoded = () if views is None else (encoded_view(views, state, 85) for state in range(len(scene)))
@@ -182,7 +181,7 @@ def _room(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _image_graph(graph: ImageGraph, world: World, index: int) -> dict[str, Any]:
+def _image_graph(graph: ImageGraph, world: World, index: int) -> dict[str, object]:
     """Return what a page needs of a topological map: the place that each state looks like most, and the moves."""
     visits = described_visits(graph.recogniser, world, index)[: len(world.scenes[index])]
     node = graph.scores(visits).argmax(1)
@@ -206,7 +205,7 @@ def _base64(values: Tensor) -> str:
     return base64.b64encode(values.cpu().numpy().astype("<f4").tobytes()).decode()
 
 
-def page(data: Mapping[str, Any]) -> str:
+def page(data: Mapping[str, object]) -> str:
     """Return the template with style, scripts and data inside."""
     # A scene's name may contain any text, and must not end the script element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")

@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +65,7 @@ def write_route(graph: FrameMap, file: Path) -> None:
     write_text(file, json.dumps({"type": "FeatureCollection", "name": file.stem, "features": nodes + edges}) + "\n")
 
 
-def _feature(properties: dict[str, Any], geometry: dict[str, Any]) -> dict[str, Any]:
+def _feature(properties: dict[str, object], geometry: dict[str, object]) -> dict[str, object]:
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 

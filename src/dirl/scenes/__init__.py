@@ -1,6 +1,6 @@
 """Scenes, the worlds made of them, and the files that hold them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dirl.scenes.catalogue import PUBLISHED_GOALS, load_scenes
 from dirl.scenes.graph import ACTIONS, Action, GraphError
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     # Worlds need torch, whose import takes seconds; looking up a scene by its name does not.
     if name in ("World", "make_world"):
         from dirl.scenes import world

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from dirl.scenes.graph import (
     turns_per_circle,
 )
 from dirl.scenes.views import FileViews, Views, check_image
+
+A = TypeVar("A", bound=np.ndarray)
 
 LARGEST = 1e6
 """Metres of a position in a table; what is beyond has been misread."""
@@ -88,7 +90,7 @@ class Scene:
             raise SceneError(f"{self.origin}: graph: {error}") from None
         positions = self._array("location", self.positions, np.number, (states, 2)).astype(np.float64)
         headings = self._array("rotation", self.headings, np.number, (states,)).astype(np.float64)
-        arrays: dict[str, NDArray[Any]] = {"graph": graph, "positions": positions, "headings": headings}
+        arrays: dict[str, np.ndarray] = {"graph": graph, "positions": positions, "headings": headings}
         if self.features is not None:
             arrays["features"] = self._checked_features(np.asarray(self.features), states)
         if self.patches is not None:
@@ -161,14 +163,14 @@ class Scene:
         if not self._entered[goal]:
             raise SceneError(f"{self.origin}: goal {goal} cannot be reached from any other state")
 
-    def _checked_features(self, features: NDArray[Any], states: int) -> NDArray[Any]:
+    def _checked_features(self, features: np.ndarray, states: int) -> np.ndarray:
         if np.issubdtype(features.dtype, np.floating):
             with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
                 kind = np.float16 if features.dtype == np.float16 else np.float32
                 features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
         return self._array("resnet_feature", features, np.floating, (states, None))
 
-    def _array(self, name: str, value: Any, kind: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
+    def _array(self, name: str, value: object, kind: type, shape: tuple[int | None, ...]) -> np.ndarray:
         array = np.asarray(value)
         if not np.issubdtype(array.dtype, kind):
             raise SceneError(f"{self.origin}: {name}: expected {kind.__name__} values, found {array.dtype}")
@@ -187,12 +189,12 @@ class Scene:
                 raise SceneError(f"{state} holds a value that is not finite, or beyond {BEYOND:g}")
         return array
 
-    def _checked_looks(self) -> dict[str, NDArray[Any]]:
+    def _checked_looks(self) -> dict[str, np.ndarray]:
         """Return the arrays of further looks: as many of patches as of features, each as that of the default look."""
         if self.look_features is None:
             return {}
         pairs = [("look_features", np.floating, self.features), ("look_patches", np.float16, self.patches)]
-        found: dict[str, NDArray[Any]] = {}
+        found: dict[str, np.ndarray] = {}
         for name, kind, default in pairs:
             if default is not None:
                 shape = (None if name == "look_features" else len(found["look_features"]), *default.shape)
@@ -219,13 +221,13 @@ def check_name(name: str, origin: str) -> None:
         )
 
 
-def check_goals_differ(name: str, goals: Sequence[Any]) -> None:
+def check_goals_differ(name: str, goals: Sequence[int]) -> None:
     """Raise `SceneError` if a goal of a scene of that name is given twice."""
     if len(set(goals)) < len(goals):
         raise SceneError(f"{name}: a goal is named twice in {list(goals)}")
 
 
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+def _read_only(array: A) -> A:
     array.setflags(write=False)
     return array
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ from dirl.scenes.io.bounded import FREELY_UNPACKED, MOST_RATIO
 from dirl.scenes.io.isolation import SECONDS, SECONDS_A_MEGABYTE, environment, limit, why_ended
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import MAX_PHOTO_PIXELS, ImageError, natural_order, open_image, open_photo
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
 
 SIDE = 480
 """Pixels of the longer side of frames as they are compared."""
@@ -288,7 +292,7 @@ def write_bag_frames() -> None:
 
 def _bag_answers(
     source: Path, every: float, topic: str | None, odometry_topic: str | None
-) -> Iterator[tuple[list[Any], bytes]]:
+) -> Iterator[tuple[list[object], bytes]]:
     """Yield the duration of a bag, seconds; then the time, the place and the shape of each frame, and its pixels."""
     with _opened_bag(source) as reader:
         yield [reader.duration / 1e9], b""
@@ -309,7 +313,7 @@ def _bag_answers(
                 yield [time, place, image.shape], image.tobytes()
 
 
-def _opened_bag(source: Path) -> Any:
+def _opened_bag(source: Path) -> "closing[AnyReader]":
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -324,7 +328,7 @@ def _opened_bag(source: Path) -> Any:
     return closing(reader)
 
 
-def _connections(reader: Any, option: str, topic: str | None, kinds: tuple[str, ...]) -> list[Any]:
+def _connections(reader: "AnyReader", option: str, topic: str | None, kinds: tuple[str, ...]) -> "list[Connection]":
     """Connections of one topic of these kinds of messages; an empty list if there is none and none was asked for."""
     found = [one for one in reader.connections if one.msgtype.rpartition("/")[2] in kinds]
     names = sorted({one.topic for one in found})
@@ -335,7 +339,7 @@ def _connections(reader: Any, option: str, topic: str | None, kinds: tuple[str, 
     return [one for one in found if topic in (None, one.topic)]
 
 
-def _topics(reader: Any) -> str:
+def _topics(reader: "AnyReader") -> str:
     return ", ".join(sorted(f"{one.topic} ({one.msgtype})" for one in reader.connections)) or "none"
 
 

@@ -2,13 +2,7 @@
 
 import torch
 
-from dirl.perception.backbones.patches import (
-    CELLS,
-    FINE,
-    cells_of,
-    coarse,
-    load_projection,
-)
+from dirl.perception.backbones.patches import CELLS, cells_of
 from dirl.perception.backbones.principal import principal_components
 
 
@@ -20,14 +14,6 @@ def test_cells_are_means_row_by_row():
     assert cells.shape == (1, CELLS[0] * CELLS[1], 1024)
     assert cells[0, :, 5].tolist() == [0, 1, 0, 0, 0, 0, 0, 1]
     assert cells[0, :, 4].abs().max() == 0
-
-
-def test_the_means_of_fine_patches_are_the_others():
-    stage = torch.rand(2, 1024, 14, 14)  # cells have parts of its pixels
-    fine, patches = (load_projection(cells=cells)(stage) for cells in (FINE, CELLS))
-    torch.testing.assert_close(coarse(fine), patches, atol=1e-5, rtol=1e-4)
-    assert coarse(patches) is patches
-    assert coarse(fine.half()).dtype == torch.float16
 
 
 def test_a_projection_has_unit_variance_but_for_what_hardly_varies():

@@ -9,14 +9,7 @@ from commands import train_config
 from rooms import grid_scene
 
 from dirl.models.build import feature_table
-from dirl.perception.backbones import (
-    EncoderError,
-    ResNet50,
-    ViewEncoder,
-    load_encoder,
-    preprocess,
-    registry,
-)
+from dirl.perception.backbones import EncoderError, ResNet50, ViewEncoder, load_encoder, preprocess, registry
 from dirl.perception.backbones.encoder import weights_hash
 from dirl.perception.backbones.patches import coarse
 from dirl.perception.backbones.registry import encode_all, encoded_as

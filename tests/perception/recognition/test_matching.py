@@ -53,11 +53,7 @@ def test_scores_are_the_coefficients_of_every_goal_with_every_state(match):
 
 def stops_of(world, stop):
     """Goal index and state of every pair in which an agent stops."""
-    return [
-        list(pair)
-        for pair, stops in zip(zip(*map(torch.Tensor.tolist, world.pairs()), strict=True), stop, strict=True)
-        if stops
-    ]
+    return torch.stack(world.pairs(), 1)[stop].tolist()
 
 
 def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():

@@ -15,7 +15,6 @@ HUGE = 2**40
 """More states than any machine can hold; a chunked dataset of that size takes no room on the disk."""
 
 GRAPH = grid_scene().graph
-RING = np.array([[-1, (i + 1) % 400, (i - 1) % 400, -1] for i in range(400)])
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\nshowpage\n"
 
 
@@ -51,12 +50,6 @@ def as_group(file):
     file.create_group("graph")
 
 
-def ring(file):
-    for name in (*file,):
-        del file[name]
-    file["graph"], file["location"], file["rotation"] = RING, np.zeros((400, 2)), np.arange(400) % 360
-
-
 def half_written(file):
     """Only the first chunk of four has been written."""
     del file["resnet_feature"]
@@ -80,24 +73,18 @@ CASES = [
     (instead("graph", np.where(GRAPH == -1, -2, GRAPH)), "graph: state 0: back leads to state -2, but states are 0..2"),
     (instead("graph", GRAPH.astype("u8")), "graph: state 0: back leads to state 9223372036854775807, but states are"),
     (instead("graph", GRAPH[:, [0, 3, 2, 1]]), "graph: state 0: turning right is blocked, as a turn on the spot never"),
-    (ring, "graph: state 0: a full turn to the right passes more than 360 states;"),
     (instead("location", np.zeros((24, 3))), "location: expected shape (24, 2), found (24, 3)"),
-    (instead("location", np.full((24, 2), b"x")), "location: expected integer or unsigned integer or float values, fo"),
     (instead("rotation", np.where(np.arange(24) == 8, np.nan, 0)), "rotation: state 8 holds a value that is not finit"),
     (instead("resnet_feature", np.zeros((24, 2, 2, 2))), "resnet_feature: expected shape (24, any), found (24, 2, 2, "),
-    (instead("resnet_feature", np.zeros((24, 0))), "resnet_feature: expected shape (states, features) or (states,"),
-    (instead("resnet_feature", np.zeros((24, 8, 2))), "resnet_feature: expected shape (states, features) or (states,"),
     (instead("resnet_feature", np.full((24, 8), 1e38)), "resnet_feature: state 0 holds a value that is not finite, or"),
-    (instead("resnet_feature", np.full((24, 8), 1e300)), "resnet_feature: state 0 holds a value that is not finite"),
     (instead("shortest_path_distance", np.zeros((24, 5))), "shortest_path_distance: expected shape (24, 24), found (2"),
-    (instead("observation", np.zeros((24, 3, 4), "u1")), "observation: expected shape (24, any, any, 3), found (24, 3"),
     (instead("observation", np.zeros((24, 3, 4, 3), "u2")), "observation: expected uint8 pixels, found uint16"),
     (views(POSTSCRIPT), "observation_webp: state 23: not a readable image (it is not WebP, PNG or JPEG)"),
     (views(picture("PNG", (4096, 4097), "1")), "observation_webp: state 23: not a readable image (4096x4097 pixels ar"),
     (attribute("goals", [3, 24]), "goal 24 is not a state; states are 0..23"),
     (attribute("goals", [3, 4, 3]), "attribute 'goals': names state 3 twice"),
-    (attribute("goals", "abc"), "attribute 'goals': expected a list of states (integers), found 'abc'"),
     (attribute("goals", np.arange(8000)), "attribute 'goals': names 8000 goals of 24 states"),
+    (attribute("goals", "abc"), "attribute 'goals': expected a list of states (integers), found 'abc'"),
     (attribute("actions", ["ahead", "right", "left"]), "attribute 'actions': expected ['ahead', 'right', 'left', 'bac"),
     (attribute("name", np.bytes_(b"\xff\xfe")), "attribute 'name': expected text, found b'"),
     (attribute("name", "../../etc/room"), "a scene cannot be called '../../etc/room'; a name has"),

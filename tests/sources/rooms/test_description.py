@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from closet import CLOSET, closet
+from refusals import refused
 
 from dirl.scenes import PUBLISHED_GOALS, SceneError
 from dirl.scenes.catalogue import ROOMS
@@ -19,8 +20,6 @@ BAD = [
     ("[2.0, 1.5, 2.4]", "[2.0, -1, 2.4]", "room.size[1]: must be greater than 0, found -1"),
     ('[2.4, "paper"]', '[2.0, "paper"]', "[room.walls]: north: the upper edges of the bands must rise to the room's"),
     ('[1.0, "tiles"]', '[2.6, "tiles"]', "[room.walls]: north: the upper edges of the bands must rise to the room's"),
-    ("nx = 4", "nx = 4.5", "[materials] tiles: nx: must be a valid integer, found 4.5"),
-    ("rows = 4", "rws = 4", "[materials] boards: there is no 'rws'; did you mean 'rows'?"),
     ("resolution = 64", "resolution = 100", "[materials] boards: resolution: must be a power of two, found 100"),
     ('kind = "stool"', 'kind = "stool"\noptions = {}', "[[furniture]] number 1 (stool): there is no 'options'"),
     ("along = 0.7", "", "[[furniture]] number 2 (door): say where it stands"),
@@ -39,13 +38,10 @@ def test_what_cannot_be_used_is_refused_with_its_place_and_name(old, new, messag
 def test_a_description_is_written_and_read_back_and_an_error_names_the_file(tmp_path):
     write_description(closet(), tmp_path / "closet.toml")
     assert read_description(tmp_path / "closet.toml") == closet()
-    with pytest.raises(SceneError, match="this file exists already"):
-        write_description(closet(), tmp_path / "closet.toml")
+    refused("this file exists already", write_description, closet(), tmp_path / "closet.toml")
     (tmp_path / "bad.toml").write_text(CLOSET.replace("name", "nam", 1))
-    with pytest.raises(SceneError, match=r"bad.toml: there is no 'nam'"):
-        describe_room(tmp_path / "bad.toml")
-    with pytest.raises(SceneError, match=r"there is no built-in room 'bathrom'; choose from bathroom_02"):
-        describe_room("bathrom")
+    refused(r"bad.toml: there is no 'nam'", describe_room, tmp_path / "bad.toml")
+    refused(r"there is no built-in room 'bathrom'; choose from bathroom_02", describe_room, "bathrom")
 
 
 def test_materials_and_colours_that_are_none_are_named():
@@ -54,8 +50,7 @@ def test_materials_and_colours_that_are_none_are_named():
     with pytest.raises(SceneError, match=r"^\[\[furniture\]\] number 1 \(stool\): there is no material 'gold'"):
         assemble(closet('kind = "stool"', 'kind = "stool"\nbody = "gold"'))
     room = closet('motif = "#c8553d"', 'motif = "red"')
-    with pytest.raises(SceneError, match=r"\[materials\] paper: 'red' is no colour"):
-        paint("paper", room.materials["paper"])
+    refused(r"\[materials\] paper: 'red' is no colour", paint, "paper", room.materials["paper"])
 
 
 @pytest.mark.parametrize("name", built_in_rooms())

@@ -37,15 +37,3 @@ def test_links_that_are_all_wrong_are_found_and_left_out():
     assert {pair[:2] for pair in found.rejected} == {truth.links[index][:2] for index in pairs}
     assert min(pair[2] for pair in found.rejected) > 39.9
     assert found.loops.max() > 39.9
-
-
-def test_parts_without_links_both_ways_are_told_apart():
-    truth = grid_truth(6, 2)
-    ends = [link[:2] for link in truth.links]
-    cut = [pair for pair in ends if {pair[0] // 2, pair[1] // 2} == {3, 4}]
-    # Between the columns 3 and 4 only one link is left, which leads one way.
-    found = align(tour_of(truth, dropped=cut[1:]))
-    assert found.part.tolist() == [0] * 8 + [1] * 4
-    assert found.one_way == [cut[0]]
-    for part in (0, 1):
-        assert errors(found, truth, found.part == part).max() < 1e-6

@@ -60,16 +60,6 @@ def test_given_positions_and_headings_are_kept():
     assert told(made, "positions are known of 3 of 4 panoramas only, so they are not used: the map is a layout")
 
 
-def test_links_side_by_side_are_all_shown():
-    truth = grid_truth(3, 1)
-    links = [*truth.links, (0, 2, 100.0), (2, 0, 280.0)]  # beside the link at 90 degrees
-    made = tour_scene(tour_of(replace(truth, links=links)), headings=8)
-    assert not told(made, "shown by no heading")
-    ahead = made.scene.graph[:, AHEAD].reshape(3, 8)
-    assert set(ahead[0][ahead[0] >= 0] // 8) == {1, 2}
-    assert set(ahead[2][ahead[2] >= 0] // 8) == {0, 1}
-
-
 def test_a_move_back_undoes_every_move_ahead_though_panoramas_are_crowded():
     """Each at the middle of eight others, in a grid that leans by half a heading and a little more."""
     rng, truth = np.random.default_rng(0), grid_truth(4, 4)

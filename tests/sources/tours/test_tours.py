@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 from closet import closet
 from PIL import Image
-from tours import (
-    WRITERS,
-    Camera360,
-    room_truth,
-    turned,
-    write_krpano,
-    write_pannellum,
-)
+from tours import WRITERS, Camera360, room_truth, turned, write_krpano, write_pannellum
 
 from dirl.scenes.errors import SceneError
 from dirl.scenes.views import decode

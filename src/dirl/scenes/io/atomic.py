@@ -7,7 +7,6 @@ import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 PREFIX = ".unfinished-"
 """What the names of temporary files begin with; only a killed process leaves one."""
@@ -56,10 +55,10 @@ def write_text(file: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def write_json(file: Path, data: Mapping[str, Any]) -> None:
+def write_json(file: Path, data: object) -> None:
     """Write a JSON file, completely or not at all; NaN and infinity, which JSON lacks, become null."""
 
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> object:
         if isinstance(value, Mapping):
             return {key: plain(inner) for key, inner in value.items()}
         if isinstance(value, list | tuple):

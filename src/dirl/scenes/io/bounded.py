@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 MOST = 64 * 2**20
 """Bytes that are read of a file. The longest table of a run has a row a step of imitation, 40 bytes each."""
@@ -64,7 +63,7 @@ def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: 
         raise ValueError(f"{file}: is not UTF-8 text ({error})") from None
 
 
-def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(file: Path) -> dict[str, np.ndarray]:
     """Return the arrays of an ``.npz`` file; the sizes that it declares are checked before any is unpacked.
 
     Raises:

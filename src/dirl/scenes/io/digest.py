@@ -5,7 +5,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -98,7 +97,7 @@ def _attributes(holder: h5py.File | h5py.Dataset, names: tuple[str, ...]) -> byt
     return repr(values).encode("utf-8", "surrogateescape")
 
 
-def sealed(facts: Mapping[str, Any], *contents: bytes) -> dict[str, Any]:
+def sealed(facts: Mapping[str, object], *contents: bytes) -> dict[str, object]:
     """Facts to be written as JSON, with a digest over them and the contents of other files of their folder."""
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for content in contents:
@@ -106,7 +105,7 @@ def sealed(facts: Mapping[str, Any], *contents: bytes) -> dict[str, Any]:
     return {**facts, DIGEST: digest.hexdigest()}
 
 
-def check_seal(facts: Mapping[str, Any], *contents: bytes) -> None:
+def check_seal(facts: Mapping[str, object], *contents: bytes) -> None:
     """Check what `sealed` added, ValueError if anything is not as it was written."""
     plain = {key: value for key, value in facts.items() if key != DIGEST}
     if facts != sealed(plain, *contents):

@@ -7,7 +7,7 @@ not name the file; the caller adds its name.
 import math
 import mmap
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +35,13 @@ AT_A_TIME = 256
 COLLECTIONS = 16
 """Of values of variable length, to which libhdf5 adds in turn (HDF5 file format, version 3, III.E)."""
 
+Contents = dict[str, Any]
+"""Of a dump: arrays, texts and where large arrays lie, see `read_contents`."""
+
 KINDS = {"i": "integer", "u": "unsigned integer", "f": "float", "O": "byte string"}
 
 
-def read_contents(path: str | Path, *, intact: bool = False) -> dict[str, Any]:
+def read_contents(path: str | Path, *, intact: bool = False) -> Contents:
     """Read a dump. Nothing large is read before its shape has been checked, and links to other files are refused.
 
     Args:
@@ -75,7 +78,7 @@ def extractor_text(attributes: Mapping[str, str]) -> str:
     return "; ".join(attributes[key] for key in EXTRACTOR_ATTRIBUTES if attributes.get(key))
 
 
-def _read(file: h5py.File, path: Path, intact: bool) -> dict[str, Any]:
+def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
     missing = [key for key in ("graph", "location", "rotation") if key not in file]
     if missing:
         raise SceneError(f"the dataset '{missing[0]}' is missing; the file holds {_short(sorted(file), str)}")
@@ -140,7 +143,7 @@ def _read_features(dataset: h5py.Dataset) -> NDArray[np.floating]:
     return values
 
 
-def _goals(declared: Any, states: int) -> list[int]:
+def _goals(declared: object, states: int) -> list[int]:
     goals = np.asarray(() if declared is None else declared)
     if goals.size == 0:
         return []
@@ -155,10 +158,10 @@ def _goals(declared: Any, states: int) -> list[int]:
     return named.tolist()
 
 
-def _in_our_order(graph: NDArray[Any], declared: Any) -> NDArray[Any]:
+def _in_our_order(graph: np.ndarray, declared: object) -> np.ndarray:
     if declared is None:
         return graph
-    named = np.atleast_1d(declared).tolist()
+    named = np.atleast_1d(np.asarray(declared)).tolist()
     actions = [name.decode(errors="replace") if isinstance(name, bytes) else str(name) for name in named]
     if sorted(actions) != sorted(ACTIONS):
         raise SceneError(
@@ -219,7 +222,7 @@ def _check_storage(dataset: h5py.Dataset) -> None:
         raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
 
 
-def _short(value: Any, show: Any = repr) -> str:
+def _short(value: object, show: Callable[[object], str] = repr) -> str:
     """Return a value of a file for a message, on one line, as Python's own type where it is NumPy's."""
     if hasattr(value, "tolist"):
         value = value.tolist()
@@ -284,7 +287,7 @@ def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
     return dataset
 
 
-def _locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> dict[str, Any]:
+def _locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> Contents:
     """Return the arguments of `dirl.scenes.views.Views`, with ``view_`` before their names; each view is decoded once.
 
     ``decoded`` says that it is known that they can be.

@@ -40,7 +40,7 @@ def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
     seconds = [SECONDS + SECONDS_A_MEGABYTE * path.stat().st_size / 1e6 for path in paths]
     with TemporaryDirectory() as folder:
         request = {"paths": [str(path) for path in paths], "folder": os.path.abspath(folder)}
-        status = _run({**request, "seconds": seconds, "memory": MEMORY})
+        status = _run({**request, "seconds": seconds, "memory": MEMORY}, PATIENCE * sum(seconds))
         for number, allowed in enumerate(seconds):
             answer = Path(folder) / f"{number}.npz"
             if not answer.is_file():
@@ -55,7 +55,7 @@ def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
             yield {**values, **found}
 
 
-def _run(request: dict[str, Any]) -> int:
+def _run(request: dict[str, object], patience: float) -> int:
     try:
         # -S: `sys.path` is that of this process, and what site does takes time; -P: modules here hide no others.
         return subprocess.run(
@@ -64,7 +64,7 @@ def _run(request: dict[str, Any]) -> int:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env=environment(),
-            timeout=PATIENCE * sum(request["seconds"]),
+            timeout=patience,
         ).returncode
     except subprocess.TimeoutExpired:
         return -getattr(signal, "SIGKILL", 0)

@@ -26,12 +26,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dirl.scenes.io.digest import file_digest
-from dirl.scenes.io.hdf5 import read_contents
+from dirl.scenes.io.hdf5 import Contents, read_contents
 from dirl.scenes.io.isolation import read_apart
 from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.scenes.views import FileViews
@@ -87,12 +86,12 @@ def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
     return scenes
 
 
-def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
+def _scene(dump: Dump, contents: Contents, *, intact: bool) -> Scene:
     # A file may have any name; that of a scene stands in paths, in pictures and on command lines.
     name = dump.name or contents["name"] or re.sub(r"[^\w .,()+-]+", "_", dump.path.stem).strip("_ .,(+-") or "scene"
     check_name(name, str(dump.path))
     views = {key.removeprefix("view_"): contents.pop(key) for key in [*contents] if key.startswith("view_")}
-    mapped: dict[str, Any] = {
+    mapped: dict[str, np.ndarray] = {
         array: np.memmap(dump.path, dtype, "r", offset, tuple(shape))
         for array, (offset, shape, dtype) in contents.pop("mapped").items()
     }
@@ -101,7 +100,7 @@ def _scene(dump: Dump, contents: dict[str, Any], *, intact: bool) -> Scene:
     beside = dump.path.with_suffix(".patches.npy")
     if intact and "patches" not in mapped and beside.is_file() and _is_intact_room(beside):
         mapped["patches"] = np.load(beside, mmap_mode="r", allow_pickle=False)
-    about: dict[str, Any] = {
+    about: Contents = {
         "name": name,
         "source": dump.source or contents["source"] or "unlabelled",
         "goals": tuple(contents["goals"]),

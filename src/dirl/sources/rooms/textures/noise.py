@@ -1,13 +1,11 @@
 """What the textures are made of: noise that repeats seamlessly, colours, coordinates."""
 
 import re
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import ImageColor
 
-Array = NDArray[Any]
+Array = np.ndarray
 
 
 def rgb(color: str) -> Array:
