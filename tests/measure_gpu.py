@@ -33,11 +33,7 @@ from dirl.cli.parsing import compose_training  # noqa: E402
 from dirl.config.values import typed  # noqa: E402
 from dirl.models import plain_weights  # noqa: E402
 from dirl.training.job import build_components, prepare_device  # noqa: E402
-from dirl.training.stacked import (  # noqa: E402
-    Job,
-    Stack,
-    run_together,
-)
+from dirl.training.stacked import Job, Stack, run_together  # noqa: E402
 
 DEVICE = GIVEN.get("device", "cuda")
 SECONDS = float(GIVEN.get("seconds", 200))

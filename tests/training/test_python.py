@@ -47,6 +47,7 @@ def test_several_seeds_make_several_runs(room):
     assert [run.summary["seed"] for run in runs] == [5, 2]
     assert [str(run.folder) for run in runs] == ["both/seed_5", "both/seed_2"]
     assert all((run.folder / "network.pt").is_file() for run in runs)
+    assert "| SPL | 2 of 2 |" in repr(runs)
 
 
 def test_what_is_wrong_is_an_error_of_one_line(room):

@@ -22,6 +22,7 @@ from dirl.cli.parsing import compose_training, parse
 from dirl.config.folders import HOME, RECIPES
 from dirl.config.schemas import ConfigError
 from dirl.reporting import summary_table
+from dirl.reporting.sweeps import seed_table
 from dirl.runs.folder import Run
 from dirl.runs.paths import Facts
 from dirl.training.job import Components, run_one
@@ -72,18 +73,25 @@ class TrainedRun:
         return f"{self.summary}\n\nfolder: `{self.folder}`"
 
 
+class TrainedRuns(list[TrainedRun]):
+    """Finished runs of several seeds; shown as a table of how they spread, also in notebooks."""
+
+    def __repr__(self) -> str:
+        return seed_table([run.summary for run in self])
+
+    _repr_markdown_ = __repr__
+
+
 @overload
 def train(*overrides: str, seeds: None = None, **options: object) -> TrainedRun: ...
 @overload
-def train(*overrides: str, seeds: int | Sequence[int], **options: object) -> list[TrainedRun]: ...
-def train(
-    *overrides: str, seeds: int | Sequence[int] | None = None, **options: object
-) -> TrainedRun | list[TrainedRun]:
+def train(*overrides: str, seeds: int | Sequence[int], **options: object) -> TrainedRuns: ...
+def train(*overrides: str, seeds: int | Sequence[int] | None = None, **options: object) -> TrainedRun | TrainedRuns:
     """Train an agent, as ``dirl train`` does, and write the folder of its run.
 
     Args:
         overrides: options as on the command line, ``"preset=paper"`` or ``"imitation.fraction=0.1"``.
-        seeds: a number of seeds, 0 and up, or these seeds: a run for each, returned as a list.
+        seeds: a number of seeds, 0 and up, or these seeds: a run for each, returned as a list that is shown as a table.
         options: the same by name: ``scene="bathroom_02"``, ``seed=0``, ``out="first"`` for the folder; a mapping gives
             options of a group, ``imitation={"fraction": 0.1}``.
 
@@ -125,7 +133,7 @@ def chosen_seeds(seeds: Any) -> list[int]:
     return chosen
 
 
-def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mapping[str, object]) -> list[TrainedRun]:
+def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mapping[str, object]) -> TrainedRuns:
     """Train a run for each seed, as many of them as one program as can be, in folders of one folder."""
     jobs: list[Job] = []
     for seed in seeds:
@@ -135,7 +143,7 @@ def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mappin
         jobs.append(Job(composed, above / f"seed_{seed}", arguments))
     module = recipe("train")
     summaries = run_together(jobs, module.train, module.imitation, module.learn)
-    runs = []
+    runs = TrainedRuns()
     for job, summary in zip(jobs, summaries, strict=True):
         if isinstance(summary, Exception):
             raise summary
