@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from field import Field
 from parts import Loop, make_parts, train_state
 from refusals import refused
 from torchrl.envs.utils import check_env_specs
@@ -18,33 +19,6 @@ from dirl.scenes.scene import Scene
 from dirl.sources.simulators import take_scene
 from dirl.training import live
 from dirl.training.live import Live, live_protocol, open_live
-
-
-class Field:
-    """A square of places a metre apart; each view has a colour of its own."""
-
-    name = "field"
-
-    def __init__(self, size=3):
-        self.size, self.pose, self.looks = size, Pose(0.0, 0.0, 0.0), 0
-
-    def place(self, pose):
-        self.pose = pose
-
-    def push(self, metres):
-        x, z, heading = self.pose
-        end = x + metres * np.sin(np.radians(heading)), z + metres * np.cos(np.radians(heading))
-        free = min(end) > -0.5 and max(end) < self.size - 0.5
-        self.pose = Pose(*end, heading) if free else self.pose
-        return free
-
-    def look(self, heading):
-        self.looks += 1
-        x, z, _ = self.pose
-        turn = np.radians(heading)
-        return np.array([[[40 * x, 40 * z, 0]], [[128 + 99 * np.sin(turn), 128 + 99 * np.cos(turn), 0]]]).astype(
-            np.uint8
-        )
 
 
 def encode(images):

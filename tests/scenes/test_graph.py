@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 from rooms import grid_scene, renumbered
 
 from dirl.scenes import GraphError
-from dirl.scenes.graph import (
-    check_graph,
-    places,
-    shortest_distances,
-    surrounding_states,
-    turns_per_circle,
-)
+from dirl.scenes.graph import check_graph, places, shortest_distances, surrounding_states, turns_per_circle
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
 

@@ -2,12 +2,9 @@ import pytest
 import torch
 from networks import make_policy
 from rooms import grid_scene
-from torch.utils._python_dispatch import TorchDispatchMode
 from torchrl.envs import Compose, StepCounter, TransformedEnv
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
-from dirl.models import distinct
-from dirl.models import policy as policy_module
 from dirl.scenes import make_world
 from dirl.training.rollout import collect
 
@@ -56,39 +53,3 @@ def test_two_short_calls_are_one_long_call(world, policy):
     whole, parts = in_calls_of(15), in_calls_of(4, 1, 10)
     assert (whole[0] == parts[0]).all()
     assert (whole[1] == parts[1]).all()
-
-
-class Questions(TorchDispatchMode):
-    """Notes every operation whose answer Python, or a size, waits for."""
-
-    def __init__(self):
-        super().__init__()
-        self.asked = []
-
-    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
-        name = function.overloadpacket.__name__
-        indices = args[1] if name in ("index", "index_put_", "_index_put_impl_") else []
-        masks = any(index is not None and index.dtype == torch.bool for index in indices)
-        if masks or name in ("_local_scalar_dense", "nonzero", "masked_select", "_unique2", "equal", "bincount"):
-            self.asked.append(name)
-        return function(*args, **(kwargs or {}))
-
-
-def cached_policy(world):
-    policy = make_policy(world.features, world.names, width=8)
-    policy.cache(world.surrounding)
-    return policy
-
-
-def test_a_rollout_makes_no_host_device_synchronisation(world, monkeypatch):
-    """A GPU would have to finish its work before it answers; what an agent does is decided without."""
-    for module in (policy_module, distinct):
-        monkeypatch.setattr(module, "reading_waits", lambda tensor: True)
-    env, policy = make_env(world), cached_policy(world)
-    operator = policy.operator()
-    with policy.cached.keeping(learns=True):
-        _, agents = collect(env, operator, env.reset(), 1)  # sets up what is set up once
-        monkeypatch.setattr(torch.Tensor, "tolist", None, raising=False)  # of which the dispatcher does not hear
-        with Questions() as questions:
-            collect(env, operator, agents, STEPS)
-    assert questions.asked == []
