@@ -26,9 +26,7 @@ from dirl.config.schemas import (
     Starts,
     Stop,
 )
-from dirl.config.schemas import (
-    Episodes as EpisodeCount,
-)
+from dirl.config.schemas import Episodes as EpisodeCount
 
 
 @dataclass

@@ -6,15 +6,7 @@ import numpy as np
 from tqdm import tqdm, trange
 
 from dirl.scenes.graph import AHEAD, BACK, shortest_distances, turns_only
-from dirl.scenes.live import (
-    Pose,
-    Simulator,
-    looked,
-    simulator_errors,
-    state_pose,
-    stride,
-    turns_by_angle,
-)
+from dirl.scenes.live import Pose, Simulator, looked, simulator_errors, state_pose, stride, turns_by_angle
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 

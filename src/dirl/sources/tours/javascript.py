@@ -17,17 +17,7 @@ from pathlib import Path
 from dirl.scenes.io.checked import LONGEST, inside
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
-from dirl.sources.tours.tour import (
-    Described,
-    FlatError,
-    Link,
-    Panorama,
-    entries,
-    entry,
-    number,
-    read_json,
-    tour_text,
-)
+from dirl.sources.tours.tour import Described, FlatError, Link, Panorama, entries, entry, number, read_json, tour_text
 
 COMMENT = r"(?>(?:\s|//[^\n]*\n|/\*.*?\*/)*)"  # atomic: else each comment doubles the time to find no match
 ASSIGNMENT = re.compile(
