@@ -9,7 +9,6 @@ from commands import TINY, done, room_file, run_recipe, train_config
 from refusals import refused
 
 from dirl.agent.navigator import Navigator
-from dirl.config.schemas import ConfigError
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.runs.folder import open_run
 from dirl.training.build import load_trained
@@ -60,11 +59,6 @@ def poisoned(text, group, target):
     return yaml.safe_dump(config)
 
 
-def one_line(error):
-    assert "\n" not in str(error.value)
-    assert "_target_=" in str(error.value) or "there is no option" in str(error.value)
-
-
 @pytest.mark.parametrize(("group", "target"), CASES)
 def test_a_configuration_from_a_file_builds_nothing_foreign(trained, composed, trap, tmp_path, group, target):
     saved = load_checkpoint(trained / "run")
@@ -72,19 +66,14 @@ def test_a_configuration_from_a_file_builds_nothing_foreign(trained, composed, t
     resumed = tmp_path / "resumed"
     resumed.mkdir()
     (resumed / "config.yaml").write_text(text)
-    with pytest.raises(ConfigError) as error:
-        open_run(replace(composed, resume=str(resumed)), resumed, [f"resume={resumed}"])
-    one_line(error)
-    with pytest.raises(ConfigError) as error:  # as a grid comes back to it
-        open_run(replace(composed, existing="keep"), resumed, [])
-    one_line(error)
-    with pytest.raises(ConfigError) as error:
-        load_trained({**saved, "config": text}, "the checkpoint")
-    one_line(error)
     save_checkpoint(tmp_path / "other" / "network.pt", {**saved, "config": text})
-    with pytest.raises(ConfigError) as error:
-        Navigator.load(tmp_path / "other", lambda images: images, extractor=saved["extractor"])
-    one_line(error)
+    for use in (
+        lambda: open_run(replace(composed, resume=str(resumed)), resumed, [f"resume={resumed}"]),
+        lambda: open_run(replace(composed, existing="keep"), resumed, []),  # as a grid comes back to it
+        lambda: load_trained({**saved, "config": text}, "the checkpoint"),
+        lambda: Navigator.load(tmp_path / "other", lambda images: images, extractor=saved["extractor"]),
+    ):
+        refused("_target_=|there is no option", use)
     assert not trap.exists()
     assert "trap" not in sys.modules
 
