@@ -24,6 +24,13 @@ VARIED = [
 ]
 
 
+OUTSIDE = (
+    *("trust=[outside]", "encoder._target_=outside.Product", "heads._target_=outside.DeepHeads", "~heads.shared"),
+    "+losses.confidence={_target_:outside.Confidence,weight:0.05}",
+)
+"""Encoder, heads and a loss that are not the package's."""
+
+
 def make_states(room, options=VARIED):
     """The parts and the states of runs, with the generators that they have in a stack."""
     every = [make_parts(f"scene={room}", *TINY, *own) for own in options]
@@ -61,11 +68,13 @@ def learned(stack, updates):
     return loop.reports
 
 
-def test_each_run_of_a_stack_learns_what_it_learns_alone(tmp_path):
+@pytest.mark.parametrize("common", [(), OUTSIDE], ids=["own", "outside"])
+def test_each_run_of_a_stack_learns_what_it_learns_alone(common, tmp_path):
     room = room_file(tmp_path)
-    stack = make_stack(room)
+    options = [(*common, *own) for own in VARIED]
+    stack = make_stack(room, options)
     reports = learned(stack, 3)
-    every, states = make_states(room)
+    every, states = make_states(room, options)
     for number, (parts, state) in enumerate(zip(every, states, strict=True)):
         torch.manual_seed(parts.config.seed)
         loop = Updates(3, state)
