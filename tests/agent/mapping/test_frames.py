@@ -53,6 +53,19 @@ def test_a_place_that_is_passed_twice_is_linked_and_one_of_another_hall_is_not(m
     assert all(abs(first - (second - 14)) <= 3 for first, second in links)
 
 
+def test_a_place_is_not_linked_to_one_that_is_less_alike_than_another(matcher):
+    """The twin of the hall is recorded before the hall is passed again: nothing better was there to compare with."""
+    twin = [(image.copy(), time, None) for image, time, _ in walk([(1.2 + x, 2.5, 0) for x in range(14)])]
+    for (image, _, _), (other, _, _) in zip(twin, walk(ALONG, seed=9), strict=True):
+        image[:, :130] = other[:, :130]
+    alone = find_links(map_recordings([walk(ALONG), twin], matcher, 65.0), matcher).links
+    again = walk([(1.05 + x, 2.5, 0) for x in range(14)])
+    links = find_links(map_recordings([walk(ALONG), twin, again], matcher, 65.0), matcher).links
+    assert len(alone) > 3
+    assert sum(second >= 28 for _, second in links) > 3
+    assert sum(second < 28 for _, second in links) <= 1  # at the very beginning, where fewer frames are compared
+
+
 def test_a_full_turn_on_the_spot_closes(matcher):
     around = [(9.0, 2.5, 24 * part) for part in range(19)]
     links = find_links(map_recordings([walk(around)], matcher, 65.0), matcher).links

@@ -1,6 +1,7 @@
 """Being led to a photo, live, in a hall."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from hall import look, walk
 import dirl
 from dirl.agent.mapping import MapError
 from dirl.agent.mapping.frames import map_recordings
-from dirl.perception.matching import Matcher
+from dirl.agent.mapping.guide import PATIENCE
+from dirl.perception.matching import Described, Fit, Matcher, Motion
 
 pytest.importorskip("cv2")
 
@@ -58,6 +60,17 @@ def test_views_that_are_turned_aside_are_turned_back(graph, matcher):
         assert str(advice).startswith("turn right by" if aside > 0 else "turn left by")
 
 
+def test_who_looks_aside_before_a_corner_is_told_of_the_same_corner(graph, matcher):
+    """What is in sight depends on where one looks; what leads does not."""
+    turns = {}
+    for aside in (0, -10, -15):
+        guide = dirl.Guide(graph, [look(11, 2.1, 90)], matcher)
+        guide.see(look(10, 1.5, aside))
+        turns[aside] = guide.see(look(11, 1.5, aside)).turn
+    assert turns[-10] - turns[0] == pytest.approx(10, abs=4)
+    assert turns[-15] - turns[0] == pytest.approx(15, abs=4)
+
+
 def test_another_hall_is_no_place_to_begin_or_to_go_to(graph, matcher):
     with pytest.raises(MapError, match="was not taken where"):
         dirl.Guide(graph, [look(6, 2, 0, seed=9)], matcher)
@@ -74,3 +87,61 @@ def test_who_does_not_move_though_told_to_is_stuck(graph, matcher):
     assert "stuck" in said
     guide = dirl.Guide(graph, [look(11, 2.1, 90)], matcher)
     assert "stuck" not in [guide.see(look(3 + 0.7 * step, 1.5, 0)).say for step in range(8)]
+
+
+class Signs:
+    """Compares frames by the sign in their first pixel, which says a place along a walk; hundreds are recordings."""
+
+    kind = "columns"
+
+    def __init__(self, heading):
+        self.heading = heading
+        """Of a sign, degrees to the left; who looks elsewhere sees nothing in common."""
+
+    def describe(self, views):
+        signs = np.array([view[0, 0, :1] for view in views])
+        points = np.zeros((len(signs), 1, 2), np.float16)
+        return Described(signs.astype(np.float16), points, points.astype(np.int8), np.ones(len(signs), np.int16))
+
+    def likeness(self, seen, frames, likely=None):
+        return self.fit(seen, frames, range(len(frames))).score.astype(float)
+
+    def fit(self, seen, frames, some):
+        here, signs = float(seen.looks[0, 0]), frames.looks[list(some), 0].astype(float)
+        turned = np.array([self.heading(sign) - self.heading(here) for sign in signs])
+        score = np.maximum(0, 1 - np.abs(signs % 100 - here % 100) / 4) * (np.abs(turned) < 30)
+        still = np.zeros(len(signs), np.float32)
+        return Fit(score.astype(np.float32), still, still, still)
+
+    def motion(self, seen, frames, frame, size, field_of_view):
+        return Motion(0.0, 0.0, self.heading(float(frames.looks[frame, 0])) - self.heading(float(seen.looks[0, 0])))
+
+
+def shown(sign, other=0):
+    """A view with a sign; what else is in it may change."""
+    return np.stack([np.full((4, 4), value, np.uint8) for value in (sign, other, 0)], -1)
+
+
+def recorded(matcher, *recordings, links=()):
+    graph = map_recordings(
+        [[(shown(sign), float(n), None) for n, sign in enumerate(one)] for one in recordings], matcher, 90.0
+    )
+    return replace(graph, links=np.array(links, np.int64).reshape(-1, 2))
+
+
+def test_the_path_that_was_followed_leads_while_it_is_in_sight():
+    matcher = Signs(lambda sign: 20.0 if sign >= 100 else 0.0)
+    guide = dirl.Guide(recorded(matcher, range(20), range(100, 120), links=[(10, 30)]), [shown(19)], matcher)
+    guide.belief.of = np.eye(40)[5]
+    assert guide.see(shown(5)).say == "ahead"
+    guide.belief.of = np.eye(40)[26]  # as if one were in the other recording of the same place
+    assert guide.see(shown(6)).say == "ahead"
+
+
+def test_who_gets_no_further_turns_as_the_recording_did_and_then_takes_another_path():
+    """The corner is out of sight of whoever stands before it."""
+    matcher = Signs(lambda sign: 40.0 * min(max(sign - 5, 0), 2))
+    guide = dirl.Guide(recorded(matcher, range(20)), [shown(19)], matcher)
+    advice = [guide.see(shown(5, 60 * (view % 2))) for view in range(6 * PATIENCE)]
+    assert [one.turn for one in advice[:3]] == [0, 0, pytest.approx(80)]
+    assert "stuck" in [one.say for one in advice]

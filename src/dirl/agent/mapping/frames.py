@@ -380,15 +380,14 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
     """Return the map with its links: pairs of frames of one place, seen at different times or in different recordings.
 
     Frames of every half second are compared, each with those that are most alike as a whole. Two are linked if so many
-    of their points agree, and those of the frames before or after, too: places that only look alike seldom do so for
-    long.
+    of their points agree, more than with any other place, and those of the frames before or after, too: places that
+    only look alike seldom do so for long.
     """
     scale, stride = graph.scale, max(1, round(EVERY / graph.spacing))
     some = np.arange(0, len(graph), stride)
     times, parts = graph.times[some], graph.parts[some]
-    agreeing: dict[tuple[int, int], float] = {}
+    agreeing: dict[int, dict[int, float]] = defaultdict(dict)  # of two frames, in both orders
     cost: dict[tuple[int, int], float] = {}
-    compared: dict[int, list[tuple[int, float]]] = {}
     for row in tqdm(range(1, len(some)), desc="links", unit="", disable=None if progress else True):
         frame = some[row]
         seen = graph.described[frame : frame + 1]
@@ -397,12 +396,13 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
             likeness = matcher.likeness(seen, graph.described)[some[apart]]
             apart = apart[np.argsort(-likeness)[: scale.shortlist]]
         fit = matcher.fit(seen, graph.described, some[apart].tolist())
-        compared[row] = list(zip(apart.tolist(), fit.score.tolist(), strict=True))
-        agreeing |= {(other, row): value for other, value in compared[row]}
         distance, turn = np.hypot(fit.ahead, fit.right), np.abs(fit.turned)
-        near = (distance < NEAR) & (turn < TURNED)
         costs = 1 + distance / STRIDE + turn / TURN
-        cost |= {(other, row): value for other, value in zip(apart[near].tolist(), costs[near].tolist(), strict=True)}
+        near = (distance < NEAR) & (turn < TURNED)
+        for other, score, value, is_near in zip(apart.tolist(), fit.score.tolist(), costs.tolist(), near, strict=True):
+            agreeing[row][other] = agreeing[other][row] = score
+            if is_near:
+                cost[other, row] = value
 
     def supported(one: int, two: int) -> bool:
         """True if the frames around agree, too, walked in the same direction or in the other."""
@@ -412,31 +412,33 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
                 for step in (-2, -1, 1, 2)
                 if _inside(parts, one, direction * step) and _inside(parts, two, step)
             ]
-            seen = [max(agreeing.get((first, second + off), 0) for off in (-1, 0, 1)) for first, second in around]
             if scale.tells_places:  # none of these scores is much larger than others, so that their mean tells more
-                total = agreeing[one, two] + sum(agreeing.get(pair, 0) for pair in around)
+                total = agreeing[one][two] + sum(agreeing[first].get(second, 0) for first, second in around)
                 if len(around) == 4 and total >= 5 * scale.link:
                     return True
                 continue
+            seen = [max(agreeing[first].get(second + off, 0) for off in (-1, 0, 1)) for first, second in around]
             # At the ends of a recording there are fewer.
             if len(around) > 1 and sum(value >= scale.link / 2 for value in seen) >= min(3, len(around)):
                 return True
         return False
 
     def distinct(one: int, two: int) -> bool:
-        """True if the later frame agrees less with frames of any other place."""
+        """True if the second frame agrees less with any other place than that of the first."""
         near = (np.abs(times - times[one]) <= APART) & (parts == parts[one])
-        others = [value for other, value in compared[two] if not near[other]]
-        return agreeing[one, two] >= scale.distinct * max(others, default=0)
+        others = [score for other, score in agreeing[two].items() if not near[other]]
+        return agreeing[one][two] >= scale.distinct * max(others, default=0)
 
     links: list[tuple[int, int]] = []
     linked: dict[int, list[int]] = defaultdict(list)
-    candidates = [pair for pair, value in agreeing.items() if value >= scale.link and pair in cost]
-    for one, two in sorted(candidates, key=lambda pair: -agreeing[pair]):  # the best first
+    candidates = [(one, two) for one, two in cost if agreeing[one][two] >= scale.link]
+    for one, two in sorted(candidates, key=lambda pair: -agreeing[pair[0]][pair[1]]):  # the best first
         # Of frames that see each other from afar only the nearest pair is linked, where points do not tell how far.
         beside = any(abs(other - two) <= WINDOW for other in linked[one])
         beside |= any(abs(other - one) <= WINDOW for other in linked[two])
-        if (scale.tells_places or not beside) and distinct(one, two) and supported(one, two):
+        if beside and not scale.tells_places:
+            continue
+        if distinct(one, two) and distinct(two, one) and supported(one, two):
             links.append((one, two))
             linked[one].append(two)
             linked[two].append(one)

@@ -200,15 +200,23 @@ class Guide:
         if arrived or of_photo >= enough:
             motion = self._motion(seen, self._photo, 0)
             return self._towards(motion, here, sure, "arrived" if arrived else "ahead", to_photo=True)
-        towards, towards_before = np.split(np.abs(fit.turned) < ASIDE, [len(path)])
-        in_sight = (scores >= enough) & towards
-        leading = int(np.flatnonzero(in_sight).max()) if in_sight.any() else int(scores.argmax())
-        # What was followed leads on while it is in sight: a place was often recorded several times, and who changes
-        # over to another of these paths at every view turns to and fro.
-        in_sight = (before >= min(enough, self.graph.scale.link)) & towards_before
-        if in_sight.any() and self._far[self._followed[np.flatnonzero(in_sight).max()]] < self._far[path[leading]]:
-            path, leading = self._followed, int(np.flatnonzero(in_sight).max())
-        self._followed = path
+        if self.graph.scale.tells_places:
+            towards, towards_before = np.split(np.abs(fit.turned) < ASIDE, [len(path)])
+            in_sight = (scores >= enough) & towards
+            leading = int(np.flatnonzero(in_sight).max()) if in_sight.any() else int(scores.argmax())
+            # What was followed leads on while it is in sight: a place was often recorded several times, and who changes
+            # over to another of these paths at every view turns to and fro.
+            in_sight = (before >= min(enough, self.graph.scale.link)) & towards_before
+            if in_sight.any() and self._far[self._followed[np.flatnonzero(in_sight).max()]] < self._far[path[leading]]:
+                path, leading = self._followed, int(np.flatnonzero(in_sight).max())
+            self._followed = path
+        else:
+            # What the recording showed from here leads, wherever one looks: were it what is in sight now, whoever looks
+            # aside to where the path turns next would be told to turn on, and others to go ahead.
+            shown = self.matcher.fit(self.graph.described[here : here + 1], self.graph.described, path).score
+            leading = int(np.flatnonzero(shown >= self.graph.scale.link).max(initial=0))
+            if scores[leading] < least:
+                leading = int(scores.argmax())
         motion = self._motion(seen, self.graph.described, path[leading])
         if leading == 0 and len(path) > 1 and self._since >= PAUSE:  # exactly here nothing else fits as well
             leading, motion = 1, motion._replace(turned=motion.turned + self._next_turn(path))
