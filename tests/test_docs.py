@@ -61,7 +61,6 @@ SHORTER = {
         "recogniser=cosine.yaml episodic": f"recogniser=cosine.yaml {FEW} episodic",
         "metric=detours.yaml out": f"metric=detours.yaml {FEW} out",
     },
-    "extend.md": {'("gru", "lstm")': '("lstm",)'},  # tests/deploy exports one with gru
     "many_goals.md": {
         "train.py scene=kitchen_02": "train.py evaluation.goals=2 evaluation.starts=sampled scene=kitchen_02"
     },

@@ -225,20 +225,6 @@ def navigator(run, world):
     return load(run, world)
 
 
-def test_the_checkpoint_alone_decides_threshold_and_scores(tmp_path, world, navigator):
-    goal, state = 0, 9
-    navigator.reset(images_of(world.surrounding[goal]))
-    decision = navigator.act(images_of(world.surrounding[state]))
-    policy, observation = trained(tmp_path, world)
-    logits = answer(policy, world, observation, torch.tensor([state]), torch.tensor([0]))["logits"]
-    torch.testing.assert_close(decision.scores.probabilities, logits[0].softmax(-1))
-    assert decision.scores.matching == pytest.approx(
-        world.block(TemplateStop().scores(world), 0)[state].item(), abs=1e-5
-    )
-    assert navigator.threshold == 0.9
-    assert navigator.act(images_of(world.surrounding[goal])).stop is True
-
-
 @pytest.mark.parametrize("observation", ["surrounding", "sequential"])
 def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, observation):
     world = rooms()
@@ -257,16 +243,6 @@ def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, observation)
             assert scores.matching == pytest.approx(both.scores.matching[agent].item(), abs=1e-6)
             torch.testing.assert_close(scores.probabilities, both.scores.probabilities[agent])
     assert together[1].stop.tolist() == [False, True, False]
-
-
-def test_a_reset_forgets_the_views_before_it(sequential, world):
-    navigator = load(sequential, world)
-    navigator.reset(images_of(0))
-    first = navigator.act(images_of(9)).scores.probabilities
-    later = navigator.act(images_of(10)).scores.probabilities
-    navigator.reset(images_of(0))
-    torch.testing.assert_close(navigator.act(images_of(9)).scores.probabilities, first, rtol=0, atol=0)
-    assert not torch.allclose(navigator.act(images_of(9)).scores.probabilities, later)
 
 
 def test_sampled_actions_come_as_often_as_their_probability_says(world, navigator):
@@ -422,35 +398,6 @@ def test_a_policy_with_memory_remembers_until_the_next_reset(tmp_path):
     with torch.no_grad():  # the memory matters
         first = walk_with_memory(policy, world, observation, WALK[-1:], goal_index)
     assert not torch.allclose(first[0], expected[-1])
-
-
-def test_an_exported_policy_with_memory_takes_and_gives_its_state(tmp_path):
-    pytest.importorskip("onnxscript")
-    runtime = pytest.importorskip("onnxruntime")
-    world = rooms(("grid", "other"))
-    policy, observation = trained(tmp_path, world, *GRU)
-    export_onnx(load(tmp_path, world, scene="other"), tmp_path / "policy.onnx")
-    session = runtime.InferenceSession(tmp_path / "policy.onnx")
-    inputs, outputs = ([one.name for one in ports] for ports in (session.get_inputs(), session.get_outputs()))
-    keys = recurrent_keys(policy)
-    assert keys
-    matched = TemplateStop().scores(world)
-    assert inputs == ["features", "goal_features", *keys]
-    assert outputs == ["logits", "value", "matching", *(f"next_{key}" for key in keys)]
-    for agents in (1, 3):
-        goal_index = torch.tensor([2, 3, 2])[:agents]
-        with torch.no_grad():
-            expected = walk_with_memory(policy, world, observation, WALK[:, :agents], goal_index)
-        goal = world.features[observation.reset_view_ids(world.goals[goal_index])].numpy()
-        state = {key: np.zeros((agents, 1, 20), np.float32) for key in keys}
-        for states, logits in zip(WALK[:, :agents], expected, strict=True):
-            features = world.features[observation.reset_view_ids(states)].numpy()
-            given = {"features": features, "goal_features": goal, **state}
-            found = dict(zip(outputs, session.run(None, given), strict=True))
-            np.testing.assert_allclose(found["logits"], logits, rtol=0, atol=1e-5)
-            pairs = world.pair(goal_index, states)
-            np.testing.assert_allclose(found["matching"], matched[pairs], rtol=0, atol=1e-5)
-            state = {key: found[f"next_{key}"] for key in keys}
 
 
 MINE = """
