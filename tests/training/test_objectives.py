@@ -120,16 +120,6 @@ def next_values(rollout):
     return operators.get_value_operator()(batch["next"].reshape(-1))["state_value"].view(10, 15, 1)
 
 
-def test_bootstrap_gives_the_critics_value_of_each_next_state(rollout):
-    operators, batch = rollout
-    values = bootstrap(batch.clone(), operators.get_value_operator())["next", "state_value"]
-    # What stands behind a goal is never used.
-    going = ~batch["next", "terminated"]
-    torch.testing.assert_close(values[going], next_values(rollout)[going])
-    assert not values.requires_grad
-    assert values.shape == (10, 15, 1)
-
-
 @pytest.mark.parametrize(("gamma", "lmbda"), [(0.9, 1.0), (0.99, 0.95)])
 def test_advantages_equal_the_sum_over_time(rollout, gamma, lmbda):
     operators, batch = rollout

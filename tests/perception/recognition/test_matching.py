@@ -12,13 +12,10 @@ NUMBER = st.floats(-5, 5, allow_nan=False, width=32)
 VECTOR = st.lists(NUMBER, min_size=6, max_size=6).filter(lambda values: np.std(values) > 0.01)
 
 
-def world_of(features=None, **options):
-    """Two rooms of 8 states each, goals 1 and 8 + 6; the features of the second may be given."""
-    rooms = [grid_scene(2, 1, name=name, goals=(goal,), seed=goal, **options) for name, goal in (("a", 1), ("b", 6))]
-    world = make_world(rooms)
-    if features is not None:
-        world.features.copy_(features)
-    return world
+@pytest.fixture
+def world():
+    """Two rooms of 8 states each, goals 1 and 8 + 6."""
+    return make_world([grid_scene(2, 1, name=name, goals=(goal,), seed=goal) for name, goal in (("a", 1), ("b", 6))])
 
 
 @given(VECTOR, VECTOR)
@@ -35,8 +32,7 @@ def test_ncc_with_a_constant_vector_is_zero():
 
 
 @pytest.mark.parametrize("match", ["views", "front"])
-def test_scores_are_the_coefficients_of_every_goal_with_every_state(match):
-    world = world_of()
+def test_scores_are_the_coefficients_of_every_goal_with_every_state(match, world):
     scores = TemplateStop(match=match).scores(world)
     assert scores.shape == (2 * 8,)
     for index, goal in enumerate(world.goals.tolist()):
@@ -65,16 +61,7 @@ def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():
     assert stops_of(world, stop) == [[0, state] for state in range(4)] + [[1, 8 + state] for state in range(4)]
 
 
-def test_the_front_view_confuses_places_that_four_views_tell_apart():
-    features = torch.rand(16, 16, generator=torch.Generator().manual_seed(0))
-    features[5] = features[1]
-    world = world_of(features)
-    assert world.block(TemplateStop(match="front")(world), 0).nonzero().flatten().tolist() == [1, 5]
-    assert world.block(TemplateStop(match="views")(world), 0).nonzero().flatten().tolist() == [1]
-
-
-def test_a_state_stops_only_above_the_threshold():
-    world = world_of()
+def test_a_state_stops_only_above_the_threshold(world):
     scores = world.block(TemplateStop().scores(world), 0)
     threshold = scores.sort().values[-3].item()
     stop = world.block(TemplateStop(threshold)(world), 0)
