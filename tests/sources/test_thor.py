@@ -90,7 +90,9 @@ def test_it_is_walked_live():
     world.reset(Pose(0.0, 0.0, 90.0))
     assert [world.step(action) for action in (0, 2, 0, 0)] == [False, True, True, False]  # towards a wall, left, on
     assert np.allclose(world.pose, (0.0, 0.5, 0.0), atol=1e-5)
+    assert world.step(3)
+    assert np.allclose(world.pose, (0.0, 0.0, 0.0), atol=1e-5)
     assert world.views()[:, -1, 0, 1].tolist() == [0, 60, 120, 180]  # the double's colour of each heading
-    assert np.allclose(world.pose, (0.0, 0.5, 0.0), atol=1e-5)
+    assert np.allclose(world.pose, (0.0, 0.0, 0.0), atol=1e-5)
     refused(r"FloorPlan1: .* put at 4\.00, 0\.00 m: Collided with: Sink_3", world.reset, Pose(4.0, 0.0, 0.0))
     refused("FloorPlan1: AI2-THOR failed", Thor, Simulator([(0, 0)], gone=True), "FloorPlan1")

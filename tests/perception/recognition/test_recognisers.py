@@ -83,8 +83,12 @@ class Whole(NCC):
 
 def test_panoramas_are_compared_in_worlds_as_cameras_compare_them():
     world = make_world([grid_scene(2, 2, headings=8, goals=(0,), feature_width=64)])
-    around, recogniser = world.panoramas(), Whole()
+    around = world.panoramas()
     seen, visit = around[None, [0, 9, 17]], around[None, 12]
-    odds = VisitScores(recogniser, world).of_visits(seen, visit)
-    assert odds.flatten().argmax() == 8 + 3
-    assert torch.allclose(odds, compare(recogniser, world.features[seen], world.features[visit]), atol=1e-5)
+    for recogniser in (Whole(), NCC()):
+        found = VisitScores(recogniser, world).of_visits(seen, visit)
+        assert found.flatten().argmax() == 8 + 3
+        assert torch.allclose(found, compare(recogniser, world.features[seen], world.features[visit]), atol=1e-5)
+    # By correlation it is the mean of each four views, 90 degrees apart.
+    fours = [(world.features[visit[:, ring::2]], world.features[seen[:, 1, ring::2]]) for ring in range(2)]
+    assert torch.allclose(found[0, 1, 0], torch.stack([NCC().scores(*four) for four in fours]).mean(), atol=1e-5)
