@@ -4,11 +4,12 @@
 
 LEVELS holds folders of recordings, ``LEVELS/ground/hall/0000.jpg``, one frame a second, all of which become one map. A
 frame is found if the map's frame was taken at most one second before or after it. PHOTOS, a folder of images, were
-taken elsewhere. Frames are also looked for in the map of all levels but their own. Written are a table, ``OUT.md``, and
-precision against coverage, ``OUT.png``.
+taken elsewhere. Frames are also looked for in the map of all levels but their own. To see what is linked, every second
+frame of each recording becomes a recording of its own; a link between levels is wrong. Written are tables, ``OUT.md``,
+and precision against coverage, ``OUT.png``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from dirl.agent.mapping.frames import Found, FrameMap, map_recordings
+from dirl.agent.mapping.frames import Found, FrameMap, find_links, map_recordings
 from dirl.cli.start import run, start
 from dirl.config.options import option
 from dirl.perception.matching import Described, Matcher
@@ -89,6 +90,11 @@ def main(recordings: str, out: str, elsewhere: str | None, points: str | None, l
         lines.append(
             f"| in other buildings | {shares([graph.find(matcher, away[n : n + 1]) for n in range(len(away))])}"
         )
+    order = np.lexsort((frames, frames % 2, whole.parts))
+    twice = replace(part_of(whole, order), parts=2 * whole.parts[order] + order % 2)
+    ends = level[order][find_links(twice, matcher, progress=True).links]
+    wrong = np.mean(ends[:, 0] != ends[:, 1])
+    lines += ["", "| links between recordings | between levels |", "|--:|--:|", f"| {len(ends)} | {wrong:.3f} |"]
     text = "\n".join(lines)
     Path(f"{out}.md").write_text(text + "\n")
     draw(curves, Path(f"{out}.png"))

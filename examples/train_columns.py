@@ -194,7 +194,7 @@ def loss_of(net: ColumnNet, images: Tensor, poses: Poses, depths: Depths, pairs:
     """Cross-entropy of which column matches, or none, both ways, and of the logarithm of depths."""
     looks, log_depth = net(images)
     loss = F.smooth_l1_loss(log_depth, torch.from_numpy(np.log(depths / UNIT)).float(), beta=0.1)
-    alike = net.logits(looks[pairs[0]], looks[pairs[1]])
+    alike = torch.einsum("nci,ncj->nij", looks[pairs[0]], looks[pairs[1]]) * net.sharp.exp()
     for (one, two), logits in ((pairs, alike), (pairs[::-1], alike.transpose(1, 2))):
         column, seen = seen_in(poses[one], depths[one], poses[two], depths[two])
         logits = torch.cat([logits, net.none.expand(*logits.shape[:2], 1)], 2).log_softmax(2)

@@ -32,6 +32,9 @@ STRIDE, TURN = 0.3, 15.0
 NEAR = 1.0
 """Metres from the goal at which it is reached."""
 
+APART, ASIDE = 1.5, 40.0
+"""Metres and degrees between the ends of a link, from which it is wrong."""
+
 HEIGHT, WIDTH, VERTICAL = 180, 240, 60.0
 """Pixels, and degrees from top to bottom."""
 
@@ -48,15 +51,16 @@ class Options:
 
 
 def main(episodes: int, points: str | None, families: list[str]) -> None:
-    """Print a table: goals reached on the way to the photo, and on the way to a random frame."""
+    """Print a table: links, goals reached on the way to the photo, and on the way to a random frame."""
     matcher = Matcher(points)
-    print("| family | frames | links | led to the photo | led to a random frame | steps, median |")
-    print("|---|--:|--:|--:|--:|--:|")
+    print("| family | frames | links | wrong | led to the photo | led to a random frame | steps, median |")
+    print("|---|--:|--:|--:|--:|--:|--:|")
     for family in families:
         world, rng = MiniWorld(family, height=HEIGHT, width=WIDTH, field_of_view=VERTICAL), np.random.default_rng(0)
         frames, poses = wander(world, rng)
         graph = map_recordings([[(frame, float(n), None) for n, frame in enumerate(frames)]], matcher, ACROSS)
         graph = find_links(graph, matcher)
+        wrong = sum(wrong_link(poses[one], poses[two]) for one, two in graph.links)
         reached: list[list[int | None]] = [[], []]
         while len(reached[0]) < episodes:
             start, goal, other = rng.integers(len(frames), size=3)
@@ -68,8 +72,8 @@ def main(episodes: int, points: str | None, families: list[str]) -> None:
         steps = [count for count in reached[0] if count is not None]
         led, blind = (sum(count is not None for count in found) for found in reached)
         print(
-            f"| {family} | {len(frames)} | {len(graph.links)} | {led} of {episodes} | {blind} of {episodes} | "
-            f"{np.median(steps) if steps else float('nan'):.0f} |",
+            f"| {family} | {len(frames)} | {len(graph.links)} | {wrong} | "
+            f"{led} of {episodes} | {blind} of {episodes} | {np.median(steps) if steps else float('nan'):.0f} |",
             flush=True,
         )
 
@@ -114,6 +118,12 @@ def episode(world: MiniWorld, graph: FrameMap, matcher: Matcher, photo: NDArray[
             world.push(STRIDE)
             world.place(Pose(world.pose.x, world.pose.z, pose.heading))
     return None
+
+
+def wrong_link(one: Pose, other: Pose) -> bool:
+    """True if two frames do not show one place."""
+    turn = abs((one.heading - other.heading + 180) % 360 - 180)
+    return distance(one, other) > APART or turn > ASIDE
 
 
 def distance(one: Pose, other: Pose) -> float:

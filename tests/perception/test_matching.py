@@ -30,15 +30,14 @@ def test_points_of_one_place_agree_and_those_of_another_do_not(matcher):
 def test_a_turn_is_measured_on_the_spot_and_while_walking(matcher, turn):
     views = matcher.describe([look(6, 2.5, 0), look(6, 2.5, turn), look(6.6, 2.5, turn)])
     for other in (1, 2):
-        turned = matcher.turn_between(matcher.match(views[:1], views, other), (180, 320), 65.0)
-        assert turned == pytest.approx(turn, abs=5)
+        motion = matcher.motion(views[:1], views, other, (180, 320), 65.0)
+        assert motion.turned == pytest.approx(turn, abs=5)
 
 
 def test_views_without_points_agree_on_nothing(matcher):
     views = matcher.describe([np.full((60, 80, 3), 90, np.uint8), look(6, 2.5, 0)])
-    matches = matcher.match(views[:1], views, 1)
-    assert matcher.agreeing(matches) == 0
-    assert matcher.turn_between(matches, (60, 80), 65.0) is None
+    assert matcher.fit(views[:1], views, [1]).score == 0
+    assert matcher.motion(views[:1], views, 1, (60, 80), 65.0) is None
     tiny = matcher.describe([np.zeros((8, 8, 3), np.uint8)])
     assert len(tiny) == 1
 

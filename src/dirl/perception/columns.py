@@ -71,18 +71,6 @@ class ColumnNet(nn.Module):
         columns = self.along(self.trunk(images).flatten(1, 2))
         return F.normalize(self.look(columns), dim=1), self.depth(columns)[:, 0]
 
-    def logits(self, seen: Tensor, other: Tensor) -> Tensor:
-        """How alike columns of pairs are, ``[N, COLUMNS, COLUMNS]``; `none` is the logit of no match."""
-        return torch.einsum("nci,ncj->nij", seen, other) * self.sharp.exp()
-
-    def matches(self, seen: Tensor, other: Tensor) -> Tensor:
-        """Probabilities that columns match, by row times by column."""
-        return self._probabilities(self.logits(seen, other))
-
-    def _probabilities(self, logits: Tensor) -> Tensor:
-        alike, none = logits.exp(), self.none.exp()
-        return alike.square() / (alike.sum(2, keepdim=True) + none) / (alike.sum(1, keepdim=True) + none)
-
     @torch.no_grad()
     def describe(self, views: Iterable[NDArray[np.uint8]]) -> Described:
         """Describe frames, RGB, uint8 ``[H, W, 3]`` each, of 90 degrees from left to right.
@@ -128,11 +116,15 @@ class ColumnNet(nn.Module):
         return Motion(float(fit.ahead[0]), float(fit.right[0]), float(fit.turned[0]))
 
     def _matches_with(self, seen: Described, frames: Described, some: Sequence[int] | NDArray[np.int64]) -> Tensor:
-        """Return `matches` of one view with some frames, ``[S, COLUMNS, COLUMNS]``."""
+        """Return probabilities that columns of one view and of some frames match, ``[S, COLUMNS, COLUMNS]``.
+
+        By row times by column, beside the logit `none` of no match.
+        """
         here, there = (torch.from_numpy(of).float() for of in (seen.vectors[0], frames.vectors[some]))
         # One product of two matrices takes half the time of a product for each frame.
         logits = there.flatten(0, 1) @ (here.T * self.sharp.exp() / SCALE**2)
-        return self._probabilities(logits.view(len(there), COLUMNS, COLUMNS).mT)
+        alike, none = logits.view(len(there), COLUMNS, COLUMNS).mT.exp(), self.none.exp()
+        return alike.square() / (alike.sum(2, keepdim=True) + none) / (alike.sum(1, keepdim=True) + none)
 
 
 def load_column_net(file: str | Path = WEIGHTS) -> ColumnNet:

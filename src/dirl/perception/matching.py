@@ -261,17 +261,7 @@ class Matcher:
         self, seen: Described, frames: Described, frame: int, size: tuple[int, int], field_of_view: float
     ) -> Motion | None:
         """Return the turn to a frame; how far away it was taken two pictures do not tell. See `FrameMatcher.motion`."""
-        turned = self.turn_between(self.match(seen, frames, frame), size, field_of_view)
-        return None if turned is None else Motion(0.0, 0.0, turned)
-
-    def turn_between(self, matches: Matches, size: tuple[int, int], field_of_view: float) -> float | None:
-        """Degrees to the left from the heading of one view to that of the other; None where too few points agree.
-
-        Args:
-            matches: of the two.
-            size: their height and width, pixels.
-            field_of_view: from left to right, degrees.
-        """
+        matches = self.match(seen, frames, frame)
         if len(matches.seen) < 2 * LEAST:
             return None
         height, width = size
@@ -294,7 +284,7 @@ class Matcher:
             # Of the two rotations of an essential matrix one is turned by half a circle about the way.
             rotations = cv2.decomposeEssentialMat(essential[:3])[:2]
             rotation = max(rotations, key=np.trace)
-        return float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2])))
+        return Motion(0.0, 0.0, float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2]))))
 
     def likeness(
         self, seen: Described, frames: Described, likely: NDArray[np.float64] | None = None

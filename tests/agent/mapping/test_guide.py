@@ -97,6 +97,8 @@ class Signs:
     def __init__(self, heading):
         self.heading = heading
         """Of a sign, degrees to the left; who looks elsewhere sees nothing in common."""
+        self.everywhere = []
+        """Of each view, whether it was compared with all frames."""
 
     def describe(self, views):
         signs = np.array([view[0, 0, :1] for view in views])
@@ -104,6 +106,7 @@ class Signs:
         return Described(signs.astype(np.float16), points, points.astype(np.int8), np.ones(len(signs), np.int16))
 
     def likeness(self, seen, frames, likely=None):
+        self.everywhere.append(likely is None)
         return self.fit(seen, frames, range(len(frames))).score.astype(float)
 
     def fit(self, seen, frames, some):
@@ -145,3 +148,4 @@ def test_who_gets_no_further_turns_as_the_recording_did_and_then_takes_another_p
     advice = [guide.see(shown(5, 60 * (view % 2))) for view in range(6 * PATIENCE)]
     assert [one.turn for one in advice[:3]] == [0, 0, pytest.approx(80)]
     assert "stuck" in [one.say for one in advice]
+    assert 1 < sum(matcher.everywhere) < len(advice) / 2

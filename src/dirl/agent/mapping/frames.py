@@ -150,9 +150,7 @@ class FrameMap:
         steps = np.diff(self.times)[self.parts[1:] == self.parts[:-1]]
         return float(np.median(steps)) or 1.0
 
-    def find(
-        self, matcher: FrameMatcher, photos: Described, times: Sequence[float] | None = None, within: int = SHORTLIST
-    ) -> Found:
+    def find(self, matcher: FrameMatcher, photos: Described, times: Sequence[float] | None = None) -> Found:
         """Find where photos were taken, or say that it was not here.
 
         Args:
@@ -160,7 +158,6 @@ class FrameMap:
             photos: one, or several in a row, as of a short video: those that a walk shows one after the other, in this
                 direction or the other, or that were taken at one place.
             times: of the photos, seconds; the distance of the frames in the map if left out.
-            within: so many of the frames that are most alike have their points compared.
         """
         seconds = np.arange(len(photos)) * self.spacing if times is None else np.asarray(times, float)
         offsets = np.rint((seconds - seconds[len(photos) // 2]) / self.spacing).astype(int)
@@ -168,7 +165,7 @@ class FrameMap:
             getattr(photos, part).shape[1:] != getattr(self.described, part).shape[1:] for part in ("looks", "vectors")
         ):
             raise MapError("the frames of the map are described in another way than the photos; make it anew")
-        each = [self.score(matcher, photos[number : number + 1], within) for number in range(len(photos))]
+        each = [self.score(matcher, photos[number : number + 1]) for number in range(len(photos))]
         return self.combine(each, offsets)
 
     def combine(self, each: Sequence[NDArray[np.float64]], offsets: Sequence[int] | NDArray[np.int64]) -> Found:
@@ -185,11 +182,11 @@ class FrameMap:
         elsewhere = scores[~self.same_place(frame)]
         return Found(frame, *decide(float(scores[frame]), float(elsewhere.max(initial=0)), self.scale), scores)
 
-    def score(self, matcher: FrameMatcher, photo: Described, within: int = SHORTLIST) -> NDArray[np.float64]:
+    def score(self, matcher: FrameMatcher, photo: Described) -> NDArray[np.float64]:
         """Return how well each frame and its neighbours fit one photo, ``[N]``."""
         likeness = matcher.likeness(photo, self.described)
         agreeing = np.zeros(len(self))
-        shortlist = np.argsort(-likeness)[:within]
+        shortlist = np.argsort(-likeness)[:SHORTLIST]
         fit = matcher.fit(photo, self.described, shortlist.tolist())
         agreeing[shortlist] = fit.score * np.exp(-np.hypot(fit.ahead, fit.right) / FAR)
         joined = self.parts[1:] == self.parts[:-1]

@@ -16,7 +16,7 @@ from PIL import Image, ImageOps
 
 from dirl.agent.mapping.frames import FrameMap, distances_to, load_matcher
 from dirl.agent.mapping.graph import MapError
-from dirl.perception.matching import Described, FrameMatcher, Motion
+from dirl.perception.matching import Described, Fit, FrameMatcher, Motion
 
 MOVES = (0.08, 0.15, 0.25, 0.2, 0.15, 0.1, 0.07)
 """How likely one is 2 frames before, ..., 4 frames after the last one."""
@@ -186,9 +186,8 @@ class Guide:
             return Guidance("lost", 0.0, here, sure)
         path = self._path(here)
         fit = self.matcher.fit(seen, self.graph.described, [*path, *self._followed])
-        scores, before = np.split(fit.score, [len(path)])
         of_photo = float(self.matcher.fit(seen, self._photo, [0]).score[0]) if self._far[path[-1]] == 0 else 0.0
-        best, least = max(float(scores.max()), of_photo), self.graph.scale.recognised
+        best, least = max(float(fit.score[: len(path)].max()), of_photo), self.graph.scale.recognised
         self._missed = self._missed + 1 if best < least else 0
         if best < least:
             return Guidance("lost" if self._missed >= MISSED else "ahead", 0.0, here, sure)
@@ -200,28 +199,40 @@ class Guide:
         if arrived or of_photo >= enough:
             motion = self._motion(seen, self._photo, 0)
             return self._towards(motion, here, sure, "arrived" if arrived else "ahead", to_photo=True)
-        if self.graph.scale.tells_places:
-            towards, towards_before = np.split(np.abs(fit.turned) < ASIDE, [len(path)])
-            in_sight = (scores >= enough) & towards
-            leading = int(np.flatnonzero(in_sight).max()) if in_sight.any() else int(scores.argmax())
-            # What was followed leads on while it is in sight: a place was often recorded several times, and who changes
-            # over to another of these paths at every view turns to and fro.
-            in_sight = (before >= min(enough, self.graph.scale.link)) & towards_before
-            if in_sight.any() and self._far[self._followed[np.flatnonzero(in_sight).max()]] < self._far[path[leading]]:
-                path, leading = self._followed, int(np.flatnonzero(in_sight).max())
-            self._followed = path
-        else:
-            # What the recording showed from here leads, wherever one looks: were it what is in sight now, whoever looks
-            # aside to where the path turns next would be told to turn on, and others to go ahead.
-            shown = self.matcher.fit(self.graph.described[here : here + 1], self.graph.described, path).score
-            leading = int(np.flatnonzero(shown >= self.graph.scale.link).max(initial=0))
-            if scores[leading] < least:
-                leading = int(scores.argmax())
+        path, leading = self._leading(here, path, fit, enough)
         motion = self._motion(seen, self.graph.described, path[leading])
         if leading == 0 and len(path) > 1 and self._since >= PAUSE:  # exactly here nothing else fits as well
             leading, motion = 1, motion._replace(turned=motion.turned + self._next_turn(path))
         backwards = leading > 0 and all(0 <= one - two <= 1 for one, two in pairwise(path[: leading + 1]))
         return self._towards(motion, here, sure, "back" if backwards else "ahead", backwards=backwards)
+
+    def _leading(self, here: int, path: list[int], fit: Fit, enough: float) -> tuple[list[int], int]:
+        """Return the path to go, and the index of its frame that leads.
+
+        Args:
+            here: the present frame, where the path begins.
+            path: the cheapest one to the goal.
+            fit: of the view with the path, and with the path that was followed until now.
+            enough: least score of a frame in sight.
+        """
+        link = self.graph.scale.link
+        scores, before = np.split(fit.score, [len(path)])
+        if not self.graph.scale.tells_places:
+            # What the recording showed from here leads, wherever one looks: were it what is in sight now, whoever looks
+            # aside to where the path turns next would be told to turn on, and others to go ahead.
+            shown = self.matcher.fit(self.graph.described[here : here + 1], self.graph.described, path).score
+            leading = int(np.flatnonzero(shown >= link).max(initial=0))
+            return path, leading if scores[leading] >= self.graph.scale.recognised else int(scores.argmax())
+        towards, towards_before = np.split(np.abs(fit.turned) < ASIDE, [len(path)])
+        in_sight = np.flatnonzero((scores >= enough) & towards)
+        leading = int(in_sight.max() if len(in_sight) else scores.argmax())
+        # What was followed leads on while it is in sight: a place was often recorded several times, and who changes
+        # over to another of these paths at every view turns to and fro.
+        in_sight = np.flatnonzero((before >= min(enough, link)) & towards_before)
+        if len(in_sight) and self._far[self._followed[in_sight.max()]] < self._far[path[leading]]:
+            path, leading = self._followed, int(in_sight.max())
+        self._followed = path
+        return path, leading
 
     def localise(self, frame: NDArray[np.uint8]) -> Described:
         """Take in a frame while nobody asks what to do: moves spread the belief, and what is seen weighs it."""
