@@ -7,15 +7,10 @@ import torch
 from commands import room_file, train_config
 from parts import Loop, make_parts, train_state
 from refusals import refused
-from tensordict import TensorDict
-from torch import nn
 from train import imitate, learn, train
 
-from dirl.config.schemas import Schedule
 from dirl.runs.folder import Run
 from dirl.training.job import build_components, run_stages
-from dirl.training.loops import restore_random_state
-from dirl.training.objectives import Losses, ScheduledLoss
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "reinforcement.max_steps=9"]
 KINDS = {
@@ -116,46 +111,6 @@ def test_a_state_says_the_weights_for_everyone_else(tmp_path):
     plain.policy.load_state_dict(saved["network"])
     torch.testing.assert_close(plain.policy(rows.copy())["logits"], expected)
     assert not any("weight" in name or "bias" in name for name in saved["losses"])  # those are the policy's
-
-
-class Guess(nn.Module):
-    """A loss with a layer of its own, on what the trunk makes of a rollout."""
-
-    in_keys = ("hidden", "reward")
-
-    def __init__(self, width):
-        super().__init__()
-        self.layer = nn.Linear(width, 1)
-
-    def forward(self, batch):
-        return TensorDict({"loss_guess": (self.layer(batch["hidden"]) - batch["next", "reward"]).square().mean()})
-
-
-def with_own_loss(parts, seed):
-    torch.manual_seed(seed)
-    guess = ScheduledLoss(Guess(8), {"weight": Schedule(1.0, 1.0)})
-    parts.losses = Losses(parts.policy, {**parts.losses.losses, "guess": guess}, parts.demos)
-    return train_state(parts)
-
-
-def test_the_losses_own_parameters_are_trained_saved_and_restored(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *SMALL]
-    parts, others = make_parts(*options), make_parts(*options)
-    state, other = with_own_loss(parts, 1), with_own_loss(others, 2)
-    layer, fresh = (s.losses.modules_by_name["guess"].layer for s in (state, other))
-    assert any(p is layer.weight for group in state.optimiser.param_groups for p in group["params"])
-    before = layer.weight.detach().clone()
-    walk(parts, state, 60)
-    assert not torch.equal(layer.weight, before)
-    saved = through_a_file(state.state_dict())
-    other.load_state_dict(saved)
-    assert torch.equal(layer.weight, fresh.weight)
-    for one, made in ((state, parts), (other, others)):
-        one.env.base_env.generator.set_state(saved["random"]["env"])
-        restore_random_state(saved["random"])
-        walk(made, one, 120)
-    assert torch.equal(layer.weight, fresh.weight)
-    assert torch.equal(state.policy.encoder.fusion.weight, other.policy.encoder.fusion.weight)
 
 
 def test_without_a_cache_the_same_is_learnt_up_to_rounding(tmp_path):
