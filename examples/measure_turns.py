@@ -38,6 +38,7 @@ class Options:
     recordings: str = option("a folder of levels, each with folders of recordings")
     points: str | None = option("xfeat | sift; null = what is installed", None)
     every: int = option("of so many recordings one is taken", 1)
+    first: int = option("number of the first one that is taken", 0)
 
 
 def turned(frame: NDArray[np.uint8], angle: float) -> NDArray[np.uint8]:
@@ -52,14 +53,14 @@ def turned(frame: NDArray[np.uint8], angle: float) -> NDArray[np.uint8]:
     return np.asarray(cv2.warpPerspective(frame, way, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP), np.uint8)
 
 
-def main(recordings: str, points: str | None, every: int) -> None:
+def main(recordings: str, points: str | None, every: int, first: int) -> None:
     """Print the shares."""
     matcher = Matcher(points)
     half = np.tan(np.radians(FIELD_OF_VIEW / 2))
     shown = 2 * float(np.degrees(np.arctan(SHARE * half)))
     clips = [clip for level in sorted(Path(recordings).iterdir()) for clip in sorted(level.iterdir())]
     off: dict[float, list[float]] = {angle: [] for angle in ANGLES}
-    for clip in clips[::every]:
+    for clip in clips[first::every]:
         frames = [frame.image for frame in Recording(clip, 1.0)]
         straight = [turned(frame, 0.0) for frame in frames]
         graph = map_recordings([[(frame, float(n), None) for n, frame in enumerate(straight)]], matcher, shown)
