@@ -87,7 +87,7 @@ SCALES = {
     "xfeat": Scale(False, 80.0, 20.0, 10.0, 20.0, 1.2, 8, 66.0, (4.2, 1.1, -7.5)),
     "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0, (4.2, 1.1, -7.5)),
     # Columns of walls; all frames are compared, and how certain an answer is was never measured.
-    "columns": Scale(True, 0.9, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
+    "columns": Scale(True, 1.05, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
 }
 """By what finds the points, `FrameMatcher.kind`."""
 
