@@ -79,15 +79,13 @@ class Scale(NamedTuple):
     """Frames of earlier times, the most alike as a whole, whose points are compared with those of each, for links."""
     here: float
     """Least score of a photo that was taken here."""
-    decision: tuple[float, float, float]
-    """Of a logistic regression of right answers: log ratio to the best other place, log score, constant."""
 
 
 SCALES = {
-    "xfeat": Scale(False, 80.0, 20.0, 10.0, 20.0, 1.2, 8, 66.0, (4.2, 1.1, -7.5)),
-    "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0, (4.2, 1.1, -7.5)),
+    "xfeat": Scale(False, 80.0, 20.0, 10.0, 20.0, 1.2, 8, 66.0),
+    "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0),
     # Columns of walls; all frames are compared, and how certain an answer is was never measured.
-    "columns": Scale(True, 1.05, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0, (4.2, 1.1, -7.5)),
+    "columns": Scale(True, 1.05, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0),
 }
 """By what finds the points, `FrameMatcher.kind`."""
 

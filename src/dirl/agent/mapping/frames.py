@@ -60,6 +60,9 @@ FAR = 300.0
 WINDOW = 6
 """Frames around the end of a link to which the other end is not linked, too."""
 
+RIGHT = 4.2, 1.1, -7.5
+"""Of a logistic regression of right answers: log ratio to the best other place, log score, constant."""
+
 CERTAIN = 0.95
 """Least probability of an answer that is called certain."""
 
@@ -468,8 +471,8 @@ def decide(best: float, other: float, scale: Scale) -> tuple[Certainty, float]:
         other: that of the best frame at another place.
         scale: of the points.
     """
-    margin, points, offset = scale.decision
-    logit = margin * math.log((best + 3) / (other + 3)) + points * math.log(best + 1) + offset
+    margin, points, constant = RIGHT
+    logit = margin * math.log((best + 3) / (other + 3)) + points * math.log(best + 1) + constant
     probability = 1 / (1 + math.exp(-logit))
     if best < scale.here:
         return "not here", probability
