@@ -245,7 +245,11 @@ def _go_on(folder: Path, config: TrainConfig) -> Run:
     if not training_checkpoints(folder):
         return Run(folder, config, lock=lock)
 
-    saved, unusable = latest_checkpoint(folder, check_tables)
+    try:
+        saved, unusable = latest_checkpoint(folder, check_tables)
+    except ValueError:
+        lock.release()  # the error's traceback would keep it, in a notebook for ever
+        raise
     return Run(folder, config, saved, lock=lock, unusable=unusable)
 
 
