@@ -197,3 +197,34 @@ def test_panoramas_stand_anywhere_so_that_their_views_tell_places_and_not_the_mo
     square = [*[AHEAD, *[RIGHT] * (turns // 4)] * 3, AHEAD]
     assert (passed(turns, square) // turns == 0) == by_motion
     assert (passed(turns, [AHEAD, AHEAD], last=3.0) == 0) == by_views
+
+
+def at_known_panorama(there, action=AHEAD):
+    """Log probabilities of the nodes, after an action at the first of two places, that differ by what arrows show."""
+    memory = LocalisingMemory()
+    places, turns = memory.begin(1, turns=8, views=8), 8
+    arrows = torch.zeros(2, turns, 4, dtype=torch.bool)
+    arrows[:, :, [RIGHT, LEFT]] = True
+    arrows[0, 0, AHEAD] = arrows[1, 2, AHEAD] = True
+    for visit, shown in enumerate(arrows):
+        places.action = torch.tensor([-1 if not visit else AHEAD])
+        cost = torch.where(shown, 1.0, torch.inf)[None]
+        odds = torch.full((1, visit, turns), -5.0)
+        places = memory.arrive(places, odds, torch.full((1, turns), -9.0), lambda _, cost=cost: cost, shown[None])
+    places.action, places.node = torch.tensor([action]), torch.cat([places.node, torch.zeros(1, 1, dtype=int)], 1)
+    places.goal = torch.cat([places.goal, places.goal[:, :1]], 1)
+    places.after[:] = torch.where(places.after // turns == torch.arange(16)[:, None] // turns, places.after, -1)
+    return memory.likely(places, torch.zeros(1, 3, turns), None if there is None else arrows[there][None])[0]
+
+
+def test_places_with_other_arrows_are_hardly_taken_for_one():
+    told, untold = at_known_panorama(there=1), at_known_panorama(there=None)
+    assert told[1] + 4 < untold[1]
+    assert (told[6], told[8]) == (untold[6], untold[8])  # turned, the arrows of the first place are those of the second
+
+
+def test_who_follows_an_arrow_leaves_and_who_does_not_stays():
+    followed, other = at_known_panorama(0), at_known_panorama(0, BACK)
+    assert followed[0] == -torch.inf < at_known_panorama(None)[0]
+    assert (int(followed.argmax()), int(other.argmax())) == (16, 0)
+    assert other[16] + 3 < other[0]

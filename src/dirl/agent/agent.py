@@ -228,7 +228,7 @@ class Localising(Remembering):
         alike = self.remember(now)
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0]
-        self.past = self.memory.arrive(self.past, alike, odds, self.costs(now))
+        self.past = self.memory.arrive(self.past, alike, odds, self.costs(now), now.arrows)
         return self.memory.stops(self.past)
 
     def logits(self, now: Observed) -> Tensor:

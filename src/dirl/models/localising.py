@@ -28,6 +28,9 @@ FAR = 10_000 * MOVE
 UNLIKE = -7.0
 """The least log odds that the goal is seen: below, a calibration says nothing."""
 
+OTHER_ARROWS = -7.0
+"""Added to the log odds of places whose arrows are others: they do not change with light or furniture."""
+
 UNASKED = math.log(len(ACTIONS))
 """Cost of an action facing a heading that was not seen, for which the policy cannot be asked: all are as likely."""
 
@@ -178,7 +181,14 @@ class LocalisingMemory(nn.Module):
             turns=turns,
         )
 
-    def arrive(self, places: Places, alike: Tensor, goal: Tensor, costs: Callable[[Tensor], Tensor]) -> Places:
+    def arrive(
+        self,
+        places: Places,
+        alike: Tensor,
+        goal: Tensor,
+        costs: Callable[[Tensor], Tensor],
+        arrows: Tensor | None = None,
+    ) -> Places:
         """Add where the agents are now, and what their last action led to.
 
         Args:
@@ -188,16 +198,21 @@ class LocalisingMemory(nn.Module):
             goal: log odds that the goal is seen here facing each of the views, float32 ``[B, V]``.
             costs: of the chosen agents, bool ``[B]``, the cost of trying each action facing each of the views, float32
                 ``[B, V, 4]``; rows of others are not used.
+            arrows: which moves are possible facing each of the views, as visitors of a tour see, bool ``[B, V, 4]``.
         """
-        return self.add(places, self.likely(places, alike).argmax(1), goal, costs)
+        return self.add(places, self.likely(places, alike, arrows).argmax(1), goal, costs)
 
-    def likely(self, places: Places, alike: Tensor) -> Tensor:
+    def likely(self, places: Places, alike: Tensor, arrows: Tensor | None = None) -> Tensor:
         """Log probabilities, up to a constant, that the agents are now at each node or, last, at a new place.
 
         Agents that have not acted since the start may be at any place with the same probability. The result is float32
         ``[B, K P + 1]``; for the arguments see `arrive`.
         """
         evidence = self._evidence(alike, places)
+        if arrows is not None and _panorama(places):
+            nodes = torch.arange(evidence.shape[1], device=evidence.device)
+            shown = places.cost.isfinite()[:, places.around(nodes)]  # [B, K P, V, 4]
+            evidence = evidence + OTHER_ARROWS * (shown != arrows[:, None]).flatten(2).any(2)
         used, at = evidence > -math.inf, torch.arange(len(evidence), device=evidence.device)
         prior = (self.slip / used.sum(1, keepdim=True).clamp(min=1)).expand(used.shape)
         new = prior.new_full((len(used), 1), self.slip)
@@ -211,12 +226,12 @@ class LocalisingMemory(nn.Module):
                 there = there & (places.position == position[:, None]).all(-1)[..., None]
             there = there.flatten(1) & used
             tried = outcome >= 0
-            if (
-                panorama
-            ):  # they stand anywhere: an untried passage is as likely to lead to a known place as to a new one
+            if panorama:  # they stand anywhere: an arrow is as likely to lead to a known place as to a new one
+                arrow = places.cost[at, places.here, places.action].isfinite()
+                there = there & arrow[:, None]
                 known: float | Tensor = 0.5 / there.sum(1, keepdim=True).clamp(min=1)
-                stays = self.slip
-                new[~tried] = 0.5
+                stays: float | Tensor = self.slip if arrows is None else torch.where(arrow, 0.0, 1 - self.slip)
+                new[~tried & arrow] = 0.5
             else:
                 known = 1 - self.blocked
                 stays = self.blocked

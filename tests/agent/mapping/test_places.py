@@ -14,13 +14,14 @@ from shown_goals import rooms as shown_rooms
 
 from dirl import Navigator
 from dirl.agent.mapping import MapError, PlaceMap, load_graph, save_graph
-from dirl.agent.mapping.places import ParticleMapper, resampled
+from dirl.agent.mapping.places import ParticleMapper, resampled, without_doubles
 from dirl.agent.navigator import NavigatorError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import LocalisingMemory
+from dirl.models.localising import Places
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import make_world
@@ -88,6 +89,14 @@ class WholeOdds(Odds):
         return described
 
 
+class Told(LocalisingMemory):
+    """Notes which arrows it was told."""
+
+    def arrive(self, places, alike, goal, costs, arrows=None):
+        self.arrows = arrows
+        return super().arrive(places, alike, goal, costs, arrows)
+
+
 def test_a_walk_through_a_tour_tests_what_it_guesses_and_its_map_leads_to_goals_by_whole_panoramas():
     scene = grid_scene(3, 2, headings=8, goals=(5, 24), noise=0.3, **SIZE)
     graph = scene.graph.copy()
@@ -105,8 +114,9 @@ def test_a_walk_through_a_tour_tests_what_it_guesses_and_its_map_leads_to_goals_
     protocol = EvaluationProtocol(
         world, SurroundingViews(world), every_start(world), stop, 60, memory=memory, scores=scores, panorama=True
     )
-    protocol = replace(protocol, maps=[known])
+    protocol = replace(protocol, maps=[known], memory=Told(), arrows=True)
     assert metrics(protocol.run(Anything()))["sr"] == 1
+    assert protocol.memory.arrows.shape[1:] == (8, 4)
 
 
 def test_many_particles_make_a_better_map_than_one_where_single_looks_err():
@@ -135,6 +145,66 @@ def walked(mapper, world, seed, start=3):
             break
         state = int(world.graph[state, action])
     return mapper.map(), passed
+
+
+def test_the_map_is_not_of_a_particle_that_has_just_sampled_what_is_improbable():
+    for seed in range(20):
+        mapper = ParticleMapper(
+            LocalisingMemory(),
+            lambda seen, _: torch.full(seen.shape[:3], -1.0),
+            particles=64,
+            seed=seed,
+            arrows=lambda visit: torch.ones((*visit.shape, 4), dtype=torch.bool),
+        )
+        for action in (None, AHEAD):
+            mapper.see(torch.arange(4), action)
+        assert len(mapper.map()) == 4 * 2
+
+
+def test_who_walks_through_a_tour_tells_places_by_their_arrows():
+    shown = torch.ones((3, 8, 4), dtype=torch.bool)
+    shown[2, 3, AHEAD] = False
+    for second, places in ((1, 1), (2, 2)):
+        mapper = ParticleMapper(
+            LocalisingMemory(),
+            lambda seen, _: torch.tensor([[[5.0, *[-9.0] * 7]]]),
+            turns=8,
+            arrows=lambda visit: shown[visit[..., 0]],
+        )
+        mapper.see(torch.zeros(8, dtype=torch.int64))
+        mapper.see(torch.full((8,), second))  # carried there, so that motion says nothing
+        assert len(mapper.map()) == 8 * places
+
+
+def test_places_that_later_visits_take_for_one_become_one():
+    first = Places(
+        cost=torch.full((1, 24, 4), 1.0),
+        after=torch.full((1, 24, 4), -1),
+        taken=torch.zeros((1, 24, 4), dtype=torch.bool),
+        node=torch.tensor([[0, 8, 18, 0]]),  # the third visit looks where the first place has its second heading
+        goal=torch.zeros(1, 4, 8),
+        position=torch.zeros((1, 3, 2), dtype=torch.int64),
+        heading=torch.zeros((1, 3), dtype=torch.int64),
+        action=torch.tensor([AHEAD]),
+        mapped=torch.tensor([False]),
+        turns=8,
+    )
+    first.after[0, 8, AHEAD], first.taken[0, 8, AHEAD] = 18, True
+    odds = [torch.full((visit, 8), -9.0) for visit in range(4)]
+    odds[2][0, 1] = odds[3][2, 7] = 9.0
+    known = without_doubles(first, odds)
+    assert known.node.tolist() == [[0, 8, 1, 0]]
+    assert (known.after[0, 8, AHEAD].item(), known.position.shape[1]) == (1, 2)
+    for change in ("moves", "arrows", "connected"):
+        apart = replace(first, cost=first.cost.clone(), after=first.after.clone(), taken=first.taken.clone())
+        if change == "moves":  # the same move leads to other places
+            apart.after[0, [1, 18], AHEAD] = torch.tensor([8, 19])
+            apart.taken[0, [1, 18], AHEAD] = True
+        elif change == "arrows":
+            apart.cost[0, 1, AHEAD] = torch.inf
+        else:
+            apart.after[0, 0, AHEAD], apart.taken[0, 0, AHEAD] = 16, True
+        assert without_doubles(apart, odds).position.shape[1] == 3
 
 
 def test_who_is_carried_elsewhere_finds_the_place_on_the_map_again(world, scores, walks):
