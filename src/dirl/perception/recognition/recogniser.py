@@ -79,6 +79,11 @@ PANORAMA_SLOPE, PANORAMA_MIDDLE, PANORAMA_GROWTH = 50.0, 0.05, 0.027
 cosines grow. Chosen on walks in two real tours with photographs that changed; see docs/decisions.md."""
 
 
+PLACES_UNSEEN = 250
+"""A goal is told from places not seen yet, too: it counts as one of so many panoramas at least. Else early stops are
+often wrong."""
+
+
 def panorama_odds(seen: Tensor, wanted: Tensor, place: Tensor | None = None) -> Tensor:
     """Return the log odds that panoramas are of one place, by all views at once.
 
@@ -89,11 +94,12 @@ def panorama_odds(seen: Tensor, wanted: Tensor, place: Tensor | None = None) -> 
     Args:
         seen: of T panoramas of K views, float32 ``[B, T, K, W]``; see `ComparesPanoramas`.
         wanted: the panorama that is looked for, ``[B, K, W]``, or four views of it, 90 degrees apart.
-        place: panoramas of the place, by which all are whitened; those of ``seen`` if left out.
+        place: if a goal is wanted, the panoramas of the place, by which all are whitened; else those of ``seen`` are.
 
     Returns:
         float32 ``[B, T, K]``: facing each view of each panorama, that what is ahead is ``wanted``'s first view.
     """
+    known = seen.shape[1] if place is None else max(place.shape[1], PLACES_UNSEEN)
     place = seen if place is None else place
     views = torch.cat([place.flatten(1, 2), wanted], 1)
     headings, count = seen.shape[2], wanted.shape[1]
@@ -112,7 +118,7 @@ def panorama_odds(seen: Tensor, wanted: Tensor, place: Tensor | None = None) -> 
     aside = torch.arange(count, device=seen.device) * (headings // count)
     facing = (torch.arange(headings, device=seen.device)[:, None] + aside) % headings
     mean_cosine = cosines.gather(2, facing.expand(*cosines.shape[:2], -1, -1)).mean(-1)
-    middle = PANORAMA_MIDDLE + PANORAMA_GROWTH * math.log(max(place.shape[1], 1))
+    middle = PANORAMA_MIDDLE + PANORAMA_GROWTH * math.log(max(known, 1))
     return PANORAMA_SLOPE * (mean_cosine - middle)
 
 
