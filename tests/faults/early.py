@@ -84,7 +84,8 @@ def try_tool(name, tool, words, kills, seed, folder):
         one.mkdir()
         left, ended = kill(tool, words, rng.uniform(0, 1), one)
         bad += bool(left)
-        unfinished += [one] * (not ended and not (one / "new.h5").exists())
+        written = any((one / name).exists() for name in ("new.h5", "walk.npz"))  # and is not overwritten
+        unfinished += [one] * (not ended and not written)
     folders[-1].mkdir()
     after = Child([folders[-1], *unfinished][-1], tool, *words).wait()
     told = f"then status {after.status} {after.told[-1:] if after.status else ''}"
