@@ -92,7 +92,7 @@ class ParticleMapper:
         self.compare, self.seen = compare, None if known is None else known.seen
         self.turns, self.arrows = turns, arrows
         self.odds: list[Tensor] = []
-        """Of each visit the log odds that it is at an earlier one, ``[T, V]``."""
+        """In a tour, of each visit the log odds that it is at an earlier one, ``[T, V]``; see `without_doubles`."""
         self.places: Places | None = None
         if known is not None:
             self.turns, self.places = known.turns, known.begin(known.places.goal.expand(particles, -1, -1))
@@ -122,7 +122,6 @@ class ParticleMapper:
         visit = visit[None]
         seen = visit[:, None][:, :0] if self.seen is None else self.seen
         alike = self.compare(seen, visit) if seen.shape[1] else torch.zeros(1, 0, views)
-        self.odds.append(alike[0].cpu())
         alike = alike.cpu().expand(particles, -1, -1)
         self.seen = torch.cat([seen, visit[:, None]], 1)
         arrows = None if self.arrows is None else self.arrows(visit).cpu().expand(particles, -1, -1)
@@ -130,6 +129,7 @@ class ParticleMapper:
         here = torch.multinomial(likely.softmax(1), 1, generator=self.generator).squeeze(1)
         cost = torch.full((particles, views, len(ACTIONS)), UNASKED)
         if arrows is not None:
+            self.odds.append(alike[0])
             cost = cost.masked_fill(~arrows, math.inf)  # impossible moves: neither tried nor guessed
         self.places = self.memory.add(self.places, here, torch.zeros(particles, views), lambda _: cost)
         self.decided = self.decided + likely.gather(1, here[:, None]).squeeze(1)
