@@ -84,7 +84,7 @@ def try_tool(name, tool, words, kills, seed, folder):
         one.mkdir()
         left, ended = kill(tool, words, rng.uniform(0, 1), one)
         bad += bool(left)
-        written = any((one / name).exists() for name in ("new.h5", "walk.npz"))  # and is not overwritten
+        written = any(file.is_file() and file.name[0] != "." for file in one.iterdir())  # and is not overwritten
         unfinished += [one] * (not ended and not written)
     folders[-1].mkdir()
     after = Child([folders[-1], *unfinished][-1], tool, *words).wait()
