@@ -388,8 +388,7 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     from dirl.perception.recognition.recogniser import NCC
     from dirl.perception.recognition.tables import described_visits
     from dirl.reporting import viewer_pages
-    from dirl.runs.checkpoints import load_checkpoint
-    from dirl.runs.paths import packaged_agent
+    from dirl.runs.checkpoints import load_checkpoint, packaged_agent
     from dirl.scenes import load_scenes
     from dirl.scenes.graph import turns_per_circle
     from dirl.scenes.io.write import write_dump

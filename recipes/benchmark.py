@@ -11,7 +11,7 @@ shown. The limit is the machine's throughput of float32 matrix products. All opt
 from dataclasses import dataclass
 from typing import Any
 
-from dirl.cli.start import run, start
+from dirl.cli.start import new_file, run, start
 from dirl.config.options import option
 from dirl.config.schemas import ConfigError, Frames, Positive, TrainConfig
 
@@ -45,7 +45,6 @@ from torch.utils.flop_counter import FlopCounterMode
 from tqdm import tqdm
 from train import reinforce, train
 
-from dirl.cli.output import new_file
 from dirl.cli.parsing import compose_training
 from dirl.config.components import check_components
 from dirl.config.values import typed

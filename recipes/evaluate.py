@@ -11,7 +11,7 @@ All options: `Options` below.
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from dirl.cli.start import run, start
+from dirl.cli.start import new_file, run, start
 from dirl.config.options import Bounds, option
 from dirl.config.schemas import (
     ConfigError,
@@ -121,7 +121,6 @@ from tqdm import tqdm
 
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.policy import LAST_STEPS
-from dirl.cli.output import new_file
 from dirl.config.components import make
 from dirl.config.files import goal_view_options, group_options, load_simulator, own_options
 from dirl.evaluation.episodes import Episodes, Metric, sampled_starts, shortest_episodes
@@ -132,8 +131,7 @@ from dirl.perception.recognition.build import build_recogniser, matching
 from dirl.perception.recognition.recogniser import NCC
 from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
-from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import RunError, State, packaged_agent
+from dirl.runs.checkpoints import RunError, State, load_checkpoint, packaged_agent
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, shortest_move

@@ -8,7 +8,7 @@ All options: `Options` below.
 from dataclasses import dataclass
 from typing import Any
 
-from dirl.cli.start import run, start
+from dirl.cli.start import new_file, run, start
 from dirl.config.options import option
 
 
@@ -34,7 +34,6 @@ import numpy as np
 
 from dirl.agent.mapping.frames import Found, FrameMap, load_frames_map, load_matcher
 from dirl.agent.mapping.moves import Move, moves_along
-from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
 from dirl.config.values import names
 from dirl.perception.matching import FrameMatcher

@@ -8,7 +8,7 @@ All options: `Options` below.
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from dirl.cli.start import run, start
+from dirl.cli.start import new_file, run, start
 from dirl.config.options import Bounds, option
 
 
@@ -41,7 +41,6 @@ if __name__ == "__main__":
 from pathlib import Path
 
 from dirl.agent.mapping.frames import check_memory, find_links, load_matcher, map_recordings
-from dirl.cli.output import new_file
 from dirl.config.schemas import ConfigError
 from dirl.config.values import names
 from dirl.reporting.walks import write_page, write_route

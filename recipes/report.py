@@ -48,7 +48,7 @@ from dirl.experiments.results import Result, finished_runs
 from dirl.experiments.sptm import report_sptm
 from dirl.models.build import reads_patches
 from dirl.reporting.tables import scene_names
-from dirl.runs.paths import RunError
+from dirl.runs.checkpoints import RunError
 
 
 def main(options: Options) -> None:

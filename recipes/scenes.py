@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
-from dirl.cli.start import run, start
+from dirl.cli.start import check_writable, new_file, run, start
 from dirl.config.options import Bounds, option
 from dirl.config.schemas import Correlation, Device, EncoderPrecision, Match, NotNegative, Positive, Seed
 
@@ -375,7 +375,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from dirl.cli.output import check_writable, new_file
 from dirl.config.components import make
 from dirl.config.files import group_options, load_simulator
 from dirl.config.folders import command as command_of

@@ -8,8 +8,7 @@ from dirl import Navigator
 from dirl.config.schemas import ConfigError
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition import Learned
-from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import AGENTS
+from dirl.runs.checkpoints import AGENTS, load_checkpoint
 from dirl.scenes import load_scenes
 from dirl.training.build import load_trained
 

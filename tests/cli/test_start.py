@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from options import RECIPES as PROGRAMS
 from options import SCHEMAS, command_line, draw_arguments, program
+from refusals import refused
 
-from dirl.cli.start import start
+from dirl.cli.start import new_file, start
 
 RECIPES = sorted(set(SCHEMAS) - {"benchmark"})
 
@@ -94,3 +95,23 @@ def test_what_hydra_would_refuse_in_many_lines_is_one(tmp_path, monkeypatch, arg
     said = started("train", *arguments)
     assert said.startswith(told)
     assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("there.h5", "this file exists already; it is not overwritten"),
+        ("there.h5/inside.h5", "cannot be written (Not a directory)"),
+        ("x" * 300 + ".h5", "cannot be written (File name too long)"),
+        ("other.txt", "the name must end in .h5"),
+        ("a/b.h5", None),
+    ],
+)
+def test_a_file_is_new_and_can_be_written_or_is_refused(tmp_path, monkeypatch, name, says):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.h5").touch()
+    if says is None:
+        assert str(new_file(name)) == name
+    else:
+        assert refused(".", new_file, name).startswith(f"out={name}: {says}")
+    assert [file.name for file in tmp_path.iterdir()] == ["there.h5"]

@@ -29,8 +29,7 @@ from rooms import grid_scene
 
 from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
 from dirl.agent.mapping.walks import explore
-from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import RunError, is_finished, training_checkpoints
+from dirl.runs.checkpoints import RunError, is_finished, load_checkpoint, training_checkpoints
 
 COUNTS = {"kills": 4, "signals": 2, "faults": 6, "bytes": 300, "folders": 100, "machine": 1, "seed": 0}
 """How often each thing is tried; ``machine`` is a round of the cases that stand for themselves."""

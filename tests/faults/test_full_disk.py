@@ -5,8 +5,7 @@ import pytest
 import torch
 from commands import SHORT, done, room_file, run_recipe
 
-from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import training_checkpoints
+from dirl.runs.checkpoints import load_checkpoint, training_checkpoints
 
 
 @pytest.fixture

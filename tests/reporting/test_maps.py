@@ -5,9 +5,9 @@ from PIL import Image
 from rooms import grid_scene
 
 from dirl.reporting import draw_policy, write_gif
-from dirl.reporting.animation import MAX_FRAMES
 from dirl.reporting.curves import common_frames
 from dirl.reporting.maps import never_arrives
+from dirl.reporting.pictures import MAX_FRAMES
 from dirl.scenes.graph import AHEAD, RIGHT
 
 

@@ -18,7 +18,6 @@ from dirl.reporting import draw_learning_curve, draw_trajectories, result_table,
 from dirl.reporting.style import write_figure
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import read_dump
-from dirl.scenes.geometry import heading_directions, step_length
 
 MEASURES = {
     "atl": 146.194,
@@ -219,7 +218,7 @@ def compass(scene):
 
 def test_headings_point_where_moving_ahead_leads_however_the_file_counts_them():
     room = grid_scene(3, 2)
-    np.testing.assert_allclose(heading_directions(room), compass(room), atol=1e-6)
+    np.testing.assert_allclose(room.directions, compass(room), atol=1e-6)
     mirrored = replace(room, positions=room.positions * [-1, 1])
     swapped = replace(room, positions=room.positions[:, ::-1].copy())
     from_x = replace(room, headings=(room.headings - 90) % 360)
@@ -227,11 +226,11 @@ def test_headings_point_where_moving_ahead_leads_however_the_file_counts_them():
     for scene in (room, mirrored, swapped, from_x, shuffled):
         free = np.flatnonzero(scene.graph[:, 0] >= 0)
         moves = scene.positions[scene.graph[free, 0]] - scene.positions[free]
-        np.testing.assert_allclose(heading_directions(scene)[free] * CELL, moves, atol=1e-6)
+        np.testing.assert_allclose(scene.directions[free] * CELL, moves, atol=1e-6)
         # In front of a wall too: half a turn on it is the opposite direction.
         around = scene.surrounding[:, 2]
-        np.testing.assert_allclose(heading_directions(scene)[around], -heading_directions(scene), atol=1e-6)
-    assert step_length(replace(room, positions=room.positions * 3)) == pytest.approx(3 * CELL)
+        np.testing.assert_allclose(scene.directions[around], -scene.directions, atol=1e-6)
+    assert replace(room, positions=room.positions * 3).step_length == pytest.approx(3 * CELL)
 
 
 # Paths

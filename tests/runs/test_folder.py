@@ -10,9 +10,8 @@ from commands import train_config
 from refusals import refused
 from rooms import grid_scene
 
-from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
+from dirl.runs.checkpoints import RunError, is_finished, load_checkpoint, save_checkpoint, training_checkpoints
 from dirl.runs.folder import Run, open_run
-from dirl.runs.paths import RunError, is_finished, training_checkpoints
 from dirl.scenes import make_world
 
 ORDER = ["ahead", "right", "back", "left"]

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from dirl.scenes import Scene
-from dirl.scenes.geometry import heading_directions, step_length
-from dirl.scenes.palette import BLUE, COLORS, GOAL_COLOR, WALL_COLOR, star_points
+from dirl.scenes.palette import BLUE, COLORS, GOAL_COLOR, WALL_COLOR
 
 HEIGHT = 300
 """Of a rendered picture, pixels."""
@@ -26,7 +25,7 @@ class RoomMap:
     """
 
     def __init__(self, scene: Scene, goal: int, largest: tuple[float, float], smooth: int = 1) -> None:
-        side, self.smooth = step_length(scene), smooth
+        side, self.smooth = scene.step_length, smooth
         low = scene.positions.min(0) - 0.75 * side
         spans = scene.positions.max(0) + 0.75 * side - low
         scale = (smooth * np.array(largest) / spans).min()
@@ -34,7 +33,7 @@ class RoomMap:
         width, height = (smooth * math.ceil(span * scale / smooth) for span in spans)
         x, z = (scene.positions - low).T * scale
         self.at = np.stack([x, height - z], 1)  # rows of an image count downwards
-        self.ahead = heading_directions(scene) * (1, -1)
+        self.ahead = scene.directions * (1, -1)
         self.room = Image.new("RGB", (width, height), WALL_COLOR)
         draw = ImageDraw.Draw(self.room)
         for x, y in np.unique(self.at.round(2), axis=0):
@@ -42,9 +41,11 @@ class RoomMap:
             draw.rectangle((x - half, y - half, x + half, y + half), fill="white", outline="#E5E5E5", width=smooth)
         tip = self.at[goal] + 0.62 * self.side * self.ahead[goal]
         draw.line([tuple(self.at[goal]), tuple(tip)], fill="black", width=2 * smooth)
-        x, y = map(float, self.at[goal])
-        star = star_points(x, y, 0.44 * self.side)
-        draw.polygon(star, fill=GOAL_COLOR, outline="black", width=smooth)
+        # The goal's star, one of its ten corners up.
+        turns = math.pi / 5 * np.arange(10)
+        reach = 0.44 * self.side * np.tile([1, 0.42], 5)
+        star = self.at[goal] + np.stack([reach * np.sin(turns), -reach * np.cos(turns)], 1)
+        draw.polygon([tuple(corner) for corner in star], fill=GOAL_COLOR, outline="black", width=smooth)
 
     def draw(self, path: Sequence[int], color: str) -> Image.Image:
         """Return the map with a path up to its last state, where the agent stands."""

@@ -13,7 +13,7 @@ from dirl.experiments.figures import band, panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, grouped, published, write_tables
 from dirl.reporting.curves import atl_axis, common_frames
 from dirl.reporting.statistics import FloatArray, iqm
-from dirl.runs.paths import Summary
+from dirl.runs.checkpoints import Summary
 from dirl.scenes.palette import COLORS
 
 RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}

@@ -12,7 +12,7 @@ from dirl.experiments.figures import panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, published, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
-from dirl.runs.paths import RunError
+from dirl.runs.checkpoints import RunError
 from dirl.scenes.goals import well_reached
 from dirl.scenes.world import World
 from dirl.training.build import build_goals

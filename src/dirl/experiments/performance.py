@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from dirl.config.schemas import TrainConfig
 from dirl.experiments.figures import interval_row, panels, save_figure
 from dirl.experiments.results import NAMES, Cell, Result, Table, by_system, published, write_tables
-from dirl.runs.paths import Summary
+from dirl.runs.checkpoints import Summary
 from dirl.scenes.palette import SYSTEM_COLORS
 
 MEASURES = {

@@ -12,8 +12,7 @@ from dirl.config.files import read_config
 from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
-from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import RunError, Summary, finished_folders
+from dirl.runs.checkpoints import RunError, Summary, finished_folders, load_checkpoint
 from dirl.scenes.io.atomic import atomic_path, write_json, write_text
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import SYSTEM_COLORS

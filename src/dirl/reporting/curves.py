@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dirl.evaluation.protocol import STABLE_ATL, WINDOW
 from dirl.reporting.style import plain, write_figure
 from dirl.reporting.tables import read_columns, run_title
-from dirl.runs.paths import Summary
+from dirl.runs.checkpoints import Summary
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, SKY, VERMILION
 

@@ -11,7 +11,6 @@ from PIL import Image, ImageDraw
 
 from dirl.reporting.style import draw_room, has_walls, star, write_figure
 from dirl.scenes import Scene
-from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
@@ -32,7 +31,7 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
 
     ``parts`` is `dirl.perception.recognition.diagnostics.Inspection.parts`.
     """
-    side, place = step_length(scene), places(scene.graph)
+    side, place = scene.step_length, places(scene.graph)
     spans = np.ptp(scene.positions, axis=0) + 2 * side
     width, height = spans * MAP_SIZE / spans.max()
     figure = Figure((max(width, 3.5) + 1, height + 1.4), layout="constrained")
@@ -54,7 +53,7 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
     for state in np.flatnonzero(scene.graph[:, AHEAD] >= 0):
         ends = scene.positions[[state, scene.graph[state, AHEAD]]]
         axes.plot(*ends.T, color="0.7", linewidth=0.8, zorder=1.5)
-    ahead = np.nan_to_num(heading_directions(scene))
+    ahead = np.nan_to_num(scene.directions)
     arrow = {"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0}
     for goal in scene.goals:
         at = scene.positions[goal]

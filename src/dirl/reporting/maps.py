@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from dirl.reporting.style import draw_room, star, write_figure
 from dirl.scenes import Scene
-from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import shortest_distances, turns_per_circle
 from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
 
@@ -55,8 +54,8 @@ def draw_policy(
     """
     scene.check_goal(goal)
     chances, values, scores = (np.asarray(each, float) for each in (probabilities, value, matching))
-    side, half = step_length(scene), 180 / turns_per_circle(scene.graph)
-    directions = heading_directions(scene)
+    side, half = scene.step_length, 180 / turns_per_circle(scene.graph)
+    directions = scene.directions
     wedges = [
         Wedge((x, z), 0.48 * side, angle - half, angle + half)
         for (x, z), angle in zip(scene.positions, np.degrees(np.arctan2(*directions.T[::-1])), strict=True)

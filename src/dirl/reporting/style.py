@@ -45,7 +45,7 @@ def has_walls(scene: Scene) -> bool:
 def draw_room(axes: Axes, scene: Scene, side: float) -> None:
     """Draw white squares where an agent can be, on the grey of walls and furniture; discs for a tour.
 
-    The axes get the limits and labels of the room. ``side`` is that of a square, metres, see `step_length`.
+    The axes get the limits and labels of the room. ``side`` is that of a square, metres, see `Scene.step_length`.
     """
     cells = np.unique(scene.positions.round(3), axis=0)
     places: list[Patch]

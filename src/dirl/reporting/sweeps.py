@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from dirl.config.files import plain_mapping
 from dirl.config.values import leaves
 from dirl.reporting.tables import result_table
-from dirl.runs.paths import Summary
+from dirl.runs.checkpoints import Summary
 from dirl.scenes.io.bounded import read_text
 
 FEW = 4

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.config.folders import command
-from dirl.runs.paths import Summary
+from dirl.runs.checkpoints import Summary
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.texts import read_rows
+from dirl.scenes.io.bounded import read_rows
 
 # Heading, key in `dirl.evaluation.metrics`, decimals. With labels of 13 characters a table has 80 columns.
 MEASURES = (

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from dirl.reporting.style import draw_room, marker, star, write_figure
 from dirl.scenes import ACTIONS, Scene
-from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import IntArray, places
 from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
 
@@ -65,7 +64,7 @@ def draw_trajectories(
     scene.check_goal(goal)
     for path in paths:
         path_actions(scene, path)
-    sides = np.ptp(scene.positions, axis=0) + 2 * step_length(scene)
+    sides = np.ptp(scene.positions, axis=0) + 2 * scene.step_length
     width, height = sides * MAP_SIZE / sides.max() + (0.8, 0.6)  # with room for the labels of the axes
     full_width = max(width, SIDE_WIDTH) if scene.views is None else width + SIDE_WIDTH
     title = textwrap.fill(title, int(11 * full_width))  # about 11 letters an inch
@@ -103,17 +102,12 @@ def path_actions(scene: Scene, path: Sequence[int]) -> list[str]:
     return actions
 
 
-def chosen_steps(steps: int) -> list[int]:
-    """Return up to `MAX_VIEWS` of the numbers 0 to ``steps``, evenly spread, the first and last among them."""
-    return np.linspace(0, steps, min(MAX_VIEWS, steps + 1)).round().astype(int).tolist()
-
-
 def _draw_map(
     axes: Axes, scene: Scene, goal: int, paths: Sequence[Sequence[int]], success: Sequence[bool]
 ) -> list[Artist]:
     """Draw the room and the paths in it; return the entries of its legend."""
-    side, place = step_length(scene), places(scene.graph)
-    arrows = side * heading_directions(scene)
+    side, place = scene.step_length, places(scene.graph)
+    arrows = side * scene.directions
     draw_room(axes, scene, side)
     handles: list[Artist] = []
     # Paths are set apart along the diagonal, so that they stay apart in corridors of both directions.
@@ -166,7 +160,8 @@ def _draw_views(figure: SubFigure, scene: Scene, goal: int, path: Sequence[int],
     assert scene.views is not None
     figure.suptitle("views along path 1, each with the action that follows", fontsize=10)
     actions = [*path_actions(scene, path), "goal reached" if reached else "failed"]
-    shown = [(f"step {step}: {actions[step]}", path[step]) for step in chosen_steps(len(path) - 1)]
+    steps = np.linspace(0, len(path) - 1, min(MAX_VIEWS, len(path))).round().astype(int).tolist()
+    shown = [(f"step {step}: {actions[step]}", path[step]) for step in steps]
     shown.append(("goal", goal))
     grid = figure.subplots(3, 3).ravel()
     for axes in grid:

@@ -21,7 +21,6 @@ from dirl.models import LocalisingMemory, recurrent_keys
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import described_visits
 from dirl.scenes import ACTIONS, Scene
-from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 from dirl.scenes.views import encoded_view
 from dirl.scenes.world import World
@@ -174,8 +173,8 @@ def _room(scene: Scene) -> dict[str, object]:
         "graph": scene.graph.tolist(),
         "surrounding": scene.surrounding.tolist(),
         "positions": scene.positions.round(4).tolist(),
-        "directions": heading_directions(scene).round(4).tolist(),
-        "side": round(step_length(scene), 4),
+        "directions": scene.directions.round(4).tolist(),
+        "side": round(scene.step_length, 4),
         "source": scene.source,
         "views": None if views is None else [base64.b64encode(view).decode() for view in encoded],
     }

@@ -16,9 +16,7 @@ from dirl.config.files import config_text, read_config
 from dirl.config.folders import command
 from dirl.config.schemas import Existing, LoggerName, TrainConfig
 from dirl.config.values import leaves, plain
-from dirl.runs.checkpoints import latest_checkpoint, save_checkpoint
-from dirl.runs.locks import FolderLock, claim, is_numbered
-from dirl.runs.paths import (
+from dirl.runs.checkpoints import (
     SCHEMA,
     TABLES,
     RunError,
@@ -27,8 +25,11 @@ from dirl.runs.paths import (
     config_file,
     find_unfinished,
     is_finished,
+    latest_checkpoint,
+    save_checkpoint,
     training_checkpoints,
 )
+from dirl.runs.locks import FolderLock, claim, is_numbered
 from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.scene import turns_of

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from dirl.runs.paths import RunError, config_file
+from dirl.runs.checkpoints import RunError, config_file
 
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 """What file systems answer that have no locks; those that do not know the call at all, ``filelock`` sees to."""

@@ -11,7 +11,7 @@ import wandb
 
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.config.values import leaves, plain
-from dirl.runs.paths import Summary
+from dirl.runs.checkpoints import Summary
 from dirl.scenes.io.atomic import write_text
 from dirl.scenes.io.bounded import read_text
 

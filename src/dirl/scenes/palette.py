@@ -1,6 +1,4 @@
-"""The colours of figures and maps, and the star that marks a goal; without matplotlib, for environments that render."""
-
-import math
+"""The colours of figures and maps; without matplotlib, for environments that render."""
 
 # The Okabe-Ito palette, which colour-blind readers can tell apart; its yellow is the goal's on maps.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
@@ -24,9 +22,3 @@ SYSTEM_COLORS = {
 """By name of the preset ``system``; the same in every figure."""
 
 GOAL_COLOR, WALL_COLOR = "#F0E442", "#C9CDD3"
-
-
-def star_points(x: float, y: float, radius: float) -> list[tuple[float, float]]:
-    """Return the corners of the goal's star in a picture, one of them up; rows of a picture count downwards."""
-    corners = [(math.pi * corner / 5, radius * (0.42 if corner % 2 else 1)) for corner in range(10)]
-    return [(x + reach * math.sin(turn), y - reach * math.cos(turn)) for turn, reach in corners]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dirl.scenes.errors import SceneError as SceneError  # where all look for it
 from dirl.scenes.graph import (
+    AHEAD,
     RIGHT,
     GraphError,
     IntArray,
@@ -145,6 +146,39 @@ class Scene:
     def surrounding(self) -> IntArray:
         """The states ahead, right, back and left of each state, int64 ``[N, 4]``."""
         return _read_only(surrounding_states(self.graph))
+
+    @cached_property
+    def step_length(self) -> float:
+        """Return the median length of the moves ahead, metres; 0.5 where there are none."""
+        _, moves = self._moves_ahead
+        return float(np.median(np.abs(moves))) if len(moves) else 0.5
+
+    @cached_property
+    def directions(self) -> NDArray[np.float64]:
+        """Where each state's heading points to on the map: unit vectors (x, z), float64 ``[N, 2]``.
+
+        Headings are clockwise from +z in AI2-THOR, but other files may differ. The sense of rotation and its zero are
+        therefore those that agree best with the moves ahead; where the moves leave it open, those of AI2-THOR.
+        """
+        states, moves = self._moves_ahead
+        clockwise = np.exp(1j * np.deg2rad(self.headings))
+        turned, zero = clockwise, np.complex128(1)
+        if len(moves):
+            # Where a sense fits, every move asks for the same zero; where it does not, they cancel each other out.
+            fits = [(sense, np.mean(moves / sense[states])) for sense in (clockwise, clockwise.conj())]
+            best, mean = max(fits, key=lambda fit: round(abs(fit[1]), 6))
+            # With headings that are all the same the moves may cancel out in either sense.
+            if abs(mean) > 1e-6 * np.abs(moves).max():
+                turned, zero = best, mean / abs(mean)
+        pointing = turned * zero
+        return _read_only(np.stack([pointing.imag, pointing.real], 1))
+
+    @cached_property
+    def _moves_ahead(self) -> tuple[IntArray, NDArray[np.complex128]]:
+        """The states whose way ahead is free, and the moves as z + ix, whose angle is the clockwise one from +z."""
+        states = np.flatnonzero(self.graph[:, AHEAD] >= 0)
+        x, z = (self.positions[self.graph[states, AHEAD]] - self.positions[states]).T
+        return states, z + 1j * x
 
     @cached_property
     def _entered(self) -> NDArray[np.bool_]:

@@ -40,8 +40,7 @@ from dirl.perception.backbones.registry import encoded_as
 from dirl.perception.recognition.build import build_recogniser, matching, set_memory_threshold
 from dirl.perception.recognition.matching import ScoreFunction, StopRule
 from dirl.perception.recognition.tables import VisitScores
-from dirl.runs.checkpoints import load_checkpoint
-from dirl.runs.paths import ARCHITECTURE, Facts, State
+from dirl.runs.checkpoints import ARCHITECTURE, Facts, State, load_checkpoint
 from dirl.scenes import Scene, SceneError, load_scenes
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals

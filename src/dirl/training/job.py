@@ -22,10 +22,9 @@ from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess, m
 from dirl.models import ActorCritic, count_parameters, plain_weights
 from dirl.perception.recognition.build import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
-from dirl.runs.checkpoints import load_checkpoint, restoring
+from dirl.runs.checkpoints import Facts, RunError, State, is_finished, load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
-from dirl.runs.paths import Facts, RunError, State, is_finished
 from dirl.scenes.io.atomic import write_json
 from dirl.scenes.io.bounded import read_text
 from dirl.scenes.live import SimulatorError

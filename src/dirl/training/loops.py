@@ -27,10 +27,9 @@ from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, metrics
 from dirl.models import ActorCritic, plain_weights
-from dirl.runs.checkpoints import restoring
+from dirl.runs.checkpoints import Facts, RunError, State, restoring
 from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
-from dirl.runs.paths import Facts, RunError, State
 from dirl.training.build import build_env, build_expert
 from dirl.training.objectives import Losses
 from dirl.training.pairs import Demonstrations, with_labels

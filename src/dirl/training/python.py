@@ -23,8 +23,8 @@ from dirl.config.folders import HOME, RECIPES
 from dirl.config.schemas import ConfigError
 from dirl.reporting import summary_table
 from dirl.reporting.sweeps import seed_table
+from dirl.runs.checkpoints import Facts
 from dirl.runs.folder import Run
-from dirl.runs.paths import Facts
 from dirl.training.job import Components, run_one
 from dirl.training.stacked import Job, run_together
 

@@ -29,8 +29,8 @@ from dirl.config.schemas import Device, Schedule, TrainConfig, Until
 from dirl.config.values import leaves, plain
 from dirl.evaluation.episodes import EvaluationProtocol
 from dirl.models.distinct import Cacheable, reading_waits
+from dirl.runs.checkpoints import Facts, is_finished
 from dirl.runs.folder import Run
-from dirl.runs.paths import Facts, is_finished
 from dirl.scenes.io.bounded import read_text
 from dirl.training.build import build_env, build_losses, describe
 from dirl.training.job import Components, Stages, build_components, conclude, open_job, run_stages

@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from dirl.scenes import SceneError
-from dirl.scenes.io.bounded import MOST_WEIGHTS, read_arrays, read_bytes, read_tensors
+from dirl.scenes.io.bounded import MOST_WEIGHTS, read_arrays, read_bytes, read_rows, read_tensors
 from dirl.scenes.io.checked import inside
-from dirl.scenes.io.texts import read_rows
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/abs/secret.png", "link.png"])

@@ -11,7 +11,6 @@ from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.recogniser import in_blocks
 from dirl.perception.recognition.tables import matched
 from dirl.scenes import Scene, SceneError
-from dirl.scenes.geometry import heading_directions, step_length
 from dirl.scenes.graph import AHEAD, BACK, RIGHT, IntArray, places, turns_per_circle
 
 MAX_STATES = 5_000
@@ -85,7 +84,7 @@ def _facts(scene: Scene, parts: IntArray) -> dict[str, str]:
     reached = scene.distances[scene.distances > 0]
     blocked = (scene.graph[:, [AHEAD, BACK]] < 0).mean()
     sizes = np.bincount(parts)
-    width, depth = np.ptp(scene.positions, axis=0) + step_length(scene)
+    width, depth = np.ptp(scene.positions, axis=0) + scene.step_length
     views = "none" if scene.views is None else "x".join(map(str, scene.views[0].shape[:2]))
     features = "none" if scene.features is None else f"{scene.features.shape[1]} {scene.features.dtype}"
     return {
@@ -94,7 +93,7 @@ def _facts(scene: Scene, parts: IntArray) -> dict[str, str]:
         "states": f"{len(scene)}",
         "places": f"{places(scene.graph).max() + 1}",
         "turn": f"{360 / turns:g} degrees",
-        "step": f"{step_length(scene):.2f} m",
+        "step": f"{scene.step_length:.2f} m",
         "extent": f"{width:.1f} x {depth:.1f} m",
         "parts": f"{len(sizes)}" + (f" (states: {', '.join(map(str, sizes[:8]))})" if len(sizes) > 1 else ""),
         "blocked moves": f"{blocked:.0%}",
@@ -162,7 +161,7 @@ def _map_problems(scene: Scene) -> Iterator[str]:
             f"({len(still)} such moves): check location, or the map is wrong"
         )
     with np.errstate(invalid="ignore"):
-        aside = (moves * heading_directions(scene)[leads]).sum(1) < np.cos(np.deg2rad(45)) * lengths
+        aside = (moves * scene.directions[leads]).sum(1) < np.cos(np.deg2rad(45)) * lengths
     if aside.any():
         state = leads[aside][0]
         yield (

@@ -1,5 +1,6 @@
 """Files that somebody else may have written: none is read, unpacked or waited for without a bound."""
 
+import csv
 import io
 import os
 import stat
@@ -61,6 +62,14 @@ def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: 
         return read_bytes(file, most).decode(encoding, errors)
     except UnicodeDecodeError as error:
         raise ValueError(f"{file}: is not UTF-8 text ({error})") from None
+
+
+def read_rows(file: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file whose first line names the columns; ValueError if it is no such table."""
+    try:
+        return list(csv.DictReader(read_text(file).splitlines(), strict=True))
+    except csv.Error as error:
+        raise ValueError(f"{file}: is no table ({error})") from None
 
 
 def read_arrays(file: Path) -> dict[str, np.ndarray]:

@@ -1,13 +1,16 @@
-"""What was read from a file, checked against annotated types by pydantic; what does not fit is told in one line."""
+"""What somebody else wrote, checked: values against annotated types, names of files, tables; errors are one line."""
 
+import csv
 import difflib
 import os
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import fields
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any, get_type_hints
 
+from dirl.scenes.io.bounded import MOST, read_text
 from dirl.scenes.scene import SceneError
 
 MOST_NAMED = 100
@@ -18,6 +21,8 @@ LONGEST = 1000
 
 UNKNOWN = "unexpected_keyword_argument"
 """What pydantic calls a key that a dataclass does not have."""
+
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+")
 
 
 def checked(value: object, kind: Any, where: str = "", *, strict: bool = True) -> Any:
@@ -93,3 +98,50 @@ def inside(folder: Path, name: object, where: str) -> Path:
     if os.path.commonpath([real, root]) != root:
         raise SceneError(f"{where}: '{name[:100]}' is a link that leads out of {folder}; put the file itself there")
     return found
+
+
+def read_csv(
+    file: Path, required: Sequence[str], optional: Sequence[str] = (), most: int = MOST
+) -> list[tuple[str, dict[str, str]]]:
+    """Return the rows of a CSV file by column, each with the file and line for errors; empty lines are left out.
+
+    `SceneError` if it cannot be read, has another column or lacks one, or a line is none of the table.
+    """
+    try:
+        lines = read_text(file, most, encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise SceneError(f"{error}; save it as CSV UTF-8") from None
+    if not lines:
+        raise SceneError(f"{file}: is empty; its first line names the columns: {','.join(required)}")
+    # Spreadsheets of countries with a decimal comma separate by semicolons.
+    semicolons = ";" in lines[0] and "," not in lines[0]
+    reader = csv.reader(lines, delimiter=";" if semicolons else ",")
+    rows = []
+    try:
+        columns = [column.strip() for column in next(reader)]
+        _check_columns(columns, required, optional, file)
+        for line in reader:
+            cells = [cell.strip() for cell in line]
+            if semicolons:
+                cells = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+            where = f"{file}: line {reader.line_num}"
+            if any(cells) and len(cells) != len(columns):
+                raise SceneError(f"{where}: {len(cells)} cells for {len(columns)} columns")
+            if any(cells):
+                rows.append((where, dict(zip(columns, cells, strict=True))))
+    except csv.Error as error:
+        raise SceneError(f"{file}: line {reader.line_num}: is no line of a table ({error})") from None
+    return rows
+
+
+def _check_columns(columns: Sequence[str], required: Sequence[str], optional: Sequence[str], file: Path) -> None:
+    known = [*required, *optional]
+    for column in columns:
+        check_choice(column, known, f"{file}: line 1: columns")
+        if columns.count(column) > 1:
+            raise SceneError(f"{file}: line 1: the column '{column}' is named twice")
+    missing = [column for column in required if column not in columns]
+    if missing:
+        raise SceneError(f"{file}: line 1: the column '{missing[0]}' is missing; found {', '.join(columns)}")
